@@ -234,5 +234,6 @@ def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) 
         cfa=plan.camera.cfa,
         cameras={plan.camera.name: CameraCard(plan.camera.models)},
         counts=counts_of(records),
+        protocol="raw" if plan.protocol.moments == 1 else "sequences",
         sources=(f"capture manifest: protocol of {plan.protocol}; ISO and exposure times as the files state them",),
     )

@@ -42,7 +42,6 @@ from eldata.datasets import (
     training_loader,
 )
 from eldata.noise import NoiseModel
-from eldata.raw.cfa import CLIP_RANGES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -199,7 +198,6 @@ def score(network: UNet, options: argparse.Namespace, device: torch.device) -> d
 
     pairs = ELDDataset(options.validate, manifest=options.manifest, clip=options.clip, levels=options.levels)
     metric = ProtocolScore(options.protocol)
-    low, high = CLIP_RANGES[metric.protocol.reference_clip]
     network.eval()
 
     def predicted(image: Any) -> Any:
@@ -209,7 +207,7 @@ def score(network: UNet, options: argparse.Namespace, device: torch.device) -> d
         for batch in evaluation_loader(pairs, workers=options.workers):
             image = batch["input"][0].numpy()
             found = tiled(predicted, image, tile=1024, overlap=128, multiple=network.multiple)
-            metric.update(torch.from_numpy(found), batch["target"][0].clamp(low, high))
+            metric.update(torch.from_numpy(found), batch["target"][0])
     return {name: float(value) for name, value in metric.compute().items()}
 
 

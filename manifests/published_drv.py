@@ -96,6 +96,7 @@ def published_drv(split_of: Mapping[str, str]) -> tuple[Card, tuple[FrameRecord,
         cfa="bayer",
         cameras={CAMERA: CameraCard(("DSC-RX100M6",))},
         counts=dict(sorted(Counter(str(record.role) for record in records).items())),
+        protocol="drv-rgb",
         downloads=(
             Download(
                 f"{_HOST}/long.zip",

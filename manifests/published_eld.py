@@ -50,6 +50,7 @@ def published_eld() -> tuple[Card, tuple[FrameRecord, ...]]:
         },
         counts={role: sum(record.role == role for record in records) for role in sorted({r.role for r in records})},
         scenes_shared=True,  # ten scenes, which all four cameras photographed
+        protocol="eld",
         downloads=(
             Download(
                 "https://drive.google.com/drive/folders/1QoEhB1P-hNzAc4cRb7RdzyEKktexPVgy",

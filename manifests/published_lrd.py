@@ -164,6 +164,7 @@ def published_lrd(scenes: Iterable[LrdScene]) -> tuple[Card, tuple[FrameRecord, 
         cfa="bayer",
         cameras={CAMERA: CameraCard(())},
         counts=dict(sorted(Counter(str(record.role) for record in records).items())),
+        protocol="lrd-lrd",
         downloads=(
             Download(
                 "https://www.dropbox.com/scl/fi/tari9hvf2ubxo232owekz/LRD.zip?rlkey=7zj9kqgsf06g97smexkrzv05q&dl=0",

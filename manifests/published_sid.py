@@ -180,6 +180,7 @@ def published_sid(name: str, scenes: Sequence[SidScene]) -> tuple[Card, tuple[Fr
         cfa=half.cfa,
         cameras={camera.name: CameraCard(camera.models)},
         counts=dict(sorted(Counter(record.role for record in records).items())),
+        protocol="sid",
         downloads=half.downloads,
         subsets=half.subsets,
         known_defects=half.known_defects,

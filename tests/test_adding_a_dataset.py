@@ -149,7 +149,7 @@ def test_your_own_files_and_a_package_of_yours(mine: Place) -> None:
     assert printed.startswith("HallwayDataset('data/MINE', 4 pairs")
     assert "\nmine: Our hallway at night (manifest version 1.0)" in printed
     assert "mine: 6 of 6 files checked (quick) in data/MINE: all well" in printed
-    assert "mine, protocol eld: 4 of 4 pairs" in printed
+    assert "mine, protocol raw: 4 of 4 pairs" in printed
 
 
 # --- a set in eldata --------------------------------------------------------------------------------------------------

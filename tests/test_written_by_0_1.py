@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import torch
 
 from capture import CameraDescription, Plan
 from eldata import PackedClips, PackedStore, StreamedPairs, verify
@@ -31,6 +32,7 @@ from eldata.datasets import PackedUnpairedClips, PairDataset, StoredFrames, norm
 from eldata.manifest import load_manifest
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.raw import read_raw
+from eldata.raw.levels import packed_frame
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,7 +41,7 @@ if TYPE_CHECKING:
 
 FILES = Path(__file__).parent / "written_by_0_1"
 ROOT = Path(__file__).parents[1]
-WHOLE: dict[str, Any] = {"crop": None, "augment": False}
+WHOLE: dict[str, Any] = {"crop": None, "augment": False, "levels": "published"}  # 0.1 took these for every set
 
 Reader = Callable[[Path, Path], Any]
 READERS: dict[str, Reader] = {}
@@ -128,7 +130,7 @@ def raw_files(files: Path, work: Path) -> Any:
 @reader
 def own_set(files: Path, work: Path) -> Any:
     """A manifest that `eldata lock` filled in, its card and its files."""
-    dataset = PairDataset(files / "mine" / "data" / "MINE", files / "mine" / "mine.csv")
+    dataset = PairDataset(files / "mine" / "data" / "MINE", files / "mine" / "mine.csv", levels="published")
     return [
         check_manifest(files / "mine" / "mine.csv", files / "mine" / "data", work / "report.json"),
         samples(dataset),
@@ -148,6 +150,12 @@ def captured_set(files: Path, work: Path) -> Any:
     return check_manifest(files / "capture" / "captured.csv", files / "capture" / "data", work / "report.json")
 
 
+def with_0_1_target(folder: Path, sample: Any) -> Any:
+    """The sample with its target as 0.1 had it, not clipped where the input is not."""
+    frame = read_raw(folder / sample["reference"])
+    return sample | {"target": torch.from_numpy(packed_frame(frame, levels="metadata", clip="none"))}
+
+
 @reader
 def synthesised(files: Path, work: Path) -> Any:
     """Noisy frames as DNG and npy, their manifest, and every parameter that was drawn."""
@@ -156,7 +164,8 @@ def synthesised(files: Path, work: Path) -> Any:
         folder = files / "synthesised" / name
         manifest = folder / "manifests" / f"{name}.csv"
         found.append(check_manifest(manifest, folder / "data", work / "report.json"))
-        found.append(samples(PairDataset(folder / "data" / name, manifest, levels="metadata", clip="none")))
+        noisy = PairDataset(folder / "data" / name, manifest, levels="metadata", clip="none")
+        found.append(samples([with_0_1_target(folder / "data" / name, sample) for sample in noisy]))
         parameters = loaded(folder / "parameters.json")
         NoiseModel(parameters["model"])
         for frame in parameters["frames"]:
@@ -180,7 +189,7 @@ def checked_store(store: Path, work: Path) -> Any:
 def stores_of_pairs(files: Path, work: Path) -> Any:
     """Format 1, plain and compressed: whole frames are those of the raw files."""
     found = {}
-    raw = samples(PairDataset(files / "mine" / "data" / "MINE", files / "mine" / "mine.csv"))
+    raw = samples(PairDataset(files / "mine" / "data" / "MINE", files / "mine" / "mine.csv", levels="published"))
     for name in ("mine", "mine-lz4", "mine-zstd"):
         store = files / "stores" / f"{name}.h5"
         held = samples(PackedStore(store, **WHOLE))
@@ -201,7 +210,7 @@ def crops_of_a_store(files: Path, work: Path) -> Any:
         for sample in PackedStore(store, **WHOLE).in_dn()
     }
     found = []
-    dataset = PackedStore(store, crop=8, crops_per_frame=2, seed=7)
+    dataset = PackedStore(store, crop=8, crops_per_frame=2, seed=7, levels="published")
     for epoch in range(2):
         dataset.set_epoch(epoch)
         found.append(samples([normalise_batch(sample | blacks[sample["path"]]) for sample in dataset.in_dn()]))
@@ -215,9 +224,9 @@ def stores_of_clips(files: Path, work: Path) -> Any:
     return [
         checked_store(rgb, work),
         checked_store(raw, work),
-        samples(PackedClips(rgb, window=5, **WHOLE)),
-        samples(PackedUnpairedClips(rgb, window=5, **WHOLE)),
-        samples(PackedClips(raw, window=5, **WHOLE)),
+        samples(PackedClips(rgb, window=5, crop=None, augment=False)),
+        samples(PackedUnpairedClips(rgb, window=5, crop=None, augment=False)),
+        samples(PackedClips(raw, window=5, crop=None, augment=False)),
         samples(PackedClips(rgb, window=5, crop=8, seed=3)),
     ]
 

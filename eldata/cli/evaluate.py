@@ -64,8 +64,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="P",
         help=(
             f"how to score: {', '.join((*PROTOCOLS, *FAMILIES))}; a TOML file of your own; or all, "
-            "those for the dataset in one pass (default: the dataset's own, such as eld or sid). eldata protocols "
-            "shows what each fixes"
+            "those for the dataset in one pass (default: the one that its card names, such as eld or sid; raw of a set "
+            "of your own). eldata protocols shows what each fixes"
         ),
     )
     parser.add_argument(

@@ -71,6 +71,7 @@ def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:
     from eldata.manifest.catalogue import known_names
     from eldata.protocols.choosing import get_protocol, members_of, of_digest
     from eldata.protocols.named import FAMILIES, PROTOCOLS
+    from eldata.protocols.protocol import ANY_DATASET
 
     found: list[Protocol] = []
     for name in names or PROTOCOLS:
@@ -82,7 +83,7 @@ def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:
             found.append(get_protocol(name))
     if dataset is not None:
         found = [protocol for protocol in found if protocol.covers(dataset)]
-        if not found:
+        if all(protocol.dataset == ANY_DATASET for protocol in found):
             known = known_names()
             raise ArgumentError(
                 f"no protocol is for dataset {dataset!r}; eldata info lists the datasets{did_you_mean(dataset, known)}"

@@ -18,6 +18,7 @@ from eldata.datasets.items import CroppedItems, Cropping, Part, ReadItems
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import Manifest, data_root, known_manifest, known_names, load_manifest
 from eldata.manifest.pairs import Choice, select_pairs
+from eldata.protocols.choosing import default_protocol
 from eldata.raw.cfa import packed_area, packed_shape, unpack
 from eldata.records import Exposure, Records
 from eldata.sources.frames import Files, Frame
@@ -117,7 +118,7 @@ class PairItems(ReadItems[PairItem, Sample]):
 
     def parts(self, item: PairItem) -> Iterator[Part]:
         """Yield the target, then the input."""
-        yield Part("target", item.pair.target)
+        yield Part("target", item.pair.target, is_light=True)
         if item.pair.input is not None:
             # What no raw file states is amplified already.
             yield Part("input", item.pair.input, gain=float(item.pair.ratio) if item.pair.input.sensor else 1.0)
@@ -175,7 +176,7 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         self.source = source
         self.records: tuple[PairRecord, ...] = Records(records)
         self.name = name
-        self.levels = chosen.get("levels", "published")
+        self.levels = chosen.get("levels", "metadata")
         self.clip = chosen.get("clip", "both")
         self.amplification = chosen.get("amplification", "metadata")
         self.dark_shading = chosen_shading(chosen, (record.camera for record in self.records))
@@ -309,7 +310,7 @@ class PairDataset(SourcePairs):
     options
         Which pairs (:class:`~eldata.manifest.pairs.Choice`): ``cameras``, ``scenes``, ``isos``, ``ratios``, ``split``,
         ``subset``, ``exclude_flags``. What becomes of their DN (:class:`~eldata.datasets.choices.Representation`):
-        ``levels`` (default ``"published"``), ``clip`` (``"both"``), ``amplification`` (``"metadata"``),
+        ``levels`` (default: the card's), ``clip`` (``"both"``), ``amplification`` (``"metadata"``),
         ``dark_shading``. Which part of them (:class:`PairCropping`): ``crop``, ``augment``, ``crops_per_frame``,
         ``seed``; by default whole frames.
 
@@ -335,11 +336,12 @@ class PairDataset(SourcePairs):
         loaded.card.check_readable()
         self.root = data_root() / loaded.card.folder if root is None else Path(root)
         records = select_pairs(loaded.records, loaded.card.subsets, **choice)
+        levels = representation.get("levels") or default_protocol(loaded.card).frame_levels
         super().__init__(
             Files(self.root, loaded.records),
             records,
             name=loaded.name,
-            representation=representation,
+            representation=representation | {"levels": levels},
             cropping=cropping,
         )
         self._check_folders(loaded)

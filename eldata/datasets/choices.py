@@ -30,9 +30,12 @@ class Representation(TypedDict, total=False):
     levels
         ``"published"``: white level 16383 for every camera; ``"metadata"``: the file's own. Black is the file's either
         way. Or the constants of the SID code by name: :func:`eldata.raw.levels.with_levels`. RGB is divided by 65535.
+        By default those of the protocol that the set's card names: ``"published"`` of ELD and SID, ``"metadata"`` of a
+        set of one's own.
     clip
-        ``"both"``: the normalised frame is clipped to [0, 1] before and after the input is multiplied by the ratio,
-        as published; ``"upper"``: at 1 only, so that negative read noise is kept; ``"none"``.
+        Of the input. ``"both"``: the normalised frame is clipped to [0, 1] before and after it is multiplied by the
+        ratio, as published; ``"upper"``: at 1 only, so that negative read noise is kept; ``"none"``. The target lies in
+        [0, 1] whatever it is.
     amplification
         What the input is multiplied by: ``"metadata"``, the ratio of ISO times exposure time that the files state,
         ``"nominal"``, the manifest's ratio, or ``"measured"``, the one that ``capture check --write`` found in the

@@ -243,7 +243,7 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         known = reference and reference.without_pixels()
         own = item.record.references
         if reference is not None:
-            yield Part("target", reference, 0 if own else None)
+            yield Part("target", reference, 0 if own else None, is_light=True)
             del reference
         frame, item.first = self._corrected(item.first or self._frame(item.record.path)), None
         item.exposure = frame.exposure
@@ -254,7 +254,7 @@ class ClipWindows(CroppedItems[_Item, Sample]):
             if place and own:
                 reference = self._frame(own[place])
                 known = reference.without_pixels()
-                yield Part("target", reference, place)
+                yield Part("target", reference, place, is_light=True)
                 del reference
             if place:
                 frame = self._input(path)

@@ -121,7 +121,7 @@ def normalise_batch(batch: Mapping[str, Any], *, clip: Clip = "both") -> dict[st
     batch
         A :class:`DnSample`, or several collated.
     clip
-        As in :class:`~eldata.datasets.base.PairDataset`.
+        As in :class:`~eldata.datasets.base.PairDataset`: of the input.
 
     Returns
     -------
@@ -138,9 +138,9 @@ def normalise_batch(batch: Mapping[str, Any], *, clip: Clip = "both") -> dict[st
     if not names <= set(batch) or batch["input_dn"].dtype != torch.uint16:
         raise ArgumentError("expected a batch in DN, as PackedStore(...).in_dn() gives it: uint16 with its levels")
     result = {name: value for name, value in batch.items() if name not in names}
-    images = [image for side in SIDES for image in _images(batch, side)]
+    images = [image for side in SIDES for image in _images(batch, side, clip if side == "input" else "both")]
     on_cpu = batch["input_dn"].device.type == "cpu"
-    packed = _by_kernel(images, clip) if on_cpu else _by_torch(images, clip)
+    packed = _by_kernel(images) if on_cpu else _by_torch(images)
     sides = packed if batch["input_dn"].ndim == 2 else packed.chunk(2)
     return result | dict(zip(SIDES, sides, strict=True))
 
@@ -153,9 +153,10 @@ class _Image(NamedTuple):
     black_level_dn: tuple[float, ...]
     white_level_dn: float
     gain: float
+    clip: Clip
 
 
-def _images(batch: Mapping[str, Any], side: str) -> Iterator[_Image]:
+def _images(batch: Mapping[str, Any], side: str, clip: Clip) -> Iterator[_Image]:
     """Yield the images of one side of a batch; its numbers are fetched from the device at once."""
     several = batch["input_dn"].ndim == 3
 
@@ -167,10 +168,10 @@ def _images(batch: Mapping[str, Any], side: str) -> Iterator[_Image]:
     blacks, whites = each(batch[f"{side}_black_dn"]), each(batch[f"{side}_white_dn"])
     gains = each(batch["ratio"]) if side == "input" else [1.0] * len(mosaics)
     for mosaic, cfa, black, white, gain in zip(mosaics, each(batch["cfa"]), blacks, whites, gains, strict=True):
-        yield _Image(mosaic, tuple(map(tuple, cfa)), tuple(black), white, gain)
+        yield _Image(mosaic, tuple(map(tuple, cfa)), tuple(black), white, gain, clip)
 
 
-def _by_kernel(images: Sequence[_Image], clip: Clip) -> torch.Tensor:
+def _by_kernel(images: Sequence[_Image]) -> torch.Tensor:
     """Return images packed by the one packer, (N, C, h, w), on as many threads as torch takes.
 
     Into memory that is used again: the pages of new memory would cost several times as much as the packing.
@@ -182,19 +183,19 @@ def _by_kernel(images: Sequence[_Image], clip: Clip) -> torch.Tensor:
     def work(number: int) -> None:
         image = images[number]
         black, white = image.black_level_dn, image.white_level_dn
-        pack_normalised(mosaics[number], image.cfa, black, white, clip=clip, gain=image.gain, out=packed[number])
+        pack_normalised(mosaics[number], image.cfa, black, white, clip=image.clip, gain=image.gain, out=packed[number])
 
     in_threads(work, range(len(images)), torch.get_num_threads())
     return torch.from_numpy(packed)
 
 
-def _by_torch(images: Sequence[_Image], clip: Clip) -> torch.Tensor:
+def _by_torch(images: Sequence[_Image]) -> torch.Tensor:
     """Return images packed by torch on their device, (N, C, h, w): the packer's operations, one by one."""
     first = images[0].mosaic
     shape = packed_shape((first.shape[0], first.shape[1]), images[0].cfa)
     packed = torch.empty((len(images), *shape), dtype=torch.float32, device=first.device)
-    low, high = CLIP_RANGES[clip]
     for image, values in zip(images, packed, strict=True):
+        low, high = CLIP_RANGES[image.clip]
         sites = packing_sites(image.cfa)
         for row, column, channel, y, x in sites.table:
             site = image.mosaic[row :: sites.period, column :: sites.period]

@@ -15,10 +15,10 @@ class ELDDataset(PairDataset):
 
     The reference of a noisy frame is the nearest of frames 1, 6, 11 and 16 by number. Parameters, samples and errors:
     :class:`~eldata.datasets.base.PairDataset`; ``ratios=(1, 10)`` gives the easier pairs of the same scenes. A set of
-    your own in the same layout is read with its ``manifest``, and then usually ``levels="metadata"``.
+    your own in the same layout is read with its ``manifest``, and with the levels of the protocol that its card names.
 
-    The defaults (``levels="published"``, ``clip="both"``) give exactly the input of the published evaluation, so that
-    numbers compare with the literature.
+    The defaults (of ELD ``levels="published"``, ``clip="both"``) give exactly the input of the published evaluation, so
+    that numbers compare with the literature.
 
     References
     ----------

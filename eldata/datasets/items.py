@@ -55,12 +55,17 @@ class SharedNumber:
 
 
 class Part(NamedTuple):
-    """What is read for an item: the crop of a frame, times ``gain``, into a tensor or one place of it."""
+    """What is read for an item: the crop of a frame, times ``gain``, into a tensor or one place of it.
+
+    ``is_light``: the frame stands for the light itself, so it lies in [0, 1] whatever the dataset's clip, which is of
+    noisy frames.
+    """
 
     tensor: str
     frame: Frame
     place: int | None = None
     gain: float = 1.0
+    is_light: bool = False
 
 
 class DrawnItem(Protocol):
@@ -113,7 +118,7 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
 
     def fill(self, item: Item, part: Part, out: NDArray[Any]) -> None:
         """Read one part."""
-        item.crop.fill(part.frame, out, clip=self.clip, gain=part.gain)
+        item.crop.fill(part.frame, out, clip="both" if part.is_light else self.clip, gain=part.gain)
 
     def finish(self, items: Sequence[Item], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Make what is not read, of several items at once; the arrays have as many, one after the other."""

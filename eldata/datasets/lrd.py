@@ -36,6 +36,5 @@ class LRDDataset(PairDataset):
     def __init__(
         self, root: Path | str | None = None, *, manifest: Path | str = "lrd", **options: Unpack[PairOptions]
     ) -> None:
-        options.setdefault("levels", "metadata")
         options.setdefault("amplification", "nominal")
         super().__init__(root, manifest, **options)

@@ -30,9 +30,9 @@ class Noise2Noise(ReadItems[_Item, Sample]):
     """Two noisy frames of one scene, ISO and ratio: the input, and in place of the clean target another one.
 
     J. Lehtinen et al., ICML 2018, and the row of that name in K. Wei et al., TPAMI 2021. The samples are those of the
-    pairs but for ``target``, a noisy frame that is drawn for the item, amplified like the input; ``path`` is the
-    input's. Targets whose negative read noise is clipped off are too bright where it is dark, and the network learns
-    that: give the pairs ``clip="none"``, and test on the same.
+    pairs but for ``target``, a noisy frame that is drawn for the item, amplified and clipped like the input; ``path``
+    is the input's. Targets whose negative read noise is clipped off are too bright where it is dark, and the network
+    learns that: give the pairs ``clip="none"``, and test on the same.
 
     Parameters
     ----------

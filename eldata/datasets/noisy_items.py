@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from eldata.datasets.crops import Crop
     from eldata.datasets.draws import Cameras, Isos, NoiseDraw
-    from eldata.datasets.items import Part
     from eldata.noise.dark_shading import DarkShading
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.profile import RowChoice
@@ -142,10 +141,6 @@ class NoisyItems(CroppedItems[Item, Sample]):
             return self.noise.draw(generator)
         turn = self._turns.at(self.epoch * self._length + index)
         return self.noise.draw(generator, turn, gain_spread=GAIN_SPREAD)
-
-    def fill(self, item: Item, part: Part, out: NDArray[Any]) -> None:
-        """Read the clean crop."""
-        item.crop.fill(part.frame, out, clip="both", gain=part.gain)
 
     def facts(self, item: Item) -> dict[str, Any]:
         """Return what the noise was made with, and where the frame comes from."""

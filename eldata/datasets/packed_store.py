@@ -63,7 +63,7 @@ class PackedStore(SourcePairs):
                 source,
                 source.pairs(choice),
                 name=source.store.dataset,
-                representation=representation,
+                representation=representation | {"levels": representation.get("levels") or source.levels},
                 cropping={"crop": 512, "augment": True} | cropping,
             )
 

@@ -142,7 +142,7 @@ class StreamedPairs(IterableDataset[Sample]):
         self.crops_per_frame = crops_per_frame
         self.shuffle_buffer = shuffle_buffer
         self.seed = checked_seed(seed)
-        self.levels: FrameLevels = given.get("levels", "published")
+        self.levels: FrameLevels = given.get("levels", self.index.levels)
         self.clip: Clip = given.get("clip", "both")
         self.amplification: Amplification = given.get("amplification", "metadata")
         self.dark_shading = chosen_shading(given)

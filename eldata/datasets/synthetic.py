@@ -94,7 +94,7 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
 
     def parts(self, item: NoisyItem) -> Iterator[Part]:
         """Yield the clean crop."""
-        yield Part("target", item.frame)
+        yield Part("target", item.frame, is_light=True)
 
     def __repr__(self) -> str:
         return self._text(self.source, f"{len(self)} items")

@@ -121,11 +121,11 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
 
     def parts(self, item: _Item) -> Iterator[Part]:
         """Yield the clean frames in order."""
-        yield Part("target", item.frame, 0)
+        yield Part("target", item.frame, 0, is_light=True)
         for step in range(1, self.frames):
             frame = item.clip.frame(item.start + step)
             _check_alike(frame, item.frame)
-            yield Part("target", frame, step)
+            yield Part("target", frame, step, is_light=True)
             del frame
 
     def facts(self, item: _Item) -> dict[str, Any]:

@@ -40,6 +40,7 @@ def demo_card(
         cfa="bayer" if all(len(sensor.cfa) == 2 for sensor in sensors.values()) else "xtrans",
         cameras={camera: CameraCard((sensor.model,)) for camera, sensor in sensors.items()},
         counts=dict(sorted(Counter(str(record.role) for record in records).items())),
+        protocol="eld",
         sources=(source,),
     )
 

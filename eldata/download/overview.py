@@ -169,6 +169,7 @@ def _facts(card: Card) -> list[str]:
         ("cameras", ", ".join(card.cameras)),
         ("CFA", "bayer and xtrans" if card.cfa == "both" else card.cfa),
         ("levels", card.levels),
+        ("protocol", "" if card.unreadable else card.protocol),
         ("contents", card.contents),
     )
     return [line for name, text in facts if text for line in wrapped(f"{name:<11}{text}", " " * 11)]

@@ -41,9 +41,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.evaluation.planning import ScoringPlan
+    from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.units import PlanScores
     from eldata.protocols.protocol import Protocol
 
+# A white level that is off by more than this share is said: of ELD's Sony, 16300 for 16383, it is a half percent.
+_USUAL_WHITE = 0.02
 # A factor beyond these hides a prediction of another scale: the score says nothing of it.
 _USUAL_RESCALE = (1 / 3, 3.0)
 
@@ -72,7 +75,8 @@ def evaluate(
         Name of a shipped manifest, such as ``eld`` or, of clips, ``drv``.
     protocol
         Name of a protocol (:mod:`eldata.protocols`) or of a family, such as ``pmn``; the path of a TOML file; or a
-        protocol. Default: the dataset's own, such as ``eld``, ``sid`` or ``drv-rgb``.
+        protocol. Default: the one that the dataset's card names, such as ``eld``, ``sid`` or ``drv-rgb``; if it names
+        none, ``raw``, by the files' own levels.
     root
         The folder that holds the datasets. Default: ``$ELDATA_ROOT``, else ``./data``.
     manifest
@@ -405,6 +409,7 @@ def _notes(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult,
             f"LibRaw has no white level per channel of the references of {len(bare)} pairs, such as that of {bare[0]}: "
             "the file's one white level was taken"
         )
+    notes += _white_level_notes(result.scores, scored)
     levels = plan.protocol.levels
     if scores and levels in ONE_CAMERAS_LEVELS and "published" not in (scored.equal_choices or {}).get("levels", ()):
         notes.append(
@@ -426,6 +431,26 @@ def _notes(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult,
     elif perfect:
         notes.append(f"with a frame that equals the reference exactly: {len(perfect)} videos, such as {perfect[0]}")
     return notes
+
+
+def _white_level_notes(scores: Sequence[UnitScore], scored: PlanScores) -> list[str]:
+    """Return whose files saturate at another level than the protocol divides by, in one line with all numbers."""
+    found: dict[str, set[float]] = {}
+    taken_dn = 0.0
+    for score in scores:
+        stated_dn, white_dn = scored.white_levels_dn[score.path] or (0.0, 0.0)
+        if abs(stated_dn - white_dn) > _USUAL_WHITE * white_dn:
+            taken_dn = white_dn  # the same of every file
+            found.setdefault(score.camera, set()).add(stated_dn)
+    if not found:
+        return []
+    whose = ", those of ".join(
+        f"{camera}{'' if number else ' saturate'} at "
+        f"{' to '.join(f'{level:g}' for level in dict.fromkeys((min(levels), max(levels))))} DN"
+        for number, (camera, levels) in enumerate(found.items())
+    )
+    own = "--protocol raw takes the files' own white level"
+    return [f"the files of {whose}, and the protocol divides by {taken_dn:g}: {own}"]
 
 
 def _provenance(request: Request, plan: ScoringPlan, scored: PlanScores) -> dict[str, Any]:

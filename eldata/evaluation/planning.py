@@ -81,9 +81,9 @@ def places_elsewhere(request: Request) -> dict[str, list[str]]:
         return {}
     others = [name for name in shipped_names() if name != request.manifest.name]
     return {
-        name: [record.path for record in shipped_manifest(name).records if record.role == "noisy"]
-        for name in others
-        if default_protocol(name).kind is IMAGES
+        manifest.name: [record.path for record in manifest.records if record.role == "noisy"]
+        for manifest in map(shipped_manifest, others)
+        if default_protocol(manifest.card).kind is IMAGES
     }
 
 

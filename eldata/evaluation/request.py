@@ -105,8 +105,7 @@ class Request:
     @property
     def is_own(self) -> bool:
         """Whether the set is the user's own: it does not come with the package, nor has it a protocol of clips."""
-        name = self.manifest.name
-        return name not in shipped_names() and (self.kind is IMAGES or not default_protocol(name).covers(name))
+        return _is_own(self.manifest)
 
 
 def make_request(
@@ -124,9 +123,8 @@ def make_request(
     lpips, task, store = options.get("lpips"), options.get("task"), options.get("store")
     manifest = known_manifest(dataset) if path is None else load_manifest(path)
     manifest.card.check_readable()
-    own = manifest.name not in shipped_names()
     shading = options.get("dark_shading")
-    protocols = protocols_for(manifest.name, own=own) if protocol == ALL else (_protocol(protocol, manifest),)
+    protocols = _every_protocol(manifest) if protocol == ALL else (_protocol(protocol, manifest),)
     request = Request(
         manifest=manifest,
         folder=manifest.folder(options.get("root")),
@@ -183,14 +181,30 @@ def of_folder(request: Request, predictions: Path | str) -> Request:
     return replace(request, predictions=folder)
 
 
+def _is_own(manifest: Manifest) -> bool:
+    default = default_protocol(manifest.card)
+    return manifest.name not in shipped_names() and (default.kind is IMAGES or not default.covers(manifest.name))
+
+
+def _every_protocol(manifest: Manifest) -> tuple[Protocol, ...]:
+    """Return the protocols for a dataset, the one that its card names first."""
+    default = default_protocol(manifest.card)
+    others = protocols_for(manifest.name, own=_is_own(manifest))
+    return tuple(dict.fromkeys(one for one in (default, *others) if one.kind is default.kind))
+
+
 def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:
-    """Return the protocol that is meant; it has to be of what the dataset holds, images or clips."""
-    default = default_protocol(manifest.name)
+    """Return the protocol that is meant; it has to be of what the dataset holds, images or clips.
+
+    A set of one's own may be scored as images, and as sequences.
+    """
+    default, is_own = default_protocol(manifest.card), _is_own(manifest)
     if isinstance(protocol, (str, Path)):
-        protocol = get_protocol(protocol, manifest.name, own=manifest.name not in shipped_names())
+        protocol = get_protocol(protocol, manifest.name, own=is_own)
     chosen = protocol or default
     chosen.check()
-    if chosen.kind is not default.kind and (default.covers(manifest.name) or chosen.dataset != OWN_SEQUENCES):
+    fits_own = is_own and (chosen.kind is IMAGES or chosen.dataset == OWN_SEQUENCES)
+    if chosen.kind is not default.kind and not fits_own:
         own = ", ".join(one.name for one in protocols_for(manifest.name))
         raise ArgumentError(
             f"protocol {chosen.name!r} scores {chosen.kind.units}, and {manifest.name!r} is a dataset of "

@@ -12,6 +12,7 @@ from eldata.evaluation.pairs import Pair, amplified_by
 from eldata.evaluation.references import less_shading, levels_dn, normalised_frame
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.protocol import NO_SHADING, Amplification
+from eldata.raw.levels import with_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator
@@ -90,6 +91,13 @@ class Reference:
     def lacks_channel_whites(self, protocol: Protocol) -> bool:
         """Return whether a protocol takes the white level of each channel and LibRaw has none."""
         return protocol.levels == "metadata-per-channel" and self.frame.channel_white_levels_dn is None
+
+    def white_levels_dn(self, protocol: Protocol) -> tuple[float, float] | None:
+        """Return the white level that the file states, and the constant that a protocol has in its place, if any."""
+        if protocol.pixels != "packed" or protocol.levels in ("metadata", "metadata-per-channel"):
+            return None
+        sensor = self.frame.sensor
+        return sensor.white_level_dn, with_levels(sensor, protocol.frame_levels).white_level_dn
 
     def key(self, protocol: Protocol) -> Hashable:
         """Return what decides :meth:`target`: of levels the numbers, since two choices may come to the same."""

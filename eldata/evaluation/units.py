@@ -47,15 +47,17 @@ class PlanScores:
 
     ``unfit``: pairs that the protocol cannot score whatever is predicted, such as frames too small for its region.
     ``without_channel_whites``: noisy frames whose reference LibRaw has no white level per channel of, where the
-    protocol takes it. ``equal_choices``: the values of a protocol's field, by the field, that came to the same for each
-    score, the protocol's own among them; ``None`` as long as there is no score. ``inspections``: of
-    frames whose predictions were looked at for mistakes.
+    protocol takes it. ``white_levels_dn``: of each noisy frame, the white level that its reference's file states, and
+    the constant that the protocol has in its place, if any. ``equal_choices``: the values of a protocol's field, by the
+    field, that came to the same for each score, the protocol's own among them; ``None`` as long as there is no score.
+    ``inspections``: of frames whose predictions were looked at for mistakes.
     """
 
     scores: dict[str, UnitScore] = field(default_factory=dict)
     problems: list[EvaluationProblem] = field(default_factory=list)
     unfit: list[EvaluationProblem] = field(default_factory=list)
     without_channel_whites: list[str] = field(default_factory=list)
+    white_levels_dn: dict[str, tuple[float, float] | None] = field(default_factory=dict)
     equal_choices: dict[str, frozenset[str]] | None = None
     inspections: list[Inspection] = field(default_factory=list)
 
@@ -65,6 +67,7 @@ class PlanScores:
         self.problems += others.problems
         self.unfit += others.unfit
         self.without_channel_whites += others.without_channel_whites
+        self.white_levels_dn |= others.white_levels_dn
         self.inspections += others.inspections
         self.equal_choices = _in_common(self.equal_choices, others.equal_choices)
 
@@ -290,6 +293,7 @@ class _Scorer:
         self._frames: list[FrameScore] = []
         self._found = PlanScores()
         self._bare = False
+        self._whites_dn: tuple[float, float] | None = None
         self._extras: list[dict[str, float]] = []
         self._equal: dict[str, frozenset[str]] | None = None
 
@@ -299,6 +303,7 @@ class _Scorer:
         try:
             target = frame.reference.target(protocol)
             self._bare = frame.reference.lacks_channel_whites(protocol)
+            self._whites_dn = frame.reference.white_levels_dn(protocol)
         except (ArgumentError, FileError) as error:
             reason = error.reason if isinstance(error, FileError) else str(error)
             self._found = _without_reference(self._pair, reason)
@@ -331,6 +336,7 @@ class _Scorer:
         return PlanScores(
             {path: self._score()},
             without_channel_whites=[path] * self._bare,
+            white_levels_dn={path: self._whites_dn},
             equal_choices=self._equal,
             inspections=self._inspections,
         )

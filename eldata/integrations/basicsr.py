@@ -283,7 +283,7 @@ class EldataReferences(EldataPairs):
 
     def parts(self, item: _LedItem) -> Iterator[Part]:
         """Yield the reference."""
-        yield Part("gt", item.pair.target)
+        yield Part("gt", item.pair.target, is_light=True)
 
     def fill(self, item: _LedItem, part: Part, out: NDArray[Any]) -> None:
         """Write it in DN."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from eldata.errors import ArgumentError
 from eldata.metrics.image_score import factor_by, score_by
 from eldata.protocols.kinds import IMAGES
+from eldata.raw.cfa import CLIP_RANGES
 
 if TYPE_CHECKING:
     import torch
@@ -41,10 +42,11 @@ def protocol_of_tensors(protocol: str | Protocol) -> Protocol:
 def protocol_score(
     protocol: Protocol, prediction: torch.Tensor, reference: torch.Tensor, *, threads: int | None = None
 ) -> Score:
-    """Return the score of one image, (C, h, w) or (h, w): the protocol's factor, region and rules.
+    """Return the score of one image, (C, h, w) or (h, w): the protocol's clip of the reference, factor, region, rules.
 
     The region is cut out here, after the factor was found where the protocol finds it: both are whole frames.
     """
+    reference = reference.clamp(*CLIP_RANGES[protocol.reference_clip])
     shape, rules = tuple(reference.shape), protocol.rules
     region, part = (crop[-reference.ndim :] for crop in (protocol.crop(shape), protocol.factor_crop(shape)))
     factor = factor_by(prediction[part], reference[part], rules, threads=threads)

@@ -157,8 +157,8 @@ class ProtocolScore(_MeanOverImages):
     """PSNR and SSIM under a named protocol, means over images, as ``eldata evaluate`` prints them.
 
     Given the predictions and references that ``eldata evaluate`` would score, the numbers equal its own to the last
-    bit. The references have to be normalised and clipped as the protocol says (its ``levels`` and ``reference_clip``;
-    those of :class:`eldata.ELDDataset` and :class:`eldata.SIDDataset` are so for ``eld`` and ``sid``). The region is
+    bit. The references have to be normalised as the protocol says (its ``levels``; those of :class:`eldata.ELDDataset`
+    and :class:`eldata.SIDDataset` are so for ``eld`` and ``sid``). They are clipped as it says here, and the region is
     cut out here, after the factor was found where the protocol finds it, so images are whole frames. Which images a
     number is over is the caller's choice: a paper's table has one per camera and factor.
 

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
+OWN_PROTOCOL = "raw"
+"""The protocol of a card that names none, such as that of a set of one's own."""
+
 CHANNELS = {
     "bayer": (4,),
     "xtrans": (9,),
@@ -105,6 +108,9 @@ class Card:
         as one in intervals and p-values (:func:`eldata.evaluation.statistics.clusters_of`).
     subsets
         Named choices of pairs. ``eldata evaluate`` scores the first one by default.
+    protocol
+        Name of the protocol that scores the set unless another is named; of a card that states none it is ``raw``, by
+        the files' own levels.
     known_defects, sources
         What is wrong with the published files, and where this card's facts come from.
     contents, levels
@@ -130,6 +136,7 @@ class Card:
     scenes_shared: bool = True
     downloads: tuple[Download, ...] = ()
     subsets: tuple[Subset, ...] = ()
+    protocol: str = OWN_PROTOCOL
     known_defects: tuple[str, ...] = ()
     sources: tuple[str, ...] = field(default=())
     contents: str = ""
@@ -196,6 +203,7 @@ def load_card(path: Path, content: bytes | None = None) -> Card:
         scenes_shared=top.optional("scenes_shared", top.flag, default=True),
         downloads=tuple(map(_download, top.objects("downloads", missing_ok=True))),
         subsets=subsets,
+        protocol=top.optional("protocol", top.text, OWN_PROTOCOL),
         known_defects=top.texts("known_defects", missing_ok=True, empty=True),
         sources=top.texts("sources", missing_ok=True, empty=True),
         contents=top.optional("contents", top.text, "", empty=True),

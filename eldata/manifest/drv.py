@@ -225,7 +225,8 @@ def _check_one_place(folder: Path, paths_of: Mapping[str, Sequence[str]]) -> Non
 def _listing_card(card: Card, what: str, name: str, records: Iterable[FrameRecord]) -> Card:
     counts = dict(sorted(Counter(str(row.role) for row in records).items()))
     sources = (*card.sources, "the files of one copy: what is missing there is missing here")
-    return replace(card, name=name, title=f"{card.title}: {what}", counts=counts, sources=sources)
+    protocol = "drv-raw" if name == "drv-raw" else card.protocol
+    return replace(card, name=name, title=f"{card.title}: {what}", counts=counts, protocol=protocol, sources=sources)
 
 
 def _kind_of_name(path: str, clip: str) -> str:

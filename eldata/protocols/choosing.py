@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.errors import ArgumentError, did_you_mean
+from eldata.errors import ArgumentError, ManifestError, did_you_mean
 from eldata.protocols.digests import scoring
 from eldata.protocols.kinds import IMAGES
 from eldata.protocols.named import EARLIER, FAMILIES, PROTOCOLS
-from eldata.protocols.protocol import ONE_CAMERAS_LEVELS
+from eldata.protocols.protocol import ANY_DATASET, ONE_CAMERAS_LEVELS
 
 if TYPE_CHECKING:
+    from eldata.manifest.card import Card
     from eldata.protocols.protocol import Protocol
 
 
@@ -84,13 +85,31 @@ def members_of(family: str) -> tuple[Protocol, ...]:
     return tuple(protocol for protocol in PROTOCOLS.values() if protocol.family == family)
 
 
-def default_protocol(dataset: str) -> Protocol:
-    """Return the protocol that scores a dataset unless another is named; for a set of your own that is ``eld``."""
-    return next((protocol for protocol in PROTOCOLS.values() if protocol.covers(dataset)), PROTOCOLS["eld"])
+def default_protocol(card: Card) -> Protocol:
+    """Return the protocol that scores a set unless another is named: the one that its card names.
+
+    Raises
+    ------
+    ManifestError
+        If it is not one of the shipped protocols.
+
+    Examples
+    --------
+    >>> from eldata.manifest import shipped_card
+    >>> from eldata.protocols import default_protocol
+    >>> default_protocol(shipped_card("sid-sony")).name
+    'sid'
+    """
+    if card.protocol not in PROTOCOLS:
+        raise ManifestError(
+            f"{card.name}.json: protocol: expected the name of one that comes with eldata (eldata protocols lists "
+            f"them), found {card.protocol!r}{did_you_mean(card.protocol, PROTOCOLS)}"
+        )
+    return PROTOCOLS[card.protocol]
 
 
 def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
-    """Return the protocols for a dataset, its default first.
+    """Return the protocols that were made for a dataset.
 
     A set of your ``own``, or of no known name, has its own pairs, so it gets one protocol of each way to score, the
     first of the shipped ones. Levels that are those of one camera, whatever the file states, are not a way to score
@@ -102,11 +121,12 @@ def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
     >>> [protocol.name for protocol in protocols_for("eld")]
     ['eld', 'eld-uncorrected', 'pmn-eld', 'led-eld', 'lrd-eld']
     """
-    covering = tuple(protocol for protocol in PROTOCOLS.values() if protocol.covers(dataset))
+    every = PROTOCOLS.values()
+    covering = tuple(one for one in every if one.dataset != ANY_DATASET and one.covers(dataset))
     if covering and not own:
         return covering
     ways: list[Protocol] = []
-    for protocol in covering or PROTOCOLS.values():
+    for protocol in covering or every:
         fits = protocol.levels not in ONE_CAMERAS_LEVELS and (covering or protocol.kind is IMAGES)
         if fits and all(scoring(protocol.as_dict()) != scoring(way.as_dict()) for way in ways):
             ways.append(protocol)

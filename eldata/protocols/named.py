@@ -38,7 +38,7 @@ def _value(value: Any, texts: dict[str, str]) -> Any:
 
 
 PROTOCOLS: dict[str, Protocol] = _shipped(_CONTENT)
-"""Those of images and those of clips by name; a dataset's default comes first."""
+"""Those of images and those of clips, by name."""
 
 FAMILIES: tuple[str, ...] = tuple(dict.fromkeys(p.family for p in PROTOCOLS.values() if p.family))
 """Names that stand for one protocol per dataset."""

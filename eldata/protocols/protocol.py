@@ -152,6 +152,11 @@ class Protocol:
         return "srgb" if self.rendering == "libraw" else "packed"
 
     @property
+    def frame_levels(self) -> Literal["metadata", "published", "sid-sony", "sid-fuji"]:
+        """The levels of the datasets' frames, which have one white level for all channels."""
+        return "metadata" if self.levels == "metadata-per-channel" else self.levels
+
+    @property
     def digest(self) -> str:
         """``sha256:<hex>`` of all that decides a score (:mod:`eldata.protocols.digests`)."""
         return fields_digest(self.as_dict())

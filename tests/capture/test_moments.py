@@ -71,10 +71,11 @@ def test_from_plan_to_st_rred(
     dataset = DRVRawDataset(made / "data" / "Mine", manifest=MANIFEST, window=MOMENTS)
     assert len(dataset) == 2 * 2 * 2  # sequences, factors, repeats
     scores = tmp_path / "scores.json"
-    score = ["evaluate", "--protocol", "sequences", "--manifest", MANIFEST, "--root", "data", "--jobs", "1"]
+    score = ["evaluate", "--manifest", MANIFEST, "--root", "data", "--jobs", "1"]
     assert eldata([*score, "--baseline", "input", "--json", str(scores)]) == 0
     assert "ST-RRED" in capsys.readouterr().out
     content = json.loads(scores.read_text())
+    assert content["protocol"]["name"] == "sequences", "which the card names"
     assert [(row["camera"], row["ratio"], row["videos"]) for row in content["table"]] == [
         ("DemoAlpha", 1.0, 4),
         ("DemoAlpha", 100.0, 4),
@@ -133,11 +134,11 @@ def test_predictions_of_photographs_are_those_of_the_film(made: Path, tmp_path: 
                 expected = published_code.eld_frame(raw, white=None)
             np.testing.assert_allclose(sample["target"][place].numpy(), expected, atol=1e-6)
     options: dict[str, Any] = {"manifest": made / MANIFEST, "root": made / "data"}
-    film_scores = evaluate(tmp_path, protocol="sequences", **options)
+    film_scores = evaluate(tmp_path, **options)
     assert (film_scores.st_rred, film_scores.ssim) == (0.0, 1.0)
     assert np.isinf(film_scores.psnr_db)
     assert len(film_scores.videos) == 8
-    of_pairs = evaluate(tmp_path, protocol="eld", **options)
+    of_pairs = evaluate(tmp_path, protocol="raw", **options)
     assert len(of_pairs.images) == 2 * 2 * 2 * MOMENTS
     clip = "DemoAlpha/scene-2/ISO800-x100"
     some = evaluate(tmp_path, protocol="sequences", ids=[clip], **options)

@@ -107,6 +107,8 @@ def test_from_plan_to_scores(
         "eldata evaluate --baseline input --manifest manifests/mine.csv --root data --jobs 1 --json scores.json"
     )
     scores = json.loads((tmp_path / "scores.json").read_text())
+    assert scores["protocol"]["name"] == "raw", "which the card names"
+    assert "saturate" not in output, "each is divided by its own white level"
     # Two cameras, two scenes, three ISOs, two factors.
     assert len(scores["images"]) == 24
     assert {image["camera"] for image in scores["images"]} == {"DemoAlpha", "DemoBeta"}

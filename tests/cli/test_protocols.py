@@ -66,7 +66,7 @@ def test_a_digest_shows_what_it_is_of(capsys: pytest.CaptureFixture[str]) -> Non
 def test_json_and_dataset(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert command("--dataset", "sid-fuji", "--json", str(tmp_path / "p.json")) == 0
     listed = json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))["protocols"]
-    assert [one["name"] for one in listed] == ["sid", "sid-uncorrected", "sid2018"]
+    assert [one["name"] for one in listed] == ["raw", "sid", "sid-uncorrected", "sid2018"]
     for one in listed:
         assert one == PROTOCOLS[one["name"]].as_dict() | {"digest": PROTOCOLS[one["name"]].digest}
     assert "eld-cvpr20" not in capsys.readouterr().out
@@ -87,7 +87,7 @@ def test_a_file_of_ones_own(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["elf"], "no protocol is called 'elf'; known are eld, eld-uncorrected"),
+        (["elf"], "no protocol is called 'elf'; known are raw, eld, eld-uncorrected"),
         (["sha256:0000"], "no shipped protocol has the digest sha256:0000, and none had it in version 0.1"),
         (["--dataset", "elder"], "no protocol is for dataset 'elder'"),
     ],

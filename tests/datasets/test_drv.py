@@ -208,7 +208,7 @@ def test_raw_items_are_packed_and_amplified_exactly(clip: str, raw: Path) -> Non
     expected = [packed(mosaic_of(f"DSC{number:05d}.ARW0007", NOISY), 100.0, clip) for number in (1001, 1002, 1003)]
     np.testing.assert_allclose(sample["input"].numpy(), np.stack(expected), rtol=0, atol=2e-6 * 100)
     np.testing.assert_allclose(
-        sample["target"].numpy(), packed(mosaic_of("DSC00001.ARW0007", REFERENCE), 1.0, clip), rtol=0, atol=2e-6
+        sample["target"].numpy(), packed(mosaic_of("DSC00001.ARW0007", REFERENCE), 1.0), rtol=0, atol=2e-6
     )
     assert (sample["ratio"], sample["iso"], sample["exposure_s"]) == (100.0, 6400.0, 0.02)
     assert (sample["path"], sample["start"]) == ("short/0007/DSC01001.ARW", 3)

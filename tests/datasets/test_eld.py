@@ -61,7 +61,7 @@ def plain_sample(
     tree: Tree, record: Any, white: float, low: float, high: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     noisy = plain_packed(tree.data / record.path, record.camera, white, low, high)
-    target = plain_packed(tree.data / record.reference, record.camera, white, low, high)
+    target = plain_packed(tree.data / record.reference, record.camera, white, 0, 1)  # the clip is of the input
     return np.clip(noisy * np.float32(record.ratio), np.float32(low), np.float32(high)), target
 
 

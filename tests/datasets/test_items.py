@@ -11,11 +11,14 @@ import torch
 from torch.utils.data import DataLoader
 
 from eldata import DRVDataset, PackedClips, PackedStore, StreamedPairs
-from eldata.datasets import DRVRawDataset, PairDataset, SourcePairs, normalise_batch
+from eldata.datasets import DRVRawDataset, PairDataset, SourcePairs, normalise_batch, raw2rgb
+from eldata.datasets.dn_batches import _by_torch, _images
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError
+from eldata.manifest.card import save_card
 from eldata.noise import CameraProfile
-from eldata.raw import read_raw, write_dng
+from eldata.raw import pack, read_raw, write_dng
+from eldata.raw.cfa import packed_black_level_dn
 from eldata.sources.frames import Frame, FrameSource
 from eldata.sources.shards import write_shards
 from eldata.sources.store import source_of_dataset
@@ -67,7 +70,7 @@ def test_crops_of_files_stores_and_other_sources_are_the_same(pristine: Tree, st
     assert isinstance(source, FrameSource)
     others = [
         PairDataset(pristine.data, pristine.csv, **cropping),
-        SourcePairs(source, stored.records, cropping=cropping),
+        SourcePairs(source, stored.records, representation={"levels": "published"}, cropping=cropping),
     ]
     for other in others:
         assert len(other) == len(stored) == 48
@@ -112,6 +115,82 @@ def test_turned_crops_are_normalised_by_their_own_greens_levels(tree: Tree, tmp_
             assert torch.allclose(target, torch.tensor(0.25), atol=4e-5, rtol=0)
             assert torch.allclose(input_.float(), torch.tensor(0.25), atol=4e-5, rtol=0)
         assert seen == 96
+
+
+@pytest.mark.parametrize("clip", ["upper", "none"])
+def test_the_clip_is_of_the_input_on_every_route(clip: Any, tree: Tree, tmp_path: Path) -> None:
+    """Frames whose first period lies at 0 DN, below black, and whose second at the largest DN, above white.
+
+    The target is the reference in [0, 1], by numpy; the input keeps what the clip keeps.
+    """
+    for record in tree.manifest.records:
+        raw = read_raw(tree.data / record.path)
+        raw.mosaic[:2, :2], raw.mosaic[:2, 2:4] = 0, 65535
+        write_dng(tree.data / record.path, raw.mosaic, raw.sensor, raw.exposure)
+    options: Any = {"levels": "metadata", "clip": clip}
+    store = pack_tree(tree, tmp_path / "eld.h5").store
+    write_shards(store, tmp_path / "shards", tile=None)
+    stored = PackedStore(store, crop=None, augment=False, **options)
+    in_dn = list(stored.in_dn())
+    ways: dict[str, Iterable[Any]] = {
+        "files": PairDataset(tree.data, tree.csv, **options),
+        "store": stored,
+        "shards": StreamedPairs(str(tmp_path / "shards"), augment=False, **options),
+        "in DN": [normalise_batch(sample, clip=clip) for sample in in_dn],
+        "in DN, on a device": [
+            sample
+            | {
+                side: _by_torch(list(_images(sample, side, clip if side == "input" else "both")))[0]
+                for side in ("input", "target")
+            }
+            for sample in in_dn
+        ],
+    }
+    for name, samples in ways.items():
+        for sample in samples:
+            raw = read_raw(tree.data / sample["reference"])
+            black = packed_black_level_dn(raw.sensor.cfa, raw.sensor.black_level_dn)[:, None, None]
+            light = (pack(raw.mosaic, raw.sensor.cfa) - black) / (np.float32(raw.sensor.white_level_dn) - black)
+            assert (light.min() < 0, light.max() > 1) == (True, True)
+            np.testing.assert_array_equal(sample["target"].numpy(), np.clip(light, 0, 1), err_msg=name)
+            assert sample["input"].min() < 0
+            assert (sample["input"].max() > 1) == (clip == "none")
+    in_srgb = raw2rgb(stored)[0]["target"]
+    assert torch.equal(in_srgb, raw2rgb(PackedStore(store, crop=None, augment=False, levels="metadata"))[0]["target"])
+
+
+@pytest.mark.parametrize(("protocol", "levels"), [("raw", "metadata"), ("eld", "published"), ("led-eld", "metadata")])
+def test_levels_are_those_of_the_protocol_that_the_card_names(
+    protocol: str, levels: Any, tree: Tree, tmp_path: Path
+) -> None:
+    """So that the input is what the set is scored with, on every route."""
+    save_card(tree.csv.with_suffix(".json"), replace(tree.manifest.card, protocol=protocol))
+    store = pack_tree(tree, tmp_path / "eld.h5").store
+    write_shards(store, tmp_path / "shards", tile=None)
+    usual: list[Any] = [
+        PairDataset(tree.data, tree.csv),
+        PackedStore(store, crop=None, augment=False),
+        StreamedPairs(str(tmp_path / "shards"), augment=False),
+    ]
+    wanted = {sample["path"]: sample for sample in PairDataset(tree.data, tree.csv, levels=levels)}
+    for dataset in usual:
+        assert dataset.levels == levels
+        for sample in dataset:
+            assert torch.equal(sample["target"], wanted[sample["path"]]["target"])
+    assert PairDataset(tree.data, tree.csv, levels="sid-sony").levels == "sid-sony"
+
+
+@pytest.mark.parametrize("clip", ["upper", "none"])
+def test_the_clip_of_clips_is_of_the_input(clip: Any, tmp_path: Path) -> None:
+    write_raw_clip(tmp_path, "0007", 5)
+    for still in (tmp_path / "long" / "0007").iterdir():
+        raw = read_raw(still)
+        raw.mosaic[:2, :2] = 0
+        write_dng(still, raw.mosaic, raw.sensor, raw.exposure)
+    wanted, found = (DRVRawDataset(tmp_path, clip=one, ids=["0007"])[0] for one in ("both", clip))
+    assert torch.equal(found["target"], wanted["target"])
+    assert float(wanted["target"].min()) == 0
+    assert float(found["input"].min()) < 0
 
 
 def test_a_source_of_what_is_no_pair_is_refused(pristine: Tree, store: Path) -> None:

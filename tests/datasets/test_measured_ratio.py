@@ -99,7 +99,7 @@ def test_an_evaluation_amplifies_the_input_and_says_so(own: OwnSet, tmp_path: Pa
     result = evaluate(None, manifest=own.manifest, root=own.root, protocol=protocol, baseline="input")
     assert result.as_dict()["protocol"]["amplification"] == "measured"
     assert result.provenance["equal_choices"]["amplification"] == ["measured"]
-    samples = {s["path"]: s for s in PairDataset(own.files, own.manifest, amplification="measured")}
+    samples = {s["path"]: s for s in PairDataset(own.files, own.manifest, levels="published", amplification="measured")}
     for score in result.scores:
         sample = samples[score.path]
         error = np.clip(sample["input"].numpy().astype(np.float64), 0, 1) - sample["target"].numpy()

@@ -466,6 +466,7 @@ LED = Route(bayer_by_pattern, led_frame, led_frame, ratio_by_exif, led_score)
 LRD = Route(bayer_by_pattern, LRD_FRAME, partial(amplified, LRD_FRAME), ratio_by_exif, uncorrected_score)
 
 BAYER = {
+    "raw": Route(bayer_by_pattern, LRD_FRAME, partial(amplified, LRD_FRAME), ratio_by_exif, eld_score),
     "eld": ELD,
     "eld-uncorrected": ELD_PLAIN,
     "sid": on_sid(ELD),

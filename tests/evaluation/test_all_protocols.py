@@ -8,10 +8,12 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import rawpy
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata.base.workers import Workers
 from eldata.cli.main import main
@@ -35,6 +37,8 @@ from tests.sid_tree import SENSORS, exposure_of, frames_of, mosaic_of
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from tests.evaluation.helpers import Tree
 
@@ -64,10 +68,11 @@ def preds(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_all_equals_single_runs(own: OwnSet, preds: Path) -> None:
     combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
-    assert [result.protocol.name for result in combined.results] == ["eld", "eld-uncorrected", "led-sid", "lrd-sid"]
+    names = ["raw", "eld", "eld-uncorrected", "led-sid", "lrd-sid"]
+    assert [result.protocol.name for result in combined.results] == names
     for result in combined.results:
         assert result == evaluate(preds, manifest=own.manifest, root=own.root, protocol=result.protocol.name)
-    assert len({image.psnr_db for result in combined.results for image in result.images}) == 16
+    assert len({image.psnr_db for result in combined.results for image in result.images}) == 20
     assert combined.scored == 4
 
 
@@ -101,8 +106,8 @@ def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest
 
 def test_shifts_are_of_the_same_pairs(own: OwnSet, preds: Path) -> None:
     combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
-    eld, uncorrected = combined.results[:2]
-    expected = np.mean([b.psnr_db - a.psnr_db for a, b in zip(eld.images, uncorrected.images, strict=True)])
+    raw, _, uncorrected = combined.results[:3]
+    expected = np.mean([b.psnr_db - a.psnr_db for a, b in zip(raw.images, uncorrected.images, strict=True)])
     shift, shared = combined.shift(uncorrected, "psnr_db")
     assert shift == pytest.approx(expected, abs=1e-12)
     assert shared == 4
@@ -130,9 +135,9 @@ def test_what_is_suspect_under_a_protocol_alone_is_not_laid_to_it(own: OwnSet, p
 
 def test_text_says_what_distinguishes_the_protocols(own: OwnSet, preds: Path) -> None:
     text = evaluate_all(preds, manifest=own.manifest, root=own.root).format_text()
-    assert text.startswith("mine, 4 protocols\n")
-    assert "eld-uncorrected: rescaling: one factor per image -> none" in text
-    assert "4 of 4 pairs: eld, eld-uncorrected, led-sid, lrd-sid" in text
+    assert text.startswith("mine, 5 protocols\n")
+    assert "lrd-sid: rescaling: one factor per image -> none" in text
+    assert "4 of 4 pairs: raw, eld, eld-uncorrected, led-sid, lrd-sid" in text
     assert "not scored: eld-cvpr20: s0/x100.dng: protocol eld-cvpr20 cannot score it: a packed image of" in text
     shown = text.split("4 of 4 pairs")[0].splitlines()
     assert len(shown) > 20
@@ -166,7 +171,7 @@ def test_problems_are_told_once(own: OwnSet, tmp_path: Path) -> None:
     partly = evaluate_all(tmp_path, manifest=own.manifest, root=own.root, allow_missing=True)
     assert [problem.path for problem in partly.problems] == [str(tmp_path / "s1/x50.npy")]
     assert partly.scored == 2
-    assert "INCOMPLETE: 2 pairs are not in the means of eld," in partly.format_text()
+    assert "INCOMPLETE: 2 pairs are not in the means of raw," in partly.format_text()
 
 
 def test_all_on_the_demos_set(tree: Tree, predictions: Path) -> None:
@@ -312,6 +317,96 @@ def test_levels_of_a_dng_count(own: OwnSet, tmp_path: Path) -> None:
 # --- sets of one's own ------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture(scope="module")
+def ten_bits(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
+    """Files of a camera of 10 bits: black 64, white 1023, as they state."""
+    own = build_own_set(tmp_path_factory.mktemp("ten"))
+    for path in own.files.rglob("*.dng"):
+        frame = read_raw(path)
+        mosaic = (frame.mosaic.astype(np.float64) - 512).clip(-200) * 959 / 14788 + 64
+        sensor = replace(frame.sensor, black_level_dn=(64.0,) * 4, white_level_dn=1023.0)
+        write_dng(path, np.rint(mosaic).clip(0, 1023).astype(np.uint16), sensor, frame.exposure)
+    return own
+
+
+def scores_by_hand(own: OwnSet, ratio: int, prediction: NDArray[np.float64] | None = None) -> tuple[float, float]:
+    """PSNR and SSIM by scikit-image, from the mosaics and the white level that the files were written with."""
+
+    def light(name: str) -> NDArray[np.float64]:
+        with rawpy.imread(str(own.files / "s0" / name)) as raw:
+            mosaic, letters = raw.raw_image_visible.astype(np.float64), raw.raw_pattern
+        corners = [np.argwhere(letters == colour)[0] for colour in range(4)]
+        packed = np.stack([mosaic[top::2, left::2] for top, left in corners])
+        return np.clip((packed - 64) / (1023 - 64), 0, 1)
+
+    clean = light("clean.dng")
+    shown = np.clip(light(f"x{ratio}.dng") * ratio if prediction is None else prediction, 0, 1)
+    free = clean != 1
+    shown = np.clip(shown * ((shown * clean)[free].sum() / (shown * shown)[free].sum()), 0, 1)
+    psnr_db = peak_signal_noise_ratio(clean, shown, data_range=1)  # type: ignore[no-untyped-call]
+    return psnr_db, structural_similarity(clean, shown, data_range=1, channel_axis=0)  # type: ignore[no-untyped-call]
+
+
+def test_a_set_of_ones_own_is_scored_by_its_own_white_level(ten_bits: OwnSet, tmp_path: Path) -> None:
+    """Where its card names no protocol, the input as the predictions."""
+    place: Any = {"manifest": ten_bits.manifest, "root": ten_bits.root}
+    generator = np.random.default_rng(1)
+    written = {ratio: generator.uniform(0, 1, (4, 30, 42)) for ratio in (50, 100)}
+    for ratio, prediction in written.items():
+        save_prediction(tmp_path / "p", f"s0/x{ratio}.dng", prediction.astype(np.float32))
+    for result, given in (
+        (evaluate(None, baseline="input", **place), {50: None, 100: None}),
+        (evaluate(tmp_path / "p", **place), written),
+    ):
+        assert result.protocol == PROTOCOLS["raw"]
+        assert not [note for note in result.notes if "saturate" in note]
+        for image in result.images:
+            psnr_db, ssim = scores_by_hand(ten_bits, int(image.ratio or 0), given[int(image.ratio or 0)])
+            assert image.psnr_db == pytest.approx(psnr_db, abs=1e-4)  # the input and predictions are float32
+            assert image.ssim == pytest.approx(ssim, abs=1e-5)
+
+
+def test_another_white_level_than_the_files_is_said(
+    ten_bits: OwnSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With both numbers, of the input as of predictions: in the result, on the terminal, in the JSON, on the page."""
+    said = (
+        "the files of Mine saturate at 1023 DN, and the protocol divides by 16383: --protocol raw takes the files' own "
+        "white level"
+    )
+    for ratio in (50, 100):
+        save_prediction(tmp_path / "p", f"s0/x{ratio}.dng", np.full((4, 30, 42), 0.02, np.float32))
+    place = ["--manifest", str(ten_bits.manifest), "--root", str(ten_bits.root), "--jobs", "1", "--protocol"]
+    for given in (["--baseline", "input"], [str(tmp_path / "p")]):
+        written = ["--json", str(tmp_path / "r.json"), "--html", str(tmp_path / "r.html")]
+        assert main(["evaluate", *given, *place, "eld", *written]) == 0
+        assert f"note: {said}" in " ".join(capsys.readouterr().out.split())
+        assert json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))["notes"].count(said) == 1
+        assert "saturate at 1023 DN, and the protocol divides by 16383" in (tmp_path / "r.html").read_text("utf-8")
+        assert main(["evaluate", *given, *place, "all"]) == 0
+        assert f"note: {said} (eld, eld-uncorrected)" in " ".join(capsys.readouterr().out.split())
+        assert main(["evaluate", *given, *place, "lrd-sid"]) == 0, "the file's own white level"
+        assert "saturate" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("white_dn", "is_said"), [(16056.0, False), (16055.0, True), (16711.0, True)])
+def test_two_percent_of_the_white_level_are_usual(white_dn: float, is_said: bool, tmp_path: Path) -> None:
+    own = build_own_set(tmp_path)
+    for path in own.files.rglob("*.dng"):
+        frame = read_raw(path)
+        write_dng(path, frame.mosaic, replace(frame.sensor, white_level_dn=white_dn), frame.exposure)
+    result = evaluate(None, manifest=own.manifest, root=own.root, protocol="eld", baseline="input")
+    assert any(f"saturate at {white_dn:g} DN" in note for note in result.notes) == is_said
+
+
+def test_white_levels_of_several_cameras_are_one_line(tree: Tree) -> None:
+    """The demo's: of its two cameras one saturates 7 % below 16383. Its card names ``eld``."""
+    result = evaluate(None, manifest=tree.manifest, root=tree.root, baseline="input")
+    assert result.protocol == PROTOCOLS["eld"]
+    (note,) = [note for note in result.notes if "saturate" in note]
+    assert note.startswith("the files of DemoBeta saturate at 15303 DN, and the protocol divides by 16383:")
+
+
 @pytest.mark.parametrize("name", [name for name, one in PROTOCOLS.items() if one.space == "raw" and one.kind is IMAGES])
 def test_any_protocol_scores_whatever_factors_a_set_has(name: str, own: OwnSet, preds: Path) -> None:
     result = evaluate(preds, manifest=own.manifest, root=own.root, protocol=name)
@@ -335,7 +430,8 @@ def test_a_set_with_all_of_the_protocols_factors_is_scored_at_them(
     ratios: tuple[int, ...], scored: list[int], set_aside: list[str], tmp_path: Path
 ) -> None:
     own = build_own_set(tmp_path, ratios=ratios)
-    result = evaluate(predict(own, tmp_path / "p", ratios=ratios), manifest=own.manifest, root=own.root)
+    preds = predict(own, tmp_path / "p", ratios=ratios)
+    result = evaluate(preds, manifest=own.manifest, root=own.root, protocol="eld")
     assert result.provenance["ratios"] == scored
     assert result.provenance["set_aside"] == set_aside
     assert {image.ratio for image in result.images} == set(scored)

@@ -456,7 +456,7 @@ def test_lrd_on_its_own_set(tmp_path: Path) -> None:
 
 # --- every colour filter array, in a set of one's own -----------------------------------------------------------------
 
-WHOLE = [*ELD_COUNTS, *SID_COUNTS]
+WHOLE = ["raw", *ELD_COUNTS, *SID_COUNTS]
 ODD_LEVELS = {3: (1019.0,) * 3, 4: (497.0, 509.0, 516.0, 530.0)}  # by their number
 
 
@@ -469,7 +469,7 @@ def own_xtrans(name: str, top: int, left: int) -> Route:
 
     def target(raw: rawpy.RawPy) -> NDArray[np.float32]:
         black = 512 if name.startswith("pmn") else raw.black_level_per_channel[0]
-        white = raw.white_level if name.startswith(("led", "lrd")) else 16383
+        white = raw.white_level if name.startswith(("led", "lrd", "raw")) else 16383
         return published_code.unit((arranged(published_code.dn(raw), raw) - black) / np.float32(white - black))
 
     return replace(published_code.BAYER[name], arranged=arranged, target=target)
@@ -488,7 +488,7 @@ def own_blocks(name: str, pattern: Cfa) -> Route:
 
     def target(raw: rawpy.RawPy) -> NDArray[np.float32]:
         black = np.float32(512) if name.startswith("pmn") else levels
-        white = np.float32(raw.white_level if name.startswith(("led", "lrd")) else 16383)
+        white = np.float32(raw.white_level if name.startswith(("led", "lrd", "raw")) else 16383)
         return published_code.unit((arranged(published_code.dn(raw), raw) - black) / (white - black))
 
     return replace(published_code.BAYER[name], arranged=arranged, target=target)
@@ -707,7 +707,7 @@ def test_black_levels_of_xtrans(name: str, tmp_path: Path) -> None:
 
 def test_every_shipped_protocol_is_compared() -> None:
     """The clips' in ``test_video``."""
-    assert {*ELD_COUNTS, *SID_COUNTS, *CENTRE, "lrd-lrd"} == {*published_code.BAYER}
+    assert {*ELD_COUNTS, *SID_COUNTS, *CENTRE, "lrd-lrd", "raw"} == {*published_code.BAYER}
     assert {*published_code.BAYER, *published_code.RENDERED, *published_code.CLIPS} == {*PROTOCOLS}
     assert {name for name in PROTOCOLS if PROTOCOLS[name].kind is not IMAGES} == {*published_code.CLIPS}
 

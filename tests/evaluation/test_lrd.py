@@ -13,7 +13,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata.evaluation import evaluate, save_prediction
 from eldata.evaluation.table import groups_of
-from eldata.manifest.catalogue import shipped_manifest
+from eldata.manifest.catalogue import shipped_card, shipped_manifest
 from eldata.protocols import PROTOCOLS, default_protocol, get_protocol
 from tests.lrd_tree import SENSOR, write_frames
 
@@ -105,7 +105,7 @@ def test_the_input_is_multiplied_by_the_ratio_of_the_names(lrd: tuple[Path, dict
 
 
 def test_names_of_the_protocol() -> None:
-    assert default_protocol("lrd") is get_protocol("lrd", "lrd") is PROTOCOLS["lrd-lrd"]
+    assert default_protocol(shipped_card("lrd")) is get_protocol("lrd", "lrd") is PROTOCOLS["lrd-lrd"]
     assert get_protocol("lrd", "eld") is PROTOCOLS["lrd-eld"]
     one, other = PROTOCOLS["lrd-lrd"], PROTOCOLS["lrd-eld"]
     assert (one.rules, one.levels, one.reference_clip) == (other.rules, other.levels, other.reference_clip)

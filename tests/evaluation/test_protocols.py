@@ -12,7 +12,9 @@ from typing import Any
 
 import pytest
 
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, ManifestError
+from eldata.manifest import shipped_card
+from eldata.manifest.card import OWN_PROTOCOL
 from eldata.protocols import (
     PROTOCOLS,
     ClipProtocol,
@@ -220,12 +222,23 @@ def test_a_family_is_one_protocol_a_dataset(family: str) -> None:
             ],
         ),
         ("sid-fuji", ["sid", "sid-uncorrected", "sid2018"]),
-        ("mine", ["eld", "eld-uncorrected", "eld-cvpr20", "led-sid", "lrd-sid", "sid-srgb", "sid2018"]),
+        ("mine", ["raw", "eld", "eld-uncorrected", "eld-cvpr20", "led-sid", "lrd-sid", "sid-srgb", "sid2018"]),
     ],
 )
 def test_protocols_for_a_dataset(dataset: str, names: list[str]) -> None:
     assert [protocol.name for protocol in protocols_for(dataset)] == names
-    assert default_protocol(dataset).name == names[0]
+    if dataset != "mine":
+        assert default_protocol(shipped_card(dataset)).name == names[0]
+
+
+def test_the_card_names_the_default() -> None:
+    """One rule: what the card says; a card that says nothing means ``raw``, whatever its set is called."""
+    card = shipped_card("eld")
+    assert default_protocol(replace(card, name="mine", protocol="sid")) is PROTOCOLS["sid"]
+    assert default_protocol(replace(card, protocol=OWN_PROTOCOL)) is PROTOCOLS["raw"]
+    for wrong, hint in (("edl", "did you mean eld"), ("pmn", ""), ("mine.toml", "")):
+        with pytest.raises(ManifestError, match=f"eld.json: protocol: expected the name .*, found '{wrong}'.*{hint}"):
+            default_protocol(replace(card, protocol=wrong))
 
 
 # --- pairs ------------------------------------------------------------------------------------------------------------
@@ -436,7 +449,7 @@ def test_any_dataset_and_all_factors(tmp_path: Path) -> None:
         (START + 'space = "srgb"\nrendering = "eld-isp"\n', r"rounding must be '8-bit-truncated'"),
         ('base = "eld"\ntitle = "x"\n', r"field name: is missing; a protocol needs base, name and title"),
         ('name = "x"\ntitle = "x"\n', r"field base: is missing; a protocol needs base"),
-        ('base = "ELD"\nname = "x"\ntitle = "x"\n', r"field base: expected one of 'eld', .*, found 'ELD'"),
+        ('base = "ELD"\nname = "x"\ntitle = "x"\n', r"field base: expected one of 'raw', 'eld', .*, found 'ELD'"),
         ('base = "drv-rgb"\nname = "x"\ntitle = "x"\n', r"base: 'drv-rgb' scores clips; .* starts from one of images"),
         ('base = "eld"\nname = "sid"\ntitle = "x"\n', r"name: 'sid' is the name of a shipped protocol"),
         ('base = "eld"\nname = "all"\ntitle = "x"\n', r"name: 'all' is the name of a shipped"),

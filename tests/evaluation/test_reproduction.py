@@ -168,7 +168,7 @@ def test_what_is_needed_and_not_there_is_named(own: OwnSet, preds: Path, tmp_pat
     with pytest.raises(ArgumentError, match=r"not a set that eldata knows; give its manifest with --manifest"):
         reproduce(path, root=own.root)
     evaluate_all(preds, manifest=own.manifest, root=own.root).write_json(tmp_path / "all.json")
-    with pytest.raises(ArgumentError, match=r"results of several protocols \(eld, .*\)"):
+    with pytest.raises(ArgumentError, match=r"results of several protocols \(raw, .*\)"):
         reproduce(tmp_path / "all.json", manifest=own.manifest, root=own.root)
 
     def unknown(data: dict[str, Any]) -> None:

@@ -93,7 +93,7 @@ def test_the_input_and_several_methods(own: OwnSet, store: Path, preds: Path) ->
 def test_protocol_score_over_a_store(own: OwnSet, store: Path) -> None:
     """A validation loop of torch gives the mean that the command prints, to the bit."""
     dataset = PackedStore(store, crop=None, augment=False)
-    metric = ProtocolScore("eld")
+    metric = ProtocolScore("raw")
     for item in dataset:
         metric.update(item["input"], item["target"])
     scored = evaluate(None, manifest=own.manifest, baseline="input", store=store)

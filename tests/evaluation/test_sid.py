@@ -15,7 +15,7 @@ import rawpy
 from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.evaluation import EvaluationResult, evaluate, save_prediction
-from eldata.manifest.catalogue import shipped_manifest
+from eldata.manifest.catalogue import shipped_card, shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.protocols import PROTOCOLS, default_protocol
 from tests.evaluation import oracle
@@ -178,11 +178,10 @@ def test_a_set_without_subsets_has_none(tree: Tree, predictions: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("dataset", "protocol"),
-    [("eld", "eld"), ("eld-demo", "eld"), ("sid-sony", "sid"), ("sid-fuji", "sid"), ("mine", "eld"), ("elder", "eld")],
+    ("dataset", "protocol"), [("eld", "eld"), ("sid-sony", "sid"), ("sid-fuji", "sid"), ("drv", "drv-rgb")]
 )
 def test_each_dataset_has_its_protocol(dataset: str, protocol: str) -> None:
-    assert default_protocol(dataset) is PROTOCOLS[protocol]
+    assert default_protocol(shipped_card(dataset)) is PROTOCOLS[protocol]
     assert not PROTOCOLS["eld"].covers("elder")
     assert not PROTOCOLS["sid"].covers("eld")
 

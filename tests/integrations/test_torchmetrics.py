@@ -6,6 +6,7 @@ import copy
 import json
 import math
 import pickle
+import shutil
 import subprocess
 import sys
 from fractions import Fraction
@@ -119,6 +120,34 @@ def test_the_datasets_references_are_those_of_the_protocol(tree: Tree, placed: t
     result = evaluate(folder, manifest=tree.manifest, root=tree.root)
     (overall,) = [row for row in result.table if row.camera is None and row.ratio is None]
     assert numbers(metric.compute()) == {"psnr_db": overall.psnr_db, "ssim": overall.ssim}
+
+
+@pytest.mark.parametrize("clip", ["upper", "none"])
+def test_the_score_is_that_of_evaluate_whatever_the_clip_of_the_input(
+    clip: Any, tree: Tree, placed: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    """References of which a quarter lies below black, of a dataset and as an array that keeps them."""
+    from eldata.datasets import ELDDataset
+    from eldata.evaluation.references import normalised_frame
+    from eldata.raw import read_raw, write_dng
+
+    folder, predictions = placed
+    dark = Tree(Path(shutil.copytree(tree.folder, tmp_path / "dark")))
+    for path in {pair.reference for pair in oracle.pairs(dark.files)}:
+        raw = read_raw(dark.files / path)
+        raw.mosaic[: raw.mosaic.shape[0] // 4] = min(raw.sensor.black_level_dn) - 150
+        write_dng(dark.files / path, raw.mosaic, raw.sensor, raw.exposure)
+    result = evaluate(folder, manifest=dark.manifest, root=dark.root)
+    of_dataset, of_arrays = ProtocolScore("eld"), ProtocolScore("eld")
+    for sample in ELDDataset(dark.files, manifest=dark.manifest, clip=clip, ratios=[100, 200]):
+        prediction = torch.from_numpy(predictions[sample["path"]])
+        kept = normalised_frame(read_raw(dark.files / sample["reference"]), "published", clip=clip)
+        assert np.mean(kept < 0) == pytest.approx(0.25)
+        of_dataset.update(prediction, sample["target"])
+        of_arrays.update(prediction, torch.from_numpy(kept))
+    for metric in (of_dataset, of_arrays):
+        found = numbers(metric.compute())
+        assert found == pytest.approx({"psnr_db": result.psnr_db, "ssim": result.ssim}, rel=0, abs=1e-9)
 
 
 @pytest.mark.parametrize(("module", "function"), [(PSNR, metrics.psnr), (SSIM, metrics.ssim)])

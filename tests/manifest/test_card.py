@@ -78,6 +78,9 @@ def test_optional_fields_may_be_left_out(path: Path) -> None:
     least["downloads"] = [{"address": "https://example.org/a.zip"}]
     path.write_text(json.dumps(least), encoding="utf-8")
     assert load_card(path).downloads == (Download("https://example.org/a.zip", None, ""),)
+    assert load_card(path).protocol == "raw", "a set of one's own"
+    path.write_text(json.dumps(least | {"protocol": "eld"}), encoding="utf-8")
+    assert load_card(path).protocol == "eld"
 
 
 def test_the_data_below_is_fine_before_it_is_spoilt(path: Path) -> None:

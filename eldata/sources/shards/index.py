@@ -2,9 +2,9 @@
 
 ::
 
-    index.json              format, version, written_by, dataset, tile, overlap, seed; of each shard its name,
-                            bytes, sha256, and of each of its samples [bytes, crc32]; written last: without it there is
-                            nothing
+    index.json              format, version, written_by, dataset, tile, overlap, seed, levels; of each shard its
+                            name, bytes, sha256, and of each of its samples [bytes, crc32]; written last: without it
+                            there is nothing
     shard-000000.tar        samples one after the other, three members each, named as WebDataset names them:
       000000042.json          the record, the exposure ratio, both sensors and exposures, the place in the frame; with
                               sensor_more where a sensor states more than version 0.1 knows
@@ -27,6 +27,7 @@ import numpy as np
 
 from eldata.base.fields import TextFile
 from eldata.errors import FileError
+from eldata.raw.levels import FRAME_LEVELS, FrameLevels
 from eldata.records import PairRecord
 from eldata.sources.file_facts import exact, exposure_data, exposure_of, more_of_sensor, parsed, sensor_data, sensor_of
 
@@ -74,7 +75,7 @@ class ShardIndex:
     """What the shards of a folder hold, in their order.
 
     ``tile`` is the side of the samples in packed pixels, ``None`` where they are whole frames; ``overlap`` that of
-    neighbours.
+    neighbours. ``levels``: those that frames are normalised with unless others are asked for.
     """
 
     dataset: str
@@ -82,6 +83,7 @@ class ShardIndex:
     overlap: int
     seed: int
     shards: tuple[Shard, ...]
+    levels: FrameLevels = "metadata"
 
     def __len__(self) -> int:
         return sum(map(len, self.shards))
@@ -123,6 +125,7 @@ def index_text(index: ShardIndex, written_by: str) -> str:
         "tile": index.tile,
         "overlap": index.overlap,
         "seed": index.seed,
+        "levels": index.levels,
         "samples": len(index),
     }
     shards = [
@@ -159,13 +162,21 @@ def parse_index(place: str, content: bytes) -> ShardIndex:
     try:
         shards = tuple(map(_shard, data["shards"]))
         tile = data["tile"] if data["tile"] is None else int(data["tile"])
-        index = ShardIndex(str(data["dataset"]), tile, int(data["overlap"]), int(data["seed"]), shards)
+        overlap, seed = int(data["overlap"]), int(data["seed"])
+        index = ShardIndex(str(data["dataset"]), tile, overlap, seed, shards, _levels(data))
         listed = int(data["samples"])
     except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise ShardError(place, f"is damaged ({error}); copy it again") from error
     if len(index) != listed or not listed:
         raise ShardError(place, f"is damaged: expected {listed} samples, found {len(index)}; copy it again")
     return index
+
+
+def _levels(data: Mapping[str, Any]) -> FrameLevels:
+    found = data.get("levels", "published")  # version 0.1 did not state them
+    if found not in FRAME_LEVELS:
+        raise ValueError(f"levels {found!r}")
+    return found  # type: ignore[no-any-return] # one of them
 
 
 def _shard(data: Mapping[str, Any]) -> Shard:

@@ -126,7 +126,7 @@ def write_shards(
             resumed += shard is not None
             shards.append(shard or _written(path, samples()))
             bar.update(len(part))
-    index = ShardIndex(source.store.dataset, tile, overlap, seed, tuple(shards))
+    index = ShardIndex(source.store.dataset, tile, overlap, seed, tuple(shards), source.levels)
     write_text(folder / INDEX, index_text(index, f"eldata {__version__}"))
     (folder / BEGUN).unlink()
     return ShardReport(folder, len(index), len(shards), resumed, sum(shard.bytes for shard in shards))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.errors import DatasetError
 from eldata.manifest.pairs import select_pairs
+from eldata.protocols.choosing import default_protocol
 from eldata.records import FrameRecord
 from eldata.sources.frames import Frame
 from eldata.sources.store.format import StoredFrame, StoredRgb
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.manifest.pairs import Choice
+    from eldata.raw.levels import FrameLevels
     from eldata.records import PairRecord
 
 
@@ -91,6 +93,12 @@ class StoreFrames:
         if held is None:
             raise DatasetError(f"{self.path}: holds no frame {path!r}; pack the dataset again")
         return held
+
+    @property
+    def levels(self) -> FrameLevels:
+        """The levels of its frames unless others are asked for: those of the protocol that its set's card names."""
+        manifest = self.store.manifest
+        return "metadata" if manifest is None else default_protocol(manifest.card).frame_levels
 
     def pairs(self, choice: Choice) -> tuple[PairRecord, ...]:
         """Return the pairs that are held and chosen.

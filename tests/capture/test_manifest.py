@@ -159,7 +159,7 @@ def test_files_may_stay_where_they_are(small: Field, capsys: pytest.CaptureFixtu
     assert small.run() == 0
     manifest = load_manifest(small.csv)
     assert manifest.card.folder == small.folder.name
-    assert manifest.records[0].path == "card/DSC0000.dng"  # the counter turned over
+    assert manifest.records[0].path == "card/DSC0001.dng"  # the counter turned over
     assert verify(small.csv, small.folder.parent, dataset="mine", level="full").ok
     assert "--root" in capsys.readouterr().out
 

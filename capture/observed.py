@@ -175,7 +175,8 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
 
     The order is that of DateTimeOriginal with its fraction of a second; frames of the same second that have no fraction
     are in the order of their names. If a file has no time, all are ordered by folder and name, as cameras number
-    them, or within one folder by the counter, which may have turned over. Of files that are byte for byte the same, as on a backup card, the one that was given first counts.
+    them, or within one folder by the counter, which may have turned over. Of files that are byte for byte the same, as
+    on a backup card, the one that was given first counts.
 
     Parameters
     ----------

@@ -21,8 +21,9 @@ from eldata.base.files import inside, sha256_of
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError
 from eldata.manifest.card import load_card
-from eldata.manifest.catalogue import data_root, save_manifest
+from eldata.manifest.catalogue import data_root
 from eldata.manifest.table import load_records
+from eldata.manifest.writing import save_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -106,6 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
     from capture.noted import match_noted
     from capture.observed import observe, raw_files
     from capture.plan import Plan
+    from eldata.manifest.writing import save_manifest
 
     output = Path(arguments.output)
     if output.suffix != ".csv":
@@ -127,6 +128,8 @@ def run(arguments: argparse.Namespace) -> int:
     if begun is not None:
         observed = observed.without_copies(begun.records, workers)
         if wanted is None or not observed.frames:
+            if arguments.croissant:
+                save_manifest(output, begun.card, begun.records, croissant=True)
             return _nothing_to_add(observed, output, complete=wanted is None)
         there = len(plan.shots) - len(wanted.shots)
         if there:
@@ -231,9 +234,7 @@ def _write(
 ) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
     from capture.placing import Placement, check_free, copy, link, make_folders
-    from eldata.manifest import load_manifest, to_croissant
-    from eldata.manifest.card import save_card
-    from eldata.manifest.table import save_records
+    from eldata.manifest.writing import croissant_path, save_manifest
 
     place = arguments.copy_to or arguments.link_to
     if place is None:
@@ -241,10 +242,8 @@ def _write(
     else:
         dataset = (begun.into_layout if begun is not None else into_layout)(plan, found, Path(place).absolute())
     card_path = output.with_suffix(".json")
-    croissant_path = output.with_suffix(".croissant.json") if arguments.croissant else None
-    for path in filter(None, (output, croissant_path)):
-        if path.exists() and not arguments.replace and begun is None:
-            raise ArgumentError(f"{path} is there already: give another name, or --replace it")
+    if output.exists() and not arguments.replace and begun is None:
+        raise ArgumentError(f"{output} is there already: give another name, or --replace it")
     dataset = with_hashes(dataset, workers)
     records = dataset.records
     make_card = (
@@ -264,19 +263,17 @@ def _write(
         for _ in workers.run(work, placements, label="copying" if arguments.copy_to else "linking"):
             pass
     output.parent.mkdir(parents=True, exist_ok=True)
-    save_card(card_path, card)
-    save_records(output, records)
-    if croissant_path is not None:
-        write_json(croissant_path, to_croissant(load_manifest(output)))
+    save_manifest(output, card, records, croissant=arguments.croissant)
     print()
     for remark in dataset.remarks:
         print(remark)
     new = f", {len(dataset.rows)} of them new" if begun is not None else ""
     print(f"manifest: {output}, {len(records)} files below {dataset.folder}{new}")
     print(f"card: {card_path}; fill in its licence and homepage before you give the set to others")
-    if croissant_path is not None:
-        again = f"eldata info {shlex.quote(str(output))} --croissant {shlex.quote(str(croissant_path))}"
-        print(f"Croissant: {croissant_path}; write it again once the card is filled in: {again}")
+    if arguments.croissant:
+        described = croissant_path(output)
+        again = f"eldata info {shlex.quote(str(output))} --croissant {shlex.quote(str(described))}"
+        print(f"Croissant: {described}; write it again once the card is filled in: {again}")
     where = f"{shlex.quote(str(output))} --root {shlex.quote(str(dataset.folder.parent))}"
     print(f"check it with: eldata verify {where} --level full")
     _warn_of_unlisted(dataset, place)

@@ -14,6 +14,7 @@ from capture.observed import ORDERS
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
+from eldata.base.outputs import CARD, CROISSANT, FileKind, add_output, check_output
 from eldata.base.visible import in_line
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
@@ -44,8 +45,15 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("plan", metavar="PLAN", help="the plan (JSON) that was shot")
     parser.add_argument("files", metavar="FILES", nargs="+", help="the camera's raw files, or folders of them")
-    parser.add_argument(
-        "-o", "--output", metavar="FILE", required=True, help="the manifest, such as manifests/mine.csv"
+    add_output(
+        parser,
+        "-o",
+        "--output",
+        kind=FileKind(rb"path,role,camera,"),
+        beside={".json": CARD},
+        makes_folder=True,
+        required=True,
+        help="the manifest, such as manifests/mine.csv",
     )
     add_progress(parser, "metered times, file names, repeats, what was skipped, remarks")
     place = parser.add_mutually_exclusive_group()
@@ -89,7 +97,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         run,
         "jobs",
         "isolation",
-        "json",
+        json="schema shots unused",
         example=(
             "capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine",
             "capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine --progress progress.json",
@@ -106,13 +114,13 @@ def run(arguments: argparse.Namespace) -> int:
     from capture.noted import match_noted
     from capture.observed import observe, raw_files
     from capture.plan import Plan
-    from eldata.manifest.writing import save_manifest
+    from eldata.manifest.writing import croissant_path, save_manifest
 
     output = Path(arguments.output)
     if output.suffix != ".csv":
         raise ArgumentError(f"--output: expected a name that ends in .csv, found {arguments.output!r}")
-    if output.with_suffix(".json").resolve() == Path(arguments.plan).resolve():
-        raise ArgumentError(f"--output {output}: its card would be {arguments.plan}, the plan; give another name")
+    if arguments.croissant:
+        check_output(f"--croissant: {croissant_path(output)}", croissant_path(output), CROISSANT)
     place = arguments.copy_to or arguments.link_to
     plan = Plan.load(arguments.plan)
     progress = progress_of(arguments.progress, plan)

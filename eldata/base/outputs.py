@@ -1,7 +1,7 @@
 """Files that commands write: none takes the place of what a command reads, or of a file that it did not make.
 
-An option that names a file to write is added by :func:`add_output`, with its :class:`FileKind`: how one that an earlier run
-of the command wrote is told from all else. :func:`check_outputs` looks before the work begins.
+An option that names a file to write is added by :func:`add_output`, with its :class:`FileKind`: how one that an earlier
+run of the command wrote is told from all else. :func:`check_outputs` looks before the work begins.
 """
 
 from __future__ import annotations

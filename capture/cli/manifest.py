@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import shlex
 import sys
 from dataclasses import replace
@@ -20,8 +21,6 @@ from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import argparse
-
     from capture.begun import Begun
     from capture.manifest import Dataset
     from capture.matching import Match
@@ -52,6 +51,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         kind=FileKind(rb"path,role,camera,"),
         beside={".json": CARD},
         makes_folder=True,
+        type=_table_name,
         required=True,
         help="the manifest, such as manifests/mine.csv",
     )
@@ -106,6 +106,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
 
 
+def _table_name(text: str) -> str:
+    if not text.endswith(".csv"):
+        raise argparse.ArgumentTypeError(f"expected a name that ends in .csv, found {text!r}")
+    return text
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from capture.apertures import aperture_remarks
@@ -117,8 +123,6 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.manifest.writing import croissant_path, save_manifest
 
     output = Path(arguments.output)
-    if output.suffix != ".csv":
-        raise ArgumentError(f"--output: expected a name that ends in .csv, found {arguments.output!r}")
     if arguments.croissant:
         check_output(f"--croissant: {croissant_path(output)}", croissant_path(output), CROISSANT)
     place = arguments.copy_to or arguments.link_to

@@ -9,22 +9,22 @@ from __future__ import annotations
 import argparse
 import os
 import re
+from codecs import BOM_UTF8
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.fields import TextFile
 from eldata.base.files import write_problem
 from eldata.base.visible import in_line
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, FileError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 _HEAD_BYTES = 1 << 12
-_MOST_BYTES = 1 << 26
 _MOST_SHOWN = 4
 _MOST_SHOWN_CHARACTERS = 40
-_FIELD = re.compile(rb'^( +)"([^"\n]+)":', re.MULTILINE)
 _NAMES = ("N", "NAME")  # metavars of what is never a file
 _BEGINS = {
     b"II": "a raw file or a TIFF",
@@ -58,22 +58,25 @@ class FileKind:
         """Return what a file is that is there and not of this kind; ``None`` if it is, is empty or is not there."""
         try:
             with path.open("rb") as file:
-                content = file.read(_HEAD_BYTES)
-                if content.startswith((b"{", b"[")):
-                    content += file.read(_MOST_BYTES)
+                head = file.read(_HEAD_BYTES)
         except FileNotFoundError:
             return None
         except OSError as error:
-            return f"cannot be read to see what it is: {error.strerror}"
-        if not content:
+            return f"cannot be read: {error.strerror}"
+        if not head:
             return None
-        fields = _fields_of(content)
-        if re.match(self.begins, content, re.DOTALL) and (not self.fields or any(one <= fields for one in self.fields)):
+        fields: frozenset[str] = frozenset()
+        if head.removeprefix(BOM_UTF8).lstrip().startswith(b"{"):
+            try:
+                fields = frozenset(TextFile(path, FileError).json().data)
+            except FileError as error:
+                return error.reason
+        if re.match(self.begins, head, re.DOTALL) and (not self.fields or any(one <= fields for one in self.fields)):
             return None
-        return _what_is(content, fields)
+        return _what_is(head, fields)
 
 
-def json_kind(*fields: str, begins: bytes = rb"[{\[]") -> FileKind:
+def json_kind(*fields: str, begins: bytes = b"") -> FileKind:
     """Return the kind of JSON files with these fields, in one text; several texts: with those of one of them."""
     return FileKind(begins, tuple(frozenset(text.split()) for text in fields))
 
@@ -89,7 +92,7 @@ RESULT = json_kind("protocol provenance coverage", "results not_scored same_scor
 SCORES = FileKind(rb"(protocol,)?(path|clip),camera,")
 COMPARISON_DATA = json_kind("methods warnings statistics")
 COMPARISON_PAGE = page_kind("compare")
-CARD = json_kind("name title version folder counts")
+CARD = json_kind("name title folder")
 CROISSANT = json_kind("@context @type conformsTo")
 
 
@@ -200,13 +203,6 @@ def _is_same(path: Path, other: str | Path) -> bool:
         return False
 
 
-def _fields_of(content: bytes) -> frozenset[str]:
-    """Return the fields of the outermost objects of JSON as :func:`~eldata.base.files.write_json` lays it out."""
-    first = _FIELD.search(content)
-    found = _FIELD.finditer(content) if first is not None and content[:1] in b"{[" else ()
-    return frozenset(one[2].decode("utf-8", "replace") for one in found if first is not None and one[1] == first[1])
-
-
 def _what_is(content: bytes, fields: frozenset[str]) -> str:
     if fields:
         some = sorted(fields)[:_MOST_SHOWN]
@@ -215,7 +211,7 @@ def _what_is(content: bytes, fields: frozenset[str]) -> str:
         if content.startswith(begin):
             return f"is {what}"
     try:
-        line = content[:_HEAD_BYTES].decode().strip().partition("\n")[0]
+        line = content.decode().strip().partition("\n")[0]
     except UnicodeDecodeError:
         return "holds something else"
     return in_line(f"is text that begins with {line[:_MOST_SHOWN_CHARACTERS]!r}")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared, each_of, whole_number
 from eldata.base.files import write_json
-from eldata.base.outputs import PROFILE, add_output, page_kind
+from eldata.base.outputs import PROFILE, FileKind, add_output, page_kind
 from eldata.base.parsing import add_examples
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_shared(importing, run_import, example="eldata profile import SonyA7S2_params.npy -o sony.json")
     listing = subcommands.add_parser("list", help="list the profiles that ship", description="List shipped profiles.")
-    add_shared(listing, run_list, json="profile camera rows", example="eldata profile list")
+    add_shared(listing, run_list, json=FileKind(rb'\[\s*\{\s*"profile":'), example="eldata profile list")
 
 
 def run_show(arguments: argparse.Namespace) -> int:

@@ -376,7 +376,7 @@ def test_copies_inside_of_what_is_searched_are_no_new_files(tmp_path: Path) -> N
     [
         (["manifest"], "the following arguments are required: PLAN, FILES, -o/--output"),
         (["manifest", "PLAN", "CARD", "-o", "mine.json"], "expected a name that ends in .csv"),
-        (["manifest", "PLAN", "CARD", "-o", "plan.csv"], "its card would be"),
+        (["manifest", "PLAN", "CARD", "-o", "plan.csv"], "its plan.json is what PLAN names"),
         (["manifest", "nowhere.json", "CARD", "-o", "mine.csv"], "nowhere.json: cannot be read"),
         (["manifest", "PLAN", "nowhere", "-o", "mine.csv"], "nowhere: no such file or folder"),
         (["manifest", "PLAN", "PLAN", "-o", "mine.csv"], "no raw file (.dng) was given"),

@@ -86,7 +86,7 @@ def foreign_files(folder: Path) -> dict[str, Path]:
     shoot(folder / "card", whole_plan(plan)[:1])[0].rename(folder / "photograph")
     (folder / "card").rmdir()
     np.save(folder / "prediction.npy", np.zeros((4, 2, 3), np.float32))
-    np.savez(folder / "prediction.npz", prediction=np.zeros((4, 2, 3), np.float32))
+    np.savez(folder / "predictions.npz", prediction=np.zeros((4, 2, 3), np.float32))
     plan.save(folder / "plan")
     profile.save(folder / "profile")
     plan.camera.save(folder / "camera")
@@ -95,8 +95,9 @@ def foreign_files(folder: Path) -> dict[str, Path]:
     (folder / "notes").write_text("remember the lens cap")
     (folder / "page").write_text("<!DOCTYPE html>\n<title>mine</title>")
     (folder / "list").write_text("[1, 2]")
+    (folder / "compact").write_text('{"name": "mine"}')
     (folder / "broken").write_bytes(b"{\xff\x00")
-    return {path.name: path for path in sorted(folder.iterdir())}
+    return {path.stem: path.rename(path.with_suffix(".csv")) for path in sorted(folder.iterdir())}
 
 
 # Of these the option's own kind is the other's, too: a profile may be calibrated again.

@@ -29,6 +29,7 @@ ORDERS: tuple[Order, ...] = get_args(Order)
 
 _DIGITS = re.compile(r"(\d+)")
 _NUMBERED = re.compile(r"(.*?)(\d{1,12})", re.ASCII)
+_DCF_DIGITS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +102,13 @@ class Observed:
         numbers = [int(one[2]) for one in found if one]
         if len(set(numbers)) < len(numbers):
             return None
-        # The counter began after the widest gap, counted around its end: 9998, 9999, 0, 1.
-        ordered, turn = sorted(numbers), 10 ** len(found[0][2] if found[0] else "")
+        # A counter of the DCF standard has four digits, also where a fifth stands before them: Sony's DSC09999 is
+        # followed by DSC00001. One that counts on beyond them changes what stands before.
+        digits = len(found[0][2]) if found[0] else 0
+        if len({number // 10**_DCF_DIGITS for number in numbers}) == 1:
+            digits = min(digits, _DCF_DIGITS)
+        # It began after the widest gap, counted around its end: 9998, 9999, 1, 2.
+        ordered, turn = sorted(numbers), 10**digits
         gaps = [after - before for before, after in pairwise([ordered[-1] - turn, *ordered])]
         start = ordered[gaps.index(max(gaps))]
         by_number = sorted(zip(numbers, self.frames, strict=True), key=lambda one: (one[0] - start) % turn)
@@ -169,7 +175,8 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
 
     The order is that of DateTimeOriginal with its fraction of a second; frames of the same second that have no fraction
     are in the order of their names. If a file has no time, all are ordered by folder and name, as cameras number
-    them. Of files that are byte for byte the same, as on a backup card, the one that was given first counts.
+    them, or within one folder by the counter, which may have turned over. Of files that are byte for byte the same, as
+    on a backup card, the one that was given first counts.
 
     Parameters
     ----------
@@ -198,7 +205,10 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
     frames = [frame for frame in frames if frame.path not in gone]
     by_time = all(frame.taken is not None for frame in frames)
     frames.sort(key=lambda frame: (frame.taken if by_time else None, _natural(frame.path)))
-    return Observed(tuple(frames), tuple(unusable), by_time, tuple(copies))
+    observed = Observed(tuple(frames), tuple(unusable), by_time, tuple(copies))
+    if not by_time and len({frame.path.parent for frame in frames}) == 1 and observed.numbered is not None:
+        return replace(observed, frames=observed.numbered.frames)  # the counter may have turned over in this folder
+    return observed
 
 
 def _copies(frames: Sequence[ObservedFrame], workers: Workers) -> list[tuple[Path, str]]:

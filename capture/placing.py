@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Final
 
@@ -15,7 +16,7 @@ from capture.capture_errors import MappingError
 from eldata.base.files import naming_file, remove_leftovers, sha256_of, temporary_file
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
 _PIECE: Final = 1 << 20
@@ -65,16 +66,41 @@ def copy(placement: Placement) -> None:
     if _holds(placement):
         return
     target.parent.mkdir(parents=True, exist_ok=True)
+    with source.open("rb") as reading, _new_file(target) as (writing, temporary):
+        while piece := _read_piece(reading, source):
+            writing.write(piece)
+        writing.flush()
+        seen = os.fstat(reading.fileno())
+        if sha256_of(temporary) != placement.sha256:
+            raise MappingError(f"{source} changed while it was being copied; run this again")
+        os.utime(temporary, ns=(seen.st_atime_ns, seen.st_mtime_ns))
+
+
+def write_new(target: Path, content: memoryview) -> None:
+    """Write a file, whole or not at all, unless it holds this very content already.
+
+    Raises
+    ------
+    MappingError
+        If it holds something else.
+    """
+    remove_leftovers(target.parent)
+    if not os.path.lexists(target):
+        with _new_file(target) as (writing, _):
+            writing.write(content)
+    elif not target.is_file() or target.read_bytes() != content:
+        raise MappingError(
+            f"{target} is there already with another content than what would be written; move that file away"
+        )
+
+
+@contextmanager
+def _new_file(target: Path) -> Iterator[tuple[IO[bytes], Path]]:
     try:
-        with source.open("rb") as reading, temporary_file(target) as (writing, temporary):
-            while piece := _read_piece(reading, source):
-                writing.write(piece)
+        with temporary_file(target) as (writing, temporary):
+            yield writing, temporary
             writing.flush()
             os.fsync(writing.fileno())
-            seen = os.fstat(reading.fileno())
-            if sha256_of(temporary) != placement.sha256:
-                raise MappingError(f"{source} changed while it was being copied; run this again")
-            os.utime(temporary, ns=(seen.st_atime_ns, seen.st_mtime_ns))
             if sys.platform == "win32":
                 writing.close()  # an open file cannot be renamed there
             rename_to_new(temporary, target)

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from eldata.manifest.card import Card, save_card
-from eldata.manifest.catalogue import save_manifest
+from eldata.manifest.writing import save_manifest
 from eldata.records import FrameRecord
 from manifests.cards_alone import CARDS_ALONE
 from manifests.published_crvd import published_crvd

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, settings
 from tests.shared import made_once
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Iterator
     from pathlib import Path
 
@@ -41,3 +42,21 @@ def demo_tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
     with made_once(tmp_path_factory, "demo", build_tree) as folder:
         yield folder
+
+
+@pytest.fixture(autouse=True)
+def what_commands_write_is_of_their_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of every command that a test runs in this process: the same command may replace each file that it wrote."""
+    from eldata.base import console
+    from eldata.base.outputs import NEW
+
+    run = console._parsed_and_run
+
+    def run_and_look(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: argparse.Namespace) -> int:
+        code = run(parser, argv, arguments)
+        for action, option, name in arguments.outputs.values() if code in (console.OK, console.PROBLEMS) else ():
+            for path, kind in action.files(name):
+                assert kind is NEW or kind.problem(path) is None, f"{arguments.command} {option}: {kind.problem(path)}"
+        return code
+
+    monkeypatch.setattr(console, "_parsed_and_run", run_and_look)

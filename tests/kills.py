@@ -116,6 +116,17 @@ def memory_card(folder: Path) -> None:
     plan.save(folder / "plan.json")
 
 
+def blocks_of_references(folder: Path) -> None:
+    from tests.capture.test_averaging import photographed
+
+    photographed(folder)
+
+
+def captured_set(inputs: Path, folder: Path) -> None:
+    for name in ("manifests", "data"):
+        shutil.copytree(inputs / name, folder / name)
+
+
 def manifests(inputs: Path, folder: Path) -> None:
     shutil.copytree(inputs / "tree" / "manifests", folder / "manifests")
 
@@ -149,8 +160,12 @@ CASES = {
     ),
     "capture-manifest": Case(
         "capture",
-        f"manifest ../inputs/plan.json ../inputs/card -o manifests/mine.csv --copy-to data/mine --jobs {JOBS}",
+        "manifest ../inputs/plan.json ../inputs/card -o manifests/mine.csv --copy-to data/mine --croissant "
+        f"--jobs {JOBS}",
         memory_card,
+    ),
+    "capture-average": Case(
+        "capture", f"average manifests/mine.csv --root data --jobs {JOBS}", blocks_of_references, captured_set
     ),
 }
 

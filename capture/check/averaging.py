@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -16,13 +16,14 @@ from capture.capture_errors import MappingError
 from capture.check.checking import check_unit
 from capture.check.frames import Unit
 from capture.manifest import counts_of
-from capture.placing import Placement, check_free, copy
-from eldata.base.files import inside, sha256_of
+from capture.placing import write_new
+from eldata.base.files import inside
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError
 from eldata.manifest.card import load_card
-from eldata.manifest.catalogue import data_root, save_manifest
+from eldata.manifest.catalogue import data_root
 from eldata.manifest.table import load_records
+from eldata.manifest.writing import save_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -151,21 +152,21 @@ def _blocks(records: Iterable[FrameRecord], folder: Path) -> Iterator[_Block]:
 
 def _averaged(block: _Block) -> FrameRecord | tuple[str, ...]:
     """Write a block's mean and return its row; or why its frames cannot be averaged."""
-    from eldata.raw.dng import write_dng
+    from eldata.raw.dng import encode_dng
 
     records = block.unit.records
     group = check_unit(block.unit)
     if group.verdict == "shoot again":
         return tuple(str(one) for one in group.reasons if one.verdict == "shoot again")
     frame = _mean_frame([inside(block.unit.folder, record.path) for record in records])
-    with TemporaryDirectory() as scratch:
-        source, target = Path(scratch) / "mean.dng", block.unit.folder / block.mean
-        write_dng(source, frame.mosaic, frame.sensor, frame.exposure)
-        size_bytes, digest = source.stat().st_size, sha256_of(source)
-        placement = Placement(source, target, digest)
-        check_free([placement])
-        copy(placement)
-    return replace(records[0], path=block.mean, size_bytes=size_bytes, sha256=digest)
+    target = block.unit.folder / block.mean
+    try:
+        content = encode_dng(frame.mosaic, frame.sensor, frame.exposure).getbuffer()
+    except ArgumentError as error:
+        raise ArgumentError(f"{target}: {error}") from error
+    write_new(target, content)
+    digest = f"sha256:{hashlib.sha256(content).hexdigest()}"
+    return replace(records[0], path=block.mean, size_bytes=len(content), sha256=digest)
 
 
 def _mean_frame(paths: Sequence[Path]) -> RawFrame:

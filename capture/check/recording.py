@@ -6,7 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldata.manifest.table import MEASURED, load_records, save_records
+from eldata.manifest.card import load_card
+from eldata.manifest.table import MEASURED, load_records
+from eldata.manifest.writing import save_manifest
 
 if TYPE_CHECKING:
     from capture.check.result import CheckReport
@@ -41,5 +43,5 @@ def write_measured(manifest: Path | str, report: CheckReport) -> int:
     nothing: dict[str, Any] = dict.fromkeys(MEASURED)
     found = {pair.path: nothing | pair.recorded for group in report.groups for pair in group.pairs}
     records = [replace(one, **found.get(one.path, {})) for one in load_records(path)]
-    save_records(path, records)
+    save_manifest(path, load_card(path.with_suffix(".json")), records)
     return sum(found[one.path]["measured_ratio"] is not None for one in records if one.path in found)

@@ -28,7 +28,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
     add_root(parser)
     add_jobs(parser)
-    add_shared(parser, run, "isolation", "json", example="capture average manifests/mine.csv --root data")
+    add_shared(parser, run, "isolation", json="blocks", example="capture average manifests/mine.csv --root data")
 
 
 def run(arguments: argparse.Namespace) -> int:

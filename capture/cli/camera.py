@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_output, add_shared
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
+from eldata.base.outputs import NEW, add_output
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -26,8 +26,13 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("camera", metavar="CAMERA", nargs="?", help="a camera description (JSON)")
-    add_output(parser, "--example", help="write an example description to FILE, which must be new")
-    add_shared(parser, run, "json", example=("capture camera --example cam.json", "capture camera cam.json"))
+    add_output(parser, "--example", kind=NEW, help="write an example description to FILE, which must be new")
+    add_shared(
+        parser,
+        run,
+        json="name models shutter times",
+        example=("capture camera --example cam.json", "capture camera cam.json"),
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -37,8 +42,6 @@ def run(arguments: argparse.Namespace) -> int:
     if (arguments.camera is None) == (arguments.example is None):
         raise ArgumentError("give either a camera description to check, or --example FILE to write one")
     if arguments.example is not None:
-        if Path(arguments.example).exists():
-            raise ArgumentError(f"{arguments.example} is there already: give another name")
         EXAMPLE.save(arguments.example)
         camera = EXAMPLE
         print(f"{arguments.example}: the {EXAMPLE.name}'s; change it to your camera's, then: capture camera FILE")

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_jobs, add_output, add_root, add_shared, each_of
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_jobs, add_root, add_shared, each_of
 from eldata.base.files import write_json
+from eldata.base.outputs import add_output, page_kind
 
 if TYPE_CHECKING:
     import argparse
@@ -35,14 +36,20 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_cameras(parser)
     add_jobs(parser)
-    add_output(parser, "--sheet", help="write a contact sheet, an HTML page that needs no network")
+    add_output(
+        parser, "--sheet", kind=page_kind("sheet"), help="write a contact sheet, an HTML page that needs no network"
+    )
     parser.add_argument(
         "--write",
         action="store_true",
         help='write the measured ratio and shift of each pair into the manifest, for amplification="measured"',
     )
     add_shared(
-        parser, run, "isolation", "json", example="capture check manifests/mine.csv --root data --sheet sheet.html"
+        parser,
+        run,
+        "isolation",
+        json="dataset ok groups",
+        example="capture check manifests/mine.csv --root data --sheet sheet.html",
     )
 
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_output, add_shared
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json, write_text
+from eldata.base.outputs import FileKind, add_output
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import argparse
 
+_CHECKLIST = FileKind(
+    rb'(# )?Capture checklist: |\s*<!DOCTYPE html>.*?<meta name="generator" content="eldata checklist">'
+)
 _FORMATS = ("html", "md", "txt")
 
 
@@ -27,9 +31,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("plan", metavar="PLAN", help="a plan (capture plan)")
-    add_output(parser, "-o", "--output", help="write it to FILE; without, md and txt go to the terminal")
+    add_output(
+        parser, "-o", "--output", kind=_CHECKLIST, help="write it to FILE; without, md and txt go to the terminal"
+    )
     parser.add_argument("--format", choices=_FORMATS, help="default: by the suffix of FILE; without FILE txt")
-    add_shared(parser, run, "json", example="capture checklist plan.json -o checklist.html")
+    add_shared(parser, run, json="file format plan frames", example="capture checklist plan.json -o checklist.html")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -57,8 +63,6 @@ def _format(arguments: argparse.Namespace) -> str:
         if arguments.format == "html":
             raise ArgumentError("a page needs a file: -o checklist.html")
         return arguments.format or "txt"
-    if Path(output).exists() and Path(output).samefile(arguments.plan):
-        raise ArgumentError(f"{output} is the plan itself: give another name for the checklist")
     suffix = Path(output).suffix.lower().removeprefix(".")
     if arguments.format is None and suffix not in _FORMATS:
         raise ArgumentError(f"{output}: expected a name that ends in .html, .md or .txt, or --format")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import shlex
 import sys
 from dataclasses import replace
@@ -14,13 +15,12 @@ from capture.observed import ORDERS
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
+from eldata.base.outputs import CARD, CROISSANT, FileKind, add_output, check_output
 from eldata.base.visible import in_line
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import argparse
-
     from capture.begun import Begun
     from capture.manifest import Dataset
     from capture.matching import Match
@@ -44,8 +44,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("plan", metavar="PLAN", help="the plan (JSON) that was shot")
     parser.add_argument("files", metavar="FILES", nargs="+", help="the camera's raw files, or folders of them")
-    parser.add_argument(
-        "-o", "--output", metavar="FILE", required=True, help="the manifest, such as manifests/mine.csv"
+    add_output(
+        parser,
+        "-o",
+        "--output",
+        kind=FileKind(rb"path,role,camera,"),
+        beside={".json": CARD},
+        makes_folder=True,
+        type=_table_name,
+        required=True,
+        help="the manifest, such as manifests/mine.csv",
     )
     add_progress(parser, "metered times, file names, repeats, what was skipped, remarks")
     place = parser.add_mutually_exclusive_group()
@@ -89,13 +97,19 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         run,
         "jobs",
         "isolation",
-        "json",
+        json="schema shots unused",
         example=(
             "capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine",
             "capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine --progress progress.json",
             "capture manifest night-2.json card -o manifests/mine.csv --copy-to data/mine --append",
         ),
     )
+
+
+def _table_name(text: str) -> str:
+    if not text.endswith(".csv"):
+        raise argparse.ArgumentTypeError(f"expected a name that ends in .csv, found {text!r}")
+    return text
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -107,12 +121,11 @@ def run(arguments: argparse.Namespace) -> int:
     from capture.noted import match_noted
     from capture.observed import observe, raw_files
     from capture.plan import Plan
+    from eldata.manifest.writing import croissant_path, save_manifest
 
     output = Path(arguments.output)
-    if output.suffix != ".csv":
-        raise ArgumentError(f"--output: expected a name that ends in .csv, found {arguments.output!r}")
-    if output.with_suffix(".json").resolve() == Path(arguments.plan).resolve():
-        raise ArgumentError(f"--output {output}: its card would be {arguments.plan}, the plan; give another name")
+    if arguments.croissant:
+        check_output(f"--croissant: {croissant_path(output)}", croissant_path(output), CROISSANT)
     place = arguments.copy_to or arguments.link_to
     plan = Plan.load(arguments.plan)
     progress = progress_of(arguments.progress, plan)
@@ -128,6 +141,8 @@ def run(arguments: argparse.Namespace) -> int:
     if begun is not None:
         observed = observed.without_copies(begun.records, workers)
         if wanted is None or not observed.frames:
+            if arguments.croissant:
+                save_manifest(output, begun.card, begun.records, croissant=True)
             return _nothing_to_add(observed, output, complete=wanted is None)
         there = len(plan.shots) - len(wanted.shots)
         if there:
@@ -236,9 +251,7 @@ def _write(
 ) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
     from capture.placing import Placement, check_free, copy, link, make_folders
-    from eldata.manifest import load_manifest, to_croissant
-    from eldata.manifest.card import save_card
-    from eldata.manifest.table import save_records
+    from eldata.manifest.writing import croissant_path, save_manifest
 
     place = arguments.copy_to or arguments.link_to
     if place is None:
@@ -246,10 +259,8 @@ def _write(
     else:
         dataset = (begun.into_layout if begun is not None else into_layout)(plan, found, Path(place).absolute())
     card_path = output.with_suffix(".json")
-    croissant_path = output.with_suffix(".croissant.json") if arguments.croissant else None
-    for path in filter(None, (output, croissant_path)):
-        if path.exists() and not arguments.replace and begun is None:
-            raise ArgumentError(f"{path} is there already: give another name, or --replace it")
+    if output.exists() and not arguments.replace and begun is None:
+        raise ArgumentError(f"{output} is there already: give another name, or --replace it")
     dataset = with_hashes(dataset, workers)
     records = dataset.records
     make_card = (
@@ -269,19 +280,17 @@ def _write(
         for _ in workers.run(work, placements, label="copying" if arguments.copy_to else "linking"):
             pass
     output.parent.mkdir(parents=True, exist_ok=True)
-    save_card(card_path, card)
-    save_records(output, records)
-    if croissant_path is not None:
-        write_json(croissant_path, to_croissant(load_manifest(output)))
+    save_manifest(output, card, records, croissant=arguments.croissant)
     print()
     for remark in dataset.remarks:
         print(remark)
     new = f", {len(dataset.rows)} of them new" if begun is not None else ""
     print(f"manifest: {output}, {len(records)} files below {dataset.folder}{new}")
     print(f"card: {card_path}; fill in its licence and homepage before you give the set to others")
-    if croissant_path is not None:
-        again = f"eldata info {shlex.quote(str(output))} --croissant {shlex.quote(str(croissant_path))}"
-        print(f"Croissant: {croissant_path}; write it again once the card is filled in: {again}")
+    if arguments.croissant:
+        described = croissant_path(output)
+        again = f"eldata info {shlex.quote(str(output))} --croissant {shlex.quote(str(described))}"
+        print(f"Croissant: {described}; write it again once the card is filled in: {again}")
     where = f"{shlex.quote(str(output))} --root {shlex.quote(str(dataset.folder.parent))}"
     print(f"check it with: eldata verify {where} --level full")
     _warn_of_unlisted(dataset, place)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from capture.calibration import DARK_FRAMES
@@ -22,8 +21,9 @@ from capture.cli.values import (
     seconds,
 )
 from capture.protocol import COUNTS, PROTOCOLS, CaptureProtocol
-from eldata.base.console import OK, add_output, add_shared, each_of
+from eldata.base.console import OK, add_shared, each_of
 from eldata.base.files import write_json
+from eldata.base.outputs import NEW, add_output, json_kind
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -145,11 +145,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default=None,
         help="bias and dark frames a second time, with the sensor warm from the shooting; the first come before it",
     )
-    add_output(parser, "-o", "--output", help="the new plan's file; with PLAN: write the changes there")
+    add_output(parser, "-o", "--output", kind=NEW, help="the new plan's file; with PLAN: write the changes there")
     add_shared(
         parser,
         run,
-        "json",
+        json=json_kind("schema camera protocol", begins=rb'\{\n  "'),
         example=(
             "capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json",
             "capture plan --camera cam.json --scenes 2 --metered 4 --moments 7 -o video.json",
@@ -175,11 +175,6 @@ def run(arguments: argparse.Namespace) -> int:
         plan = progress.as_noted(progress.as_metered(plan))
     plan = _changed(plan, arguments)
     target = arguments.output or (arguments.plan if plan != before else None)
-    if arguments.output is not None and Path(arguments.output).exists() and arguments.output != arguments.plan:
-        raise ArgumentError(
-            f"{arguments.output} is there already, and may have been shot from: give another name, or change it with "
-            f"capture plan {arguments.output} --remeter or --add-scene"
-        )
 
     def write_plan(target: str) -> None:
         plan.save(target)

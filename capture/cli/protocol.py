@@ -57,7 +57,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help=f"low-light factors (default: {spaced(RELEASED.low_light_factors)})",
     )
     add_alike(parser)
-    add_shared(parser, run, "json", example=("capture protocol --metered 4", "capture protocol --repeats 10"))
+    add_shared(
+        parser,
+        run,
+        json="base_iso metered_s frames",
+        example=("capture protocol --metered 4", "capture protocol --repeats 10"),
+    )
 
 
 def run(options: argparse.Namespace) -> int:

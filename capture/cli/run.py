@@ -62,7 +62,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--yes", action="store_true", help="go on from scene to scene without waiting for Enter")
     parser.add_argument("--dry-run", action="store_true", help="only list the commands that are left to run")
-    add_shared(parser, run, "isolation", "json", makes="output", example="capture run plan.json -o shots")
+    add_shared(
+        parser,
+        run,
+        "isolation",
+        json="frames planned taken_now verdicts",
+        makes="output",
+        example="capture run plan.json -o shots",
+    )
 
 
 def _patience(text: str) -> float:

@@ -14,12 +14,11 @@ import sys
 import traceback
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from eldata import __version__
 from eldata.base.fields import whole_of
-from eldata.base.files import write_problem
+from eldata.base.outputs import FileKind, add_output, check_outputs, json_kind
 from eldata.base.parsing import Parser, add_examples
 from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_it_did
 from eldata.base.visible import visible, visible_output
@@ -37,37 +36,14 @@ _EXIT_CODES = (
 )
 
 
-class _Output(argparse.Action):
-    """Keeps the name of a file that is to be written, and that it is one: ``outputs``, option and name by ``dest``."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,  # noqa: ARG002 # argparse hands it over
-        namespace: argparse.Namespace,
-        values: Any,
-        option: str | None = None,
-    ) -> None:
-        setattr(namespace, self.dest, values)
-        namespace.outputs = getattr(namespace, "outputs", {}) | {self.dest: (option, values)}
-
-
-def add_output(parser: argparse._ActionsContainer, *names: str, **options: Any) -> None:
-    """Add an option that names a file to write, which :func:`run` tries before the subcommand's work.
-
-    The folder has to be there. What has been computed is written through :func:`each_of`.
-    """
-    options.setdefault("metavar", "FILE")
-    parser.add_argument(*names, action=_Output, **options)
-
-
 def terminal_columns() -> int | None:
     """Return how many characters a line of the terminal has; None where the output goes elsewhere."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
+def add_json(parser: argparse.ArgumentParser, kind: FileKind) -> None:
     """Add ``--json`` to a subcommand."""
-    add_output(parser, "--json", help="write what is shown here to FILE, machine-readable")
+    add_output(parser, "--json", kind=kind, help="write what is shown here to FILE, machine-readable")
 
 
 def each_of(*steps: Callable[[], object] | None) -> None:
@@ -185,14 +161,14 @@ _SHARED = {
     "jobs": add_jobs,
     "workers": add_workers,
     "isolation": add_isolation,
-    "json": add_json,
 }
 
 
 def add_shared(
     parser: argparse.ArgumentParser,
     run: Callable[[argparse.Namespace], int],
-    *options: Literal["root", "cameras", "isos", "jobs", "workers", "isolation", "json"],
+    *options: Literal["root", "cameras", "isos", "jobs", "workers", "isolation"],
+    json: str | FileKind | None = None,
     example: str | tuple[str, ...] = (),
     interrupted: str = "files are written whole or not at all, so none is left half",
     makes: str = "",
@@ -201,13 +177,22 @@ def add_shared(
 
     ``example`` is what its help ends with: one or several commands, as somebody would type them.
     ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument. ``makes`` is the argument
-    with a folder that the subcommand makes, so that its outputs may lie there.
+    with a folder that the subcommand makes, so that its outputs may lie there. ``json`` adds ``--json``: the fields of
+    what it writes, or its kind.
     """
     for option in options:
         _SHARED[option](parser)
+    if json is not None:
+        add_json(parser, json_kind(json) if isinstance(json, str) else json)
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     add_examples(parser, *([example] if isinstance(example, str) else example))
-    parser.set_defaults(run=run, command=parser.prog, interrupted=interrupted, makes=makes)
+    parser.set_defaults(
+        run=run,
+        command=parser.prog,
+        interrupted=interrupted,
+        makes=makes,
+        actions=parser._actions,  # noqa: SLF001 # which of them name files that the subcommand reads
+    )
 
 
 def command_line(
@@ -273,27 +258,10 @@ def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arg
         parser.print_usage(sys.stderr)
         print(f"{parser.prog}: a command is needed; see {parser.prog} --help", file=sys.stderr)
         return UNUSABLE
-    _try_outputs(arguments)
+    check_outputs(arguments)
     with _as_isolated(arguments):
         code: int = arguments.run(arguments)
     return code
-
-
-def _try_outputs(arguments: argparse.Namespace) -> None:
-    """Raise :class:`ArgumentError` if a file that is to be written cannot be, or is to be written twice."""
-    taken: dict[str, str] = {}
-    made = Path(getattr(arguments, arguments.makes)) if arguments.makes else None
-    for option, name in arguments.outputs.values():
-        if not name:
-            raise ArgumentError(f"cannot write {option}: expected the name of a file, found nothing")
-        to_be_made = Path(name).parent == made and not Path(name).parent.exists()
-        problem = None if to_be_made else write_problem(Path(name))
-        if problem is not None:
-            raise ArgumentError(f"cannot write {name}: {problem}")
-        place = os.path.normcase(Path(os.path.realpath(Path(name).parent), Path(name).name))
-        if place in taken:
-            raise ArgumentError(f"{taken[place]} and {option} both write {name}; give each a file of its own")
-        taken[place] = option
 
 
 def _as_isolated(arguments: argparse.Namespace) -> AbstractContextManager[None]:

@@ -255,7 +255,12 @@ def write_text(path: Path | str, text: str) -> None:
     What stands for a byte of a file name that is not UTF-8 is written by its number, ``\udcff``.
     """
     with atomic_write(path) as file:
-        file.write(text.encode("utf-8", "backslashreplace"))
+        file.write(encoded(text))
+
+
+def encoded(text: str) -> bytes:
+    """Return the bytes that :func:`write_text` writes."""
+    return text.encode("utf-8", "backslashreplace")
 
 
 def write_json(path: Path | str, data: object, *, indent: int = 2) -> None:

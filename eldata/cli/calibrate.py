@@ -6,10 +6,11 @@ import shlex
 from argparse import ArgumentTypeError
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_output, add_shared, chosen_workers, each_of, whole_number
+from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of, whole_number
 from eldata.base.fields import number_of, whole_of
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
+from eldata.base.outputs import PROFILE, FileKind, add_output, json_kind, page_kind
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from eldata.manifest.verify_report import Problem
+
+_SHADING = FileKind(rb"PK\x03\x04.{26}about\.npy")  # the first of its arrays
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -40,11 +43,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FRAMES",
         help="folder with CAMERA/{bias,flat}/ISO100/... in it, the camera's own folder, or a manifest (.csv)",
     )
-    add_output(parser, "-o", "--output", help="write the camera profile to FILE (JSON)")
-    add_output(parser, "--html", help="write a report with plots to FILE")
+    add_output(parser, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)")
+    add_output(parser, "--html", kind=page_kind("calibration"), help="write a report with plots to FILE")
     add_output(
         parser,
         "--dark-shading",
+        kind=_SHADING,
         help=(
             "write what the sensor shows of itself in the dark to FILE (.npz): a line over ISO in each pixel, and the "
             "black level error of each ISO. Reads the bias frames once more"
@@ -102,7 +106,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "root",
         "workers",
         "isolation",
-        "json",
+        json=json_kind("camera isos gains", "camera problems"),
         example="eldata calibrate data/calibration --camera MyCamera -o mycamera.json --html report.html",
     )
 

@@ -6,8 +6,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_output, add_shared, each_of
+from eldata.base.console import OK, add_shared, each_of
 from eldata.base.files import write_json
+from eldata.base.outputs import COMPARISON_DATA, COMPARISON_PAGE, add_output
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
 
@@ -43,7 +44,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--protocol", metavar="P", help="which protocol's results, of files that hold several")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
-    add_output(parser, "--html", help="write a page with plots and the biggest differences to FILE")
+    add_output(
+        parser, "--html", kind=COMPARISON_PAGE, help="write a page with plots and the biggest differences to FILE"
+    )
     parser.add_argument(
         "--pictures",
         choices=("parts", "whole"),
@@ -74,7 +77,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         run,
         "root",
         "jobs",
-        "json",
+        json=COMPARISON_DATA,
         example=(
             "eldata compare first.json second.json --name first --name second --html compare.html",
             "eldata compare first.json second.json --html compare.html --pictures --root data",

@@ -59,7 +59,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_shared(
         parser,
         run,
-        "json",
+        json="dataset folder presence archives",
         interrupted=kept,
         example=("eldata download eld", "eldata download eld --root data --from ELD.7z"),
     )

@@ -12,13 +12,13 @@ from eldata.base.console import (
     PROBLEMS,
     add_cameras,
     add_json,
-    add_output,
     add_root,
     add_shared,
     add_workers,
     chosen_workers,
     each_of,
 )
+from eldata.base.outputs import RESULT, SCORES, add_output, page_kind
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
 
@@ -134,10 +134,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "without it, a line says so",
     )
     add_workers(parser)
-    add_output(parser, "--csv", help="write the score of each image to FILE")
+    add_output(parser, "--csv", kind=SCORES, help="write the score of each image to FILE")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the table (default: text)")
-    add_output(parser, "--html", help="write a page with plots, pictures and intervals to FILE")
-    add_json(parser)
+    add_output(
+        parser, "--html", kind=page_kind("evaluation"), help="write a page with plots, pictures and intervals to FILE"
+    )
+    add_json(parser, RESULT)
     parser.add_argument(
         "-o",
         "--out",

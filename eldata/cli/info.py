@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared, terminal_columns
 from eldata.base.files import write_json
+from eldata.base.outputs import CROISSANT, add_output, json_kind
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
@@ -25,15 +26,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
-    parser.add_argument(
+    add_output(
+        parser,
         "--croissant",
-        metavar="FILE",
+        kind=CROISSANT,
         nargs="?",
         const="",
         help="describe DATASET, or the set of a manifest's CSV file, in Croissant 1.1 (JSON-LD): in FILE, or printed",
     )
     examples = ("eldata info", "eldata info eld --root data", "eldata info eld --croissant eld.croissant.json")
-    add_shared(parser, run, "root", "json", example=examples)
+    add_shared(parser, run, "root", json=json_kind("datasets", begins=rb'\{\n  "datasets"'), example=examples)
 
 
 def run(arguments: argparse.Namespace) -> int:

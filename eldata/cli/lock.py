@@ -29,7 +29,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "manifest", metavar="MANIFEST", help="a dataset's name, or a manifest's CSV file, which is changed"
     )
-    add_shared(parser, run, "root", "cameras", "workers", "isolation", "json", example="eldata lock eld --root data")
+    add_shared(
+        parser,
+        run,
+        "root",
+        "cameras",
+        "workers",
+        "isolation",
+        json="files_locked problems",
+        example="eldata lock eld --root data",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_output, add_shared, chosen_workers, each_of, whole_number
+from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of, whole_number
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
+from eldata.base.outputs import add_output, page_kind
 from eldata.base.parsing import add_examples
 from eldata.cli.baseline import add_another_camera
 
@@ -67,14 +68,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--seed", type=whole_number(0), default=0, metavar="S", help="seed of the model (default: %(default)s)"
     )
     add_another_camera(check, "frames of another camera")
-    add_output(check, "--html", help="write a page with plots to FILE")
+    add_output(check, "--html", kind=page_kind("acceptance"), help="write a page with plots to FILE")
     add_shared(
         check,
         run_check,
         "isos",
         "workers",
         "isolation",
-        "json",
+        json="camera isos limit_standard_errors model",
         example="eldata noise check mycamera.json --frames data/held-out --camera MyCamera --html check.html",
     )
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_cameras, add_output, add_root, add_shared, chosen_workers
+from eldata.base.console import OK, add_cameras, add_root, add_shared, chosen_workers
 from eldata.base.files import folder_problem
 from eldata.base.numbers import counted
+from eldata.base.outputs import NEW, add_output
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("dataset", metavar="DATASET", help=NAME_HELP)
-    add_output(parser, "-o", "--out", metavar="STORE", required=True, help="a new file, such as store.h5")
+    add_output(parser, "-o", "--out", kind=NEW, metavar="STORE", required=True, help="a new file, such as store.h5")
     add_root(parser)
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
     parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")

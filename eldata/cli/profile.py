@@ -5,8 +5,9 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_output, add_shared, each_of, whole_number
+from eldata.base.console import OK, PROBLEMS, add_shared, each_of, whole_number
 from eldata.base.files import write_json
+from eldata.base.outputs import PROFILE, FileKind, add_output, page_kind
 from eldata.base.parsing import add_examples
 
 if TYPE_CHECKING:
@@ -45,8 +46,13 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     show.add_argument(
         "--seed", type=whole_number(0), default=0, metavar="S", help="seed of all randomness (default: %(default)s)"
     )
-    add_output(show, "--html", help="write a page with plots to FILE")
-    add_shared(show, run_show, "json", example="eldata profile show SonyA7S2 --iso 1600 --html sony.html")
+    add_output(show, "--html", kind=page_kind("profile"), help="write a page with plots to FILE")
+    add_shared(
+        show,
+        run_show,
+        json="camera profile model comparisons",
+        example="eldata profile show SonyA7S2 --iso 1600 --html sony.html",
+    )
     estimate = subcommands.add_parser(
         "estimate",
         help="a profile from one raw photograph, without a calibration",
@@ -59,7 +65,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         epilog="What it can tell and what not: docs/calibration.md, One photograph.",
     )
     estimate.add_argument("image", metavar="IMAGE", help="a raw file as the camera wrote it")
-    add_output(estimate, "-o", "--output", help="write the camera profile to FILE (JSON)")
+    add_output(estimate, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)")
     estimate.add_argument(
         "--from",
         dest="source",
@@ -68,7 +74,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="take the file's NoiseProfile, or the pixels (default: the former where there is one)",
     )
     add_shared(
-        estimate, run_estimate, "isolation", "json", example="eldata profile estimate IMG_0001.dng -o phone.json"
+        estimate,
+        run_estimate,
+        "isolation",
+        json="path source problems remarks",
+        example="eldata profile estimate IMG_0001.dng -o phone.json",
     )
     importing = subcommands.add_parser(
         "import",
@@ -79,7 +89,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     importing.add_argument("file", metavar="FILE", help="the parameter file")
-    add_output(importing, "-o", "--output", help="write the camera profile to FILE (JSON)", required=True)
+    add_output(importing, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)", required=True)
     importing.add_argument("--camera", metavar="NAME", help="the camera's name (default: the file's, less _params)")
     importing.add_argument(
         "--calibration",
@@ -88,7 +98,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_shared(importing, run_import, example="eldata profile import SonyA7S2_params.npy -o sony.json")
     listing = subcommands.add_parser("list", help="list the profiles that ship", description="List shipped profiles.")
-    add_shared(listing, run_list, "json", example="eldata profile list")
+    add_shared(listing, run_list, json=FileKind(rb'\[\s*\{\s*"profile":'), example="eldata profile list")
 
 
 def run_show(arguments: argparse.Namespace) -> int:

@@ -37,7 +37,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--dataset", metavar="N", help="only those for this dataset")
     add_shared(
-        parser, run, "json", example=("eldata protocols", "eldata protocols eld", "eldata protocols --dataset sid-sony")
+        parser,
+        run,
+        json="protocols",
+        example=("eldata protocols", "eldata protocols eld", "eldata protocols --dataset sid-sony"),
     )
 
 

@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of
 from eldata.base.files import write_json
+from eldata.base.outputs import json_kind
 
 if TYPE_CHECKING:
     import argparse
+
+_KIND = json_kind("results", begins=rb'\{\n  "results": \[\n    \{\n      "source"')  # those of evaluate have no source
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -39,7 +42,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "root",
         "workers",
         "isolation",
-        "json",
+        json=_KIND,
         example=(
             "eldata reproduce results/ours.json --root data",
             "eldata reproduce paper.json --predictions preds/ours --root data --json again.json",

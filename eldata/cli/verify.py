@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_cameras, add_root, add_shared, chosen_workers, each_of
 from eldata.base.files import write_json
+from eldata.base.outputs import json_kind
 from eldata.errors import ArgumentError
 from eldata.manifest.verify import verify
 from eldata.manifest.verify_report import LEVELS
@@ -51,7 +52,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         run,
         "workers",
         "isolation",
-        "json",
+        json=json_kind("level ok datasets", "shards problems"),
         example=(
             "eldata verify",
             "eldata verify eld --root data --level metadata",

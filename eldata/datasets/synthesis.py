@@ -29,7 +29,7 @@ from eldata.datasets.synthesis_journal import CleanFacts, WrittenScene, opened_j
 from eldata.datasets.turns import Turns
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import CameraCard, Card, cfa_word
-from eldata.manifest.catalogue import Manifest, save_manifest
+from eldata.manifest.writing import save_manifest
 from eldata.noise.components import parse_components
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.noise.model import NoiseModel
@@ -50,6 +50,7 @@ from eldata.sources.frames import Frame
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from eldata.manifest.catalogue import Manifest
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile, RowChoice
 

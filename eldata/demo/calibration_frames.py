@@ -18,8 +18,8 @@ from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.demo.body import Body, FixedFeatures, KnownNoise
 from eldata.demo.folder import demo_card
 from eldata.errors import ArgumentError
-from eldata.manifest.catalogue import save_manifest
 from eldata.manifest.table import number_text
+from eldata.manifest.writing import save_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord, Sensor
 

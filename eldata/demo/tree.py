@@ -11,8 +11,8 @@ from tqdm import tqdm
 from eldata.demo.camera import BASE_ISO, CAMERAS
 from eldata.demo.folder import demo_card
 from eldata.demo.scenes import scene_radiance
-from eldata.manifest.catalogue import Manifest, save_manifest
 from eldata.manifest.eld import EldCamera, eld_records
+from eldata.manifest.writing import save_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.demo.camera import SimulatedCamera
+    from eldata.manifest.catalogue import Manifest
 
 # What the simulated photographer metered: seconds at ISO 100. 3.2 s in every second scene, as in the real set.
 METERED_S = (Fraction(4), Fraction(16, 5))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 from eldata.base.files import folder_problem, path_problem, remove_leftovers, write_json, write_problem
+from eldata.base.outputs import COMPARISON_DATA, COMPARISON_PAGE, RESULT, SCORES, check_output
 from eldata.base.workers import accepts_jobs
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.comparison import Method, compare
@@ -170,13 +171,16 @@ def results_folder(folder: Path, names: Iterable[str]) -> None:
     Raises
     ------
     ArgumentError
-        If it cannot be made, or a file cannot be written in it.
+        If it cannot be made, a file cannot be written in it, or one is there that is no result.
     """
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise ArgumentError(f"cannot write {folder}: {error.strerror}; give a folder, in one that is there") from error
-    for name in (*names, COMPARISON):
-        problem = write_problem(folder / f"{name}.json")
+    kinds = {f"{name}{suffix}": kind for name in names for suffix, kind in ((".json", RESULT), (".csv", SCORES))}
+    kinds |= {f"{COMPARISON}.json": COMPARISON_DATA, f"{COMPARISON}.html": COMPARISON_PAGE}
+    for name, kind in kinds.items():
+        problem = write_problem(folder / name)
         if problem is not None:
-            raise ArgumentError(f"cannot write {folder / name}.json: {problem}")
+            raise ArgumentError(f"cannot write {folder / name}: {problem}")
+        check_output(f"-o {folder}: its {name}", folder / name, kind)

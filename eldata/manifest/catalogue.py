@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.errors import EldataError, ManifestError, did_you_mean
-from eldata.manifest.card import Card, load_card, save_card
+from eldata.manifest.card import Card, load_card
 from eldata.manifest.patterns import is_pattern
 from eldata.manifest.registered import registered_manifest, registered_names, registered_place
-from eldata.manifest.table import load_table, save_records
+from eldata.manifest.table import load_table
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -74,22 +74,6 @@ def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None)
         )
         raise ManifestError(f"{path}: the card expects {card.counts} rows per role, found {dict(found)}{cut_off}")
     return Manifest(path, card, records, digest)
-
-
-def save_manifest(path: Path | str, card: Card, records: Iterable[FrameRecord]) -> Manifest:
-    """Write a manifest's CSV file and, beside it, its card, each whole or not at all; return it as it loads.
-
-    Raises
-    ------
-    ManifestError
-        If rows and card contradict each other.
-    EldataError
-        If a file cannot be written.
-    """
-    path = Path(path)
-    save_card(path.with_suffix(".json"), card)
-    save_records(path, records)
-    return load_manifest(path)
 
 
 def shipped_folder() -> Path:

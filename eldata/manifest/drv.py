@@ -22,9 +22,10 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from eldata.errors import DatasetError
-from eldata.manifest.catalogue import Manifest, save_manifest, shipped_manifest
+from eldata.manifest.catalogue import Manifest, shipped_manifest
 from eldata.manifest.clips import clip_names
 from eldata.manifest.patterns import expand, is_pattern
+from eldata.manifest.writing import save_manifest
 from eldata.raw.extensions import RAW_EXTENSIONS
 from eldata.records import FrameRecord
 

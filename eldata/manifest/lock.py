@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 from eldata.base.files import sha256_of, write_problem
 from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
 from eldata.errors import ManifestError
-from eldata.manifest.card import load_card, save_card
+from eldata.manifest.card import load_card
 from eldata.manifest.catalogue import Manifest, data_root, is_name, known_manifest, load_manifest, locked_path
 from eldata.manifest.patterns import expand
-from eldata.manifest.table import load_table, save_records
+from eldata.manifest.table import load_table
 from eldata.manifest.verify import content_findings, verify
 from eldata.manifest.verify_report import Problem, VerifyReport
+from eldata.manifest.writing import save_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -111,9 +112,7 @@ def lock(
         return LockReport(path, checks, problems, 0)
     counts = _counts(listed)
     path.parent.mkdir(exist_ok=True)
-    if counts != loaded.card.counts or path != loaded.path:
-        save_card(path.with_suffix(".json"), replace(loaded.card, counts=counts))
-    save_records(path, [locked.get(record.path, record) for record in listed])
+    save_manifest(path, replace(loaded.card, counts=counts), [locked.get(one.path, one) for one in listed])
     return LockReport(path, checks, (), len(chosen))
 
 

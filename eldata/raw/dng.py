@@ -213,20 +213,21 @@ def write_dng(
     """
     check_choice("compression", compression, get_args(Compression))
     try:
-        content = _encoded(mosaic, sensor, exposure, compression, taken)
+        content = encode_dng(mosaic, sensor, exposure, compression, taken)
     except ArgumentError as error:
         raise ArgumentError(f"{path}: {error}") from error
     with atomic_write(path) as file:
         file.write(content.getbuffer())
 
 
-def _encoded(
+def encode_dng(
     mosaic: NDArray[np.uint16] | NDArray[np.float32],
     sensor: Sensor,
     exposure: Exposure,
-    compression: Compression,
-    taken: datetime | None,
+    compression: Compression = "none",
+    taken: datetime | None = None,
 ) -> io.BytesIO:
+    """Return the bytes of the file that :func:`write_dng` writes of the same; raises :class:`ArgumentError` like it."""
     import imagecodecs
     import tifffile
 

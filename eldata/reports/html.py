@@ -27,8 +27,12 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def rendered(template: str, templates: Path = TEMPLATES, /, **values: object) -> str:
-    """Return a page from a template in the folder ``templates``; every text that is put in is escaped."""
-    return _environment(templates).get_template(template).render(version=__version__, **values)
+    """Return a page from a template in the folder ``templates``; every text that is put in is escaped.
+
+    It states the template's name as its generator, by which the next run knows its own page.
+    """
+    page = Path(template).stem
+    return _environment(templates).get_template(template).render(version=__version__, page=page, **values)
 
 
 @cache

@@ -29,6 +29,7 @@ from eldata.base.files import (
 )
 from eldata.errors import EldataError, ManifestError
 from tests.cases import in_one_test
+from tests.syncing import OnDisk
 from tests.waiting import PATIENCE_S
 
 OLD, NEW = b"old content", b"new content\n" * 1000
@@ -102,6 +103,15 @@ def test_an_old_file_stands_until_the_new_one_is_whole(old: Path) -> None:
         assert part.name.startswith(".")
         assert part.name.endswith(".part")
     assert only(old, NEW)
+
+
+def test_a_new_file_is_on_the_disk_before_it_takes_the_old_ones_place(
+    old: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = OnDisk(monkeypatch)
+    with atomic_write(old) as file:
+        file.write(b"short enough to wait in a buffer")
+    assert disk.named == {old.name: True}
 
 
 @pytest.mark.parametrize("error", [ValueError("x"), KeyboardInterrupt(), SystemExit(3)], ids=repr)

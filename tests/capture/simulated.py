@@ -78,18 +78,20 @@ def _mosaic(seed: int) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
     return np.random.default_rng(seed).integers(600, 15000, (SENSOR.height, SENSOR.width), dtype=np.uint16)
 
 
-def shoot(folder: Path, taken: Iterable[Taken], *, times: bool = True, shuffle: int | None = None) -> list[Path]:
+def shoot(
+    folder: Path, taken: Iterable[Taken], *, times: bool = True, shuffle: int | None = None, digits: int = 4
+) -> list[Path]:
     """Write a file a press; return the files in order. Names count up, or say nothing at all (``shuffle``)."""
     folder.mkdir(parents=True, exist_ok=True)
     presses = list(taken)
-    numbers = np.arange(9990, 9990 + len(presses)) % 10000  # the counter turns over
+    numbers = np.arange(9989, 9989 + len(presses)) % 9999 + 1  # the counter turns over, from 9999 to 1
     if shuffle is not None:
         numbers = np.random.default_rng(shuffle).permutation(len(presses))
     now = START
     files = []
     for index, (press, number) in enumerate(zip(presses, numbers, strict=True)):
         now += timedelta(seconds=press.pause_s)
-        path = folder / f"DSC{number:04d}.dng" if times else folder / f"DSC{index + 1}.dng"
+        path = folder / f"DSC{number:0{digits}d}.dng" if times else folder / f"DSC{index + 1}.dng"
         sensor = replace(SENSOR, model=press.model)
         exposure = Exposure(Fraction(press.iso), press.exposure_s, press.f_number)
         write_dng(path, _mosaic(index), sensor, exposure, taken=now if times else None)

@@ -70,7 +70,7 @@ def test_a_backup_card_is_no_retake(nights: Nights, capsys: pytest.CaptureFixtur
     assert nights.add(plan, nights.folder / "card", nights.folder / "backup", options=()) == 0
     output = capsys.readouterr().out
     assert "32 of 32 shots have a file; 64 files were given" in output
-    assert "card/DSC0000.dng; not used again, nor are 31 other copies" in output
+    assert "card/DSC0001.dng; not used again, nor are 31 other copies" in output
     assert "repeated" not in output
     assert nights.problems() == []
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tempfile
 from dataclasses import replace
 from datetime import timedelta
 from fractions import Fraction
@@ -163,6 +164,20 @@ def test_again_and_after_a_kill_it_comes_to_the_same(tmp_path: Path) -> None:
     nights.csv.with_suffix(".json").write_bytes(listed[1])
     assert average(nights) == 0
     assert content() == whole
+
+
+def test_nothing_is_left_beside_the_frames_or_where_temporary_files_go(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a run that was killed when the mean had its name, and still the other one, too: the next one removes it."""
+    nights = photographed(tmp_path)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))  # no scratch can be made
+    assert average(nights) == 0
+    scene = nights.data / "DemoAlpha" / "scene-1"
+    there = sorted(path.name for path in scene.iterdir())
+    (scene / ".IMG_0001-0004.dng.eldata.part").hardlink_to(scene / "IMG_0001-0004.dng")
+    assert average(nights) == 0
+    assert sorted(path.name for path in scene.iterdir()) == there
 
 
 def test_what_was_measured_against_a_single_one_is_removed(tmp_path: Path) -> None:

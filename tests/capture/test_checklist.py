@@ -166,7 +166,10 @@ def test_text_goes_to_the_terminal(plan: Plan, tmp_path: Path, capsys: pytest.Ca
     [
         (["--format", "html"], "a page needs a file"),
         (["-o", "list.pdf"], "expected a name that ends in .html, .md or .txt"),
-        (["-o", "plan.json", "--format", "txt"], "is the plan itself"),
+        (
+            ["-o", "plan.json", "--format", "txt"],
+            "-o plan.json: is what PLAN names, and this command reads it; give another name",
+        ),
     ],
 )
 def test_wrong_usage(

@@ -68,7 +68,7 @@ def test_metered_time_has_several_spellings(text: str, tmp_path: Path) -> None:
 
 def test_json_says_what_the_table_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "protocol.json"
-    file.write_text("older")
+    file.touch()
     assert main(["protocol", "--metered", "4", "--json", str(file)]) == 0
     assert capsys.readouterr().out == METERED
     assert list(tmp_path.iterdir()) == [file]

@@ -124,7 +124,7 @@ NEW = ["plan", "--camera", "cam.json"]
     ("arguments", "words"),
     [
         (["camera"], "give either a camera description to check, or --example FILE"),
-        (["camera", "--example", "cam.json"], "cam.json is there already"),
+        (["camera", "--example", "cam.json"], "--example cam.json: is there already. Give another name"),
         (["camera", "nowhere.json"], "nowhere.json: cannot be read"),
         (["plan"], "a new plan needs --camera FILE; capture camera --example"),
         (["plan", "nowhere.json"], "nowhere.json: cannot be read"),
@@ -151,7 +151,10 @@ NEW = ["plan", "--camera", "cam.json"]
         ([*NEW, "--scenes", "1", "--metered", "4", "--isos", "900"], "SonyA7S2 has no ISO 900"),
         ([*NEW, "--scenes", "1", "--metered", "4", "--remeter", "scene-2"], "such as scene-2=1/4; found 'scene-2'"),
         ([*NEW, "--scenes", "1", "--metered", "4", "--note", "scene-1"], "--note: expected a scene and a text"),
-        ([*NEW, "--scenes", "1", "--metered", "4", "-o", "cam.json"], "cam.json is there already, and may have been"),
+        (
+            [*NEW, "--scenes", "1", "--metered", "4", "-o", "cam.json"],
+            "-o cam.json: is what --camera names, and this command reads it; give another name",
+        ),
         ([*NEW, "--scenes", "1", "--metered", "4", "--calibration"], "--calibration needs --flat-clips-at SECONDS"),
         ([*NEW, "--scenes", "1", "--metered", "4", "--bias-frames", "5"], "--bias-frames goes with --calibration"),
     ],

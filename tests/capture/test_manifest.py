@@ -17,8 +17,9 @@ import pytest
 
 from capture.calibration import plan_calibration
 from capture.cli import main
-from eldata.base.files import sha256_of
+from eldata.base.files import sha256_of, write_text
 from eldata.manifest import load_manifest, to_croissant, verify
+from eldata.manifest.writing import save_manifest
 from tests.capture.simulated import CAMERA, Taken, plan_of, shoot, whole_plan
 from tests.waiting import PATIENCE_S
 
@@ -90,10 +91,59 @@ def test_it_is_described_in_croissant(small: Field, capsys: pytest.CaptureFixtur
     assert f"eldata info {small.csv} --croissant {described}" in capsys.readouterr().out
     assert json.loads(described.read_text()) == to_croissant(load_manifest(small.csv))
     assert json.loads(described.read_text())["license"] == "unknown: no licence is stated"
-    small.csv.unlink()
-    assert small.copy("--croissant") == 2
-    assert f"{described} is there already" in capsys.readouterr().err
-    assert small.copy("--croissant", "--replace") == 0
+
+
+def stop_before(number: int, patch: pytest.MonkeyPatch) -> None:
+    """Have the so-manyth file of a set meet Ctrl-C."""
+    names = []
+
+    def write(path: Path, text: str) -> None:
+        names.append(path)
+        if len(names) > number:
+            raise KeyboardInterrupt
+        write_text(path, text)
+
+    patch.setattr("eldata.manifest.writing.write_text", write)
+
+
+@pytest.mark.parametrize("how", ["new", "--replace", "--append"])
+def test_all_three_files_of_a_set_are_right_after_an_interruption(how: str, tmp_path: Path) -> None:
+    """Before each of card, Croissant and table: the same command again ends with all three, whatever it says."""
+    for number in range(3):
+        field = Field(tmp_path / str(number), plan_of("4", "1", factors=(1,)))
+        options = ["--croissant"] if how == "new" else ["--croissant", how]
+        if how != "new":
+            assert field.copy("--only", "scene-1", "--croissant", "--yes") == 0
+        with pytest.MonkeyPatch.context() as patch:
+            stop_before(number, patch)
+            assert field.copy(*options) == 130
+        assert field.copy(*options) == 0
+        manifest = load_manifest(field.csv)
+        assert len(manifest.records) == len(field.plan.shots)
+        described = field.csv.with_suffix(".croissant.json")
+        assert json.loads(described.read_text()) == to_croissant(manifest)
+        assert sorted(path.name for path in field.csv.parent.iterdir()) == [
+            "mine.croissant.json",
+            "mine.csv",
+            "mine.json",
+        ]
+
+
+def test_a_croissant_follows_its_set_unless_somebody_changed_it(small: Field) -> None:
+    described = small.csv.with_suffix(".croissant.json")
+    assert small.copy("--croissant") == 0
+    described.unlink()
+    assert small.copy("--append") == 0  # there is nothing to add
+    assert not described.exists()
+    assert small.copy("--append", "--croissant") == 0
+    assert json.loads(described.read_text()) == to_croissant(load_manifest(small.csv))
+    manifest = load_manifest(small.csv)
+    records = [replace(one, measured_ratio=Fraction(3, 2)) if one.reference else one for one in manifest.records]
+    manifest = save_manifest(small.csv, manifest.card, records)
+    assert json.loads(described.read_text()) == to_croissant(manifest)
+    described.write_text("mine")
+    save_manifest(small.csv, manifest.card, manifest.records)
+    assert described.read_text() == "mine"
 
 
 def test_eld_dataset_reads_it(small: Field) -> None:
@@ -159,7 +209,7 @@ def test_files_may_stay_where_they_are(small: Field, capsys: pytest.CaptureFixtu
     assert small.run() == 0
     manifest = load_manifest(small.csv)
     assert manifest.card.folder == small.folder.name
-    assert manifest.records[0].path == "card/DSC0000.dng"  # the counter turned over
+    assert manifest.records[0].path == "card/DSC0001.dng"  # the counter turned over
     assert verify(small.csv, small.folder.parent, dataset="mine", level="full").ok
     assert "--root" in capsys.readouterr().out
 
@@ -329,7 +379,7 @@ def test_copies_inside_of_what_is_searched_are_no_new_files(tmp_path: Path) -> N
     [
         (["manifest"], "the following arguments are required: PLAN, FILES, -o/--output"),
         (["manifest", "PLAN", "CARD", "-o", "mine.json"], "expected a name that ends in .csv"),
-        (["manifest", "PLAN", "CARD", "-o", "plan.csv"], "its card would be"),
+        (["manifest", "PLAN", "CARD", "-o", "plan.csv"], "its plan.json is what PLAN names"),
         (["manifest", "nowhere.json", "CARD", "-o", "mine.csv"], "nowhere.json: cannot be read"),
         (["manifest", "PLAN", "nowhere", "-o", "mine.csv"], "nowhere: no such file or folder"),
         (["manifest", "PLAN", "PLAN", "-o", "mine.csv"], "no raw file (.dng) was given"),

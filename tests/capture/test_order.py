@@ -40,11 +40,13 @@ def numbers_of(folder: Path, scene: str) -> list[str]:
     return [originals[(folder / "set" / one.path).read_bytes()] for one in records]
 
 
+@pytest.mark.parametrize("digits", [4, 5])
 def test_equal_scenes_and_a_clock_that_was_put_back_are_a_question(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    digits: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Also where the names have five digits, of which the counter has four: DSC09999, then DSC00001."""
     plan = plan_of("4", "4", "4")
-    files = shoot(tmp_path / "card", clock_put_back(plan))
+    files = shoot(tmp_path / "card", clock_put_back(plan), digits=digits)
     count = len(plan.scenes[0].shots)
     place = ("--copy-to", str(tmp_path / "set"))
     shown = tmp_path / "mapping.json"
@@ -88,3 +90,15 @@ def test_the_order_of_names_that_are_no_series_is_refused(tmp_path: Path, capsys
     files[0].rename(files[0].with_name("first.dng"))
     assert ask(tmp_path, plan, "--order", "numbers") == 2
     assert "the files' names are not one series of numbers" in capsys.readouterr().err
+
+
+def test_files_without_times_are_in_the_order_of_a_counter_that_turned_over(tmp_path: Path) -> None:
+    plan = plan_of("4", "4", factors=(1,))
+    files = shoot(tmp_path / "card", whole_plan(plan), times=False)
+    named = [path.with_name(f"DSC{(9995 + index) % 9999 + 1:05d}.dng") for index, path in enumerate(files)]
+    for path, name in zip(files, named, strict=True):
+        path.rename(name)
+    assert (named[3].stem, named[4].stem) == ("DSC09999", "DSC00001")
+    observed = observe(sorted(named), CAMERA.models)
+    assert not observed.by_time
+    assert [frame.path for frame in observed.frames] == named

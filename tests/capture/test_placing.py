@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from capture.capture_errors import MappingError
-from capture.placing import Placement, check_free, copy, link
+from capture.placing import Placement, check_free, copy, link, write_new
 from eldata.base.files import sha256_of
+from tests.syncing import OnDisk
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -36,16 +37,28 @@ def test_placing(placement: Placement, work: object) -> None:
     assert placement.target.samefile(placement.path) == (work is link)
 
 
+@pytest.mark.parametrize("size", [5, 100_000])  # the second is that of what would be placed
 @pytest.mark.parametrize("work", [copy, link])
-def test_what_is_there_is_never_replaced(placement: Placement, work: object) -> None:
+def test_what_is_there_is_never_replaced(placement: Placement, work: object, size: int) -> None:
     placement.target.parent.mkdir(parents=True)
-    placement.target.write_bytes(b"older")
+    placement.target.write_bytes(bytes(size))
     with pytest.raises(MappingError, match="is there already with another content"):
         check_free([placement])
     with pytest.raises(MappingError, match="appeared meanwhile"):
         (copy if work is copy else link)(placement)
-    assert placement.target.read_bytes() == b"older"
+    with pytest.raises(MappingError, match="is there already with another content"):
+        write_new(placement.target, memoryview(placement.path.read_bytes()))
+    assert placement.target.read_bytes() == bytes(size)
     assert len(list(placement.target.parent.iterdir())) == 1
+
+
+def test_files_are_on_the_disk_before_they_get_their_names(
+    placement: Placement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = OnDisk(monkeypatch)
+    copy(placement)
+    write_new(placement.target.with_name("mean.dng"), memoryview(b"mean"))
+    assert disk.named == {"IMG_0001.ARW": True, "mean.dng": True}
 
 
 def test_a_dangling_link_is_not_written_through(placement: Placement, tmp_path: Path) -> None:

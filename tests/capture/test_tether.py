@@ -31,7 +31,7 @@ from capture.plan import make_plan
 from capture.protocol import CaptureProtocol
 from capture.tether import journal as journals
 from capture.tether.gphoto import Gphoto
-from capture.tether.journal import Journal
+from capture.tether.journal import NAME, Entry, Journal, place
 from capture.tether.lock import locked
 from capture.tether.session import run_session
 from eldata.raw.dng import write_dng
@@ -39,6 +39,7 @@ from eldata.raw.reading import read_header
 from eldata.records import Exposure
 from tests.capture import fake_gphoto2
 from tests.capture.simulated import CAMERA, SENSOR, plan_of
+from tests.syncing import OnDisk
 from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
@@ -488,6 +489,30 @@ def test_a_torn_last_line_never_happened(two: Rig) -> None:
         assert two.calls("--capture-image-and-download") == 3  # the frame was there
     assert two.run() == 0
     two.check_whole()
+
+
+def test_the_journal_and_the_frames_are_on_the_disk_when_they_are_said_to_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The journal's name, each of its lines, the cut of a torn one; a frame before its name, and that name."""
+    path = tmp_path / "journal" / NAME
+    path.parent.mkdir()
+    disk = OnDisk(monkeypatch)
+    journal = Journal(path)
+    assert disk.has(path.parent)
+    for _ in range(2):
+        journal.write(Entry("intent", ("scene-1", 1), "shot", "token", {}))
+        assert disk.has(path)
+    torn = tmp_path / "torn"
+    torn.write_bytes(path.read_bytes() + b'{"event"')
+    Journal(torn)
+    assert torn.read_bytes() == path.read_bytes()
+    assert disk.has(torn)
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frame").write_bytes(b"frame")
+    place(tmp_path / "frame", tmp_path / "frames" / "IMG_0001.dng")
+    assert disk.named == {"IMG_0001.dng": True}
+    assert disk.has(tmp_path / "frames")
 
 
 def test_a_damaged_journal_is_refused(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:

@@ -144,14 +144,15 @@ def test_nothing_is_written_if_no_iso_is_usable(eldata: Cli, tree: FrameTree, tm
     spoilt = [tree.files("bias", 100)[1], tree.files("flat", 1600)[2]]
     spoilt[0].write_bytes(b"")
     spoilt[1].write_bytes(spoilt[1].read_bytes()[:-3000])
-    (tmp_path / "p.json").write_text("older")
+    CameraProfile.load("SonyA7S2").save(tmp_path / "p.json")
+    older = (tmp_path / "p.json").read_bytes()
     targets = ("-o", tmp_path / "p.json", "--json", tmp_path / "d.json", "--html", tmp_path / "r.html")
     outcome = eldata("calibrate", tree.root, "--iso", "100", "--iso", "1600", *targets)
     assert (outcome.code, outcome.err) == (1, "")
     for path in spoilt:
         assert f"{relative(tree, path)}: content\n    expected  a whole raw file\n" in outcome.out
     assert outcome.out.endswith(f"{CAMERA}: 2 problems; nothing was written\n")
-    assert (tmp_path / "p.json").read_text() == "older"
+    assert (tmp_path / "p.json").read_bytes() == older
     assert not (tmp_path / "r.html").exists()
     data = json.loads((tmp_path / "d.json").read_text())
     assert data["camera"] == CAMERA

@@ -6,15 +6,23 @@ import argparse
 import json
 import os
 import re
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
+from capture.cli.main import main as capture_main
 from capture.cli.main import parser as capture_parser
-from eldata.base.console import _Output, each_of
+from eldata.base.console import each_of
+from eldata.base.outputs import Output
+from eldata.cli.main import main as eldata_main
 from eldata.cli.main import parser as eldata_parser
 from eldata.errors import EldataError
+from eldata.manifest.catalogue import shipped_folder
+from eldata.noise.profile import CameraProfile
+from tests.capture.simulated import plan_of, shoot, whole_plan
 from tests.cli.conftest import Cli, room_for
 
 if TYPE_CHECKING:
@@ -39,12 +47,165 @@ def options_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.
 @pytest.mark.parametrize("parser", [eldata_parser(), capture_parser()], ids=["eldata", "capture"])
 def test_every_option_that_names_a_file_to_write_is_tried_first(parser: argparse.ArgumentParser) -> None:
     found = [
-        (command, action.option_strings[-1], isinstance(action, _Output))
+        (command, action.option_strings[-1], isinstance(action, Output))
         for command, action in options_of(parser)
         if action.option_strings and action.metavar == "FILE" and re.search(r"\bwrite\b", str(action.help))
     ]
     assert len(found) > 5
     assert [one for one in found if not one[2]] == []
+
+
+# Options that name a folder: what is in it is not replaced, which its own tests show.
+FOLDERS = {
+    ("eldata baseline", "--out"),
+    ("eldata predict", "--out"),
+    ("eldata evaluate", "--out"),
+    ("eldata synthesize", "--out"),
+    ("eldata shard", "--out"),
+    ("capture run", "--output"),
+}
+
+
+@pytest.mark.parametrize("parser", [eldata_parser(), capture_parser()], ids=["eldata", "capture"])
+def test_every_output_is_a_file_of_a_kind_or_a_folder(parser: argparse.ArgumentParser) -> None:
+    found = {
+        (command, action.option_strings[-1])
+        for command, action in options_of(parser)
+        if {"-o", "--out", "--output"} & set(action.option_strings) and not isinstance(action, Output)
+    }
+    assert found == {one for one in FOLDERS if one[0].startswith(parser.prog)}
+
+
+# --- what is there already ----------------------------------------------------------------------------------------
+
+
+def foreign_files(folder: Path) -> dict[str, Path]:
+    """A file of each kind that people keep."""
+    plan = plan_of("4", factors=(1,))
+    profile = CameraProfile.load("SonyA7S2")
+    shoot(folder / "card", whole_plan(plan)[:1])[0].rename(folder / "photograph")
+    (folder / "card").rmdir()
+    np.save(folder / "prediction.npy", np.zeros((4, 2, 3), np.float32))
+    np.savez(folder / "predictions.npz", prediction=np.zeros((4, 2, 3), np.float32))
+    plan.save(folder / "plan")
+    profile.save(folder / "profile")
+    plan.camera.save(folder / "camera")
+    (folder / "table").write_bytes((shipped_folder() / "eld.csv").read_bytes())
+    (folder / "set").write_bytes((shipped_folder() / "eld.json").read_bytes())
+    (folder / "notes").write_text("remember the lens cap")
+    (folder / "page").write_text("<!DOCTYPE html>\n<title>mine</title>")
+    (folder / "list").write_text("[1, 2]")
+    (folder / "compact").write_text('{"name": "mine"}')
+    (folder / "broken").write_bytes(b"{\xff\x00")
+    return {path.stem: path.rename(path.with_suffix(".csv")) for path in sorted(folder.iterdir())}
+
+
+# Of these the option's own kind is the other's, too: a profile may be calibrated again.
+SAME_KIND = {
+    ("eldata calibrate", "--output", "profile"),
+    ("eldata profile estimate", "--output", "profile"),
+    ("eldata profile import", "--output", "profile"),
+    ("capture manifest", "--output", "table"),  # which asks for --replace or --append
+}
+
+
+@pytest.mark.parametrize("program", ["eldata", "capture"])
+def test_no_file_that_is_there_is_replaced_unless_the_option_wrote_it(
+    program: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of every output of every command: refused before the input, which is not there, is read."""
+    (tmp_path / "files").mkdir()
+    files = foreign_files(tmp_path / "files")
+    before = {name: path.read_bytes() for name, path in files.items()}
+    (tmp_path / "cwd").mkdir()
+    monkeypatch.chdir(tmp_path / "cwd")
+    parser, main = (eldata_parser(), eldata_main) if program == "eldata" else (capture_parser(), capture_main)
+    outputs = [(command, action) for command, action in options_of(parser) if isinstance(action, Output)]
+    assert len(outputs) > 12
+    accepted = set()
+    for command, action in outputs:
+        given = command.split()[1:] + needed(parser, command)
+        for name, path in files.items():
+            option = action.option_strings[-1]
+            if action.kind.problem(path) is None:
+                accepted.add((command, option, name))
+                continue
+            assert main([*given, option, str(path)]) == 2, (command, option, name)
+            out, err = capsys.readouterr()
+            assert (out, err.count("\n")) == ("", 1)
+            assert err.startswith(f"{command}: {option} {path}: is there already")
+            assert "Give another name, or move that file away" in err
+    assert {name: path.read_bytes() for name, path in files.items()} == before
+    assert accepted == {one for one in SAME_KIND if one[0].startswith(program)}
+    assert not any(Path.cwd().iterdir())
+
+
+def needed(parser: argparse.ArgumentParser, command: str) -> list[str]:
+    """What a command cannot be without, besides its outputs: names of nothing."""
+    found = []
+    if command == "eldata evaluate":
+        return ["none", "--dataset", "eld"]
+    for name, action in options_of(parser):
+        if name == command and not isinstance(action, Output):
+            if not action.option_strings and action.nargs not in ("?", "*"):
+                found.append(next(iter(action.choices)) if action.choices else "none")
+            elif action.option_strings and action.required:
+                found += [action.option_strings[-1], "none"]
+    if command == "capture manifest":
+        found += ["-o", "none.csv"]
+    return found
+
+
+def test_what_is_there_is_named(eldata: Cli) -> None:
+    Path("notes.csv").write_text("remember the lens cap\n")
+    outcome = eldata("evaluate", "preds", "--dataset", "eld", "--csv", "notes.csv")
+    assert outcome.err == (
+        "eldata evaluate: --csv notes.csv: is there already, and is text that begins with 'remember the lens cap'; "
+        "only what this option wrote is replaced. Give another name, or move that file away\n"
+    )
+
+
+def test_a_file_that_is_read_is_not_written_by_whatever_name(eldata: Cli) -> None:
+    """Though it is of the option's own kind."""
+    CameraProfile.load("SonyA7S2").save("profile.json")
+    before = Path("profile.json").read_bytes()
+    Path("folder").mkdir()
+    Path("hard.json").hardlink_to("profile.json")
+    Path("symbolic.json").symlink_to("profile.json")
+    names = ("profile.json", "./profile.json", "folder/../profile.json", "hard.json", "symbolic.json")
+    for name in (*names, str(Path("profile.json").absolute())):
+        outcome = eldata("calibrate", "none", "--gain", "profile.json", "-o", name)
+        assert (outcome.code, outcome.out) == (2, "")
+        assert outcome.err == (
+            f"eldata calibrate: -o {name}: is what --gain names, and this command reads it; give another name\n"
+        )
+    assert Path("profile.json").read_bytes() == before
+    assert Path("symbolic.json").is_symlink()
+    assert "none: " in eldata("calibrate", "none", "-o", "profile.json").err  # an older profile of the same name
+
+
+def test_the_card_beside_a_manifest_replaces_no_plan(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    plan = tmp_path / "mine.json"
+    plan_of("4", factors=(1,)).save(plan)
+    before = plan.read_bytes()
+    for given, problem in (
+        (plan, "is what PLAN names, and this command reads it"),
+        (tmp_path / "none.json", "is there already, and is JSON with the fields calibration, camera, protocol, scenes"),
+    ):
+        command = ["manifest", str(given), str(tmp_path), "-o", str(tmp_path / "mine.csv"), "--replace"]
+        assert capture_main(command) == 2
+        assert f"-o {tmp_path / 'mine.csv'}: its {plan} {problem}" in capsys.readouterr().err
+    assert plan.read_bytes() == before
+
+
+def test_a_folder_of_results_replaces_no_manifest(eldata: Cli, own: Tree, predictions: Path) -> None:
+    shutil.copytree(predictions, own.manifest.stem)
+    before = {path.name: path.read_bytes() for path in own.manifest.parent.iterdir()}
+    arguments = ("evaluate", own.manifest.stem, "--manifest", own.manifest, "--root", own.root, "--jobs", "1")
+    outcome = eldata(*arguments, "-o", own.manifest.parent)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert f"its {own.manifest.stem}.json is there already, and is JSON with the fields" in outcome.err
+    assert {path.name: path.read_bytes() for path in own.manifest.parent.iterdir()} == before
 
 
 # --- before the work ----------------------------------------------------------------------------------------------

@@ -347,7 +347,7 @@ def test_unwritable_target(command: str, kind: str, eldata: Cli, own: Tree, pred
 def test_verify_json(eldata: Cli, own: Tree, tmp_path: Path) -> None:
     (own.files / "DemoAlpha/scene-1/IMG_0006.dng").unlink()
     target = tmp_path / "report.json"
-    target.write_text("older")
+    target.touch()
     outcome = eldata("verify", own.manifest, "--root", own.root, "--jobs", "1", "--json", target)
     assert outcome.code == 1
     data = json.loads(target.read_text(encoding="utf-8"))

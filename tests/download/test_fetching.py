@@ -23,6 +23,7 @@ from eldata.errors import DownloadError
 from eldata.manifest.card import Download
 from tests.download import server
 from tests.download.helpers import contents, fetch, fetcher, noise, note_of, small_card, tree, zipped
+from tests.syncing import OnDisk
 from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
@@ -114,6 +115,14 @@ def test_what_the_downloader_saves(site: server.Site, target: Path, monkeypatch:
     fetched(site, target)
     assert len(site.requests) == 4
     assert site.sent_bytes - 20_000_000 in range(3 * 2**14)  # each break loses less than one piece
+
+
+def test_an_archive_is_on_the_disk_before_it_gets_its_name(
+    site: server.Site, target: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = OnDisk(monkeypatch)
+    fetched(site, target)
+    assert disk.named == {target.name: True}
 
 
 def test_the_hash_of_what_goes_on_is_that_of_the_whole(site: server.Site, target: Path) -> None:

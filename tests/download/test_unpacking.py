@@ -16,6 +16,7 @@ from eldata.download.unpacking import STAGING, Unpacked, unpack_archive
 from eldata.errors import ArchiveError, DownloadError
 from tests.download.helpers import contents, noise, sevenzipped, tarred, tree, zipped
 from tests.download.test_archives import PACKERS
+from tests.syncing import OnDisk
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -42,6 +43,12 @@ def test_unpacked_once_and_then_identical(name: str, tmp_path: Path) -> None:
     assert tree(tmp_path / "SID") == FILES
     assert sorted(path.name for path in (tmp_path / "SID").iterdir()) == ["Sony"]
     assert unpack_all(archive, tmp_path / "SID") == Unpacked((), NAMES, ())
+
+
+def test_members_are_on_the_disk_before_they_get_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = OnDisk(monkeypatch)
+    unpack_all(archive_of(tmp_path, zipped(FILES)), tmp_path / "SID")
+    assert disk.named == {name.rpartition("/")[2]: True for name in NAMES}
 
 
 def test_members_go_where_they_are_told(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.evaluation import Task, evaluate, evaluate_all, reproduce
 from eldata.manifest import load_manifest
-from eldata.manifest.catalogue import save_manifest
+from eldata.manifest.writing import save_manifest
 from tests.evaluation.own_set import OwnSet, build_own_set
 
 if TYPE_CHECKING:

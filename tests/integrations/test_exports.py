@@ -435,6 +435,18 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
         export("led", tmp_path / "out", manifest=manifest.path, root=tmp_path / "data")
 
 
+def test_a_content_of_the_same_length_is_another_one(tmp_path: Path) -> None:
+    manifest = sid_like(tmp_path)
+    made = export("led", tmp_path / "out", manifest=manifest.path, root=tmp_path / "data", link="copy")
+    for name in ("Own/short/00001_00_0.1s.ARW", made.lists[0]):
+        path = tmp_path / "out" / name
+        content = path.read_bytes()
+        path.write_bytes(content[:-1] + b"?")
+        with pytest.raises(EldataError, match="is there already"):
+            export("led", tmp_path / "out", manifest=manifest.path, root=tmp_path / "data", link="copy")
+        path.write_bytes(content)
+
+
 def test_files_that_are_not_there(tmp_path: Path) -> None:
     manifest = sid_like(tmp_path)
     for path in (tmp_path / "data/OWN/Own/short").glob("10003*"):

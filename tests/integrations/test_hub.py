@@ -29,9 +29,10 @@ from eldata.integrations.exports import export_hub
 from eldata.integrations.exports.hub_card import HubLayout, hub_page
 from eldata.manifest import shipped_manifest, shipped_names
 from eldata.manifest.card import save_card
-from eldata.manifest.catalogue import load_manifest, save_manifest
+from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.table import number_text, save_records
+from eldata.manifest.writing import save_manifest
 from eldata.sources.shards import ShardError, write_shards
 from tests.cases import in_one_test
 from tests.integrations.published_sets import LONG_S, SENSOR, SHORT_S, photograph, sid_like

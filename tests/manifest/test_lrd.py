@@ -11,10 +11,11 @@ import pytest
 
 from eldata.errors import ManifestError
 from eldata.manifest.card import save_card
-from eldata.manifest.catalogue import save_manifest, shipped_folder, shipped_manifest
+from eldata.manifest.catalogue import shipped_folder, shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import verify
+from eldata.manifest.writing import save_manifest
 from manifests.published_lrd import LrdScene, load_lrd_scenes, lrd_scenes_from_lists, published_lrd, save_lrd_scenes
 from tests.lrd_tree import write_frames
 from tests.trees import swap

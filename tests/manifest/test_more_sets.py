@@ -18,7 +18,6 @@ from eldata.manifest.card import Card, card_text, load_card, save_card
 from eldata.manifest.catalogue import (
     Manifest,
     carded_names,
-    save_manifest,
     shipped_card,
     shipped_folder,
     shipped_manifest,
@@ -28,6 +27,7 @@ from eldata.manifest.lock import lock
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import verify
+from eldata.manifest.writing import save_manifest
 from eldata.sources.store.sources import source_of_dataset
 from manifests.cards_alone import CARDS_ALONE
 from manifests.published_crvd import published_crvd

@@ -20,6 +20,7 @@ from eldata.raw import read_raw
 from eldata.sources.store import build_store, journal, open_store, source_of_dataset, source_of_folder
 from eldata.sources.store.journal import journaled
 from tests.sources.store.helpers import Packed, contents, pack_folder, pack_tree, start_packing, write_clean
+from tests.syncing import OnDisk
 from tests.trees import Tree, tree_in
 
 if TYPE_CHECKING:
@@ -42,6 +43,14 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Packed:
     """A folder of four cameras' frames, packed in one go."""
     folder = tmp_path_factory.mktemp("clean")
     return pack_folder(write_clean(folder / "raws"), folder / "clean.h5")
+
+
+def test_a_store_is_on_the_disk_before_it_gets_its_name(
+    clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = OnDisk(monkeypatch)
+    build_store(clean.source, tmp_path / "store.h5")
+    assert disk.named == {"store.h5": True}
 
 
 # --- what it holds ------------------------------------------------------------------------------------------------

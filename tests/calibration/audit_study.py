@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -54,14 +54,14 @@ class Audited:
         return None if figure is None else abs(figure.value - self.truth[name]) <= 1.96 * figure.error
 
 
-def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Audited:
+def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]], **options: Any) -> Audited:
     found = calibrated(camera, frames)
     audit = BiasAudit(found.fixed)
     for frame in frames:
         audit.add(frame)
     pattern = found.fixed.pattern
     step, gaps = code_step(frames[0], pattern), missing_codes(frames[0], pattern)
-    findings = bias_findings(audit.statistics(), found.bias, found.rows, found.read, step=step, gaps=gaps)
+    findings = bias_findings(audit.statistics(), found.bias, found.rows, found.read, step=step, gaps=gaps, **options)
     read, rows, sigma = found.read, found.rows.rows, found.read.sigma_gauss_dn
     measured: tuple[tuple[str, Figure, float, float, float, float], ...] = (
         ("lambda", "read noise", read.tukey_lambda, read.tukey_lambda_error, 1.0, camera.tukey_lambda),

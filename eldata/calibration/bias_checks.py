@@ -36,6 +36,7 @@ MOST_ALLOWED = 0.05
 _LOW_SHARE = 0.05  # of the blocks, the darkest: taken for those without light
 _MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias
 _LEAST_EATEN = 0.52  # wins of outliers' own neighbours; one half without a filter, a little more with correlation
+_OF_EATEN = 0.35  # measured: shifts of sigma_G are up to a third where every pixel above its neighbours is removed
 _OF_LIGHTER_TAILS = 2.0  # what is added to the noise makes its tails lighter: sigma_TL goes up by twice sigma_G's share
 _OF_SKEWNESS = 0.5  # measured: shifts of lambda and both sigmas are up to the skewness
 _MOSTLY = 0.5
@@ -148,7 +149,9 @@ def judged(seen: Finding, shares: Mapping[Figure, tuple[float, float]]) -> Itera
     withheld = [figure for figure, (share, _) in shares.items() if share > MOST_ALLOWED]
     wider = {figure: share for figure, (share, error) in shares.items() if error < share <= MOST_ALLOWED}
     if withheld:
-        yield replace(seen, figures=tuple(withheld), effect="withheld")
+        yield replace(
+            seen, figures=tuple(withheld), effect="withheld", allowance=max(shares[one][0] for one in withheld)
+        )
     if wider:
         yield replace(seen, figures=tuple(wider), effect="wider", allowance=max(wider.values()))
     if not withheld and not wider:
@@ -169,7 +172,7 @@ def allowed(seen: Finding, share: float, read: ReadNoise) -> Finding:
 def over_black(seen: Finding, level_dn: float, bias: ColourBias) -> Iterator[Finding]:
     """Yield what light of a mean level means for the colour bias, which it adds to."""
     if level_dn > _MOST_OF_BIAS_DN:
-        yield replace(seen, figures=("colour bias",), effect="withheld")
+        yield replace(seen, figures=("colour bias",), effect="withheld", allowance=level_dn)
     elif level_dn > min(bias.standard_error_dn):
         yield replace(seen, figures=("colour bias",), effect="wider", allowance=level_dn)
 
@@ -475,7 +478,7 @@ def filtered_outliers(
             f"goes along in {wins:.0%} of cases, 50% by chance): the camera removes single bright pixels (a "
             "star-eater), and with them the tails of the noise; switch such filters off or use another raw mode"
         )
-        yield Finding("filtered outliers", ("read noise",), "withheld", statistic, threshold, text)
+        yield Finding("filtered outliers", ("read noise",), "withheld", statistic, threshold, text, _OF_EATEN)
         return
     if is_clipped:
         return

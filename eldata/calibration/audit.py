@@ -84,7 +84,7 @@ class Finding:
 
     @property
     def is_acceptable(self) -> bool:
-        """Whether the withheld figures can be given with a larger error: not if they may be off by all of themselves."""
+        """Whether withheld figures can be given with a larger error: not if they may be off by all of themselves."""
         is_small = 0 < self.allowance < (math.inf if self.figures == ("colour bias",) else 1)
         return self.effect == "withheld" and self.check in ACCEPTABLE and is_small
 

@@ -242,7 +242,7 @@ class BiasAudit:
             lower_score=self._lower_score / UNITS**2 / _LEVEL_UNITS,
             lower_freedom=self._lower_freedom / _LEVEL_UNITS**2,
             bend_score=self._bend / UNITS**2 / _LEVEL_UNITS**2 - of_noise,
-            pixels=self._pixels,
+            pixels=np.maximum(self._pixels, 1),
             spread_dn=self._spread_dn,
             dsnu_dn=float(np.mean(fixed.summary.dsnu_dn)),
             unlikeness=covariance / mean**2,

@@ -288,19 +288,19 @@ def unlike_pixels(
     least_rare = -float(ndtri(CHANCE / 4 / 256))
     few = not is_lit and ripple.size < _FAINT_RIPPLE and rarest > least_rare
     # Less what rounding can do: a variance that ripples by r over the levels has a slope of r / 2 at most, or less.
-    by_level = _student(statistics.level_score, float(statistics.level_freedom.mean()) * ripple.variance / 2)
-    by_lower = _student(statistics.lower_score, float(statistics.lower_freedom.mean()) * ripple.variance / 2)
-    whole = DarkSignal.of(statistics, gain_dn_per_e) if abs(by_level) > threshold else None
-    signal = None
-    if whole is not None and by_level > 0:
-        if not whole.is_of_few:
-            signal = whole
-        elif by_lower > threshold:
-            signal = DarkSignal.of(statistics, gain_dn_per_e, is_lower=True)
+    by_rounding, of_lower = (
+        float(freedom.mean()) * ripple.variance / 2 for freedom in (statistics.level_freedom, statistics.lower_freedom)
+    )
+    by_level = max(_student(sign * statistics.level_score, by_rounding) for sign in (1, -1))
+    whole = DarkSignal.of(statistics, gain_dn_per_e) if by_level > threshold else None
+    signal = whole
+    if whole is not None and whole.is_of_few:
+        is_beside = whole.is_rising and _student(statistics.lower_score, of_lower) > threshold
+        signal = DarkSignal.of(statistics, gain_dn_per_e, is_lower=True) if is_beside else None
     if signal is not None:
         text = (
             "dark current or light in the bias frames: pixels with a higher level also have more noise, which adds "
-            f"{signal.mean:.1%} or more to the read noise; take them in the dark, at the shortest exposure and with a "
+            f"{signal.mean / 2:.1%} or more to the read noise; take them in the dark, at the shortest exposure and with a "
             "camera that is not warm"
         )
         seen = Finding("dark signal", (), "remark", by_level, threshold, text)
@@ -315,7 +315,7 @@ def unlike_pixels(
         "levels, is the usual reason): lambda and sigma are those of all pixels together"
     )
     statistic, limit = max(
-        ((by_size, threshold), (abs(by_level), threshold), (rarest if few else 0.0, least_rare)),
+        ((by_size, threshold), (by_level, threshold), (rarest if few else 0.0, least_rare)),
         key=lambda one: one[0] / one[1],
     )
     share = max(_OF_UNLIKENESS * unlikeness, 0.0 if whole is None else whole.mean)
@@ -339,6 +339,8 @@ class DarkSignal:
         one (of a gamma distribution) less.
     level_dn
         Mean level that it has, DN.
+    is_rising
+        Whether noise grows with the level.
     is_of_few
         Whether it surely is no dark current of all pixels: it falls with the level, is too skewed, is steeper than K,
         or noise differs between pixels by much more than K and their levels explain.
@@ -346,6 +348,7 @@ class DarkSignal:
 
     mean: float
     level_dn: float
+    is_rising: bool
     is_of_few: bool
 
     @classmethod
@@ -377,7 +380,7 @@ class DarkSignal:
             level_dn = min(level_dn, mean * statistics.sigma_dn**2 / gain_dn_per_e)
         is_skewed = skewness - _SURELY * skewness_error > _EXPONENTIAL
         is_of_few = covariance < 0 or is_steep or is_skewed or beyond > _SURELY * beyond_error
-        return cls(mean, level_dn, is_of_few)
+        return cls(mean, level_dn, covariance > 0, is_of_few)
 
 
 def _mean_and_error(scores: NDArray[np.float64]) -> tuple[float, float]:

@@ -93,7 +93,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default=[],
         metavar="CHECK",
         help=(
-            "give what this check withholds, with an error as large as it may be off, and say so in the profile; may be "
+            "give what this check withholds, with an error of what it may be off by, and say so in the profile; may be "
             "repeated. The remarks name the checks that can be accepted"
         ),
     )

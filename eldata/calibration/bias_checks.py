@@ -300,9 +300,11 @@ def unlike_pixels(
     if signal is not None:
         text = (
             "dark current or light in the bias frames: pixels with a higher level also have more noise, which adds "
-            f"{signal.mean / 2:.1%} or more to the read noise; take them in the dark, at the shortest exposure and with a "
-            "camera that is not warm"
+            f"{signal.mean / 2:.1%} or more to the read noise; take them in the dark, at the shortest exposure and with "
+            "a camera that is not warm"
         )
+        if gain_dn_per_e is None:
+            text += "; where K is known, from flats or --gain, it is told from pixels that jump between levels"
         seen = Finding("dark signal", (), "remark", by_level, threshold, text)
         yield from judged(seen, {"read noise": (_OF_LIGHTER_TAILS * signal.mean, _read_error(read))})
         yield from over_black(seen, signal.level_dn, bias)

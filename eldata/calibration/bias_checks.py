@@ -34,7 +34,8 @@ MOST_ALLOWED = 0.05
 """A figure that may be off by more than this share is not given; below, its errors allow for it."""
 
 _LOW_SHARE = 0.05  # of the blocks, the darkest: taken for those without light
-_MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias
+_MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias; in loud noise this share of its standard deviation
+_MOST_OF_BIAS = 0.2
 _LEAST_EATEN = 0.52  # wins of outliers' own neighbours; one half without a filter, a little more with correlation
 _OF_EATEN = 0.35  # measured: shifts of sigma_G are up to a third where every pixel above its neighbours is removed
 _OF_LIGHTER_TAILS = 2.0  # what is added to the noise makes its tails lighter: sigma_TL goes up by twice sigma_G's share
@@ -169,9 +170,9 @@ def allowed(seen: Finding, share: float, read: ReadNoise) -> Finding:
     return replace(seen, figures=("read noise",), effect="wider", allowance=share)
 
 
-def over_black(seen: Finding, level_dn: float, bias: ColourBias) -> Iterator[Finding]:
-    """Yield what light of a mean level means for the colour bias, which it adds to."""
-    if level_dn > _MOST_OF_BIAS_DN:
+def over_black(seen: Finding, level_dn: float, bias: ColourBias, sigma_dn: float) -> Iterator[Finding]:
+    """Yield what light of a mean level means for the colour bias, which it adds to, where the noise has this sigma."""
+    if level_dn > max(_MOST_OF_BIAS_DN, _MOST_OF_BIAS * sigma_dn):
         yield replace(seen, figures=("colour bias",), effect="withheld", allowance=level_dn)
     elif level_dn > min(bias.standard_error_dn):
         yield replace(seen, figures=("colour bias",), effect="wider", allowance=level_dn)
@@ -222,7 +223,7 @@ def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple:
     )
     seen = Finding("light", (), "remark", statistic, threshold, text)
     yield from judged(seen, {"read noise": (share, _read_error(read))})
-    yield from over_black(seen, over_dark, bias)
+    yield from over_black(seen, over_dark, bias, statistics.sigma_dn)
 
 
 def _slope(
@@ -300,14 +301,14 @@ def unlike_pixels(
     if signal is not None:
         text = (
             "dark current or light in the bias frames: pixels with a higher level also have more noise, which adds "
-            f"{signal.mean / 2:.1%} or more to the read noise; take them in the dark, at the shortest exposure and with "
-            "a camera that is not warm"
+            f"{signal.mean / 2:.1%} or more to the read noise; take them in the dark, at the shortest exposure and "
+            "with a camera that is not warm"
         )
         if gain_dn_per_e is None:
             text += "; where K is known, from flats or --gain, it is told from pixels that jump between levels"
         seen = Finding("dark signal", (), "remark", by_level, threshold, text)
         yield from judged(seen, {"read noise": (_OF_LIGHTER_TAILS * signal.mean, _read_error(read))})
-        yield from over_black(seen, signal.level_dn, bias)
+        yield from over_black(seen, signal.level_dn, bias, statistics.sigma_dn)
         return
     if by_size <= threshold and not few and whole is None:
         return

@@ -44,7 +44,7 @@ _MOSTLY = 0.5
 _OF_UNLIKENESS = 2.0  # measured: shifts of lambda and both sigmas are 0.3 to 4 times the unlikeness
 _LEAST_STAYING = 0.02  # of the levels' variance: what stays from frame to frame is not known better
 _EXPONENTIAL = 2.0  # skewness of a dark signal over the pixels
-_SURELY = 3.0  # standard errors
+_SURELY = 2.0  # standard errors
 GAPS = 0.02
 """Share of DN values that never occur, from which on it is told."""
 

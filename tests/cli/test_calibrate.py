@@ -314,8 +314,8 @@ def test_a_light_leak_is_accepted(eldata: Cli, tree: FrameTree, tmp_path: Path) 
         gain, generator = truth["gain_dn_per_e"], np.random.default_rng(iso)
         electrons = 1.5 * truth["sigma_gauss_dn"] ** 2 / gain**2 * shape
         for path in tree.files("bias", iso):
-            light = gain * generator.poisson(electrons)
-            rewritten(path, mosaic=lambda dn, light=light: np.rint(dn + light).astype(np.uint16))
+            light = np.rint(gain * generator.poisson(electrons)).astype(np.uint16)
+            rewritten(path, mosaic=light.__add__)
     profile = tmp_path / "p.json"
     refused = eldata("calibrate", tree.root, "-o", profile)
     assert refused.code == 1

@@ -201,7 +201,7 @@ def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple:
 
     level, variance = statistics.level_dn, statistics.variance.ravel()
     y, x = np.meshgrid(np.linspace(-1, 1, level.shape[0]), np.linspace(-1, 1, level.shape[1]), indexing="ij")
-    # Pixels that are both brighter and noisier than the others of their block, and noise that goes further up than down,
+    # Pixels that are both brighter and noisier than others of their block, and noise that goes further up than down,
     # raise mean level and mean variance of the block together, too.
     spread, noise = statistics.spread_dn, statistics.neighbours.skewness * statistics.sigma_dn / (2 * statistics.pairs)
     of_pixels = (statistics.level_score / statistics.pixels * spread / statistics.pairs + noise) / statistics.pixels

@@ -772,7 +772,8 @@ def variance_and_level(
     """Add up, by block of ``size`` columns, the squares w of a band, clipped, and the levels f of its pixels.
 
     f is the deviation of ``total - first - second`` from ``level`` (row phase, columns), times ``scale`` (likewise),
-    within +-64. Added to ``sums`` (blocks, 4): w, f, f^2, f w.
+    within +-64. Added to ``sums`` (blocks, 10): w, f, f^2, f w, f^2 w; and of the pixels with f < 0 how many they are,
+    w, f, f^2, f w.
     """
     period = level.shape[0]
     edge, half = np.float32(64), np.float32(0.5)
@@ -793,12 +794,21 @@ def variance_and_level(
                 fixed = edge if fixed > edge else fixed
                 fixed = -edge if fixed < -edge else fixed
                 levels[index] = 0 if defects[row, column] else np.int32(np.floor(fixed + half))
-            added = np.zeros(4, dtype=np.int64)
+            added = np.zeros(10, dtype=np.int64)
             for index in range(size):
+                fixed_square = levels[index] * levels[index]
+                product = levels[index] * squares[index]
+                below = np.int32(1) if levels[index] < 0 else np.int32(0)
                 added[0] += squares[index]
                 added[1] += levels[index]
-                added[2] += levels[index] * levels[index]
-                added[3] += levels[index] * squares[index]
+                added[2] += fixed_square
+                added[3] += product
+                added[4] += levels[index] * product
+                added[5] += below
+                added[6] += below * squares[index]
+                added[7] += below * levels[index]
+                added[8] += below * fixed_square
+                added[9] += below * product
             sums[block] += added
 
 

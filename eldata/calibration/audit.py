@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 from eldata.base.tables import with_error
+from eldata.errors import ArgumentError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -29,6 +30,24 @@ def named(figures: Collection[Figure]) -> str:
 
 Effect = Literal["withheld", "wider", "remark"]
 
+ACCEPTABLE: Final = (
+    *("light", "dark signal", "correlated noise", "filtered outliers", "coarse values", "banding", "slow row drift"),
+    *("bent photon transfer", "channels' gains", "correlation in flats"),
+)
+"""Checks that know how far off a figure may be that they withhold: it can be accepted with that for its error."""
+
+
+def checked_acceptance(accept: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of checks to be accepted; :class:`ArgumentError` if one of them is no check that can be."""
+    names = (accept,) if isinstance(accept, str) else tuple(accept)
+    for name in names:
+        if name not in ACCEPTABLE:
+            raise ArgumentError(
+                f"there is no check {name!r} whose withheld figures can be accepted; there are "
+                f"{', '.join(map(repr, ACCEPTABLE))}{did_you_mean(str(name), ACCEPTABLE)}"
+            )
+    return names
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
@@ -48,8 +67,10 @@ class Finding:
     text
         What was seen, and what to do about it, in a sentence or two. What becomes of the figures is added to it.
     allowance
-        Of effect ``"wider"``: what is added in quadrature to the standard errors, as a share of the figure; of lambda
-        as it is, of the colour bias in DN.
+        What is added in quadrature to the standard errors of effect ``"wider"``, as a share of the figure; of lambda as
+        it is, of the colour bias in DN. Of effect ``"withheld"``: what would be, if the finding is accepted.
+    is_accepted
+        Whether the figures would be withheld, and are given because somebody has accepted the check.
     """
 
     check: str
@@ -59,6 +80,18 @@ class Finding:
     threshold: float
     text: str
     allowance: float = 0.0
+    is_accepted: bool = False
+
+    @property
+    def is_acceptable(self) -> bool:
+        """Whether withheld figures can be given with a larger error: not if they may be off by all of themselves."""
+        is_small = 0 < self.allowance < (math.inf if self.figures == ("colour bias",) else 1)
+        return self.effect == "withheld" and self.check in ACCEPTABLE and is_small
+
+    @property
+    def option(self) -> str:
+        """How ``eldata calibrate`` is told to accept this check."""
+        return f'--accept "{self.check}"'
 
     @property
     def remark(self) -> str:
@@ -66,7 +99,11 @@ class Finding:
         if self.effect == "remark" or not self.figures:
             return self.text
         fate = f"withheld: {named(self.figures)}"
-        if self.effect == "wider":
+        if self.is_acceptable:
+            fate += f"; to have it all the same, with a larger error: {self.option}"
+        elif self.is_accepted:
+            fate = f"accepted, with a larger error: {named(self.figures)}"
+        elif self.effect == "wider":
             fate = f"errors made larger: {named(self.figures)}"
         return f"{self.text} ({fate})"
 
@@ -101,6 +138,14 @@ def given(findings: Iterable[Finding], figure: Figure, value: float, error: floa
     if any(one.effect == "withheld" for one in of_it):
         return None
     return GivenFigure(value, math.hypot(error, *(one.allowance * scale for one in of_it if one.effect == "wider")))
+
+
+def with_accepted(findings: Iterable[Finding], accept: Collection[str]) -> tuple[Finding, ...]:
+    """Return findings that give with a larger error what accepted checks among them would withhold."""
+    return tuple(
+        replace(one, effect="wider", is_accepted=True) if one.is_acceptable and one.check in accept else one
+        for one in findings
+    )
 
 
 def withheld(findings: Iterable[Finding]) -> frozenset[Figure]:

@@ -49,6 +49,14 @@ class BiasStatistics:
     level_score, level_freedom
         (rows, columns): sums of deviation of level times deviation of variance, and of squared deviations of level, of
         the pixels of a block from its mean. The level is that in the other frames, over ``spread_dn``.
+    lower_score, lower_freedom
+        (rows, columns): the same of those pixels whose level is below the mean.
+    bend_score
+        (rows, columns): sums of squared deviation of level times deviation of variance, less what the noise in the
+        levels of noisier pixels gives: the third joint cumulant of level, level and variance. Where many pixels have a
+        dark signal it is small beside ``level_score``; where few have one it is large.
+    pixels
+        (rows, columns): sound pixels.
     spread_dn
         Standard deviation of the pixels' levels.
     dsnu_dn
@@ -70,6 +78,10 @@ class BiasStatistics:
     variance: NDArray[np.float64] = field(repr=False)
     level_score: NDArray[np.float64] = field(repr=False)
     level_freedom: NDArray[np.float64] = field(repr=False)
+    lower_score: NDArray[np.float64] = field(repr=False)
+    lower_freedom: NDArray[np.float64] = field(repr=False)
+    bend_score: NDArray[np.float64] = field(repr=False)
+    pixels: NDArray[np.float64] = field(repr=False)
     spread_dn: float
     dsnu_dn: float
     unlikeness: NDArray[np.float64] = field(repr=False)
@@ -118,7 +130,8 @@ class BiasAudit:
         self._added = 0
         self._first: NDArray[np.uint16] | None = None
         blocks = len(self._bands), self._columns
-        self._squares, self._score, self._freedom = np.zeros((3, *blocks))
+        self._squares, self._score, self._freedom, self._bend = np.zeros((4, *blocks))
+        self._lower_score, self._lower_freedom = np.zeros((2, *blocks))
         self._size_sums, self._size_squares, self._size_products = np.zeros((3, *blocks))
         self._sizes = np.zeros(LIMIT // self._step + 1, dtype=np.int64)
         self._totals = np.zeros((len(self._bands), _BLOCK, width), dtype=np.uint8)
@@ -166,13 +179,18 @@ class BiasAudit:
         phases = np.arange(self._columns * _BLOCK) % len(pattern)
         by_column = np.repeat((frames - 2) * self._level_dn[index], _BLOCK, axis=0)  # (columns, channels)
         level = by_column[np.arange(len(phases)), pattern[:, phases]].astype(np.float32)
-        sums = np.zeros((self._columns, 4), dtype=np.int64)
+        sums = np.zeros((self._columns, 10), dtype=np.int64)
         variance_and_level(band, total, first, second, defects, level, self._level_scale, _BLOCK, _CLIP, sums)
-        squares, levels, levels_squared, products = sums.T.astype(np.float64)
+        squares, levels, levels_squared, products, bends, *of_lower = sums.T.astype(np.float64)
         pixels = np.maximum(self._pixels[index], 1)
+        mean = levels / pixels
         self._squares[index] += squares
-        self._score[index] += products - levels * squares / pixels
-        self._freedom[index] += levels_squared - levels**2 / pixels
+        self._score[index] += products - mean * squares
+        self._freedom[index] += levels_squared - mean * levels
+        self._bend[index] += bends - 2 * mean * products + (2 * mean**2 - levels_squared / pixels) * squares
+        pixels, squares, levels, levels_squared, products = np.maximum(of_lower[0], 1), *of_lower[1:]
+        self._lower_score[index] += products - levels * squares / pixels
+        self._lower_freedom[index] += levels_squared - levels**2 / pixels
 
         sizes = np.zeros((self._columns, 2), dtype=np.int64)
         add_sizes(band, self._step, _BLOCK, self._totals[index], self._sizes, sizes)
@@ -211,6 +229,9 @@ class BiasAudit:
         covariance = (same / pixels - (both - same) / (pixels * (pixels - 1))) / (pairs * (pairs - 1))
         # A size stands for a step, whose middle lies half of one above it.
         mean = float(sizes @ np.arange(sizes.size) / sizes.sum()) + 0.5
+        # The variance varies by four times as much as the size squared. A level has that of n - 2 frames' mean.
+        of_noise = 4 * covariance / mean**2 * pixels * pairs * self._sigma_dn**2
+        of_noise /= (fixed.frames - 2) * self._spread_dn**2
         return BiasStatistics(
             pairs=pairs,
             sigma_dn=self._sigma_dn,
@@ -218,6 +239,10 @@ class BiasAudit:
             variance=self._squares / (pairs * pixels) / UNITS**2,
             level_score=self._score / UNITS**2 / _LEVEL_UNITS,
             level_freedom=self._freedom / _LEVEL_UNITS**2,
+            lower_score=self._lower_score / UNITS**2 / _LEVEL_UNITS,
+            lower_freedom=self._lower_freedom / _LEVEL_UNITS**2,
+            bend_score=self._bend / UNITS**2 / _LEVEL_UNITS**2 - of_noise,
+            pixels=np.maximum(self._pixels, 1),
             spread_dn=self._spread_dn,
             dsnu_dn=float(np.mean(fixed.summary.dsnu_dn)),
             unlikeness=covariance / mean**2,

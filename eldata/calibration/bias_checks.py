@@ -34,12 +34,17 @@ MOST_ALLOWED = 0.05
 """A figure that may be off by more than this share is not given; below, its errors allow for it."""
 
 _LOW_SHARE = 0.05  # of the blocks, the darkest: taken for those without light
-_MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias
+_MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias; in loud noise this share of its standard deviation
+_MOST_OF_BIAS = 0.2
 _LEAST_EATEN = 0.52  # wins of outliers' own neighbours; one half without a filter, a little more with correlation
+_OF_EATEN = 0.35  # measured: shifts of sigma_G are up to a third where every pixel above its neighbours is removed
 _OF_LIGHTER_TAILS = 2.0  # what is added to the noise makes its tails lighter: sigma_TL goes up by twice sigma_G's share
 _OF_SKEWNESS = 0.5  # measured: shifts of lambda and both sigmas are up to the skewness
 _MOSTLY = 0.5
 _OF_UNLIKENESS = 2.0  # measured: shifts of lambda and both sigmas are 0.3 to 4 times the unlikeness
+_LEAST_STAYING = 0.02  # of the levels' variance: what stays from frame to frame is not known better
+_EXPONENTIAL = 2.0  # skewness of a dark signal over the pixels
+_SURELY = 2.0  # standard errors
 GAPS = 0.02
 """Share of DN values that never occur, from which on it is told."""
 
@@ -65,6 +70,7 @@ def bias_findings(
     step: int = 1,
     gaps: float = 0.0,
     is_clipped: bool = False,
+    gain_dn_per_e: float | None = None,
 ) -> tuple[Finding, ...]:
     """Return what the bias frames' noise says against what the estimates take for granted.
 
@@ -80,12 +86,14 @@ def bias_findings(
     is_clipped
         Whether values end at 0. The clip makes noise smaller where the level is lower, and goes for one side alone, so
         that neither tells of light, unlike pixels or lopsided noise.
+    gain_dn_per_e
+        K, if it is known: dark current makes the variance grow by it with each DN, and two levels by what they like.
     """
     ripple = Ripple.of(read.tukey_lambda, read.sigma_tl_dn / (step if step > 1 else 1 / (1 - gaps)))
     of_whole: tuple[Finding, ...] = ()
     if not is_clipped:
         lit = tuple(light(statistics, bias, read, ripple))
-        unlike = unlike_pixels(statistics, bias, read, ripple, is_lit=bool(lit))
+        unlike = unlike_pixels(statistics, bias, read, ripple, gain_dn_per_e=gain_dn_per_e, is_lit=bool(lit))
         of_whole = (*lit, *unlike)
     return (
         *of_whole,
@@ -142,7 +150,9 @@ def judged(seen: Finding, shares: Mapping[Figure, tuple[float, float]]) -> Itera
     withheld = [figure for figure, (share, _) in shares.items() if share > MOST_ALLOWED]
     wider = {figure: share for figure, (share, error) in shares.items() if error < share <= MOST_ALLOWED}
     if withheld:
-        yield replace(seen, figures=tuple(withheld), effect="withheld")
+        yield replace(
+            seen, figures=tuple(withheld), effect="withheld", allowance=max(shares[one][0] for one in withheld)
+        )
     if wider:
         yield replace(seen, figures=tuple(wider), effect="wider", allowance=max(wider.values()))
     if not withheld and not wider:
@@ -160,10 +170,10 @@ def allowed(seen: Finding, share: float, read: ReadNoise) -> Finding:
     return replace(seen, figures=("read noise",), effect="wider", allowance=share)
 
 
-def over_black(seen: Finding, level_dn: float, bias: ColourBias) -> Iterator[Finding]:
-    """Yield what light of a mean level means for the colour bias, which it adds to."""
-    if level_dn > _MOST_OF_BIAS_DN:
-        yield replace(seen, figures=("colour bias",), effect="withheld")
+def over_black(seen: Finding, level_dn: float, bias: ColourBias, sigma_dn: float) -> Iterator[Finding]:
+    """Yield what light of a mean level means for the colour bias, which it adds to, where the noise has this sigma."""
+    if level_dn > max(_MOST_OF_BIAS_DN, _MOST_OF_BIAS * sigma_dn):
+        yield replace(seen, figures=("colour bias",), effect="withheld", allowance=level_dn)
     elif level_dn > min(bias.standard_error_dn):
         yield replace(seen, figures=("colour bias",), effect="wider", allowance=level_dn)
 
@@ -191,9 +201,19 @@ def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple:
 
     level, variance = statistics.level_dn, statistics.variance.ravel()
     y, x = np.meshgrid(np.linspace(-1, 1, level.shape[0]), np.linspace(-1, 1, level.shape[1]), indexing="ij")
+    # Pixels that are both brighter and noisier than others of their block, and noise that goes further up than down,
+    # raise mean level and mean variance of the block together, too.
+    spread, noise = statistics.spread_dn, statistics.neighbours.skewness * statistics.sigma_dn / (2 * statistics.pairs)
+    of_pixels = (statistics.level_score / statistics.pixels * spread / statistics.pairs + noise) / statistics.pixels
     flat = np.ones((level.size, 1))
     smooth = np.stack([part.ravel() for part in (np.ones_like(x), x, y, x * y, x**2, y**2)], axis=1)
-    found = max((_slope(level.ravel(), variance, beside, ripple) for beside in (flat, smooth)), key=lambda one: one[0])
+    found = max(
+        (
+            _slope(level.ravel(), variance, max(float(of_pixels.sum()), 0.0), beside, ripple)
+            for beside in (flat, smooth)
+        ),
+        key=lambda one: one[0],
+    )
     statistic, slope, over_dark = found
     threshold = float(stdtrit(level.size - 7, 1 - CHANCE / 2))
     if statistic <= threshold:
@@ -206,20 +226,26 @@ def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple:
     )
     seen = Finding("light", (), "remark", statistic, threshold, text)
     yield from judged(seen, {"read noise": (share, _read_error(read))})
-    yield from over_black(seen, over_dark, bias)
+    yield from over_black(seen, over_dark, bias, statistics.sigma_dn)
 
 
 def _slope(
-    level: NDArray[np.float64], variance: NDArray[np.float64], beside: NDArray[np.float64], ripple: Ripple
+    level: NDArray[np.float64],
+    variance: NDArray[np.float64],
+    of_pixels: float,
+    beside: NDArray[np.float64],
+    ripple: Ripple,
 ) -> tuple[float, float, float]:
     """Return t of the slope of variance over level, the slope, and the mean level over the darkest blocks'.
+
+    Of the sum of the blocks' products ``of_pixels`` is what single pixels make of it.
 
     A variance that ripples with the level by r, from rounding, has a slope over the level in standard deviations of r /
     2 at most.
     """
     own, noise = (values - beside @ np.linalg.lstsq(beside, values, rcond=None)[0] for values in (level, variance))
     spread = float(own @ own)
-    slope = float(own @ noise) / spread
+    slope = (float(own @ noise) - of_pixels) / spread
     left = noise - slope * own
     error = math.sqrt(float(left @ left) / (level.size - beside.shape[1] - 1) / spread)
     by_rounding = ripple.variance / 2 / math.sqrt(spread / level.size)
@@ -230,22 +256,28 @@ def _slope(
 
 
 def unlike_pixels(
-    statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple: Ripple, *, is_lit: bool = False
+    statistics: BiasStatistics,
+    bias: ColourBias,
+    read: ReadNoise,
+    ripple: Ripple,
+    *,
+    gain_dn_per_e: float | None = None,
+    is_lit: bool = False,
 ) -> Iterator[Finding]:
     """Yield a finding if some pixels are noisier than others: by dark current of their own, or by telegraph noise.
 
     Two tests, both of sums over blocks whose mean is 0 if all pixels of a block have the same noise, and so with a
     Student's t over the blocks' own scatter: does the size of a pixel's noise in one pair of frames say something about
-    that in another, and does the pixel's level in the other frames? Where the level explains most of the difference, it
-    is dark current. A third sees few, but very noisy pixels: the sums of sizes over all pairs against what independent
-    sizes give, the convolution of their histogram, by a Poisson count at each value.
+    that in another, and does the pixel's level in the other frames? A third sees few, but very noisy pixels: the sums
+    of sizes over all pairs against what independent sizes give, the convolution of their histogram, by a Poisson count
+    at each value.
+
+    Where level and noise go together, :class:`DarkSignal` tells dark current from pixels that jump. Beside such pixels
+    dark current shows among those below the mean level, where few of them lie.
     """
     from scipy.special import ndtri, pdtrc, stdtrit
 
-    threshold = float(stdtrit(statistics.unlikeness.size - 1, 1 - CHANCE / 3))
-    # Less what rounding can do: a variance that ripples by r over the levels has a slope of r / 2 at most, or less.
-    of_levels = statistics.level_freedom * ripple.variance / 2
-    by_level = _student(statistics.level_score, float(of_levels.mean()))
+    threshold = float(stdtrit(statistics.unlikeness.size - 1, 1 - CHANCE / 4))
     by_size = _student(statistics.unlikeness, ripple.size**2 / 4)
     unlikeness = max(float(statistics.unlikeness.mean()), 0.0)
     expected = np.ones(1)
@@ -257,38 +289,114 @@ def unlike_pixels(
     chances = pdtrc(np.maximum(above - 1, 0), np.maximum(by_chance, 1e-12))
     # As standard deviations of a normal variable that is as rare, in the terms of the others.
     rarest = -float(ndtri(max(float(chances[above > 0].min()), 1e-300)))
-    least_rare = -float(ndtri(CHANCE / 3 / 256))
+    least_rare = -float(ndtri(CHANCE / 4 / 256))
     few = not is_lit and ripple.size < _FAINT_RIPPLE and rarest > least_rare
-    slope = float(statistics.level_score.sum() / statistics.level_freedom.sum())  # of the variance, per spread
-    staying = (statistics.dsnu_dn / statistics.spread_dn) ** 2
-    # The levels are blurred by the noise of the other frames, which hides as much of the slope.
-    explained = slope**2 / max(staying, 0.05) if by_level > threshold else 0.0
-    # The variance varies by four times as much as the size squared, where it varies little.
-    if by_level > threshold and (by_size <= threshold or explained > _MOSTLY * 4 * unlikeness):
-        share = math.sqrt(explained)
+    # Less what rounding can do: a variance that ripples by r over the levels has a slope of r / 2 at most, or less.
+    by_rounding, of_lower = (
+        float(freedom.mean()) * ripple.variance / 2 for freedom in (statistics.level_freedom, statistics.lower_freedom)
+    )
+    by_level = max(_student(sign * statistics.level_score, by_rounding) for sign in (1, -1))
+    whole = DarkSignal.of(statistics, gain_dn_per_e) if by_level > threshold else None
+    signal = whole
+    if whole is not None and whole.is_of_few:
+        is_beside = whole.is_rising and _student(statistics.lower_score, of_lower) > threshold
+        signal = DarkSignal.of(statistics, gain_dn_per_e, is_lower=True) if is_beside else None
+    if signal is not None:
         text = (
             "dark current or light in the bias frames: pixels with a higher level also have more noise, which adds "
-            f"{share:.1%} or more to the read noise; take them in the dark, at the shortest exposure and with a camera "
-            "that is not warm"
+            f"{signal.mean / 2:.1%} or more to the read noise; take them in the dark, at the shortest exposure and "
+            "with a camera that is not warm"
         )
+        if gain_dn_per_e is None:
+            text += "; where K is known, from flats or --gain, it is told from pixels that jump between levels"
         seen = Finding("dark signal", (), "remark", by_level, threshold, text)
-        yield from judged(seen, {"read noise": (_OF_LIGHTER_TAILS * share, _read_error(read))})
-        yield from over_black(seen, statistics.dsnu_dn, bias)
+        yield from judged(seen, {"read noise": (_OF_LIGHTER_TAILS * signal.mean, _read_error(read))})
+        yield from over_black(seen, signal.level_dn, bias, statistics.sigma_dn)
         return
-    if by_size <= threshold and not few:
+    if by_size <= threshold and not few and whole is None:
         return
     least = float((above - by_chance).max() / pixels)
     text = (
         f"{least:.2%} of the pixels or more are noisier than the others (random telegraph noise, which jumps between "
         "levels, is the usual reason): lambda and sigma are those of all pixels together"
     )
-    statistic, limit = (by_size, threshold) if by_size > threshold else (rarest, least_rare)
-    yield allowed(Finding("unlike pixels", (), "remark", statistic, limit, text), _OF_UNLIKENESS * unlikeness, read)
+    statistic, limit = max(
+        ((by_size, threshold), (by_level, threshold), (rarest if few else 0.0, least_rare)),
+        key=lambda one: one[0] / one[1],
+    )
+    share = max(_OF_UNLIKENESS * unlikeness, 0.0 if whole is None else whole.mean)
+    yield allowed(Finding("unlike pixels", (), "remark", statistic, limit, text), share, read)
+
+
+@dataclass(frozen=True, slots=True)
+class DarkSignal:
+    """What of the pixels' noise goes with their level, as a share of the noise's variance.
+
+    k photoelectrons of dark current add k K to a pixel's level and k K^2 to its variance. Over the pixels, level and
+    variance then have a covariance of K times the signal's variance, and level, level and variance a joint cumulant of
+    K times its third one, whatever fixed pattern there is beside it. Both together tell how skewed the signal is over
+    the pixels: an exponential one by 2. A few pixels that jump between levels are skewed by one over the root of their
+    share, and what they add to the variance for each DN of level is not K.
+
+    Attributes
+    ----------
+    mean
+        Of what goes with the level: of an exponential signal its standard deviation over the pixels, of a more skewed
+        one (of a gamma distribution) less.
+    level_dn
+        Mean level that it has, DN.
+    is_rising
+        Whether noise grows with the level.
+    is_of_few
+        Whether it surely is no dark current of all pixels: it falls with the level, is too skewed, is steeper than K,
+        or noise differs between pixels by much more than K and their levels explain.
+    """
+
+    mean: float
+    level_dn: float
+    is_rising: bool
+    is_of_few: bool
+
+    @classmethod
+    def of(cls, statistics: BiasStatistics, gain_dn_per_e: float | None, *, is_lower: bool = False) -> DarkSignal:
+        """Work it out, by K if it is known; ``is_lower``: by the slope among the pixels below the mean level."""
+        number = statistics.pairs * statistics.pixels
+        covariances, bends = statistics.level_score / number, statistics.bend_score / number
+        covariance, error = _mean_and_error(covariances)
+        bend, bend_error = _mean_and_error(bends)
+        # In units of the levels' spread. The signal's variance is no more than that of all that stays.
+        variance, per_level = max((statistics.dsnu_dn / statistics.spread_dn) ** 2, _LEAST_STAYING), math.inf
+        if gain_dn_per_e is not None:
+            per_level = gain_dn_per_e * statistics.spread_dn / statistics.sigma_dn**2
+        is_steep = covariance - _SURELY * error > per_level * variance
+        if is_lower:
+            slope = float(statistics.lower_score.sum() / statistics.lower_freedom.sum())
+            covariance, bend = slope * float((statistics.level_freedom / number).mean()), 0.0
+        variance = min(variance, abs(covariance) / per_level) if math.isfinite(per_level) else variance
+        deviation = math.sqrt(variance)
+        skewness = bend / covariance / deviation
+        skewness_error = math.hypot(bend_error / covariance / deviation, 1.5 * skewness * error / covariance)
+        # The variance varies by four times as much as the size squared, where it varies little.
+        beyond, beyond_error = _mean_and_error(
+            _MOSTLY * 4 * statistics.unlikeness - covariance / variance * covariances
+        )
+        mean = abs(covariance) / deviation * _EXPONENTIAL / max(abs(skewness), _EXPONENTIAL)
+        level_dn = statistics.dsnu_dn
+        if gain_dn_per_e is not None:
+            level_dn = min(level_dn, mean * statistics.sigma_dn**2 / gain_dn_per_e)
+        is_skewed = skewness - _SURELY * skewness_error > _EXPONENTIAL
+        is_of_few = covariance < 0 or is_steep or is_skewed or beyond > _SURELY * beyond_error
+        return cls(mean, level_dn, covariance > 0, is_of_few)
+
+
+def _mean_and_error(scores: NDArray[np.float64]) -> tuple[float, float]:
+    return float(scores.mean()), float(scores.std(ddof=1)) / math.sqrt(scores.size)
 
 
 def _student(scores: NDArray[np.float64], by_rounding: float) -> float:
     """Return by how many standard errors the mean of the blocks' scores exceeds what rounding may give."""
-    return float((scores.mean() - by_rounding) / (scores.std(ddof=1) / math.sqrt(scores.size)))
+    mean, error = _mean_and_error(scores)
+    return (mean - by_rounding) / error
 
 
 # --- filters ------------------------------------------------------------------------------------------------------
@@ -379,7 +487,7 @@ def filtered_outliers(
             f"goes along in {wins:.0%} of cases, 50% by chance): the camera removes single bright pixels (a "
             "star-eater), and with them the tails of the noise; switch such filters off or use another raw mode"
         )
-        yield Finding("filtered outliers", ("read noise",), "withheld", statistic, threshold, text)
+        yield Finding("filtered outliers", ("read noise",), "withheld", statistic, threshold, text, _OF_EATEN)
         return
     if is_clipped:
         return

@@ -15,6 +15,7 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Failed, Workers, accepts_jobs, require_files
+from eldata.calibration.audit import checked_acceptance
 from eldata.calibration.frame_checks import FramesError, sorted_frames
 from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
 from eldata.calibration.mode_fits import joint_fits, whole_ranges
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from eldata.calibration.audit import Figure
     from eldata.calibration.frame_checks import IsoFrames
     from eldata.noise.structure import NoiseStructure
 
@@ -46,6 +48,7 @@ def calibrate(
     gains: Mapping[float, float] | CameraProfile | None = None,
     modes: Sequence[float] | None = None,
     structure: bool = False,
+    accept: Collection[str] = (),
     workers: AnyWorkers = 1,
 ) -> Calibration:
     """Measure a camera's noise from its bias and flat-field frames (section 3.3 of the paper).
@@ -67,6 +70,9 @@ def calibrate(
     structure
         Measure the figures of components C, W, T and F of the noise model, too: column noise, the spectrum of the rows,
         telegraph pixels and PRNU. A profile with them has schema 3, which version 0.1 refuses.
+    accept
+        Names of checks, such as ``("dark signal",)``: figures that they withhold are given with a larger error, and the
+        profile says so (``accepted``). The remarks name the checks that can be accepted.
     workers
         Number of threads that decode, or an executor that measures whole ISOs side by side, with a thread each
         (:mod:`eldata.base.workers`). The figures do not depend on it, and the memory hardly does.
@@ -83,8 +89,8 @@ def calibrate(
         If that is so of every ISO.
     ArgumentError
         If ``isos`` is given with frames that are chosen already, ``workers`` is not positive, ``gains`` holds what
-        is not a gain or belongs to no ISO of the frames, or ``modes`` are not ascending ISOs among
-        those of the frames.
+        is not a gain or belongs to no ISO of the frames, ``modes`` are not ascending ISOs among
+        those of the frames, or ``accept`` names what is no check or one that leaves nothing to give.
     DatasetError
         If there are no frames.
 
@@ -105,12 +111,12 @@ def calibrate(
         frames = CalibrationFrames(frames, camera, isos=isos)
     elif isos is not None:
         raise ArgumentError("isos is for a folder; choose them with CalibrationFrames(..., isos=...)")
-    workers = Workers.of(workers)
+    workers, accept = Workers.of(workers), checked_acceptance(accept)
     stated = stated_gains(frames, gains)
     starts = None if modes is None else _starts(frames, modes)
     # The headers of a folder are read here: they are small, and an executor takes whole ISOs.
     chosen = [
-        replace(one, stated_gain_dn_per_e=stated.get(float(one.iso)))
+        replace(one, stated_gain_dn_per_e=stated.get(float(one.iso)), accept=accept)
         for one in sorted_frames(frames, Workers(workers.jobs))
     ]
     usable = [one for one in chosen if not one.problems]
@@ -126,7 +132,7 @@ def calibrate(
     if not measured:
         problems = [problem for one in failed for problem in one.problems]
         raise FramesError(sorted(problems, key=lambda problem: problem.path))
-    return joined(camera or frames.camera, measured, failed, starts)
+    return joined(camera or frames.camera, measured, failed, starts, accept)
 
 
 def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
@@ -235,6 +241,7 @@ def joined(
     measured: Iterable[IsoGain],
     failed: Iterable[FailedIso] = (),
     modes: Sequence[float] | None = None,
+    accept: Iterable[str] = (),
 ) -> Calibration:
     """Return the calibration of a camera from that of its ISOs: fits over K, profile, remarks.
 
@@ -248,6 +255,8 @@ def joined(
         The ISOs that are left out.
     modes
         The first ISO of each gain mode but the lowest, where they are stated.
+    accept
+        The checks that were to be accepted where the ISOs were measured; one that withheld nothing gets a remark.
     """
     everything = sorted(measured, key=lambda one: one.iso)
     ordered = tuple(one for one in everything if isinstance(one, IsoCalibration))
@@ -255,6 +264,10 @@ def joined(
     remarks = [*(one.remark for one in left_out), *overall_remarks(everything)]
     fits = joint_fits(ordered, modes)
     remarks += fits.remarks
+    used = {finding.check for one in everything for finding in one.findings if finding.is_accepted}
+    remarks += [
+        f"{name!r} was accepted, and withholds nothing that could be given" for name in accept if name not in used
+    ]
     black, white = _common_levels(everything, remarks)
     bias, flat = sum(one.bias_frames for one in ordered), sum(one.flat_frames for one in everything)
     source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {counted(len(everything), 'ISO')}"
@@ -291,6 +304,7 @@ def joined(
         notes=found.all_remarks,
         modes=() if only is not None else tuple(modes_found),
         structure=_structure(ordered),
+        accepted=found.accepted,
     )
     return replace(found, made_profile=profile)
 
@@ -331,17 +345,29 @@ def _no_profile(isos: Sequence[IsoCalibration]) -> str:
         )
     if not any(one.gain for one in isos):
         if any("gain" in one.withheld for one in isos):
-            return "K is withheld at every ISO that has flats; the remarks say why"
+            return "K is withheld at every ISO that has flats; the remarks say why" + _way_on(isos, "gain")
         return (
             "no ISO with bias frames has two flats of the same exposure, so K is not known: take pairs of equal flats "
             "at four exposures or more, from a tenth to nine tenths of the range, or state K (--gain ISO=K, "
             "gains={ISO: K})"
         )
     if not any(_row(one) for one in isos):
-        return "the read noise or the colour bias is withheld at every ISO; the remarks say why"
+        why = "the read noise or the colour bias is withheld at every ISO; the remarks say why"
+        return why + _way_on(isos, "read noise", "colour bias")
     if not any(one.gain and one.sigma_tl_dn for one in isos):
         return "no ISO has both K and the read noise; the remarks say why"
     return ""
+
+
+def _way_on(isos: Sequence[IsoCalibration], *figures: Figure) -> str:
+    """Return what may be done about withheld figures beside new frames, as the end of a sentence."""
+    found = [[one for one in iso.findings if one.effect == "withheld" and {*figures} & {*one.figures}] for iso in isos]
+    options = {one.option: None for of_iso in found if all(one.is_acceptable for one in of_iso) for one in of_iso}
+    return (
+        f". Take new frames as they say, or have these figures with a larger error: {' '.join(options)}"
+        if options
+        else ""
+    )
 
 
 def _row(one: IsoCalibration) -> ProfileRow | None:

@@ -70,6 +70,8 @@ class IsoFrames:
         What the headers show to be wrong with them; if anything is, the ISO cannot be used.
     stated_gain_dn_per_e
         K, where somebody states it.
+    accept
+        Checks whose withheld figures are to be given with a larger error.
     """
 
     iso: Fraction
@@ -79,6 +81,7 @@ class IsoFrames:
     bias_exposure_s: Fraction | None
     problems: tuple[Problem, ...] = ()
     stated_gain_dn_per_e: float | None = None
+    accept: tuple[str, ...] = ()
 
 
 def sorted_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -> tuple[IsoFrames, ...]:

@@ -14,8 +14,8 @@ import numpy as np
 from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.calibration.audit import Finding
-from eldata.calibration.bias_audit import BiasAudit
+from eldata.calibration.audit import Finding, with_accepted
+from eldata.calibration.bias_audit import BiasAudit, BiasStatistics
 from eldata.calibration.bias_checks import bias_findings
 from eldata.calibration.clipped_black import ClippedFit, clipped_fit
 from eldata.calibration.clipped_figures import (
@@ -271,7 +271,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames, structure: bool) -> IsoCalib
         shown = values.histogram()
     fixed = recorded if isinstance(shown, ResidualHistogram) else unclipped_pattern(recorded, shown)
 
-    def from_bias_frames() -> IsoCalibration:
+    def from_bias_frames() -> tuple[IsoCalibration, BiasStatistics]:
         bias, found = colour_bias(means, sensor.black_level_dn), audit.statistics()
         if isinstance(shown, ResidualHistogram):
             read, plot = read_noise(shown), probability_plot(shown)
@@ -279,12 +279,6 @@ def _calibrated(reader: _Reader, chosen: IsoFrames, structure: bool) -> IsoCalib
         else:
             read, plot, bias = clipped_read_noise(shown), clipped_plot(shown), clipped_bias(shown, bias, recorded)
             of_clip = clipped_findings(shown, read, bias)
-        rows = row_noise(lines, read.response)
-        findings = (
-            *of_clip,
-            *read_noise_findings(read, bias, fixed.summary),
-            *bias_findings(found, bias, rows, read, step=step, gaps=gaps, is_clipped=is_clipped),
-        )
         dark = IsoCalibration(
             iso=float(chosen.iso),
             sensor=sensor,
@@ -293,7 +287,7 @@ def _calibrated(reader: _Reader, chosen: IsoFrames, structure: bool) -> IsoCalib
             transfer=None,
             spatial=None,
             bias=bias,
-            rows=rows,
+            rows=row_noise(lines, read.response),
             read=read,
             plot=plot,
             pattern=fixed.summary,
@@ -301,38 +295,44 @@ def _calibrated(reader: _Reader, chosen: IsoFrames, structure: bool) -> IsoCalib
             single_frame=of_first_frame[1],
             reproduction=None,
             remarks=(),
-            findings=findings,
-            structure=measured_structure(
-                rows,
-                findings,
-                read,
-                (jumping, shown) if jumping is not None and isinstance(shown, ResidualHistogram) else None,
-            )
-            if structure
-            else None,
+            findings=(*of_clip, *read_noise_findings(read, bias, fixed.summary)),
             stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
         )
-        if held_out is None or dark.parameters is None:
-            return dark
-        # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
-        generator = np.random.default_rng(int(chosen.iso))
-        return replace(dark, reproduction=reproduction(held_out, fixed, sensor, dark.parameters, generator))
+        return dark, found
 
     # The flats decode while the bias frames' figures are worked out.
     if reader.workers.jobs > 1:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(from_bias_frames)
             of_flats = _flats(reader, chosen, fixed, structure)
-            found = of_flats.on(waiting.result())
+            dark, seen = waiting.result()
     else:
-        dark = from_bias_frames()
+        dark, seen = from_bias_frames()
         of_flats = _flats(reader, chosen, fixed, structure)
-        found = of_flats.on(dark)
-    if found.parameters is None:
-        found = replace(found, reproduction=None)  # what the flats showed withholds one of its parameters
+    # Dark current is told by K, which the flats tell.
+    of_audit = bias_findings(
+        seen,
+        dark.bias,
+        dark.rows,
+        dark.read,
+        step=step,
+        gaps=gaps,
+        is_clipped=is_clipped,
+        gain_dn_per_e=of_flats.on(dark).gain_dn_per_e,
+    )
+    of_bias = with_accepted((*dark.findings, *of_audit), chosen.accept)
+    if structure:
+        jumps = (jumping, shown) if jumping is not None and isinstance(shown, ResidualHistogram) else None
+        dark = replace(dark, structure=measured_structure(dark.rows, of_bias, dark.read, jumps))
+    found = of_flats.on(replace(dark, findings=of_bias))
+    if held_out is not None and found.parameters is not None:
+        # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
+        generator = np.random.default_rng(int(chosen.iso))
+        compared = reproduction(held_out, fixed, sensor, found.parameters, generator)
+        found = replace(found, reproduction=compared)
     lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
-    of_bias = (*reader.copies.remarks, *bias_remarks(found, chosen, lossy))
-    return replace(found, remarks=(*of_bias, *of_flats.remarks, *transfer_remarks(found)))
+    remarks = (*reader.copies.remarks, *bias_remarks(found, chosen, lossy))
+    return replace(found, remarks=(*remarks, *of_flats.remarks, *transfer_remarks(found)))
 
 
 def _first_pass(
@@ -435,7 +435,7 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None, struc
     if not edges:
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(singles)
-    findings = (*uneven_light(used), *edges, *flat_findings(transfer))
+    findings = with_accepted((*uneven_light(used), *edges, *flat_findings(transfer)), chosen.accept)
     # Edges stay from frame to frame as the pixels' response does.
     prnu = (None, math.nan) if response is None or edges else response.prnu()
     return _FromFlats(transfer, spatial, said, findings, prnu)

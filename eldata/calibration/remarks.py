@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
 
 _LONGEST_BIAS_S = 1 / 250
+_DRIFT_DN = 0.25
 _LEAST_PAIRS = 4
 _DISAGREEMENT = 6.0  # of K with what was stated, standard errors
 _POOR_PLOT = 0.995  # R^2 of the Tukey-lambda probability plot; simulated cameras stay above from 1.5 megapixels on
@@ -61,8 +62,10 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
             f"columns have noise of their own, {columns.sigma_dn:.2g} DN, which the model leaves out and the read "
             "noise contains"
         )
-    drift = max((one.error for one in found.colour_bias or () if math.isfinite(one.error)), default=0.0)
-    if drift > 0.25:
+    # Of the frames' own means: the error of the colour bias also has what light or rounding may add.
+    of_frames = found.bias.frame_bias_dn
+    drift = float(of_frames.std(axis=0, ddof=1).max()) / math.sqrt(len(of_frames))
+    if drift > _DRIFT_DN:
         remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {drift:.2g} DN")
     if found.pattern.defects > 0.01 * found.pattern.pixels:
         remarks.append(

@@ -9,6 +9,7 @@ from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
 from eldata.base.tables import text_table, with_error
 from eldata.base.visible import in_line
+from eldata.calibration.audit import named
 from eldata.calibration.iso_results import usual_gain_per_iso
 from eldata.errors import DatasetError
 
@@ -80,6 +81,16 @@ class Calibration:
     def all_isos(self) -> tuple[IsoGain, ...]:
         """The ISOs that have bias frames and those that have flats alone, ascending."""
         return tuple(sorted((*self.isos, *self.gains), key=lambda one: one.iso))
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """The figures that a check would withhold and somebody has accepted, by check, with their ISOs."""
+        isos: dict[str, list[str]] = {}
+        for one in self.all_isos:
+            for finding in one.findings:
+                if finding.is_accepted:
+                    isos.setdefault(f"{finding.check}: {named(finding.figures)}", []).append(f"{one.iso:g}")
+        return tuple(f"{what} at ISO {', '.join(places)}" for what, places in isos.items())
 
     @property
     def problems(self) -> tuple[Problem, ...]:
@@ -190,6 +201,8 @@ class Calibration:
             parts.append("a bias frame kept out, against simulated ones\n" + text_table(header, rows, left=()))
         if self.no_profile:
             parts.append(f"no profile can be made: {self.no_profile}")
+        if self.accepted:
+            parts.append("accepted, with larger errors\n" + "\n".join(f"  {one}" for one in self.accepted))
         if self.all_remarks:
             parts.append("remarks\n" + "\n".join(f"  {remark}" for remark in self.all_remarks))
         return "\n\n".join(parts)
@@ -312,6 +325,7 @@ class Calibration:
             "modes": [asdict(one) for one in self.modes] if len(self.modes) > 1 else [],
             "profile": None if self.made_profile is None else self.made_profile.as_dict(),
             "no_profile": self.no_profile or None,
+            "accepted": list(self.accepted),
             "remarks": list(self.all_remarks),
         }
 

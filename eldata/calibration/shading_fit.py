@@ -349,7 +349,7 @@ def dark_shading(
         The frames.
     found
         What :func:`~eldata.calibration.camera.calibrate` found in them. ISOs that it left out, or whose level it
-        withheld, are left out here too.
+        withheld, are left out here too, also where somebody has accepted the level.
     modes
         The first ISO of each gain mode of the camera but the lowest; by default as ``found`` has them.
     longer
@@ -388,8 +388,11 @@ def dark_shading(
     usable: list[IsoCalibration] = []
     for one in found.isos:
         between = any(above < one.iso < start for (_, above), start in zip(limits, starts, strict=False))
-        if "colour bias" in one.withheld:
-            notes.append(f"ISO {one.iso:g} was left out: {one.why_withheld('colour bias')}")
+        # An error that is accepted is none that a shading could have: it would hold the light itself.
+        of_level = [seen for seen in one.findings if "colour bias" in seen.figures]
+        lit = [seen.text for seen in of_level if seen.effect == "withheld" or seen.is_accepted]
+        if lit:
+            notes.append(f"ISO {one.iso:g} was left out: {'; '.join(lit)}")
         elif modes is None and between:
             notes.append(f"ISO {one.iso:g} was left out: it lies between two gain modes, and no K tells of which it is")
         else:

@@ -92,6 +92,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--one-mode", action="store_const", const=[], dest="modes", help="the camera does not switch: one line each"
     )
     parser.add_argument(
+        "--accept",
+        action="append",
+        default=[],
+        metavar="CHECK",
+        help=(
+            "give what this check withholds, with an error of what it may be off by, and say so in the profile; may be "
+            "repeated. The remarks name the checks that can be accepted"
+        ),
+    )
+    parser.add_argument(
         "--structure",
         action="store_true",
         help=(
@@ -150,7 +160,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with chosen_workers(arguments) as workers:
             options = {"modes": arguments.modes, "structure": arguments.structure, "workers": workers}
-            found = calibrate(frames, gains=gains, **options)
+            found = calibrate(frames, gains=gains, accept=arguments.accept, **options)
             shading, no_shading = None, ""
             try:
                 if arguments.dark_shading:
@@ -179,7 +189,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     def write_profile() -> None:
         if found.made_profile is None:
-            print(f"\n{arguments.output} was not written")  # the text says why
+            print(f"\n{arguments.output} was not written: {found.no_profile}")
             return
         found.made_profile.save(arguments.output)
         print(f"\nprofile: {arguments.output}; look at it with eldata profile show {shlex.quote(arguments.output)}")

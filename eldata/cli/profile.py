@@ -129,6 +129,7 @@ def run_show(arguments: argparse.Namespace) -> int:
             for name, level in (("black", profile.black_level_dn), ("white", profile.white_level_dn))
             if level is not None
         ),
+        *(("accepted", f" {one_line(one)}, with a larger error") for one in profile.accepted),
         *(("note", one_line(note)) for note in profile.notes),
     ]
     lines = [one_line(profile.camera), *(f"  {name:<8}{text}" for name, text in facts)]

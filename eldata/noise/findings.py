@@ -218,7 +218,8 @@ class Diagnostics:
         profile = self.profile.as_dict()
         return {
             "camera": self.profile.camera,
-            "profile": {key: profile[key] for key in ("source", "gain_range_dn_per_e", "iso_range", "notes")},
+            "profile": {key: profile[key] for key in ("source", "gain_range_dn_per_e", "iso_range", "notes")}
+            | {"accepted": list(self.profile.accepted)},
             "model": self.spec,
             "seed": self.seed,
             "parameters": self.parameters.as_dict(),

@@ -97,6 +97,8 @@ class CameraProfile:
         Between their ranges nothing is known. Empty: the camera has one, whose range and fits are the profile's.
     structure
         Figures of components C, W, T and F by ISO; empty if they were not measured.
+    accepted
+        Figures that a check of the calibration would withhold and somebody has accepted, with check and ISOs.
 
     Raises
     ------
@@ -126,6 +128,7 @@ class CameraProfile:
     notes: tuple[str, ...] = ()
     modes: tuple[GainMode, ...] = ()
     structure: tuple[NoiseStructure, ...] = ()
+    accepted: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.rows:
@@ -178,7 +181,8 @@ class CameraProfile:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the profile as its file holds it, as plain types: with modes, or with fits of its own."""
-        left_out = (*(_OF_ONE_MODE if self.modes else ("modes",)), *(() if self.structure else ("structure",)))
+        empty = (name for name in ("structure", "accepted") if not getattr(self, name))
+        left_out = (*(_OF_ONE_MODE if self.modes else ("modes",)), *empty)
         return {name: value for name, value in asdict(self).items() if name not in left_out}
 
     def plot(self, sigma: Sigma | None = None, *, ax: Axes | None = None) -> Figure:
@@ -580,6 +584,7 @@ def _read(path: Path) -> CameraProfile:
         if has_modes
         else (),
         structure=tuple(map(read_structure, top.objects("structure", fewest=1))) if has_structure else (),
+        accepted=top.texts("accepted", missing_ok=True, empty=True),
     )
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.audit import given
+from eldata.calibration.audit import given, with_accepted
 from eldata.calibration.bias_audit import BiasAudit
 from eldata.calibration.bias_checks import bias_findings
 from eldata.calibration.frame_checks import code_step, missing_codes
@@ -54,14 +54,20 @@ class Audited:
         return None if figure is None else abs(figure.value - self.truth[name]) <= 1.96 * figure.error
 
 
-def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Audited:
+def audited(
+    camera: Camera, frames: Sequence[NDArray[np.uint16]], *, accept: Sequence[str] = (), knows_gain: bool = True
+) -> Audited:
     found = calibrated(camera, frames)
     audit = BiasAudit(found.fixed)
     for frame in frames:
         audit.add(frame)
     pattern = found.fixed.pattern
     step, gaps = code_step(frames[0], pattern), missing_codes(frames[0], pattern)
-    findings = bias_findings(audit.statistics(), found.bias, found.rows, found.read, step=step, gaps=gaps)
+    gain = camera.gain if knows_gain else None
+    seen = bias_findings(
+        audit.statistics(), found.bias, found.rows, found.read, step=step, gaps=gaps, gain_dn_per_e=gain
+    )
+    findings = with_accepted(seen, accept)
     read, rows, sigma = found.read, found.rows.rows, found.read.sigma_gauss_dn
     measured: tuple[tuple[str, Figure, float, float, float, float], ...] = (
         ("lambda", "read noise", read.tukey_lambda, read.tukey_lambda_error, 1.0, camera.tukey_lambda),
@@ -77,9 +83,11 @@ def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Audited:
     return Audited(findings, {name: one for name, one in before.items() if one is not None}, after, truth)
 
 
-def planted(fault: Planted, seed: int, camera: Camera = CAMERA, frames: int = FRAMES) -> Audited:
+def planted(
+    fault: Planted, seed: int, camera: Camera = CAMERA, frames: int = FRAMES, accept: Sequence[str] = ()
+) -> Audited:
     body = Body(camera, np.random.default_rng(seed))
-    return audited(camera, fault.bias_frames(body, frames))
+    return audited(camera, fault.bias_frames(body, frames), accept=accept)
 
 
 def drawn_camera(generator: np.random.Generator) -> Camera:

@@ -83,6 +83,17 @@ def telegraph(share: float, sigmas: float) -> Planted:
     return Planted(f"telegraph pixels, {share:.2%} of {sigmas:g} sigma", fault)
 
 
+def jumping(share: float, sigmas: float, duty: float, sign: int = 1) -> Planted:
+    """Pixels that are so many standard deviations of the read noise higher (or lower) in a share of the frames."""
+
+    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
+        step = sign * sigmas * camera.noise.sigma_gauss_dn * (generator.random(camera.shape) < share)
+        return [frame + step * (generator.random(camera.shape) < duty) for frame in frames]
+
+    side = "up" if sign > 0 else "down"
+    return Planted(f"pixels that jump {side}, {share:.1%} by {sigmas:g} sigma, {duty:.0%} of the time", fault)
+
+
 def _by_site(frame: NDArray[np.float64], camera: Camera, filtered: Callable[..., NDArray[np.float64]]) -> Frames:
     """Filter each site of the CFA's period by itself (X-Trans: pixels six apart)."""
     result = frame.copy()
@@ -200,6 +211,8 @@ EVERY = (
     *(corner_leak(peak) for peak in (20.0, 5.0, 2.0, 1.0)),
     *(dark_signal(mean) for mean in (20.0, 5.0, 1.0, 0.3)),
     *(telegraph(share, size) for share, size in ((0.01, 10.0), (0.01, 5.0), (0.01, 3.0), (0.001, 5.0), (0.0003, 5.0))),
+    *(jumping(share, size, 0.3) for share, size in ((0.02, 1.5), (0.05, 5.0))),
+    together(dark_signal(2.0), jumping(0.02, 5.0, 0.3)),
     *(blurred(share) for share in (0.2, 0.05, 0.02, 0.01)),
     *(star_eater(size, both_sides=both) for both in (False, True) for size in (0.0, 2.0, 4.0)),
     *(coarse(step) for step in (2, 4)),

@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 
 from eldata.calibration import Finding
-from eldata.calibration.audit import SYMBOLS
+from eldata.calibration.audit import ACCEPTABLE, SYMBOLS, checked_acceptance, with_accepted
 from eldata.calibration.camera import joined
+from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile
+from eldata.noise.diagnostics import diagnose, sample_parameters
 from eldata.reports.calibration.page import calibration_page
 from eldata.reports.html import typeset
+from eldata.reports.profile.page import profile_page
 from tests.reports.calibrations import camera_at, measured
 from tests.reports.pages import checked
 
@@ -215,3 +218,91 @@ def test_findings_are_among_the_remarks_once(isos: tuple[IsoCalibration, ...]) -
         for remark in expected:
             assert text.count(f"ISO 400: {remark}") == 1
     assert as_json(found)["isos"][1]["remarks"] == list(expected)
+
+
+# --- accepted -------------------------------------------------------------------------------------------------------
+
+
+def spoilt(check: str, figure: Figure, allowance: float) -> Finding:
+    return replace(finding(figure, allowance=allowance), check=check)
+
+
+@pytest.mark.parametrize("figure", list(SYMBOLS))
+def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
+    figure: Figure, isos: tuple[IsoCalibration, ...], tmp_path: Path
+) -> None:
+    seen = spoilt("dark signal", figure, 0.25)
+    refused = with_findings(isos, seen)
+    symbols = SYMBOLS[figure]
+    option = '--accept "dark signal"'
+    assert refused.isos[1].all_remarks == (
+        f"{WHY} (withheld: {symbols}; to have it all the same, with a larger error: {option})",
+    )
+    assert refused.accepted == refused.profile.accepted == ()
+    assert "accepted" not in refused.profile.as_dict()
+    found = with_findings(isos, *with_accepted([seen], ["dark signal"]))
+    one, whole = found.isos[1], isos[1]
+    assert one.withheld == frozenset()
+    assert one.widened == {figure}
+    assert one.all_remarks == (f"{WHY} (accepted, with a larger error: {symbols})",)
+    assert one.transfer is not None
+    for given, name, error, scale in (
+        (one.gain, "gain", one.transfer.gain_error, one.transfer.gain_dn_per_e),
+        (one.sigma_tl_dn, "read noise", one.read.sigma_tl_error_dn, one.read.sigma_tl_dn),
+        (one.sigma_row_dn, "row noise", one.rows.rows.sigma_error_dn, one.rows.rows.sigma_dn),
+        ((one.colour_bias or (None,))[0], "colour bias", one.bias.standard_error_dn[0], 1.0),
+    ):
+        assert given is not None
+        assert given.error == pytest.approx(math.hypot(error, 0.25 * scale if name == figure else 0.0), rel=1e-12)
+    assert found.profile.rows == joined("TestCamera", isos).profile.rows
+    assert whole.parameters == one.parameters
+
+    said = f"dark signal: {symbols} at ISO 400"
+    assert found.accepted == (said,)
+    assert as_json(found)["accepted"] == [said]
+    found.profile.save(tmp_path / "p.json")
+    profile = CameraProfile.load(tmp_path / "p.json")
+    assert json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))["accepted"] == [said]
+    assert profile.accepted == (said,)
+    assert f"accepted, with larger errors\n  {said}" in found.format_text()
+    assert f"Accepted, though a check would withhold it: {typeset(said)}." in checked(calibration_page(found)).text
+    page = checked(profile_page(diagnose(profile, sample_parameters(profile, 0)))).text
+    assert "Accepted" in page
+    assert f"{typeset(said)}, with a larger error" in page
+
+
+def test_what_is_off_by_all_of_itself_cannot_be_accepted() -> None:
+    """Nor what a check knows no size of. A level that light has raised is another matter: it is still a level."""
+    for seen in (
+        spoilt("banding", "row noise", 1.0),
+        spoilt("filtered outliers", "read noise", 0.0),
+        spoilt("photon transfer", "gain", 0.1),
+    ):
+        assert with_accepted([seen], [seen.check]) == (seen,)
+        assert "--accept" not in seen.remark
+    bias = spoilt("light", "colour bias", 7.0)
+    (accepted,) = with_accepted([bias], ["light"])
+    assert (accepted.effect, accepted.is_accepted, accepted.allowance) == ("wider", True, 7.0)
+    assert with_accepted([bias], ["dark signal"]) == (bias,)
+
+
+def test_which_checks_can_be_accepted() -> None:
+    assert checked_acceptance("light") == ("light",)
+    assert checked_acceptance(ACCEPTABLE) == ACCEPTABLE
+    with pytest.raises(ArgumentError, match=r"'drak signal'.*there are 'light', .*; did you mean dark signal"):
+        checked_acceptance(["drak signal"])
+    with pytest.raises(ArgumentError, match="no check 'photon transfer' whose withheld figures can be accepted"):
+        checked_acceptance(["light", "photon transfer"])
+
+
+def test_the_way_on_where_everything_is_withheld(isos: tuple[IsoCalibration, ...]) -> None:
+    """It is named where it leads somewhere: not where another check withholds the same figure for good."""
+    seen = spoilt("dark signal", "read noise", 0.2)
+    found = joined("TestCamera", [replace(one, findings=(seen,)) for one in isos])
+    assert found.no_profile.endswith('or have these figures with a larger error: --accept "dark signal"')
+    stuck = joined("TestCamera", [replace(one, findings=(seen, finding("read noise"))) for one in isos])
+    assert stuck.no_profile.endswith("the remarks say why")
+    accepted = with_accepted([seen], ["dark signal"])
+    unused = joined("TestCamera", [replace(one, findings=accepted) for one in isos], accept=["dark signal", "light"])
+    assert unused.remarks == ("'light' was accepted, and withholds nothing that could be given",)
+    assert unused.profile.accepted == ("dark signal: lambda, sigma_TL, sigma_G at ISO 100, 400, 1600, 6400",)

@@ -254,6 +254,8 @@ def test_modes_and_isos_are_the_calibrations(tmp_path: Path) -> None:
     assert [one.iso for one in dimmer.isos] == [400, 1600]
     assert dimmer.notes == ("ISO 100 was left out: brighter frames are noisier",)
     assert dimmer.source.endswith("8 bias frames at 2 ISOs")
+    accepted = (replace(found.isos[0], findings=(replace(lit, effect="wider", is_accepted=True),)), *found.isos[1:])
+    assert dark_shading(frames, replace(found, isos=accepted)).notes == dimmer.notes
     with pytest.raises(DatasetError, match="no ISO gives a dark shading: ISO 100 was left out: brighter frames"):
         dark_shading(frames, replace(found, isos=isos[:1]))
     for path in tree.files("bias", 1600):  # as by a converter that subtracts black

@@ -303,6 +303,42 @@ def test_without_a_gain_there_are_figures_and_no_profile(eldata: Cli, tree: Fram
     assert "No profile can be made" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
 
+def test_a_light_leak_is_accepted(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
+    """Light through a corner at every ISO: nothing is written, and the text says how to have it all the same.
+
+    The figures then lie within their errors, and profile, page and ``profile show`` say what was accepted.
+    """
+    y, x = np.ogrid[0 : 1 : SIZE[0] * 1j, 0 : 1 : SIZE[1] * 1j]
+    shape = np.exp(-(x**2 + y**2) / 0.05)
+    truths = {row["iso"]: row for row in tree.truth["isos"]}
+    for iso, truth in truths.items():
+        gain, generator = truth["gain_dn_per_e"], np.random.default_rng(iso)
+        electrons = 1.5 * truth["sigma_gauss_dn"] ** 2 / gain**2 * shape
+        for path in tree.files("bias", iso):
+            light = np.rint(gain * generator.poisson(electrons)).astype(np.uint16)
+            rewritten(path, mosaic=light.__add__)
+    profile = tmp_path / "p.json"
+    refused = eldata("calibrate", tree.root, "-o", profile)
+    assert refused.code == 1
+    assert not profile.exists()
+    assert refused.out.rstrip().splitlines()[-1].startswith(f"{profile} was not written: the read noise or the colour")
+    assert refused.out.rstrip().endswith('have these figures with a larger error: --accept "light"')
+
+    targets = ("-o", profile, "--json", tmp_path / "d.json", "--html", tmp_path / "r.html")
+    accepted = eldata("calibrate", tree.root, "--accept", "light", *targets)
+    assert accepted.code == 0, accepted.out
+    found = json.loads((tmp_path / "d.json").read_text(encoding="utf-8"))
+    for one in found["isos"]:
+        off = np.subtract(one["colour_bias_dn"], truths[one["iso"]]["colour_bias_dn"])
+        assert np.all(off > 0.3), "light is in it"
+        assert np.all(np.abs(off) < 1.96 * np.array(one["colour_bias_error_dn"]))
+    assert len(CameraProfile.load(profile).rows) == len(truths)
+    said = "light: the colour bias at ISO 100, 400, 1600"
+    assert said in CameraProfile.load(profile).accepted
+    assert f"accepted {said}, with a larger error" in eldata("profile", "show", profile).out
+    assert "Accepted, though a check would withhold it: light" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
 # --- wrong usage ------------------------------------------------------------------------------------------------------
 
 
@@ -326,10 +362,11 @@ def test_unusable_input_is_one_line(eldata: Cli, pristine: FrameTree, tmp_path: 
         (["x", "--iso", "²"], ["--iso", "'²'"]),
         (["x", "--jobs", "0"], ["--jobs"]),
         (["x", "-o"], ["-o", "expected one argument"]),
+        (["{frames}", "--accept", "drak signal"], ["'drak signal'", "did you mean dark signal?"]),
     ],
 )
-def test_wrong_usage_is_one_line(arguments: list[str], words: list[str], eldata: Cli) -> None:
-    assert_one_line(eldata("calibrate", *arguments), *words)
+def test_wrong_usage_is_one_line(arguments: list[str], words: list[str], eldata: Cli, pristine: FrameTree) -> None:
+    assert_one_line(eldata("calibrate", *(one.format(frames=pristine.root) for one in arguments)), *words)
 
 
 @pytest.mark.parametrize("option", ["-o", "--json", "--html"])

@@ -136,6 +136,7 @@ def test_every_field_survives_a_file(profile: CameraProfile, tmp_path: Path) -> 
     assert set(data) == {"schema", *(field.name for field in dataclasses.fields(CameraProfile))} - {
         "modes",
         "structure",
+        "accepted",
     }
 
 
@@ -233,7 +234,7 @@ WRONG: list[tuple[tuple[str | int, ...], object]] = [
     *((("rows", 0, "colour_bias_dn", place), value) for place in range(4) for value in any_of(None, "a", math.nan)),
     *((("rows", 0, name), value) for name in ("iso", "gain_dn_per_e") for value in any_of(0, -1.0)),
     *((("schema",), value) for value in any_of(MISSING, None, 0, 4, "1", [1])),
-    *((("notes",), value) for value in any_of(None, 5, "one text", {"a": 1})),
+    *(((name,), value) for name in ("notes", "accepted") for value in any_of(None, 5, "one text", {"a": 1})),
     (("extra",), 1),
     (("gauss_fit", "extra"), 1),
     (("rows", 1, "extra"), 1),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from capture.cli.values import add_only
 from eldata.base.console import OK, add_output, add_shared
 from eldata.base.files import write_text
 from eldata.errors import ArgumentError
@@ -27,12 +28,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("plan", metavar="PLAN", help="the plan (capture plan)")
     add_output(parser, "-o", "--output", required=True, help="the script; frames go into folders beside it")
-    parser.add_argument(
-        "--only",
-        action="append",
-        metavar="SCENE",
-        help="only this scene, or calibration, of the plan; may be repeated",
-    )
+    add_only(parser)
     add_shared(parser, run, example="capture script plan.json -o shots/shoot.sh")
 
 

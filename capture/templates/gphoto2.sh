@@ -9,7 +9,7 @@
 # delete a frame to take it again. `capture manifest` reads from the files' EXIF whether each is as planned.
 set -eu
 export LC_ALL=C
-cd -- "$(dirname -- "$0")"
+CDPATH='' cd -- "$(dirname -- "$0")"
 
 stop() {
   printf '%s\n' "$1" >&2

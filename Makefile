@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 
 PYTEST := $(BIN)/pytest -n auto --dist worksteal
 # The marks of pyproject.toml: what takes long, or needs a program that not everybody has.
-RARE := study or browser or tether or dask or kill or memory
+RARE := study or browser or dask or kill or memory
 
 # The tests start hundreds of processes. Without bytecode, which images of containers like to switch off, each of them
 # would compile the package again.
@@ -49,7 +49,7 @@ lint: $(STAMP)  ## Style and types
 test: lint  ## Style, types and every test that is quick, in about a quarter of an hour on two cores
 	$(PYTEST) -m 'not ($(RARE))'
 
-test-all: test test-rest  ## The same, then long studies and tests of browser, tether, Dask, kills and memory
+test-all: test test-rest  ## The same, then long studies and tests of browser, Dask, kills and memory
 
 test-rest: $(STAMP)
 	$(PYTEST) -m '$(RARE)'

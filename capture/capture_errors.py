@@ -1,7 +1,4 @@
-"""The errors of ``capture``, like those of :mod:`eldata.errors`: what, expected, found, what to do.
-
-Those of a tethered session stop it, and the same command resumes it.
-"""
+"""The errors of ``capture``, like those of :mod:`eldata.errors`: what, expected, found, what to do."""
 
 from __future__ import annotations
 
@@ -29,32 +26,6 @@ class ImpossibleShotError(PlanError):
 
 class MappingError(EldataError):
     """Files cannot be matched to a plan, or a mapping of them is malformed."""
-
-
-class TetherError(EldataError):
-    """A tethered session cannot start or go on; what was taken so far is safe, and the same command resumes it."""
-
-
-class GphotoError(TetherError):
-    """The program gphoto2 failed.
-
-    Attributes
-    ----------
-    output
-        What it wrote, for those who need the details.
-    """
-
-    def __init__(self, message: str, output: str = "") -> None:
-        super().__init__(message)
-        self.output = output
-
-
-class CameraLostError(GphotoError):
-    """The camera does not answer: unplugged, off, asleep, taken by another program, or hanging."""
-
-
-class JournalError(TetherError):
-    """The journal of a session cannot be read or written, or belongs to another plan."""
 
 
 @contextmanager

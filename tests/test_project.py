@@ -157,7 +157,7 @@ def test_hooks_fetch_nothing() -> None:
 def test_the_changelog_begins_with_this_version() -> None:
     headings = re.findall(r"^## (.*)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert re.fullmatch(rf"{re.escape(eldata.__version__)} \((unreleased|\d{{4}}-\d\d-\d\d)\)", headings[0])
-    assert headings[1:] == ["0.1.0"]
+    assert len(headings) == 1  # nothing was released before
 
 
 RELEASED = """# Changelog

@@ -13,8 +13,6 @@ from capture.camera import EXAMPLE, CameraDescription
 from capture.exact import parse_seconds
 from capture.plan import Plan, make_plan
 from capture.protocol import CaptureProtocol
-from capture.tether.choices import seconds_of
-from capture.tether.journal import Journal
 from eldata.base.clusters import _scheduler
 from eldata.errors import EldataError
 from eldata.evaluation.published import COLUMNS as PUBLISHED_COLUMNS
@@ -111,12 +109,6 @@ def read_plan(path: Path, text: str) -> None:
     Plan.load(path)
 
 
-def read_journal(path: Path, text: str) -> None:
-    line = {"event": "done", "scene": "scene-1", "number": text, "shot": "x", "token": "x"}
-    path.write_text(as_number(line, text) + "\n")
-    Journal(path, writable=False)
-
-
 def read_seconds(path: Path, text: str) -> None:  # of the command line
     parse_seconds(text)
 
@@ -139,7 +131,7 @@ def read_facts(path: Path, text: str) -> None:
 
 READERS: tuple[Callable[[Path, str], None], ...] = (
     *(read_profile, read_card, read_table, read_protocol, read_published, read_response, read_scenes),
-    *(read_camera, read_plan, read_journal, read_seconds, read_store, read_facts),
+    *(read_camera, read_plan, read_seconds, read_store, read_facts),
 )
 
 
@@ -169,4 +161,3 @@ def test_other_readers_of_text(tmp_path: Path) -> None:
             parse_index("index.json", content.encode())
     path.write_text('{"address": "tcp://host:8786"}')
     assert _scheduler(str(path)) == "tcp://host:8786"
-    assert [seconds_of(text) for text in ("1e16000000", "9" * 10_000, "Bulb", "1/60")] == [None] * 3 + [Fraction(1, 60)]

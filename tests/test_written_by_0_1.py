@@ -14,7 +14,7 @@ import shutil
 import tomllib
 import zipfile
 from collections.abc import Callable
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager
 from dataclasses import asdict
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import import_module
@@ -412,24 +412,6 @@ def mapping(files: Path, work: Path) -> Any:
     paths = folder / "plan.json", work / "card", work / "again.csv", work / "mapping.json"
     run("capture manifest {0} {1} -o {2} --mapping {3} --jobs 1", *paths)
     return [row(record) for record in load_manifest(work / "again.csv").records]
-
-
-@reader
-def session(files: Path, work: Path) -> Any:
-    """The journal of a session at the cable, one scene of two being done: what is left to take."""
-    shutil.copytree(files / "capture" / "shots", work / "shots")
-    before = (work / "shots" / "journal.jsonl").read_bytes()
-    plan = files / "capture" / "plan.json"
-    captured = _printed(lambda: run("capture run {0} -o {1} --dry-run", plan, work / "shots"))
-    assert (work / "shots" / "journal.jsonl").read_bytes() == before
-    lines = [line for line in captured.splitlines() if not line.startswith("#")]
-    return [line.replace(str(work), "{work}") for line in lines]
-
-
-def _printed(call: Callable[[], None]) -> str:
-    with redirect_stdout(io.StringIO()) as stream:
-        call()
-    return stream.getvalue()
 
 
 # --- a download that broke off --------------------------------------------------------------------------------------

@@ -82,8 +82,6 @@ def show_help(program: str) -> int:
 
 def refusals(folder: Path) -> Iterator[str]:
     """Yield how each thing that needs POSIX says so."""
-    from capture.tether.gphoto import Gphoto
-    from capture.tether.lock import locked
     from eldata.base.isolation import isolation
     from eldata.download.partial import opened_partial
     from eldata.download.unpacking import _staging_folder
@@ -94,8 +92,6 @@ def refusals(folder: Path) -> Iterator[str]:
         lambda: journaled(folder / "store.h5").__enter__(),
         lambda: opened_partial(folder / "archive.zip").__enter__(),
         lambda: _staging_folder(folder / "data").__enter__(),
-        lambda: locked(folder).__enter__(),
-        lambda: Gphoto.find("gphoto2", timeout_s=60),
         lambda: isolation().__enter__(),
     )
     for use in uses:

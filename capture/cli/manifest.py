@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capture.cli.values import add_progress, progress_of
+from capture.cli.values import add_only, add_progress, progress_of
 from capture.observed import ORDERS
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
@@ -60,12 +60,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     place.add_argument("--copy-to", metavar="DIR", help="copy the files to DIR/<camera>/scene-<n>/IMG_<nnnn>.<ext>")
     place.add_argument("--link-to", metavar="DIR", help="the same with hard links, which take no space")
     parser.add_argument("--mapping", metavar="FILE", help="use this mapping of files to shots (JSON)")
-    parser.add_argument(
-        "--only",
-        action="append",
-        metavar="SCENE",
-        help="only this scene, or calibration, of the plan; may be repeated",
-    )
+    add_only(parser)
     parser.add_argument(
         "--repeated",
         choices=("last", "first"),

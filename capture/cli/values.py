@@ -109,6 +109,16 @@ def given_counts(arguments: argparse.Namespace) -> dict[str, int]:
     return {name: count for name in COUNTS if (count := getattr(arguments, name)) is not None}
 
 
+def add_only(parser: argparse._ActionsContainer) -> None:
+    """Add ``--only`` to a subcommand: scenes of the plan, or its calibration frames."""
+    parser.add_argument(
+        "--only",
+        action="append",
+        metavar="SCENE",
+        help="only this scene, or calibration, of the plan; may be repeated",
+    )
+
+
 def add_progress(parser: argparse._ActionsContainer, what: str) -> None:
     """Add ``--progress`` to a subcommand: what the checklist exported; ``what`` says what is taken of it."""
     parser.add_argument(

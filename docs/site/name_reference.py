@@ -32,7 +32,7 @@ PAGES = (
     *("eldata.sources.store", "eldata.sources.shards", "eldata.integrations.torchmetrics"),
     *("eldata.integrations.basicsr", "eldata.integrations.exports", "eldata.integrations.lightning"),
     *("eldata.records", "eldata.errors"),
-    *("capture", "capture.checklist", "capture.check", "capture.tether"),
+    *("capture", "capture.checklist", "capture.check"),
 )
 
 

@@ -171,14 +171,12 @@ def add_shared(
     json: str | FileKind | None = None,
     example: str | tuple[str, ...] = (),
     interrupted: str = "files are written whole or not at all, so none is left half",
-    makes: str = "",
 ) -> None:
     """Finish a subcommand: add these options and ``--debug``, and say what :func:`run` is to call.
 
     ``example`` is what its help ends with: one or several commands, as somebody would type them.
-    ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument. ``makes`` is the argument
-    with a folder that the subcommand makes, so that its outputs may lie there. ``json`` adds ``--json``: the fields of
-    what it writes, or its kind.
+    ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument. ``json`` adds ``--json``:
+    the fields of what it writes, or its kind.
     """
     for option in options:
         _SHARED[option](parser)
@@ -190,7 +188,6 @@ def add_shared(
         run=run,
         command=parser.prog,
         interrupted=interrupted,
-        makes=makes,
         actions=parser._actions,  # noqa: SLF001 # which of them name files that the subcommand reads
     )
 

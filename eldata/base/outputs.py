@@ -150,7 +150,6 @@ def check_outputs(arguments: argparse.Namespace) -> None:
         If so, of the first such file.
     """
     taken: dict[str, str] = {}
-    made = Path(getattr(arguments, arguments.makes)) if arguments.makes else None
     for action, option, name in arguments.outputs.values():
         if not name and action.nargs == "?":
             continue  # it is printed
@@ -158,8 +157,7 @@ def check_outputs(arguments: argparse.Namespace) -> None:
             raise ArgumentError(f"cannot write {option}: expected the name of a file, found nothing")
         for path, kind in action.files(name):
             shown = name if path == Path(name) else path
-            to_be_made = (action.makes_folder or path.parent == made) and not path.parent.exists()
-            problem = None if to_be_made else write_problem(path)
+            problem = None if action.makes_folder and not path.parent.exists() else write_problem(path)
             if problem is not None:
                 raise ArgumentError(f"cannot write {shown}: {problem}")
             place = os.path.normcase(Path(os.path.realpath(path.parent), path.name))

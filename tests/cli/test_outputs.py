@@ -62,7 +62,6 @@ FOLDERS = {
     ("eldata evaluate", "--out"),
     ("eldata synthesize", "--out"),
     ("eldata shard", "--out"),
-    ("capture run", "--output"),
 }
 
 

@@ -291,7 +291,6 @@ def texts() -> list[Seed]:
         "calibration-plan.json": ("plan", (BY_0_1 / "capture" / "calibration-plan.json").read_bytes()),
         "progress.json": ("progress", (BY_0_1 / "capture" / "progress.json").read_bytes()),
         "mapping.json": ("mapping", mapping),
-        "journal.jsonl": ("journal", (BY_0_1 / "capture" / "shots" / "journal.jsonl").read_bytes()),
         "scheduler.json": (
             "scheduler",
             b'{"type": "Scheduler", "id": "x", "address": "tcp://host:8786", "workers": {}}',

@@ -233,12 +233,6 @@ def _mapping(path: Path) -> object:
     return load_mapping(path, plan, Observed(tuple(frames), (), by_time=True))
 
 
-def _journal(path: Path) -> object:
-    from capture.tether.journal import Journal
-
-    return Journal(path, writable=False)
-
-
 def _scheduler(path: Path) -> object:
     from eldata.base.clusters import _scheduler
 
@@ -355,7 +349,6 @@ KINDS: dict[str, Kind] = {
             "plan": _plan,
             "progress": _progress,
             "mapping": _mapping,
-            "journal": _journal,
             "scheduler": _scheduler,
             "seconds": _seconds,
             "index": _index,

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import tifffile
 
-from capture.tether.levels import levels_of
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import normalise, pack, pack_normalised, read_raw, write_dng
 from eldata.raw.levels import packed_frame
@@ -231,9 +230,9 @@ def test_whole_dn_are_asked_for_by_name() -> None:
     assert whole.whole_dn("a store") is whole.mosaic
 
 
-def test_what_looks_at_a_sets_files_asks_for_whole_dn() -> None:
-    with pytest.raises(RawFileError, match=r"float32-hot-1\.5\.dng: its pixels are no whole DN"):
-        levels_of(read_raw(FIELD / "float32-hot-1.5.dng"))
+def test_what_needs_whole_dn_asks_the_frame_for_them() -> None:
+    with pytest.raises(RawFileError, match=r"float32-hot-1\.5\.dng: its pixels are no whole DN.*the check of a set"):
+        read_raw(FIELD / "float32-hot-1.5.dng").whole_dn("the check of a set")
 
 
 @pytest.mark.parametrize(

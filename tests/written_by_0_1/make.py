@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import stat
-import sys
 import tempfile
 from collections import Counter
 from contextlib import suppress
@@ -236,7 +234,6 @@ def captured(folder: Path, work: Path) -> None:
     taken = folder / "captured.csv"
     run(f"{matching} --yes --copy-to {{3}}", plan, folder / "card", taken, folder / "data" / "mine")
     progress(folder, work)
-    tethered(folder, plan, shots, work)
 
 
 def progress(folder: Path, work: Path) -> None:
@@ -273,34 +270,6 @@ def progress(folder: Path, work: Path) -> None:
         "calibration": [],
     }
     (folder / "progress.json").write_text(json.dumps(exported, indent=1), encoding="utf-8")
-
-
-def tethered(folder: Path, plan: Path, shots: list[dict[str, Any]], work: Path) -> None:
-    """A session at the stand-in for gphoto2 that took the first scene alone."""
-    rig, program = work / "rig", work / "gphoto2"
-    (rig / "frames").mkdir(parents=True)
-    (rig / "card").mkdir()
-    stand_in = HERE.parent / "capture" / "fake_gphoto2.py"
-    program.write_text(f"#!/bin/sh\nFAKE_GPHOTO2='{rig}' exec '{sys.executable}' -S -I '{stand_in}' \"$@\"\n")
-    program.chmod(program.stat().st_mode | stat.S_IXUSR)
-    for shot in shots:
-        file = rig / "frames" / f"{shot['iso']}_{shot['dial'].replace('/', '-')}.dng"
-        exposure = exposed(shot["iso"], Fraction(shot["nominal_s"]))
-        write_dng(file, picture((24, 32), 1), sensor((24, 32)), exposure, taken=datetime(2000, 1, 1))  # noqa: DTZ001
-    camera = json.loads(plan.read_text(encoding="utf-8"))["camera"]
-    run("capture camera {0} --json {1}", folder / "camera.json", work / "camera.json")
-    dials = [time["dial"] for time in json.loads((work / "camera.json").read_text(encoding="utf-8"))["times"]]
-    config = {
-        "cameramodel": {"current": "Mine 1"},
-        "batterylevel": {"current": "85%"},
-        "iso": {"current": "400", "choices": ["Auto", *map(str, camera["isos"])]},
-        "shutterspeed": {"current": "1/50", "choices": [*dials, "Bulb"]},
-        "imageformat": {"current": "RAW", "choices": ["RAW"]},
-    }
-    state = {"cameras": [["Maker Mine 1", "usb:001,005"]], "plugged": True, "keeps": True, "count": 0}
-    (rig / "state.json").write_text(json.dumps(state | {"trouble": [], "config": config}))
-    run("capture run {0} -o {1} --gphoto2 {2} --yes --scene 1", plan, folder / "shots", program)
-    (folder / "shots" / ".session.lock").unlink(missing_ok=True)
 
 
 def broken_download(folder: Path) -> None:

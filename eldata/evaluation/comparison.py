@@ -35,8 +35,6 @@ _NOT_DECIDING = (
 )
 # What of it chooses the images, which does not count where the same were chosen.
 _CHOOSING = ("cameras", "subset", "ids", "ratios", "set_aside", "excluded_flags")
-# What a result means that does not state it, as those of clips of version 0.1 do not.
-_UNSTATED: dict[str, Any] = {"cameras": "all", "excluded_flags": {}, "scenes_shared": True}
 _SHOWN = 10  # biggest wins, and losses
 
 
@@ -378,7 +376,7 @@ def _warnings(methods: Sequence[Method]) -> list[str]:
 
 
 def _differing(first: Mapping[str, Any], second: Mapping[str, Any], ignored: Sequence[str]) -> list[str]:
-    a, b = _UNSTATED | dict(first), _UNSTATED | dict(second)
+    a, b = dict(first), dict(second)
     return [
         f"{name.replace('_', ' ')}: {_value(a, name)} against {_value(b, name)}"
         for name in dict.fromkeys((*a, *b))

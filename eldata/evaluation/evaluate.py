@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import platform
-import warnings
 from dataclasses import replace
 from importlib.metadata import version
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, Unpack
 
 from eldata import __version__
-from eldata.base.workers import accepts_jobs
 from eldata.errors import ArgumentError, ManifestError, PredictionError
 from eldata.evaluation.combined import CombinedResult, NotScored
 from eldata.evaluation.layouts import Expected
@@ -41,7 +39,6 @@ if TYPE_CHECKING:
 _USUAL_RESCALE = (1 / 3, 3.0)
 
 
-@accepts_jobs
 def evaluate(
     predictions: Path | str | None,
     dataset: str = "eld",
@@ -139,7 +136,6 @@ def evaluate(
     return perform(make_request(predictions, dataset, protocol, options)).results[0]
 
 
-@accepts_jobs
 def evaluate_all(
     predictions: Path | str | None, dataset: str = "eld", **options: Unpack[EvaluationOptions]
 ) -> CombinedResult:
@@ -175,16 +171,6 @@ def evaluate_all(
     ['eld', 'eld-uncorrected', 'led-eld', 'lrd-eld']
     """
     return perform(make_request(predictions, dataset, ALL, options))
-
-
-def evaluate_video(predictions: Path | str, dataset: str = "drv", **options: Any) -> EvaluationResult:
-    """Call :func:`evaluate`, which scores clips too; this name will be removed in 0.3."""
-    warnings.warn(
-        "eldata.evaluate scores clips too; evaluate_video will be removed in version 0.3",
-        DeprecationWarning,
-        stacklevel=2,
-    )
-    return evaluate(predictions, dataset, **options)
 
 
 def perform(request: Request) -> CombinedResult:

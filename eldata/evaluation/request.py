@@ -119,7 +119,7 @@ def make_request(
     ManifestError, ArgumentError
         If the manifest is malformed, a name or an option is unknown, or options do not go together.
     """
-    keywords("evaluate", options, EvaluationOptions, renamed={})
+    keywords("evaluate", options, EvaluationOptions)
     path, baseline = options.get("manifest"), options.get("baseline")
     lpips, task, store = options.get("lpips"), options.get("task"), options.get("store")
     manifest = known_manifest(dataset) if path is None else load_manifest(path)

@@ -381,7 +381,7 @@ class EvaluationResult:
             "problems": [asdict(problem) for problem in self.problems],
             "notes": list(self.notes),
         }
-        if self.suspicions:  # results of version 0.1 read back as they were written
+        if self.suspicions:
             result["suspicions"] = [asdict(suspicion) for suspicion in self.suspicions]
         return json_object(result)
 

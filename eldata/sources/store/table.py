@@ -63,16 +63,16 @@ def frames_in_table(content: bytes) -> list[StoredFrame]:
     """
     data = TextFile(TABLE, ArgumentError, content=content).json().data
     columns = {name: _of_kind(name, data[name], str) for name in _OWN}
-    columns["file"] = from_columns(
-        PackedFile, {name: _of_kind(name, data["file"][name], kind) for name, kind in _FILE.items()}
-    )
+    files = {name: _of_kind(name, data["file"][name], kind) for name, kind in _FILE.items()}
+    columns["file"] = from_columns(PackedFile, files)
     sensors, more = _texts(data["sensor"]), _texts(data["sensor_more"])
     columns["sensor"] = _made(sensor_in, zip(sensors, more, strict=True))
     columns["exposure"] = _made(exposure_in, zip(_texts(data["exposure"])))
     columns["channel_white_levels_dn"] = _made(white_levels_in, zip(_texts(data["channel_white_levels_dn"])))
     count = len(columns["path"])
-    if {*map(len, columns.values())} != {count}:
-        raise ValueError(f"the table's columns have {sorted({*map(len, columns.values())})} rows")
+    rows = {*map(len, (*columns.values(), *files.values()))}
+    if rows != {count}:
+        raise ValueError(f"the table's columns have {sorted(rows)} rows")
     columns["key"] = [*map(frame_key, range(count))]
     return from_columns(StoredFrame, columns)
 

@@ -271,6 +271,7 @@ def _store_attributes(path: Path) -> object:
 
     first, _, second = path.read_bytes().decode(errors="surrogateescape").partition("\n")
     attributes = {"path": "a", "role": "bias", "sha256": "x", "exposure": first, "sensor": second}
+    attributes["file"] = '{"size_bytes": 1, "sha256": "x", "decoder": "x"}'
     try:
         return stored("0", attributes, ())
     except (ValueError, LookupError, TypeError) as error:  # as documented: its caller names the store

@@ -147,10 +147,7 @@ def of_datasets(_: pytest.MonkeyPatch) -> Names:
     return {"clean": np.stack([packed()] * 5)}
 
 
-def of_metrics(patch: pytest.MonkeyPatch) -> Names:
-    from tests.metrics.seeded_lpips import publish, seeded_states
-
-    publish(Path("weights"), seeded_states(), patch)
+def of_metrics(_: pytest.MonkeyPatch) -> Names:
     image = np.random.default_rng(5).uniform(0, 1, (3, 64, 64)).astype(np.float32)
     batch = {"input": torch.from_numpy(packed())[None], "target": torch.from_numpy(packed())[None]}
     return {"loader": [batch], "network": torch.nn.Identity(), "prediction": image, "reference": image}

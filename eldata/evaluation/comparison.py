@@ -26,11 +26,9 @@ if TYPE_CHECKING:
     from eldata.plots.axes import Theme
     from eldata.protocols.kinds import Kind, Metric
 
-# What was scored beside the protocol's own metrics: nothing of what all methods have depends on it.
-_EXTRAS = ("lpips", "task")
 # What of the provenance decides neither which images are scored nor against what.
 _NOT_DECIDING = (
-    *("predictions", "protocol_digest", "included_flags", "equal_choices", "store", *_EXTRAS),
+    *("predictions", "protocol_digest", "included_flags", "equal_choices", "store", "task"),
     *("eldata", "python", "libraw", "numpy", "numba", "rawpy", "exifread", "imagecodecs", "scipy"),
 )
 # What of it chooses the images, which does not count where the same were chosen.
@@ -143,7 +141,7 @@ class Comparison:
 
     @property
     def kind(self) -> Kind:
-        """What was scored: images or clips, with the numbers that every method has; LPIPS or a task may be of some."""
+        """What was scored: images or clips, with the numbers that every method has; a task may be of some."""
         return _common_kind(self.methods)
 
     @property

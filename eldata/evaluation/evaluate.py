@@ -87,9 +87,6 @@ def evaluate(
     strict
         Whether predictions that show a mistake (:mod:`eldata.evaluation.suspicions`) are a problem: then nothing has a
         score. Default: False, the result's ``suspicions`` name it.
-    lpips
-        Folder of the weights of LPIPS (:meth:`eldata.metrics.LpipsWeights.load`): scores have it too, of the renderings
-        that a protocol of sRGB compares. Other protocols are refused, since LPIPS is defined on sRGB. Default: none.
     task
         A function of (prediction, reference), (C, h, w) float32 as the protocol compares them, whose value is scored
         too, of clips frame by frame; or a :class:`~eldata.evaluation.Task`, which says which images it wants and
@@ -399,7 +396,6 @@ def _provenance(request: Request, plan: ScoringPlan, scored: PlanScores) -> dict
         "excluded_flags": plan.excluded,
         "equal_choices": {name: [choice for choice in CHOICES[name] if choice in equal[name]] for name in equal},
         **({} if request.dark_shading is None else {"dark_shading": plan.protocol.dark_shading}),
-        **({} if request.lpips is None else {"lpips": _lpips_provenance()}),
         **({} if request.task is None else {"task": request.task.provenance}),
     }
 
@@ -410,10 +406,3 @@ def _task_note(task: dict[str, Any]) -> str:
     images = {"compared": "what the protocol compares", "packed": "packed raw", "srgb": "renderings in sRGB"}
     better = "higher" if task["higher_is_better"] else "lower"
     return f"{task['label']}: {task['callable']}{source}, of {images[task['images']]}; {better} is better"
-
-
-def _lpips_provenance() -> dict[str, str]:
-    """Return what LPIPS was taken with."""
-    from eldata.metrics.lpips import BACKBONE_FILE, LINEAR_FILE
-
-    return {file.name: file.sha256 for file in (BACKBONE_FILE, LINEAR_FILE)} | {"torch": version("torch")}

@@ -21,7 +21,7 @@ from eldata.evaluation.table import PaperTable, TableRow, paper_table, short_dig
 from eldata.manifest.clips import ClipRecord
 from eldata.protocols.comparability import comparability
 from eldata.protocols.digests import CHOOSING, OF_INPUT
-from eldata.protocols.kinds import LPIPS, task_metric
+from eldata.protocols.kinds import task_metric
 from eldata.protocols.protocol import NO_SHADING
 from eldata.records import PairRecord
 
@@ -395,9 +395,7 @@ class EvaluationResult:
 
 
 def kind_of(kind: Kind, provenance: Mapping[str, Any]) -> Kind:
-    """Return a protocol's kind with what was asked for beyond it: LPIPS, a task."""
-    if "lpips" in provenance:
-        kind = kind.having(LPIPS)
+    """Return a protocol's kind with what was asked for beyond it: a task."""
     if "task" in provenance:
         task = provenance["task"]
         kind = kind.having(task_metric(task["label"], higher_is_better=task["higher_is_better"]))

@@ -1,4 +1,4 @@
-"""Image metrics: PSNR, SSIM, ELD's illuminance rescaling, the three fused into one protocol; LPIPS of sRGB images."""
+"""Image metrics: PSNR, SSIM, ELD's illuminance rescaling, the three fused into one protocol; ST-RRED of clips."""
 
 import lazy_loader
 

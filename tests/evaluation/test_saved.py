@@ -103,7 +103,7 @@ def test_records_are_frozen() -> None:
 def test_fields_that_a_patch_adds_do_no_harm() -> None:
     data = result_data()
     data["more"] = 1
-    data["images"][0]["lpips"] = 0.1
+    data["images"][0]["another"] = 0.1
     assert len(saved_result(data, "test").images) == 96
 
 

@@ -132,7 +132,7 @@ class EvaluationResult:
     @property
     def scenes_shared(self) -> bool:
         """Whether scenes of one name under several cameras are one scene, as the set's card says."""
-        return bool(self.provenance.get("scenes_shared", True))
+        return bool(self.provenance["scenes_shared"])
 
     @property
     def digest(self) -> str:

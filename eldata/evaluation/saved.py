@@ -69,8 +69,8 @@ def _result(top: Fields) -> EvaluationResult:
     stated = StatedProtocol(own, dict(protocol.data))
     _check_digest(provenance, stated)
     provenance.optional("subset", provenance.text)
-    provenance.optional("excluded_flags", provenance.inside)
-    provenance.optional("scenes_shared", provenance.flag)
+    provenance.inside("excluded_flags")
+    provenance.flag("scenes_shared")
     if "equal_choices" in provenance.data:
         choices = provenance.inside("equal_choices")
         for name in choices.data:

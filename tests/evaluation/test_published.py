@@ -43,7 +43,8 @@ def result_on(
         "excluded_flags": {},
         "protocol_digest": PROTOCOLS[protocol].digest,
         "manifest_sha256": "sha256:" + "a" * 64,
-        "eldata": "0.1.0",
+        "eldata": "0.2.0",
+        "scenes_shared": True,
         **provenance,
     }
     rules = StatedProtocol(PROTOCOLS[protocol].kind, PROTOCOLS[protocol].as_dict())
@@ -320,7 +321,8 @@ def scored(dataset: str, protocol: str, subset: str, psnr_db: float) -> Evaluati
         "excluded_flags": {},
         "protocol_digest": rules.digest,
         "manifest_sha256": manifest.digest,
-        "eldata": "0.1.0",
+        "eldata": "0.2.0",
+        "scenes_shared": True,
     }
     return EvaluationResult.of(rules, provenance, pairs, scores)
 

@@ -137,6 +137,7 @@ def changed(*keys: str | int, to: object) -> dict[str, Any]:
         (changed("coverage", "missing", to=["a", 1]), ["coverage.missing[1]", "text"]),
         (changed("provenance", to="eld"), ["field provenance", "object", "'eld'"]),
         (changed("provenance", "dataset", to=None), ["provenance.dataset", "text", "null"]),
+        (changed("provenance", "scenes_shared", to=None), ["provenance.scenes_shared", "true or false", "null"]),
         (changed("provenance", "eldata", to="99.0.0"), ["provenance.eldata", "99.0.0", __version__, "update"]),
         (changed("protocol", "name", to=3), ["protocol.name", "text"]),
         (changed("table", 0, "scored", to=-1), ["table[0].scored", "-1"]),

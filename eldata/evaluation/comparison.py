@@ -374,11 +374,11 @@ def _warnings(methods: Sequence[Method]) -> list[str]:
 
 
 def _differing(first: Mapping[str, Any], second: Mapping[str, Any], ignored: Sequence[str]) -> list[str]:
-    a, b = dict(first), dict(second)
     return [
-        f"{name.replace('_', ' ')}: {_value(a, name)} against {_value(b, name)}"
-        for name in dict.fromkeys((*a, *b))
-        if name not in (*_NOT_DECIDING, *ignored) and ((name in a) != (name in b) or a.get(name) != b.get(name))
+        f"{name.replace('_', ' ')}: {_value(first, name)} against {_value(second, name)}"
+        for name in dict.fromkeys((*first, *second))
+        if name not in (*_NOT_DECIDING, *ignored)
+        and ((name in first) != (name in second) or first.get(name) != second.get(name))
     ]
 
 
@@ -388,7 +388,7 @@ def _differing_tasks(first: Mapping[str, Any], second: Mapping[str, Any]) -> lis
     return [] if a is None or b is None else [f"task {words}" for words in _differing(a, b, ignored=())]
 
 
-def _value(fields: dict[str, Any], name: str) -> str:
+def _value(fields: Mapping[str, Any], name: str) -> str:
     if name not in fields:
         return "not stated"
     value = fields[name]

@@ -14,8 +14,8 @@
                         Of either kind: file (JSON), the packed file's size and digest and the LibRaw that decoded it;
                         and channel_white_levels_dn (JSON) of a raw file that LibRaw has one of
 
-Frames of clips stand in the order of the clip,
-its reference before them; the manifest is then the list of these files, patterns expanded.
+Frames of clips stand in the order of the clip, its reference before them; the manifest is then the list of these files,
+patterns expanded.
 
 Mosaics, not packed planes: the one packer cuts, turns, packs and normalises a crop in one pass, which a packed crop
 would need two for, and nothing of the visible area is lost.

@@ -15,9 +15,8 @@ The file is JSON::
     }
 
 ``taken_at`` is the exposure time at which a shot was ticked, ``null`` where it was not. It differs from ``dial`` where
-the scene was metered again but the shot not taken again. Pages of eldata 0.1 also took metered times that ask for what
-the camera does not have, with ``null`` as ``dial``: :func:`load_progress` refuses these with what to change. A plan
-that has changed since may still be read with the file, as long as its scenes and shots are the same.
+the scene was metered again but the shot not taken again. A plan that has changed since may still be read with the
+file, as long as its scenes and shots are the same.
 """
 
 from __future__ import annotations

@@ -166,8 +166,6 @@ LAYERS = (
     ("eldata.demo",),
     ("eldata.cli",),
 )
-# Old names, which forward by string and import nothing (eldata.base.moved); they go with 0.3.
-MOVED = ("eldata.store", "eldata.streaming")
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
 
 # Rooms that need less than all that lies under them.
@@ -203,14 +201,14 @@ def crossings() -> set[tuple[str, str]]:
 
 
 def test_every_room_has_its_layer() -> None:
-    assert {room_of(module) for module in trees()} == {*LEVEL, *MOVED, "capture", "eldata"}
+    assert {room_of(module) for module in trees()} == {*LEVEL, "capture", "eldata"}
 
 
 def test_nothing_is_imported_upwards() -> None:
     wrong = {
         (a, b)
         for a, b in crossings()
-        if room_of(a) not in ("capture", *MOVED) and LEVEL.get(room_of(b), len(LAYERS)) >= LEVEL[room_of(a)]
+        if room_of(a) != "capture" and LEVEL.get(room_of(b), len(LAYERS)) >= LEVEL[room_of(a)]
     }
     assert wrong == set()
 

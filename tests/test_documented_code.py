@@ -147,10 +147,7 @@ def of_datasets(_: pytest.MonkeyPatch) -> Names:
     return {"clean": np.stack([packed()] * 5)}
 
 
-def of_metrics(patch: pytest.MonkeyPatch) -> Names:
-    from tests.metrics.seeded_lpips import publish, seeded_states
-
-    publish(Path("weights"), seeded_states(), patch)
+def of_metrics(_: pytest.MonkeyPatch) -> Names:
     image = np.random.default_rng(5).uniform(0, 1, (3, 64, 64)).astype(np.float32)
     batch = {"input": torch.from_numpy(packed())[None], "target": torch.from_numpy(packed())[None]}
     return {"loader": [batch], "network": torch.nn.Identity(), "prediction": image, "reference": image}
@@ -191,6 +188,7 @@ def of_noise(patch: pytest.MonkeyPatch) -> Names:
 
     frames, found = calibrated_frames("calibration/held-out", "MyCamera")
     dark_shading(frames, found).save("MyCamera.npz")
+    np.save("SonyA7S2_params.npy", np.array({"Kmin": 0.25}, dtype=object), allow_pickle=True)
     patch.syspath_prepend(ROOT / "examples")
     for name in ("mycamera.json", "MyCamera.json"):
         found.profile.save(name)

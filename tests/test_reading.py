@@ -118,7 +118,14 @@ SENSOR = Sensor("make", "model", ((0, 1), (3, 2)), (0.0,) * 4, 16383.0, 4, 4)
 
 def read_store(path: Path, text: str) -> None:
     exposure = {"iso": "100", "exposure_s": text, "f_number": None}
-    attributes = {"path": "a", "role": "bias", "sha256": "x", "exposure": json.dumps(exposure)}
+    file = {"size_bytes": 1, "sha256": "x", "decoder": "x"}
+    attributes = {
+        "path": "a",
+        "role": "bias",
+        "sha256": "x",
+        "exposure": json.dumps(exposure),
+        "file": json.dumps(file),
+    }
     stored("0", attributes | {"sensor": json.dumps(asdict(SENSOR))}, ())
 
 

@@ -15,7 +15,6 @@ import socket
 import sys
 import traceback
 import uuid
-import warnings
 from collections import deque
 from concurrent.futures import (
     BrokenExecutor,
@@ -29,7 +28,7 @@ from concurrent.futures import (
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from functools import partial, wraps
+from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
 
 from tqdm import tqdm
@@ -185,27 +184,6 @@ IN_THIS_PROCESS = Workers()
 
 AnyWorkers = Workers | Executor | int
 """What a public function takes as ``workers``: how many processes, an executor, or :class:`Workers`."""
-
-
-def accepts_jobs(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
-    """Let a public function that takes ``workers`` understand ``jobs`` and ``executor`` until 0.3, with a warning."""
-
-    @wraps(function)
-    def accepting(*positional: Given.args, **named: Given.kwargs) -> Returned:
-        old: dict[str, Any] = {name: named.pop(name) for name in ("jobs", "executor") if name in named}
-        if old:
-            if "workers" in named:
-                raise ArgumentError(f"{function.__name__}: workers takes the place of jobs and executor; give it alone")
-            warnings.warn(
-                f"{function.__name__}: jobs and executor are called workers now, a number or an executor; the old "
-                "names will be removed in version 0.3",
-                DeprecationWarning,
-                stacklevel=2,
-            )
-            named["workers"] = Workers(**old)
-        return function(*positional, **named)
-
-    return accepting
 
 
 def require_files(*paths: Path) -> None:

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from eldata import __version__
 from eldata.base.numbers import checked_number, counted
-from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Failed, Workers, accepts_jobs, require_files
+from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Failed, Workers, require_files
 from eldata.calibration.audit import checked_acceptance
 from eldata.calibration.frame_checks import FramesError, sorted_frames
 from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 _LEVELS_APART = 0.001  # of the range
 
 
-@accepts_jobs
 def calibrate(
     frames: CalibrationFrames | Path | str,
     camera: str | None = None,
@@ -69,7 +68,7 @@ def calibrate(
         that has one. By default modes are told by steps in the joint fits.
     structure
         Measure the figures of components C, W, T and F of the noise model, too: column noise, the spectrum of the rows,
-        telegraph pixels and PRNU. A profile with them has schema 3, which version 0.1 refuses.
+        telegraph pixels and PRNU. A profile with them has schema 3.
     accept
         Names of checks, such as ``("dark signal",)``: figures that they withhold are given with a larger error, and the
         profile says so (``accepted``). The remarks name the checks that can be accepted.

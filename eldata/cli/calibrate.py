@@ -106,7 +106,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="store_true",
         help=(
             "also measure what the noise of pixels has in common, for components C, W, T and F of the noise model: "
-            "column noise, bands, telegraph pixels, PRNU. The profile is then of schema 3, which version 0.1 refuses"
+            "column noise, bands, telegraph pixels, PRNU. The profile is then of schema 3"
         ),
     )
     add_shared(

@@ -89,14 +89,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="leave out pairs with this flag, such as misaligned; may be repeated; the table says so",
     )
     parser.add_argument(
-        "--lpips",
-        metavar="FOLDER",
-        help=(
-            "add LPIPS, under a protocol of sRGB such as sid2018, with the weights in FOLDER; nothing is downloaded: "
-            "docs/metrics.md says where they are"
-        ),
-    )
-    parser.add_argument(
         "--task",
         metavar="MODULE:NAME",
         help=(

@@ -82,13 +82,14 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     importing = subcommands.add_parser(
         "import",
-        help="make a profile of a published parameter file (.npy)",
+        help="make a profile of published parameters (JSON)",
         description=(
-            "Make a profile of a parameter file as the ELD authors publish them (CAMERA_params.npy). Such a file is a "
-            "pickle, and it is not unpickled: nothing in it is run. The profile's notes say what is inferred."
+            "Make a profile of parameters as the ELD authors publish them, turned into JSON: CAMERA_params.npy is a "
+            "pickle, which is not read here; docs/noise.md has the three lines of numpy that turn it. The profile's "
+            "notes say what is inferred."
         ),
     )
-    importing.add_argument("file", metavar="FILE", help="the parameter file")
+    importing.add_argument("file", metavar="FILE", help="the parameters, JSON")
     add_output(importing, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)", required=True)
     importing.add_argument("--camera", metavar="NAME", help="the camera's name (default: the file's, less _params)")
     importing.add_argument(
@@ -96,7 +97,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="NAME",
         help="which of several calibrations in the file, such as Profile-2 (default: the only one)",
     )
-    add_shared(importing, run_import, example="eldata profile import SonyA7S2_params.npy -o sony.json")
+    add_shared(importing, run_import, example="eldata profile import SonyA7S2_params.json -o sony.json")
     listing = subcommands.add_parser("list", help="list the profiles that ship", description="List shipped profiles.")
     add_shared(listing, run_list, json=FileKind(rb'\[\s*\{\s*"profile":'), example="eldata profile list")
 

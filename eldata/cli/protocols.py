@@ -32,7 +32,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         nargs="*",
         help=(
             "show this one (also: show NAME); a family such as pmn shows its protocols; or a TOML file; or a digest "
-            "such as sha256:b0012db3, that of a result of version 0.1 too"
+            "such as sha256:092725f8"
         ),
     )
     parser.add_argument("--dataset", metavar="N", help="only those for this dataset")
@@ -51,8 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     names = arguments.protocol[1:] if arguments.protocol[:1] == ["show"] else arguments.protocol
     found = _chosen(names, arguments.dataset)
-    for line in _digests_in_words(names):
-        print(line)
     if names:
         print("\n\n".join(_page(protocol) for protocol in found))
     else:
@@ -81,7 +79,7 @@ def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:
         if name in FAMILIES:
             found += members_of(name)
         elif name.startswith(_DIGEST):
-            found += [now for _, now in of_digest(name)]
+            found += of_digest(name)
         else:
             found.append(get_protocol(name))
     if dataset is not None:
@@ -92,22 +90,6 @@ def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:
                 f"no protocol is for dataset {dataset!r}; eldata info lists the datasets{did_you_mean(dataset, known)}"
             )
     return found
-
-
-def _digests_in_words(names: list[str]) -> list[str]:
-    """Return what each digest among the names is of, where it is not a protocol's digest of today."""
-    from eldata.protocols.choosing import of_digest
-    from eldata.protocols.comparability import comparability
-
-    lines = []
-    for digest in (name for name in names if name.startswith(_DIGEST)):
-        for was, now in of_digest(digest):
-            if now.digest.startswith(digest):
-                continue
-            changed = "; ".join(comparability(was.as_dict(), now.as_dict()))
-            scored = f"scored differently from now: {changed}" if changed else "which scored as it does now"
-            lines += [f"{digest} is {was.name} of version 0.1, {scored}", ""]
-    return lines
 
 
 def _page(protocol: Protocol) -> str:

@@ -31,7 +31,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--manifest", metavar="FILE", help="manifest of the set of your own that the result is of")
     parser.add_argument("--dark-shading", metavar="FILE", help="the dark shading that the result states, if any")
-    parser.add_argument("--lpips", metavar="FOLDER", help="the weights of LPIPS, if the result has it")
     parser.add_argument(
         "--task", metavar="MODULE:NAME", help="the task of the result, if it is not the function that the result names"
     )
@@ -55,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.evaluation.reproduction import reproduce
     from eldata.evaluation.saved import load_results
 
-    names = ("predictions", "root", "manifest", "dark_shading", "lpips", "task", "store")
+    names = ("predictions", "root", "manifest", "dark_shading", "task", "store")
     with chosen_workers(arguments) as workers:
         given = {name: getattr(arguments, name) for name in names}
         found = [reproduce(result, **given, workers=workers) for result in load_results(arguments.result)]

@@ -1,4 +1,4 @@
-"""The keyword arguments that every dataset has, typed once, and those of 0.1 that are understood until 0.3."""
+"""The keyword arguments that every dataset has, typed once."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, get_args
 
 from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, check_choice
-from eldata.manifest.pairs import RENAMED, Choice
+from eldata.manifest.pairs import Choice
 from eldata.noise.dark_shading import DarkShading
 from eldata.protocols.protocol import Amplification
 from eldata.raw.cfa import CLIP_RANGES
@@ -66,7 +66,7 @@ def understood(owner: object, options: Mapping[str, Any], *kinds: type) -> list[
     ArgumentError
         If a value of :class:`Representation` is unknown; the message lists the known ones.
     """
-    found = keywords(type(owner).__name__, options, *kinds, renamed=RENAMED | {"crops_per_tile": "crops_per_frame"})
+    found = keywords(type(owner).__name__, options, *kinds)
     for name, known in (("levels", FRAME_LEVELS), ("clip", tuple(CLIP_RANGES)), ("amplification", AMPLIFICATIONS)):
         for part in found:
             if name in part:

@@ -303,7 +303,7 @@ def _ended_with(sentinel: int) -> None:
 
 def _chosen(name: str, batch_size: int, options: LoaderOptions) -> LoaderOptions:
     """Return the options of a loader, those that were not given by their defaults."""
-    (given,) = keywords(name, options, LoaderOptions, renamed={})
+    (given,) = keywords(name, options, LoaderOptions)
     chosen: LoaderOptions = {**_DEFAULTS, **given}
     prefetch, start_method = chosen["prefetch"], chosen["start_method"]
     if batch_size < 1 or prefetch < 1:

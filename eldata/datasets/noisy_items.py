@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
@@ -106,7 +105,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
         exposures: int = 1,
     ) -> None:
         owner = type(self).__name__
-        cropping, noise = keywords(owner, options, Cropping, Noise, renamed={})
+        cropping, noise = keywords(owner, options, Cropping, Noise)
         _check_source(owner, source, method)
         super().__init__({"crop": 512, "augment": True} | cropping, crops)
         model = noise.get("model")
@@ -282,18 +281,10 @@ def _clipped(owner: str, model: Any, clip: Clip | None, usual: Clip) -> tuple[Cl
     if not isinstance(model, NoiseModel):
         check_noise_maker(model)
         return clip or usual, model
-    if clip is None and model.clip not in (None, usual):
-        clip = model.clip
-        warnings.warn(
-            f"{owner}: the noise model has clip={clip!r}, but pairs to test on have {usual!r} unless told otherwise; "
-            f"give clip={clip!r} to {owner} and to the datasets that you test on, and leave it out of the model, where "
-            "it will be refused from version 0.3 on",
-            DeprecationWarning,
-            stacklevel=4,
-        )
-    elif model.clip not in (None, clip or usual):
-        raise ArgumentError(
-            f"{owner}: clip={clip!r}, but the noise model's own clip is {model.clip!r}; leave it out of the model"
-        )
     clip = clip or usual
+    if model.clip not in (None, clip):
+        raise ArgumentError(
+            f"{owner}: clip={clip!r}, but the noise model's own clip is {model.clip!r}; leave it out of the model, and "
+            f"give clip= to {owner} and to the datasets that you test on"
+        )
     return clip, model.with_clip(clip)

@@ -21,7 +21,7 @@ import numpy as np
 from eldata import __version__
 from eldata.base.files import atomic_write, json_text, remove_leftovers, sha256_of, write_json
 from eldata.base.seeds import checked_seed, item_generator
-from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
+from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import RawFiles
 from eldata.datasets.crops import Crop
 from eldata.datasets.dark_frames import DarkFrames
@@ -145,7 +145,6 @@ class Recipe:
         return model
 
 
-@accepts_jobs
 def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 1) -> Manifest:
     """Write a noisy tree for a folder of clean raw files; return its manifest.
 

@@ -4,7 +4,6 @@ from .comparison import Method as Method
 from .comparison import compare as compare
 from .evaluate import evaluate as evaluate
 from .evaluate import evaluate_all as evaluate_all
-from .evaluate import evaluate_video as evaluate_video
 from .layouts import EXTENSIONS as EXTENSIONS
 from .methods import evaluate_methods as evaluate_methods
 from .predictions import load_prediction as load_prediction

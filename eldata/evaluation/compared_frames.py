@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from eldata.evaluation.scores import FrameScore
     from eldata.evaluation.tasks import TaskImages
     from eldata.metrics.image_score import Score, ScoringRules
-    from eldata.metrics.lpips import LpipsWeights
     from eldata.protocols.protocol import Protocol
     from eldata.records import RawFrame, Sensor
 
@@ -162,19 +161,14 @@ class ComparedFrame:
         return self._shared.get(key, score), p
 
     def extras(self, protocol: Protocol, target: NDArray[Any], factor: float) -> dict[str, float]:
-        """Return what was asked for beyond the protocol's own scores: LPIPS of renderings, a task of the user's own."""
-        found: dict[str, float] = {}
-        if self._job.lpips is not None:
-            from eldata.metrics.lpips import lpips
-
-            found["lpips"] = lpips(*self._shown(protocol, target, factor), _lpips_weights(self._job.lpips))
+        """Return what was asked for beyond the protocol's own scores: a task of the user's own."""
         task = self._job.task
-        if task is not None:
-            found["task"] = task.score(*self._shown(protocol, target, factor, task.images), self.path)
-        return found
+        if task is None:
+            return {}
+        return {"task": task.score(*self._shown(protocol, target, factor, task.images), self.path)}
 
     def _shown(
-        self, protocol: Protocol, target: NDArray[Any], factor: float, images: TaskImages = "compared"
+        self, protocol: Protocol, target: NDArray[Any], factor: float, images: TaskImages
     ) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return prediction and reference of the region as the protocol compares them, or in sRGB or packed raw."""
         from eldata.metrics.image_score import as_compared
@@ -197,14 +191,6 @@ def _equal_levels(protocol: Protocol, frames: Sequence[RawFrame]) -> frozenset[s
         for levels in get_args(Levels)
         if all(levels_dn(frame, levels) == levels_dn(frame, protocol.levels) for frame in frames)
     )
-
-
-@lru_cache(maxsize=1)
-def _lpips_weights(folder: Path) -> LpipsWeights:
-    """Return the weights of LPIPS; a process loads them once."""
-    from eldata.metrics.lpips import LpipsWeights
-
-    return LpipsWeights.load(folder)
 
 
 def _rendered(

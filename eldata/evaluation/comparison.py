@@ -26,17 +26,13 @@ if TYPE_CHECKING:
     from eldata.plots.axes import Theme
     from eldata.protocols.kinds import Kind, Metric
 
-# What was scored beside the protocol's own metrics: nothing of what all methods have depends on it.
-_EXTRAS = ("lpips", "task")
 # What of the provenance decides neither which images are scored nor against what.
 _NOT_DECIDING = (
-    *("predictions", "protocol_digest", "included_flags", "equal_choices", "store", *_EXTRAS),
+    *("predictions", "protocol_digest", "included_flags", "equal_choices", "store", "task"),
     *("eldata", "python", "libraw", "numpy", "numba", "rawpy", "exifread", "imagecodecs", "scipy"),
 )
 # What of it chooses the images, which does not count where the same were chosen.
 _CHOOSING = ("cameras", "subset", "ids", "ratios", "set_aside", "excluded_flags")
-# What a result means that does not state it, as those of clips of version 0.1 do not.
-_UNSTATED: dict[str, Any] = {"cameras": "all", "excluded_flags": {}, "scenes_shared": True}
 _SHOWN = 10  # biggest wins, and losses
 
 
@@ -145,7 +141,7 @@ class Comparison:
 
     @property
     def kind(self) -> Kind:
-        """What was scored: images or clips, with the numbers that every method has; LPIPS or a task may be of some."""
+        """What was scored: images or clips, with the numbers that every method has; a task may be of some."""
         return _common_kind(self.methods)
 
     @property
@@ -378,11 +374,11 @@ def _warnings(methods: Sequence[Method]) -> list[str]:
 
 
 def _differing(first: Mapping[str, Any], second: Mapping[str, Any], ignored: Sequence[str]) -> list[str]:
-    a, b = _UNSTATED | dict(first), _UNSTATED | dict(second)
     return [
-        f"{name.replace('_', ' ')}: {_value(a, name)} against {_value(b, name)}"
-        for name in dict.fromkeys((*a, *b))
-        if name not in (*_NOT_DECIDING, *ignored) and ((name in a) != (name in b) or a.get(name) != b.get(name))
+        f"{name.replace('_', ' ')}: {_value(first, name)} against {_value(second, name)}"
+        for name in dict.fromkeys((*first, *second))
+        if name not in (*_NOT_DECIDING, *ignored)
+        and ((name in first) != (name in second) or first.get(name) != second.get(name))
     ]
 
 
@@ -392,7 +388,7 @@ def _differing_tasks(first: Mapping[str, Any], second: Mapping[str, Any]) -> lis
     return [] if a is None or b is None else [f"task {words}" for words in _differing(a, b, ignored=())]
 
 
-def _value(fields: dict[str, Any], name: str) -> str:
+def _value(fields: Mapping[str, Any], name: str) -> str:
     if name not in fields:
         return "not stated"
     value = fields[name]

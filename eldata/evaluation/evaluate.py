@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import warnings
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -11,7 +10,6 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, Unpack
 
 from eldata import __version__
-from eldata.base.workers import accepts_jobs
 from eldata.errors import ArgumentError, ManifestError, PredictionError
 from eldata.evaluation.combined import CombinedResult, NotScored
 from eldata.evaluation.layouts import Expected
@@ -51,7 +49,6 @@ _USUAL_WHITE = 0.02
 _USUAL_RESCALE = (1 / 3, 3.0)
 
 
-@accepts_jobs
 def evaluate(
     predictions: Path | str | None,
     dataset: str = "eld",
@@ -101,9 +98,6 @@ def evaluate(
     strict
         Whether predictions that show a mistake (:mod:`eldata.evaluation.suspicions`) are a problem: then nothing has a
         score. Default: False, the result's ``suspicions`` name it.
-    lpips
-        Folder of the weights of LPIPS (:meth:`eldata.metrics.LpipsWeights.load`): scores have it too, of the renderings
-        that a protocol of sRGB compares. Other protocols are refused, since LPIPS is defined on sRGB. Default: none.
     task
         A function of (prediction, reference), (C, h, w) float32 as the protocol compares them, whose value is scored
         too, of clips frame by frame; or a :class:`~eldata.evaluation.Task`, which says which images it wants and
@@ -150,7 +144,6 @@ def evaluate(
     return perform(make_request(predictions, dataset, protocol, options)).results[0]
 
 
-@accepts_jobs
 def evaluate_all(
     predictions: Path | str | None, dataset: str = "eld", **options: Unpack[EvaluationOptions]
 ) -> CombinedResult:
@@ -186,16 +179,6 @@ def evaluate_all(
     ['eld', 'eld-uncorrected', 'led-eld', 'lrd-eld']
     """
     return perform(make_request(predictions, dataset, ALL, options))
-
-
-def evaluate_video(predictions: Path | str, dataset: str = "drv", **options: Any) -> EvaluationResult:
-    """Call :func:`evaluate`, which scores clips too; this name will be removed in 0.3."""
-    warnings.warn(
-        "eldata.evaluate scores clips too; evaluate_video will be removed in version 0.3",
-        DeprecationWarning,
-        stacklevel=2,
-    )
-    return evaluate(predictions, dataset, **options)
 
 
 def perform(request: Request) -> CombinedResult:
@@ -475,7 +458,6 @@ def _provenance(request: Request, plan: ScoringPlan, scored: PlanScores) -> dict
         "excluded_flags": plan.excluded,
         "equal_choices": {name: [choice for choice in CHOICES[name] if choice in equal[name]] for name in equal},
         **({} if request.dark_shading is None else {"dark_shading": plan.protocol.dark_shading}),
-        **({} if request.lpips is None else {"lpips": _lpips_provenance()}),
         **({} if request.task is None else {"task": request.task.provenance}),
     }
 
@@ -486,10 +468,3 @@ def _task_note(task: dict[str, Any]) -> str:
     images = {"compared": "what the protocol compares", "packed": "packed raw", "srgb": "renderings in sRGB"}
     better = "higher" if task["higher_is_better"] else "lower"
     return f"{task['label']}: {task['callable']}{source}, of {images[task['images']]}; {better} is better"
-
-
-def _lpips_provenance() -> dict[str, str]:
-    """Return what LPIPS was taken with."""
-    from eldata.metrics.lpips import BACKBONE_FILE, LINEAR_FILE
-
-    return {file.name: file.sha256 for file in (BACKBONE_FILE, LINEAR_FILE)} | {"torch": version("torch")}

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Unpack
 
 from eldata.base.files import folder_problem, path_problem, remove_leftovers, write_json, write_problem
 from eldata.base.outputs import COMPARISON_DATA, COMPARISON_PAGE, RESULT, SCORES, check_output
-from eldata.base.workers import accepts_jobs
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import perform_each
@@ -27,7 +26,6 @@ COMPARISON = "comparison"
 """What the files of the comparison are called, so that no method is."""
 
 
-@accepts_jobs
 def evaluate_methods(
     predictions: Mapping[str, Path | str] | Iterable[Path | str],
     dataset: str = "eld",

@@ -157,7 +157,7 @@ def store_of(manifest: Manifest, folder: Path, store: Path, records: Sequence[Fr
     StoreError, ArgumentError
         If it is not a store that can be read.
     DatasetError
-        If it lacks a frame, holds other than whole mosaics in DN, was packed from other files, or by version 0.1.
+        If it lacks a frame, holds other than whole mosaics in DN, or was packed from other files.
     """
     from eldata.sources.store.checks import structure_problems
     from eldata.sources.store.read import open_store
@@ -173,12 +173,6 @@ def store_of(manifest: Manifest, folder: Path, store: Path, records: Sequence[Fr
         )
     taken = {path: held[path] for path in wanted}
     _refuse(store, (problem for problem in structure_problems(opened) if problem.path in taken))
-    old = [path for path, frame in taken.items() if frame.file is None]
-    if old:
-        raise DatasetError(
-            f"{store}: does not say which files it was packed from ({len(old)} frames, such as {old[0]}): version 0.1 "
-            f"did not keep that; {_AGAIN}"
-        )
     findings = [finding for path, record in wanted.items() for finding in _file_findings(folder, record, taken[path])]
     products = {}
     for path, record in wanted.items():
@@ -188,7 +182,7 @@ def store_of(manifest: Manifest, folder: Path, store: Path, records: Sequence[Fr
         findings += found
     findings += ratio_findings(tuple(wanted.values()), products)
     _refuse(store, (Problem.of(manifest.name, finding) for finding in findings))
-    decoders = sorted({frame.file.decoder for frame in taken.values() if frame.file is not None})
+    decoders = sorted({frame.file.decoder for frame in taken.values()})
     return CheckedOriginals(
         Originals(folder.absolute(), store.absolute(), taken),
         {"file": str(store), "digest": opened.digest, "decoded_by": ", ".join(decoders)},
@@ -205,8 +199,6 @@ def _refuse(store: Path, problems: Iterable[Problem]) -> None:
 def _file_findings(folder: Path, record: FrameRecord, held: StoredFrame) -> Iterator[RowFinding]:
     """Compare the file that a frame was packed from with its row, and with the one that lies in the folder, if any."""
     file = held.file
-    if file is None:
-        return
     if record.sha256 not in (None, file.sha256):
         yield RowFinding(record.path, "sha256", record.sha256 or "", file.sha256, f"another file was packed: {_AGAIN}")
     elif record.size_bytes not in (None, file.size_bytes):

@@ -122,7 +122,6 @@ def reproduce(
     root: Path | str | None = None,
     manifest: Path | str | None = None,
     dark_shading: Path | str | None = None,
-    lpips: Path | str | None = None,
     task: Task | TaskFunction | str | None = None,
     store: Path | str | None = None,
     workers: AnyWorkers = 1,
@@ -138,9 +137,9 @@ def reproduce(
         Of :func:`eldata.evaluate`, or the file that it was written to, with one protocol.
     predictions
         Where the predictions lie now; by default where they lay.
-    root, manifest, dark_shading, lpips, task, store, workers
-        As :func:`eldata.evaluate` has them. A result that is of corrected inputs, has LPIPS, or is of a set of your own
-        needs ``dark_shading``, ``lpips`` or ``manifest``. Its task is the function that it names, unless ``task`` is
+    root, manifest, dark_shading, task, store, workers
+        As :func:`eldata.evaluate` has them. A result that is of corrected inputs, or of a set of your own, needs
+        ``dark_shading`` or ``manifest``. Its task is the function that it names, unless ``task`` is
         given, which an object with a state needs.
 
     Raises
@@ -164,7 +163,7 @@ def reproduce(
     _check_known(result, manifest)
     protocol, options = _asked(result)
     options |= {"root": root, "manifest": manifest, "store": store, "workers": workers}
-    options |= {"dark_shading": dark_shading, "lpips": _lpips(result, lpips), "task": _task(result, task)}
+    options |= {"dark_shading": dark_shading, "task": _task(result, task)}
     options |= {"allow_missing": bool(result.missing), "exclude_flags": tuple(_stated(result, "excluded_flags"))}
     place = stated_predictions(result) if predictions is None else Path(predictions)
     if place is None:
@@ -197,13 +196,6 @@ def _asked(result: EvaluationResult) -> tuple[Protocol, EvaluationOptions]:
 def _stated(result: EvaluationResult, name: str) -> dict[str, Any]:
     found = result.provenance.get(name)
     return found if isinstance(found, dict) else {}
-
-
-def _lpips(result: EvaluationResult, folder: Path | str | None) -> Path | str | None:
-    if ("lpips" in result.provenance) == (folder is None):
-        said = "has LPIPS; give the folder of its weights with" if folder is None else "has no LPIPS; leave out"
-        raise ArgumentError(f"{result.source} {said} --lpips (lpips=...)")
-    return folder
 
 
 def _task(result: EvaluationResult, given: Task | TaskFunction | str | None) -> Task | None:

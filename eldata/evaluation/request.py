@@ -16,7 +16,6 @@ from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.choosing import default_protocol, get_protocol, protocols_for
 from eldata.protocols.clips import OWN_SEQUENCES
 from eldata.protocols.kinds import IMAGES, Kind
-from eldata.protocols.named import PROTOCOLS
 from eldata.protocols.protocol import NO_SHADING
 
 if TYPE_CHECKING:
@@ -49,7 +48,6 @@ class EvaluationOptions(TypedDict, total=False):
     allow_missing: bool
     baseline: Baseline | None
     strict: bool
-    lpips: Path | str | None
     task: Task | TaskFunction | str | None
     dark_shading: Path | str | None
     store: Path | str | None
@@ -70,8 +68,6 @@ class Request:
         How to score; several for ``all``.
     every
         Whether every protocol was asked for, and those that cannot score are left out and named.
-    lpips
-        The folder of the weights of LPIPS, which are there; ``None``: it is not wanted.
     task
         One of the user's own; ``None``: none.
     dark_shading
@@ -91,7 +87,6 @@ class Request:
     exclude_flags: Collection[str]
     allow_missing: bool
     strict: bool
-    lpips: Path | None
     task: Task | None
     dark_shading: Path | None
     store: Path | None
@@ -118,9 +113,9 @@ def make_request(
     ManifestError, ArgumentError
         If the manifest is malformed, a name or an option is unknown, or options do not go together.
     """
-    keywords("evaluate", options, EvaluationOptions, renamed={})
+    keywords("evaluate", options, EvaluationOptions)
     path, baseline = options.get("manifest"), options.get("baseline")
-    lpips, task, store = options.get("lpips"), options.get("task"), options.get("store")
+    task, store = options.get("task"), options.get("store")
     manifest = known_manifest(dataset) if path is None else load_manifest(path)
     manifest.card.check_readable()
     shading = options.get("dark_shading")
@@ -137,7 +132,6 @@ def make_request(
         exclude_flags=options.get("exclude_flags", ()),
         allow_missing=options.get("allow_missing", False),
         strict=options.get("strict", False),
-        lpips=None if lpips is None else Path(lpips).absolute(),
         task=None if task is None else Task.of(task),
         dark_shading=None if shading is None else Path(shading).absolute(),
         store=None if store is None else Path(store),
@@ -159,8 +153,6 @@ def make_request(
         )
     if request.store is not None and request.kind is not IMAGES:
         raise ArgumentError("--store (store) is for datasets of images; clips are scored from their files")
-    if request.lpips is not None:
-        _check_lpips(request, request.lpips)
     if request.predictions is not None:
         _check_inputs(request, request.predictions)
     if request.task is not None:
@@ -251,22 +243,6 @@ def _check_inputs(request: Request, folder: Path) -> None:
     advice = "leave --dark-shading (dark_shading) out" if stated == NO_SHADING else "give that one with --dark-shading"
     found = "none was given" if request.dark_shading is None else f"{request.dark_shading} is {given}"
     raise ArgumentError(f"{folder / SETTINGS} says that these predictions are of {said}, and {found}: {advice}")
-
-
-def _check_lpips(request: Request, folder: Path) -> None:
-    """Check that LPIPS can be taken: of renderings, with the published weights, which are read to know that."""
-    from eldata.metrics.lpips import LpipsWeights
-
-    if request.every:
-        raise ArgumentError("--lpips goes with one protocol of sRGB, not with --protocol all")
-    (protocol,) = request.protocols
-    if protocol.space != "srgb":
-        known = ", ".join(name for name, one in PROTOCOLS.items() if one.space == "srgb")
-        raise ArgumentError(
-            f"LPIPS is defined on sRGB images, and protocol {protocol.name!r} scores raw ones; protocols of sRGB are "
-            f"{known}"
-        )
-    LpipsWeights.load(folder)
 
 
 def _check_task(request: Request, task: Task) -> None:

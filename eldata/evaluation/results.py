@@ -21,7 +21,7 @@ from eldata.evaluation.table import PaperTable, TableRow, paper_table, short_dig
 from eldata.manifest.clips import ClipRecord
 from eldata.protocols.comparability import comparability
 from eldata.protocols.digests import CHOOSING, OF_INPUT
-from eldata.protocols.kinds import LPIPS, task_metric
+from eldata.protocols.kinds import task_metric
 from eldata.protocols.protocol import NO_SHADING
 from eldata.records import PairRecord
 
@@ -132,7 +132,7 @@ class EvaluationResult:
     @property
     def scenes_shared(self) -> bool:
         """Whether scenes of one name under several cameras are one scene, as the set's card says."""
-        return bool(self.provenance.get("scenes_shared", True))
+        return bool(self.provenance["scenes_shared"])
 
     @property
     def digest(self) -> str:
@@ -381,7 +381,7 @@ class EvaluationResult:
             "problems": [asdict(problem) for problem in self.problems],
             "notes": list(self.notes),
         }
-        if self.suspicions:  # results of version 0.1 read back as they were written
+        if self.suspicions:
             result["suspicions"] = [asdict(suspicion) for suspicion in self.suspicions]
         return json_object(result)
 
@@ -395,9 +395,7 @@ class EvaluationResult:
 
 
 def kind_of(kind: Kind, provenance: Mapping[str, Any]) -> Kind:
-    """Return a protocol's kind with what was asked for beyond it: LPIPS, a task."""
-    if "lpips" in provenance:
-        kind = kind.having(LPIPS)
+    """Return a protocol's kind with what was asked for beyond it: a task."""
     if "task" in provenance:
         task = provenance["task"]
         kind = kind.having(task_metric(task["label"], higher_is_better=task["higher_is_better"]))

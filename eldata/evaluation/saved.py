@@ -1,4 +1,4 @@
-"""Results read back from the JSON that ``eldata evaluate --json`` wrote, version 0.1 included, field by field."""
+"""Results read back from the JSON that ``eldata evaluate --json`` wrote, field by field."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from eldata.evaluation.results import EvaluationResult, kind_of
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore
 from eldata.evaluation.suspicions import Suspicion
 from eldata.evaluation.table import TableRow
-from eldata.protocols.digests import fields_digest_0_1
 from eldata.protocols.kinds import CLIPS, IMAGES, Kind
 from eldata.protocols.protocol import StatedProtocol
 
@@ -70,8 +69,8 @@ def _result(top: Fields) -> EvaluationResult:
     stated = StatedProtocol(own, dict(protocol.data))
     _check_digest(provenance, stated)
     provenance.optional("subset", provenance.text)
-    provenance.optional("excluded_flags", provenance.inside)
-    provenance.optional("scenes_shared", provenance.flag)
+    provenance.inside("excluded_flags")
+    provenance.flag("scenes_shared")
     if "equal_choices" in provenance.data:
         choices = provenance.inside("equal_choices")
         for name in choices.data:
@@ -89,7 +88,7 @@ def _result(top: Fields) -> EvaluationResult:
         protocol=stated,
         provenance=dict(provenance.data),
         scores=scores,
-        table=_table(top, kind, scores, expected),
+        table=_table(top, kind),
         expected=expected,
         missing=coverage.texts("missing"),
         problems=tuple(
@@ -115,8 +114,8 @@ def _suspicion(one: Fields) -> Suspicion:
 
 
 def _check_digest(provenance: Fields, stated: StatedProtocol) -> None:
-    """Raise :class:`FileError` unless the digest is of the protocol's fields, by this version's rule or that of 0.1."""
-    if provenance.text("protocol_digest") not in (stated.digest, fields_digest_0_1(stated.fields)):
+    """Raise :class:`FileError` unless the digest is of the protocol's fields."""
+    if provenance.text("protocol_digest") != stated.digest:
         raise provenance.wrong(
             "protocol_digest",
             f"the digest of the fields in protocol, {stated.digest} (was one of them edited?)",
@@ -138,11 +137,8 @@ def _score(one: Fields, kind: Kind) -> UnitScore:
     return UnitScore(frames[0].path, camera, scene, 0.0, None, values, split=split, start=start, frames=frames)
 
 
-def _table(top: Fields, kind: Kind, scores: tuple[UnitScore, ...], expected: int) -> tuple[TableRow, ...]:
+def _table(top: Fields, kind: Kind) -> tuple[TableRow, ...]:
     names = [metric.name for metric in kind.metrics]
-    if kind.is_of_clips and isinstance(top.value("table"), dict):  # 0.1 stated the means over all alone
-        means = top.inside("table")
-        return (TableRow(None, None, expected, len(scores), {name: means.parsed(name, _value) for name in names}),)
     return tuple(
         TableRow(
             camera=row.optional("camera", row.text),

@@ -57,11 +57,6 @@ class Valued:
         return self.values["temporal_rred"]
 
     @property
-    def lpips(self) -> float:
-        """LPIPS of renderings in sRGB, where it was asked for; lower is better."""
-        return self.values["lpips"]
-
-    @property
     def task(self) -> float:
         """The value of a task of the user's own, where one was asked for."""
         return self.values["task"]

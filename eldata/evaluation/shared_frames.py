@@ -33,15 +33,13 @@ Value = TypeVar("Value")
 class ScoringJob:
     """What all units share: where predictions' paths begin, the dataset's frames, protocols, threads of a unit.
 
-    ``lpips``: the folder of its weights, if LPIPS is wanted. ``dark_shading``: the file of what is taken off inputs.
-    ``task``: one of the user's own, if one is wanted.
+    ``dark_shading``: the file of what is taken off inputs. ``task``: one of the user's own, if one is wanted.
     """
 
     start: Path
     originals: Originals
     protocols: tuple[Protocol, ...]
     threads: int | None
-    lpips: Path | None = None
     dark_shading: Path | None = None
     task: Task | None = None
 

@@ -159,7 +159,6 @@ def score_plans(request: Request, originals: Originals, contenders: Sequence[Con
         replace(originals, held={}),
         tuple(one.plan.protocol for one in contenders),
         request.workers.threads_within,
-        request.lpips,
         request.dark_shading,
         request.task,
     )

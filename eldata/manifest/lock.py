@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base.files import sha256_of, write_problem
-from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
+from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ManifestError
 from eldata.manifest.card import load_card
 from eldata.manifest.catalogue import Manifest, data_root, is_name, known_manifest, load_manifest, locked_path
@@ -39,7 +39,6 @@ class LockReport:
     files_locked: int
 
 
-@accepts_jobs
 def lock(
     manifest: Path | str,
     root: Path | str | None = None,

@@ -33,10 +33,6 @@ _OF_PAIRS = names_of(PairRecord)
 _SHOWN, _NEAR = 30, 5
 
 
-# Names of 0.1 for those of a Choice, understood until 0.3.
-RENAMED = {"splits": "split"}
-
-
 class Choice(TypedDict, total=False):
     """Which pairs or clips: keyword arguments of every dataset; ``None`` (default) means all.
 
@@ -104,7 +100,7 @@ def select_pairs(
         if record.role == "noisy" and record.reference is not None and record.ratio is not None
     ]
     pairs = from_columns(PairRecord, {name: list(map(attrgetter(name), noisy)) for name in _OF_PAIRS})
-    (choice,) = keywords("select_pairs", choice, Choice, renamed=RENAMED)
+    (choice,) = keywords("select_pairs", choice, Choice)
     subset = choice.get("subset")
     chosen = pairs if subset is None else find_subset(subsets, subset).choose(pairs)
     return tuple(narrowed(chosen, pairs, "pair", wanted_values(choice)))

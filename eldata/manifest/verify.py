@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from eldata.base.files import inside, sha256_of
-from eldata.base.workers import AnyWorkers, Failed, Workers, accepts_jobs, require_files
+from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ArgumentError, ManifestError, RawFileError, UnusableRawError, did_you_mean
 from eldata.manifest.catalogue import Manifest, find_manifests
 from eldata.manifest.clip_checks import (
@@ -55,7 +55,6 @@ _PACK_AGAIN = "copy or make it again"
 _NO_EXIF = "the file has lost its EXIF: copy the original"
 
 
-@accepts_jobs
 def verify(
     manifests: Path | str | Iterable[Manifest],
     root: Path | str | None = None,

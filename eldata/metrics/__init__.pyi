@@ -3,8 +3,6 @@ from .image_score import ScoringRules as ScoringRules
 from .image_score import factor_by as factor_by
 from .image_score import score as score
 from .image_score import score_by as score_by
-from .lpips import LpipsWeights as LpipsWeights
-from .lpips import lpips as lpips
 from .rescaling import rescale as rescale
 from .rescaling import rescale_factor as rescale_factor
 from .signal_to_noise import psnr as psnr

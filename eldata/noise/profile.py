@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from eldata.plots.axes import Theme
 
 SCHEMA = 1
-SCHEMA_WITH_MODES = 2  # version 0.1, which would draw from one line, refuses it
+SCHEMA_WITH_MODES = 2
 SCHEMA_WITH_STRUCTURE = 3  # with modes or without
 RowChoice = Literal["any", "nearest-gain", "measured"]
 

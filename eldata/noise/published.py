@@ -1,52 +1,34 @@
-"""Importing the camera parameters that the ELD authors published (``<camera>_params.npy``).
+"""Importing the camera parameters that the ELD authors published (``<camera>_params.npy``), once they are JSON.
 
-Such a file is a pickle, and unpickling runs code of the file's choice. It is not unpickled: see
-:mod:`eldata.noise.plain_pickle`.
+Such a file is a pickle, and unpickling runs code of the file's choice: that is left to whoever trusts it. docs/noise.md
+has the three lines.
 """
 
 from __future__ import annotations
 
-import io
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from eldata.base.files import file_problem
-from eldata.base.npy import read_npy_header
+from eldata.base.fields import TextFile
 from eldata.errors import ProfileError
 from eldata.noise.gain_modes import LogLogFit
-from eldata.noise.plain_pickle import MOST_BYTES, plain_content
 from eldata.noise.profile import CameraProfile, ProfileRow
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 SOURCE = "ELD repository (Vandermode/ELD, MIT licence), commit 53d5408, camera_params"
 
 
 def read_published(path: Path | str) -> dict[str, Any]:
-    """Return the plain content of a published parameter file: dictionaries, lists, numbers.
+    """Return the dictionary of a published parameter file that was turned into JSON.
 
     Raises
     ------
     ProfileError
-        If the file is not such a pickle, or asks for anything but numpy arrays and plain types; none of it is run then.
+        If the file cannot be read, or is not such JSON.
     """
-    path = Path(path)
-    problem = file_problem(path)
-    if problem is not None:
-        raise ProfileError(f"{path}: {problem}")
-    try:
-        with path.open("rb") as file:
-            stream = io.BytesIO(file.read(2 * MOST_BYTES))
-    except OSError as error:
-        raise ProfileError(f"{path}: cannot be read: {error.strerror}") from error
-    try:
-        header = read_npy_header(stream)
-        if header.descr.lstrip("|") != "O" or header.shape:
-            raise ProfileError(f"{path}: expected a dictionary, found an array of {header.values} {header.shape}")
-        plain = plain_content(stream.read())
-    except ValueError as error:
-        raise ProfileError(f"{path}: is not a published parameter file ({error}); none of it was run") from error
-    if not isinstance(plain, dict):
-        raise ProfileError(f"{path}: expected a dictionary, found {type(plain).__name__}")
-    return plain
+    advice = "numpy turns a *_params.npy into the JSON that is read here: docs/noise.md has the three lines"
+    return dict(TextFile(path, ProfileError, advice=advice).json().data)
 
 
 def profiles_from_published(camera: str, data: dict[str, Any], source: str = SOURCE) -> tuple[CameraProfile, ...]:

@@ -5,7 +5,6 @@ from .clips import ClipProtocol as ClipProtocol
 from .comparability import comparability as comparability
 from .custom import load_protocol as load_protocol
 from .digests import fields_digest as fields_digest
-from .digests import fields_digest_0_1 as fields_digest_0_1
 from .named import PROTOCOLS as PROTOCOLS
 from .protocol import Protocol as Protocol
 
@@ -16,7 +15,6 @@ __all__ = [
     "comparability",
     "default_protocol",
     "fields_digest",
-    "fields_digest_0_1",
     "get_protocol",
     "load_protocol",
     "protocols_for",

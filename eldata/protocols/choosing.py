@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from eldata.errors import ArgumentError, ManifestError, did_you_mean
 from eldata.protocols.digests import scoring
 from eldata.protocols.kinds import IMAGES
-from eldata.protocols.named import EARLIER, FAMILIES, PROTOCOLS
+from eldata.protocols.named import FAMILIES, PROTOCOLS
 from eldata.protocols.protocol import ANY_DATASET, ONE_CAMERAS_LEVELS
 
 if TYPE_CHECKING:
@@ -63,21 +63,18 @@ def get_protocol(name: str | Path, dataset: str | None = None, *, own: bool = Fa
     raise ArgumentError(f"protocol {name!r} is {names}; name one of them for dataset {dataset or 'not known'!r}")
 
 
-def of_digest(digest: str) -> list[tuple[Protocol, Protocol]]:
-    """Return the protocols that a digest means, or its beginning: as scored under it, and as they are now.
-
-    They differ if the digest is one that version 0.1 wrote of a protocol that has been corrected since.
+def of_digest(digest: str) -> tuple[Protocol, ...]:
+    """Return the protocols that a digest means, or its beginning.
 
     Raises
     ------
     ArgumentError
-        If no shipped protocol has or had such a digest.
+        If no shipped protocol has such a digest.
     """
-    now = [(protocol, protocol) for protocol in PROTOCOLS.values() if protocol.digest.startswith(digest)]
-    earlier = [(was, PROTOCOLS[was.name]) for known, was in EARLIER.items() if known.startswith(digest)]
-    if not now + earlier:
-        raise ArgumentError(f"no shipped protocol has the digest {digest}, and none had it in version 0.1")
-    return now + earlier
+    found = tuple(protocol for protocol in PROTOCOLS.values() if protocol.digest.startswith(digest))
+    if not found:
+        raise ArgumentError(f"no shipped protocol has the digest {digest}")
+    return found
 
 
 def members_of(family: str) -> tuple[Protocol, ...]:

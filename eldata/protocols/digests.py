@@ -40,10 +40,7 @@ NEUTRAL: Final[Mapping[str, Any]] = {
 }
 """What a protocol means that does not state a field. These values stay as they are for ever: digests depend on them."""
 
-DESCRIPTIVE: Final = ("title", "source", "family")
-"""What a protocol says of itself besides its name and what decides a score."""
-
-_PROSE: Final = ("name", *DESCRIPTIVE, "psnr", "ssim", "st_rred", "reference")
+_PROSE: Final = ("name", "title", "source", "family", "psnr", "ssim", "st_rred", "reference")
 
 CHOOSING: Final = ("dataset", "ratios", "subset", "cameras", "scenes")
 """What chooses the pairs."""
@@ -86,16 +83,7 @@ def scoring(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 def fields_digest(fields: Mapping[str, Any]) -> str:
     """Return ``sha256:<hex>`` of what decides a score (:func:`canonical`), as JSON with sorted names."""
-    return _sha256(canonical(fields))
-
-
-def fields_digest_0_1(fields: Mapping[str, Any]) -> str:
-    """Return the digest that version 0.1 had of a protocol's fields, sentences on PSNR and SSIM included."""
-    return _sha256({name: value for name, value in fields.items() if name not in DESCRIPTIVE})
-
-
-def _sha256(fields: Mapping[str, Any]) -> str:
-    return f"sha256:{hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()}"
+    return f"sha256:{hashlib.sha256(json.dumps(canonical(fields), sort_keys=True).encode()).hexdigest()}"
 
 
 def _plain(value: Any) -> Any:

@@ -80,7 +80,7 @@ class Kind:
         return self.unit == CLIPS.unit
 
     def having(self, metric: Metric) -> Kind:
-        """Return it with one more column: LPIPS of renderings, or a task of the user's own."""
+        """Return it with one more column: a task of the user's own."""
         return replace(self, metrics=(*self.metrics, metric), values=(*self.values, metric.name))
 
     def metric(self, name: str) -> Metric:
@@ -108,7 +108,6 @@ def task_metric(label: str, *, higher_is_better: bool) -> Metric:
 
 _PSNR = Metric("psnr_db", "PSNR", "dB", 2, 2, 2)
 _SSIM = Metric("ssim", "SSIM", "", 3, 4, 4)  # differences of SSIM are small
-LPIPS: Final = Metric("lpips", "LPIPS", "", 3, 4, 4, higher_is_better=False)
 _ST_RRED = Metric("st_rred", "ST-RRED", "", 3, 3, 3, higher_is_better=False)
 
 IMAGES: Final = Kind(

@@ -42,8 +42,3 @@ PROTOCOLS: dict[str, Protocol] = _shipped(_CONTENT)
 
 FAMILIES: tuple[str, ...] = tuple(dict.fromkeys(p.family for p in PROTOCOLS.values() if p.family))
 """Names that stand for one protocol per dataset."""
-
-EARLIER: dict[str, Protocol] = {
-    stated["digest"]: replace(PROTOCOLS[name], **stated.get("was", {})) for name, stated in _CONTENT["earlier"].items()
-}
-"""Protocols as version 0.1 scored them, by the digests that its results state."""

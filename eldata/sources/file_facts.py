@@ -1,7 +1,7 @@
 """What raw files state, as JSON in stores and shards: written in one way, and checked as it is read.
 
-A sensor is written as version 0.1 knows it, levels, white balance and matrix as floats; beside it, where there is any,
-what such a record has no room for (:func:`more_of_sensor`).
+A sensor is written with levels, white balance and matrix as floats; beside it, where there is any, what such a record
+has no room for (:func:`more_of_sensor`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def exposure_of(data: Mapping[str, Any]) -> Exposure:
 
 
 def sensor_data(sensor: Sensor) -> dict[str, Any]:
-    """Return a sensor as plain types, as version 0.1 knows them."""
+    """Return a sensor as plain types, without its light; fractions as the nearest floats."""
     return {name: value for name, value in asdict(sensor).items() if name != "matrix_illuminant"}
 
 

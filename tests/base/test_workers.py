@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, overload
 import pytest
 
 from eldata.base import compiled, workers
-from eldata.base.workers import AnyWorkers, Workers, accepts_jobs
+from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, EldataError, RawFileError
 from eldata.raw.reading import read_header
 from tests.waiting import PATIENCE_S, until
@@ -196,7 +196,7 @@ def test_a_library_that_does_not_load_is_no_fault_of_the_units(
 
 
 UNGUARDED = """
-from eldata.base.workers import AnyWorkers, Workers, accepts_jobs
+from eldata.base.workers import AnyWorkers, Workers
 
 print(list(Workers(2).run(abs, [1, 2, 3])))
 """
@@ -341,7 +341,7 @@ def test_there_must_be_a_thread(threads: int) -> None:
 INTERRUPTED = """
 import sys
 from pathlib import Path
-from eldata.base.workers import AnyWorkers, Workers, accepts_jobs
+from eldata.base.workers import AnyWorkers, Workers
 
 if __name__ == "__main__":
     for _ in Workers(2).run(Path.read_bytes, [Path(name) for name in sys.argv[1:]]):
@@ -450,7 +450,6 @@ def alive_in_group(group: int) -> list[str]:
 # --- what public functions take -----------------------------------------------------------------------------------
 
 
-@accepts_jobs
 def doubled(units: list[int], *, workers: AnyWorkers = 1) -> list[int]:
     return list(Workers.of(workers).run(abs, units))
 
@@ -462,12 +461,3 @@ def test_a_function_takes_a_number_an_executor_or_workers() -> None:
     assert Workers.of(3) == Workers(3)
     with pytest.raises(ArgumentError, match="workers must be a whole number or an executor; found '2'"):
         Workers.of("2")  # type: ignore[arg-type]
-
-
-def test_what_0_1_called_it_is_understood_with_a_warning() -> None:
-    with pytest.warns(DeprecationWarning, match="doubled: jobs and executor are called workers now"):
-        assert doubled([-1], jobs=1) == [1]  # type: ignore[call-arg]
-    with ThreadPoolExecutor(1) as pool, pytest.warns(DeprecationWarning, match=r"0\.3"):
-        assert doubled([-1], jobs=1, executor=pool) == [1]  # type: ignore[call-arg]
-    with pytest.raises(ArgumentError, match="give it alone"):
-        doubled([-1], jobs=1, workers=1)  # type: ignore[call-arg]

@@ -18,6 +18,7 @@ from eldata.manifest.drv import scan_raw
 from eldata.manifest.table import save_records
 from eldata.protocols.kinds import CLIPS
 from tests.drv_tree import SmallDrv, generator_of, small_drv, still_of, write_raw_clip
+from tests.reports.evaluations import result_data, written
 from tests.reports.pages import assert_well_formed, checked
 
 if TYPE_CHECKING:
@@ -215,22 +216,9 @@ def test_compare(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) 
         assert "ST-RRED" in eldata("compare", *paths, "--format", form).out
 
 
-def test_what_0_1_did_not_state_is_no_difference(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
-    """Cameras and flags could not be chosen of clips."""
-    run(eldata, drv, predictions, *CHOSEN, "--json", tmp_path / "new.json")
-    data = json.loads((tmp_path / "new.json").read_text(encoding="utf-8"))
-    for name in ("cameras", "excluded_flags", "included_flags"):
-        del data["provenance"][name]
-    data["table"] = {name: data["table"][0][name] for name in ("psnr_db", "ssim", "st_rred")}
-    (tmp_path / "old.json").write_text(json.dumps(data), encoding="utf-8")
-    outcome = eldata("compare", tmp_path / "old.json", tmp_path / "new.json")
-    assert (outcome.code, outcome.err) == (0, "")
-
-
-def test_images_and_clips_do_not_compare(eldata: Cli) -> None:
-    from tests.evaluation.test_saved import WRITTEN_BY_0_1
-
-    outcome = eldata("compare", WRITTEN_BY_0_1 / "eld.json", WRITTEN_BY_0_1 / "drv.json")
+def test_images_and_clips_do_not_compare(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
+    run(eldata, drv, predictions, *CHOSEN, "--json", tmp_path / "drv.json")
+    outcome = eldata("compare", written(tmp_path / "eld.json", result_data()), tmp_path / "drv.json")
     assert outcome.code == 2
     assert "eld has scores of images, drv of videos; these do not compare" in outcome.err
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
 from eldata.base.console import run
@@ -218,27 +217,31 @@ def test_import(profile: Cli) -> None:
         "color_bias": [list(row.colour_bias_dn) for row in shipped.rows],
         "Profile-1": lines,
     }
-    np.save("NikonD850_params.npy", np.array(data, dtype=object), allow_pickle=True)
-    done = profile("import", "NikonD850_params.npy", "-o", "nikon.json")
+    Path("NikonD850_params.json").write_text(json.dumps(data), encoding="utf-8")
+    done = profile("import", "NikonD850_params.json", "-o", "nikon.json")
     assert (done.code, done.err) == (0, "")
     assert done.out.splitlines()[0] == f"NikonD850: {len(shipped.rows)} rows, Profile-1"
     made = CameraProfile.load(Path("nikon.json"))
     assert [row.colour_bias_dn for row in made.rows] == [row.colour_bias_dn for row in shipped.rows]
-    assert made.source == "NikonD850_params.npy, as the ELD authors publish such files, Profile-1"
-    np.save("two.npy", np.array(data | {"Profile-2": lines | {"G_scale": fit | {"slope": 0.75}}}, dtype=object))
+    assert made.source == "NikonD850_params.json, as the ELD authors publish such files, Profile-1"
+    both = data | {"Profile-2": lines | {"G_scale": fit | {"slope": 0.75}}}
+    Path("both.json").write_text(json.dumps(both), encoding="utf-8")
     for options, words in (
-        ((), "two.npy holds 2 calibrations; choose one with --calibration: Profile-1, Profile-2"),
-        (("--calibration", "Profile-3"), "two.npy holds no calibration 'Profile-3'; known are Profile-1, Profile-2"),
+        ((), "both.json holds 2 calibrations; choose one with --calibration: Profile-1, Profile-2"),
+        (
+            ("--calibration", "Profile-3"),
+            "both.json holds no calibration 'Profile-3'; known are Profile-1, Profile-2",
+        ),
     ):
-        refused = profile("import", "two.npy", "-o", "two.json", *options)
+        refused = profile("import", "both.json", "-o", "two.json", *options)
         assert refused.code == 2
         assert words in refused.err
     assert not Path("two.json").exists()
-    done = profile("import", "two.npy", "-o", "two.json", "--calibration", "Profile-2", "--camera", "Mine")
+    done = profile("import", "both.json", "-o", "two.json", "--calibration", "Profile-2", "--camera", "Mine")
     assert done.code == 0
     second = CameraProfile.load(Path("two.json"))
     assert (second.camera, second.gain_modes[0].tukey_lambda_fit.slope) == ("Mine", 0.75)
-    Path("bad.npy").write_bytes(b"no")
-    refused = profile("import", "bad.npy", "-o", "bad.json")
+    Path("bad-params.json").write_bytes(b"no")
+    refused = profile("import", "bad-params.json", "-o", "bad.json")
     assert (refused.code, Path("bad.json").exists()) == (2, False)
-    assert "is not a published parameter file" in refused.err
+    assert "is not JSON, or not whole" in refused.err

@@ -21,7 +21,6 @@ from eldata.raw import pack, read_raw, write_dng
 from eldata.raw.cfa import packed_black_level_dn
 from eldata.sources.frames import Frame, FrameSource
 from eldata.sources.shards import write_shards
-from eldata.sources.store import source_of_dataset
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 from tests.sources.store.helpers import pack_tree
 
@@ -243,21 +242,6 @@ def test_clips_take_the_choices_of_pairs(drv: SmallDrv, tmp_path: Path) -> None:
     write_raw_clip(tmp_path, "0007", 5)
     with pytest.raises(ArgumentError, match="the manifest states no ratio, so amplification must be 'metadata'"):
         DRVRawDataset(tmp_path, amplification="nominal")[0]
-
-
-def test_the_names_of_0_1_are_understood(pristine: Tree, store: Path, tmp_path: Path) -> None:
-    old: dict[str, Any] = {"splits": ["test"]}
-    with pytest.warns(DeprecationWarning, match="write_shards: splits is called split now"):
-        write_shards(store, tmp_path / "shards", tile=None, **old)
-    with pytest.warns(DeprecationWarning, match="source_of_dataset: splits is called split now"):
-        source = source_of_dataset(pristine.manifest.name, root=pristine.root, manifest=pristine.csv, **old)
-    assert len(source.files) == len(pristine.manifest.records)
-    tiles: dict[str, Any] = {"crops_per_tile": 2}
-    with pytest.warns(DeprecationWarning, match="StreamedPairs: crops_per_tile is called crops_per_frame now"):
-        streamed = StreamedPairs(str(tmp_path / "shards"), **tiles)
-    assert len(streamed) == 48
-    with pytest.raises(TypeError, match="unexpected keyword argument 'tiles'; known are levels, clip, amplification"):
-        StreamedPairs(str(tmp_path / "shards"), tiles=2)  # type: ignore[call-arg]
 
 
 def test_a_part_of_a_frame_is_read_by_slices() -> None:

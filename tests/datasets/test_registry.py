@@ -342,18 +342,6 @@ def test_an_unknown_argument_lists_the_known(name: str, opened: Callable[..., An
 
 
 @EVERY
-def test_the_names_of_0_1_are_understood(name: str, opened: Callable[..., Any]) -> None:
-    split = next(record.split for record in shipped_manifest(name).records if record.role == "noisy")
-    with pytest.warns(
-        DeprecationWarning, match="splits is called split now; the old name will be removed in version 0.3"
-    ):
-        old = opened(name, splits=[split])
-    assert old.records == opened(name, split=split).records == opened(name, split=[split]).records
-    with pytest.raises(TypeError, match="split was called splits; give it once"):
-        opened(name, split=split, splits=[split])
-
-
-@EVERY
 def test_a_missing_folder_says_where_to_get_the_files(name: str, tmp_path: Path) -> None:
     with pytest.raises(DatasetError) as raised:
         open_dataset(name, tmp_path / "nowhere")

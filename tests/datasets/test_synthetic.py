@@ -683,20 +683,13 @@ def test_the_target_is_light_whatever_the_clip() -> None:
 
 
 def test_clips_that_disagree_are_named() -> None:
-    with pytest.raises(
-        ArgumentError, match="SyntheticPairs: clip='both', but the noise model's own clip is 'none'; leave"
-    ):
-        flat(model=NoiseModel(clip="none"), clip="both")
+    for options in ({"clip": "both"}, {}):
+        with pytest.raises(
+            ArgumentError, match="SyntheticPairs: clip='both', but the noise model's own clip is 'none'"
+        ):
+            flat(model=NoiseModel(clip="none"), **options)
     with pytest.raises(ArgumentError, match="clip must be one of 'both', 'upper', 'none'; found 'lower'"):
         flat(clip="lower")
-    # As 0.1 understood it, until 0.3.
-    words = (
-        "SyntheticPairs: the noise model has clip='none', but pairs to test on have 'both' unless told otherwise; give"
-    )
-    with pytest.warns(DeprecationWarning, match=words) as warned:
-        dataset = flat(model=NoiseModel(clip="none"))
-    assert warned[0].filename == __file__
-    same(dataset[0], flat(clip="none")[0])
     same(flat(model=NoiseModel(clip="both"))[0], flat()[0])
 
 

@@ -23,14 +23,12 @@ from eldata.protocols import (
     default_protocol,
     digests,
     fields_digest,
-    fields_digest_0_1,
     get_protocol,
     load_protocol,
     protocols_for,
 )
 from eldata.protocols.choosing import of_digest
 from eldata.protocols.digests import NEUTRAL, canonical
-from eldata.protocols.named import EARLIER
 from eldata.protocols.protocol import CHOICES
 from eldata.protocols.words import FIELDS, HEADER, described, summary
 from tests.evaluation.helpers import scored_pairs
@@ -140,37 +138,10 @@ def test_what_has_no_effect_is_not_in_a_digest() -> None:
     assert turned.digest == led.digest, "neither the order of a list nor 100 and 100.0"
 
 
-# --- version 0.1 ------------------------------------------------------------------------------------------------------
-
-CORRECTED = {
-    "pmn-sid": ["levels: white 16383, black the file's against black 512, white 16383"],
-    "pmn-eld": [
-        "levels: white 16383, black the file's against black 512, white 16383",
-        "input amplified: by the files' exposure ratio against by the manifest's ratio",
-    ],
-    "led-sid": ["factor's region: all but 2 packed pixels at each edge against full frame"],
-    "led-eld": ["factor's region: all but 2 packed pixels at each edge against full frame"],
-}
-
-
-def test_digests_of_version_0_1_are_known() -> None:
-    """The file holds what 0.1 stated of its protocols; what it scored as today has the digest of today."""
-    stated = json.loads((GOLDEN.parent / "protocols_of_0_1.json").read_text(encoding="utf-8"))
-    assert {was.name for was in EARLIER.values()} == set(stated)
-    for name, values in stated.items():
-        digest = values.pop("digest")
-        assert fields_digest_0_1(values) == digest
-        was, now = EARLIER[digest], PROTOCOLS[name]
-        assert (was.name, was.digest) == (name, fields_digest(values))
-        assert (was.digest == now.digest) == (name not in CORRECTED)
-        assert comparability(values, now.as_dict()) == CORRECTED.get(name, [])
-
-
 def test_a_digest_tells_its_protocol() -> None:
-    assert of_digest("sha256:b0012db3") == [(PROTOCOLS["eld"], PROTOCOLS["eld"])]
-    ((was, now),) = of_digest("sha256:aaf643df")
-    assert (was.rescaling_region, now) == ("scored", PROTOCOLS["led-sid"])
-    assert of_digest(PROTOCOLS["led-sid"].digest) == [(PROTOCOLS["led-sid"], PROTOCOLS["led-sid"])]
+    for protocol in PROTOCOLS.values():
+        assert of_digest(protocol.digest) == of_digest(protocol.digest[:15]) == (protocol,)
+    assert of_digest("sha256:") == tuple(PROTOCOLS.values())
     with pytest.raises(ArgumentError, match="no shipped protocol has the digest sha256:00000000"):
         of_digest("sha256:00000000")
 

@@ -20,7 +20,6 @@ from eldata.evaluation.table import TableRow
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.protocols import PROTOCOLS
-from eldata.protocols.named import EARLIER
 from eldata.protocols.protocol import StatedProtocol
 
 if TYPE_CHECKING:
@@ -44,7 +43,8 @@ def result_on(
         "excluded_flags": {},
         "protocol_digest": PROTOCOLS[protocol].digest,
         "manifest_sha256": "sha256:" + "a" * 64,
-        "eldata": "0.1.0",
+        "eldata": "0.2.0",
+        "scenes_shared": True,
         **provenance,
     }
     rules = StatedProtocol(PROTOCOLS[protocol].kind, PROTOCOLS[protocol].as_dict())
@@ -146,11 +146,12 @@ def test_another_protocol() -> None:
 
 
 @pytest.mark.parametrize(
-    ("dataset", "protocol", "table", "subset", "words"),
+    ("dataset", "protocol", "was", "table", "subset", "words"),
     [
         (
             "eld",
             "led-eld",
+            {"rescaling_region": "scored"},
             [row("SonyA7S2", 200.0, 24, 42.0, 0.98)],
             None,
             "factor's region: all but 2 packed pixels at each edge against full frame",
@@ -158,19 +159,25 @@ def test_another_protocol() -> None:
         (
             "sid-sony",
             "pmn-sid",
+            {"levels": "published"},
             SONY_SID,
             "eval-first",
             "levels: white 16383, black the file's against black 512, white 16383",
         ),
     ],
 )
-def test_what_version_0_1_scored_otherwise_is_refused_in_words(
-    dataset: str, protocol: str, table: list[TableRow], subset: str | None, words: str, tmp_path: Path
+def test_what_another_version_scored_otherwise_is_refused_in_words(
+    dataset: str,
+    protocol: str,
+    was: dict[str, Any],
+    table: list[TableRow],
+    subset: str | None,
+    words: str,
+    tmp_path: Path,
 ) -> None:
-    """And what it scored under ``pmn-sid``, which was ``sid`` then, compares with numbers of ``sid``."""
-    (was,) = (was for was in EARLIER.values() if was.name == protocol)
+    """Under a name that is corrected since. What it scored as ``sid`` is, it compares with."""
     result = result_on(dataset, protocol, table, subset)
-    old = replace(result, protocol=StatedProtocol(was.kind, was.as_dict()))
+    old = replace(result, protocol=StatedProtocol(result.kind, PROTOCOLS[protocol].as_dict() | was))
     own = [line for line in LINES if line.startswith("two,")]
     if dataset == "sid-sony":
         own = ["two,1,sid-sony,SonyA7S2,eval-first,pmn-sid,100,40,Second,42.54,,,"]
@@ -314,7 +321,8 @@ def scored(dataset: str, protocol: str, subset: str, psnr_db: float) -> Evaluati
         "excluded_flags": {},
         "protocol_digest": rules.digest,
         "manifest_sha256": manifest.digest,
-        "eldata": "0.1.0",
+        "eldata": "0.2.0",
+        "scenes_shared": True,
     }
     return EvaluationResult.of(rules, provenance, pairs, scores)
 

@@ -67,6 +67,7 @@ def of_input(
         "cameras": ["SonyA7S2"],
         "subset": subset,
         "excluded_flags": {},
+        "scenes_shared": True,
         "protocol_digest": rules.digest,
         "manifest_sha256": manifest.digest,
         "eldata": "0.2.0",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import FrozenInstanceError, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -13,20 +12,16 @@ import pytest
 from eldata import __version__
 from eldata.base.tables import FORMATS
 from eldata.errors import FileError
-from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.saved import load_results, saved_result
-from eldata.protocols import PROTOCOLS
-from eldata.protocols.kinds import CLIPS
 from eldata.protocols.protocol import StatedProtocol
 from tests.reports.evaluations import result_data, written
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from eldata.evaluation.results import EvaluationResult
     from tests.evaluation.helpers import Tree
-
-
-WRITTEN_BY_0_1 = Path(__file__).parents[1] / "written_by_0_1" / "results"
 
 
 def as_read_back(result: EvaluationResult, path: Path) -> EvaluationResult:
@@ -48,58 +43,13 @@ def test_what_evaluate_wrote_is_read_back(tree: Tree, predictions: Path, tmp_pat
     assert saved.scores[0].place == ("DemoAlpha", "scene-1")
 
 
-def test_what_version_0_1_wrote_of_images_is_the_same_once_read_back() -> None:
-    for name in ("eld", "incomplete", "hallway"):
-        (saved,) = load_results(WRITTEN_BY_0_1 / f"{name}.json")
-        assert saved.as_dict() == json.loads((WRITTEN_BY_0_1 / f"{name}.json").read_text(encoding="utf-8"))
-    several = load_results(WRITTEN_BY_0_1 / "all.json")
-    data = json.loads((WRITTEN_BY_0_1 / "all.json").read_text(encoding="utf-8"))
-    assert [one.as_dict() for one in several] == data["results"]
-
-
-def test_what_version_0_1_wrote_of_clips_is_read_back() -> None:
-    """The same but for the table, which is a list of rows now."""
-    for name in ("drv", "drv-some"):
-        (saved,) = load_results(WRITTEN_BY_0_1 / f"{name}.json")
-        data = json.loads((WRITTEN_BY_0_1 / f"{name}.json").read_text(encoding="utf-8"))
-        assert saved.kind is CLIPS
-        means = data.pop("table")
-        found = saved.as_dict()
-        assert found.pop("table") == [
-            {"camera": None, "ratio": None, "videos": saved.expected, "scored": saved.scored} | means
-        ]
-        assert found == data
-        assert [score.path for score in saved.scores] == [one["frame_scores"][0]["path"] for one in data["videos"]]
-        numbers = f"{saved.psnr_db:.2f}", f"{saved.ssim:.3f}", f"{saved.st_rred:.3f}"
-        assert tuple(saved.format_table().splitlines()[2].split()[-3:]) == numbers
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("eld", []),
-        ("eld-uncorrected", []),
-        ("led-sid", ["factor's region: all but 2 packed pixels at each edge against full frame"]),
-        ("lrd-sid", []),
-    ],
-)
-def test_results_of_version_0_1_compare_where_the_scoring_is_the_same(name: str, words: list[str]) -> None:
-    saved = next(one for one in load_results(WRITTEN_BY_0_1 / "all.json") if one.protocol.name == name)
-    today = replace(saved, protocol=PROTOCOLS[name])
-    assert saved.scored_unlike(today) == words
-    assert (saved.digest == today.digest) == (not words)
-    found = compare([Method("then", saved), Method("now", today)])
-    assert list(found.warnings) == [f"then and now may not compare: protocol: {text}" for text in words]
-
-
 def test_a_protocol_that_does_not_fit_its_digest_is_refused() -> None:
-    """Of this version and of 0.1: an edited field would be taken for how the scores were made."""
-    of_0_1 = json.loads((WRITTEN_BY_0_1 / "eld.json").read_text(encoding="utf-8"))
-    for data in (result_data(), of_0_1):
-        assert saved_result(data, "test").protocol.name == "eld"
-        data["protocol"]["region"] = "border-2"
-        with pytest.raises(FileError, match=r"protocol_digest: expected the digest of the fields in protocol, sha256:"):
-            saved_result(data, "test")
+    """An edited field would be taken for how the scores were made."""
+    data = result_data()
+    assert saved_result(data, "test").protocol.name == "eld"
+    data["protocol"]["region"] = "border-2"
+    with pytest.raises(FileError, match=r"protocol_digest: expected the digest of the fields in protocol, sha256:"):
+        saved_result(data, "test")
 
 
 @pytest.mark.parametrize("choices", [["levels"], {"levels": "published"}, {"levels": [1]}])
@@ -153,7 +103,7 @@ def test_records_are_frozen() -> None:
 def test_fields_that_a_patch_adds_do_no_harm() -> None:
     data = result_data()
     data["more"] = 1
-    data["images"][0]["lpips"] = 0.1
+    data["images"][0]["another"] = 0.1
     assert len(saved_result(data, "test").images) == 96
 
 
@@ -187,6 +137,7 @@ def changed(*keys: str | int, to: object) -> dict[str, Any]:
         (changed("coverage", "missing", to=["a", 1]), ["coverage.missing[1]", "text"]),
         (changed("provenance", to="eld"), ["field provenance", "object", "'eld'"]),
         (changed("provenance", "dataset", to=None), ["provenance.dataset", "text", "null"]),
+        (changed("provenance", "scenes_shared", to=None), ["provenance.scenes_shared", "true or false", "null"]),
         (changed("provenance", "eldata", to="99.0.0"), ["provenance.eldata", "99.0.0", __version__, "update"]),
         (changed("protocol", "name", to=3), ["protocol.name", "text"]),
         (changed("table", 0, "scored", to=-1), ["table[0].scored", "-1"]),

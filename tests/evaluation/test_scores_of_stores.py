@@ -108,11 +108,6 @@ def damage(store: Path, path: str, change: Callable[[h5py.File, str], None]) -> 
         change(file, key)
 
 
-def unstated(file: h5py.File, key: str) -> None:
-    del file["table"]  # as in version 0.1
-    del file["frames"][key].attrs["file"]
-
-
 def other_than_its_table(file: h5py.File, key: str) -> None:
     file["frames"][key].attrs["sha256"] = "0" * 64
 
@@ -139,7 +134,6 @@ def crop(file: h5py.File, key: str) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (unstated, "does not say which files it was packed from"),
         (other_than_its_table, f"sha256 in the table: expected {'0' * 64}, found "),
         (floats, "expected uint16 (60, 84), found float32 (60, 84)"),
         (crop, "expected uint16 (60, 84), found uint16 (40, 40)"),

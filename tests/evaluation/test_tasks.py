@@ -133,6 +133,24 @@ def test_renderings_are_those_of_the_published_code(tmp_path: Path) -> None:
     assert packed == pytest.approx(expected, abs=1e-6)
 
 
+def test_renderings_have_the_levels_that_the_protocol_compares(own: OwnSet, tmp_path: Path) -> None:
+    generator = np.random.default_rng(8)
+    for scene, ratio in ((scene, ratio) for scene in ("s0", "s1") for ratio in (50, 100)):
+        clean = published_code.sid_reference(own.files / scene / "clean.dng").astype(np.float64)
+        path = tmp_path / scene / f"x{ratio}.npy"
+        path.parent.mkdir(exist_ok=True)
+        np.save(path, np.clip(clean + generator.normal(0, 6, clean.shape), 0, 255) / 255)  # not of 256 levels
+    for images in ("compared", "srgb"):
+        found = evaluate(
+            tmp_path, manifest=own.manifest, root=own.root, protocol="sid2018", task=Task(gap_of_means, images)
+        )
+        assert len(found.images) == 4
+        for image in found.images:
+            codes = np.floor(255 * np.load((tmp_path / image.path).with_suffix(".npy")) + 0.5)
+            gap = codes.mean() - published_code.sid_reference(own.files / image.scene / "clean.dng").mean(dtype=float)
+            assert image.task == pytest.approx(gap / 255, abs=1e-6)
+
+
 def test_a_protocol_of_raw_values_is_rendered_for_a_task(own: OwnSet) -> None:
     image = scored(own, task=Task(gap_of_means, "srgb")).images[0]
     made = np.load((own.root.parent / "preds" / image.path).with_suffix(".npy"))
@@ -254,3 +272,44 @@ def test_the_example_matches_features_of_the_demo(tmp_path: Path, monkeypatch: p
     assert share(np.zeros_like(picture), picture) == 0
     with pytest.raises(ValueError, match="the reference has no keypoints"):
         share(picture, np.zeros_like(picture))
+
+
+def test_the_example_hands_renderings_to_torchmetrics_lpips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its network, whose weights would be downloaded, is replaced by the mean absolute difference."""
+    lpip = pytest.importorskip("torchmetrics.image.lpip")
+    made: list[tuple[object, ...]] = []
+    seen: list[NDArray[np.float32]] = []
+
+    def network(net_type: str, *, normalize: bool) -> Any:
+        made.append((net_type, normalize))
+
+        def distance(first: Any, second: Any) -> Any:
+            seen.extend(image.numpy() for image in (first, second))
+            return (first - second).abs().mean()
+
+        return distance
+
+    monkeypatch.setattr(lpip, "LearnedPerceptualImagePatchSimilarity", network)
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples"))
+    make_tree(tmp_path, scenes=1, size=(64, 96))
+    found = evaluate(
+        None,
+        manifest=tmp_path / "manifests" / "eld-demo.csv",
+        root=tmp_path / "data",
+        baseline="input",
+        cameras=["DemoAlpha"],
+        task="perceptual_distance:lpips",
+    )
+    assert not found.problems
+    assert made == [("alex", True)]  # once, and of images in [0, 1]
+    assert len(seen) == 2 * len(found.images)
+    for image, first, second in zip(found.images, seen[::2], seen[1::2], strict=True):
+        for pixels in (first, second):
+            assert pixels.shape == (1, 3, 32, 48)
+            codes = 255 * pixels.astype(np.float64)
+            np.testing.assert_allclose(codes, np.round(codes), atol=1e-4)
+            assert (pixels.min() >= 0, pixels.max() <= 1) == (True, True)
+        assert image.task == pytest.approx(np.abs(first - second).mean(), rel=1e-5)
+    (metric,) = (metric for metric in found.kind.metrics if metric.name == "task")
+    assert (metric.label, metric.higher_is_better) == ("LPIPS", False)
+    assert found.provenance["task"]["version"].startswith("torchmetrics ")

@@ -7,7 +7,6 @@ import json
 import math
 import shutil
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,11 +18,12 @@ from eldata.datasets.drv import DRVDataset, DRVRawDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
 from eldata.evaluation import EvaluationResult, evaluate, load_results, save_clip_prediction
 from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.saved import saved_result
 from eldata.evaluation.seen_methods import images_of
 from eldata.manifest.catalogue import shipped_card
 from eldata.manifest.drv import scan_raw
 from eldata.metrics import PEAK_ELD, psnr, st_rred
-from eldata.protocols import PROTOCOLS, default_protocol, fields_digest_0_1, get_protocol, kinds
+from eldata.protocols import PROTOCOLS, default_protocol, get_protocol, kinds
 from eldata.raw.cfa import unpack
 from eldata.reports.compare.page import write_comparison_page
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
@@ -32,6 +32,7 @@ from tests.raw.helpers import BAYER
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -39,7 +40,6 @@ CLIPS = ("0007", "0013")
 IDS = list(CLIPS)
 SCORED = range(5, 10)  # frames numbered from 1
 SIZE = (48, 56)
-WRITTEN_BY_0_1 = Path(__file__).parents[1] / "written_by_0_1" / "results"
 
 
 @pytest.fixture(scope="module")
@@ -293,16 +293,7 @@ def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
 
 
 def test_protocols_for_clips() -> None:
-    """One registry; what version 0.1 recorded of them is what they state now."""
     of_clips = {name: one for name, one in PROTOCOLS.items() if one.kind is kinds.CLIPS and name != "sequences"}
-    assert {name: fields_digest_0_1(protocol.as_dict()) for name, protocol in of_clips.items()} == {
-        "drv-rgb": "sha256:cb7bfb0e60acf83cab2c26010c2210a8d6fb57cdd392bc0eb63b0f187e47352a",
-        "drv-rgb-uncorrected": "sha256:023ba7d8b95d10f4d397f757d6b546ca581d69b1868440f3ae1d247ea5a39a80",
-        "drv-raw": "sha256:0efdfc76cf35114a14c8b9628317f911d628a8f2877a58db36daa9a998308d1a",
-        "drv-raw-uncorrected": "sha256:7daac255f80baed8d0ff5242b55d1dec9f5b10338c05e55e47ca11c61f9b6300",
-    }
-    saved = json.loads((WRITTEN_BY_0_1 / "drv.json").read_text(encoding="utf-8"))
-    assert PROTOCOLS["drv-rgb"].as_dict() == saved["protocol"]
     for name, protocol in of_clips.items():
         assert get_protocol(name) is protocol
         stated = protocol.as_dict()
@@ -325,6 +316,7 @@ def test_csv_and_json(result: EvaluationResult, tmp_path: Path) -> None:
             assert float(row[name]) == getattr(video, name)
     result.write_json(tmp_path / "r.json")
     data = json.loads((tmp_path / "r.json").read_text())
+    assert saved_result(data, "r.json").as_dict() == data
     assert data["coverage"] == {"videos": 2, "scored": 2, "missing": []}
     assert [len(video["frame_scores"]) for video in data["videos"]] == [5, 5]
     assert data["table"][0]["st_rred"] == result.st_rred

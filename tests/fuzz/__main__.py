@@ -27,7 +27,6 @@ ROUND = {
     "texts": 400,
     "archives": 100,
     "predictions": 40,
-    "pickles": 20,
     "stores": 20,
     "shards": 20,
     "shadings": 20,

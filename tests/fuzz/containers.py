@@ -1,16 +1,13 @@
-"""Changes to what files are made of that is not TIFF: JPEG, boxes, heaps, PNG, zip, tar, 7z, numpy, pickles, HDF5."""
+"""Changes to what files are made of that is not TIFF: JPEG, boxes, heaps, PNG, zip, tar, 7z, numpy, HDF5."""
 
 from __future__ import annotations
 
 import gzip
 import io
-import pickletools
 import re
 import struct
 import zlib
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from tests.fuzz.bytewise import EDGES, flipped
 
@@ -351,94 +348,3 @@ def sevenzip(data: bytes, random: Random, other: bytes) -> bytes:
         block = _put(block, random.randrange(len(block)), _edge(random, 1, "<"))
     head = data[12:28] + struct.pack("<I", zlib.crc32(block))
     return data[:8] + struct.pack("<I", zlib.crc32(head)) + head + data[32:start] + block + data[start + size :]
-
-
-# --- pickles --------------------------------------------------------------------------------------------------------
-
-_GLOBALS = (
-    *(
-        "os system",
-        "builtins eval",
-        "builtins getattr",
-        "numpy ndarray",
-        "numpy dtype",
-        "numpy._core.multiarray scalar",
-    ),
-    *("numpy._core.multiarray _reconstruct", "numpy.core.multiarray _reconstruct", "numpy._core.numeric _frombuffer"),
-    *("numpy load", "numpy.testing._private.utils runstring", "codecs decode", "_codecs encode", "collections Counter"),
-)
-_OPCODES = tuple(opcode.code.encode("latin1") for opcode in pickletools.opcodes)
-
-
-def pickle_opcode(data: bytes, random: Random, other: bytes) -> bytes:
-    """An opcode of the pickle inside of a numpy file: exchanged, repeated, left out, or a call of something else."""
-    start = data.find(b"\n", 10) + 1
-    body = data[start:]
-    try:
-        places = [place for _, _, place in pickletools.genops(body) if place is not None]
-    except Exception:  # noqa: BLE001 # changed before, and whatever pickletools makes of that
-        places = list(range(len(body)))
-    if len(places) < 3:
-        return data
-    at = random.choice(places)
-    which = random.randrange(6)
-    if which == 0:
-        body = _put(body, at, random.choice(_OPCODES))
-    elif which == 1:
-        stop = random.choice(places)
-        first, last = sorted((at, stop))
-        body = body[:last] + body[first:last] * random.choice((1, 2, 50)) + body[last:]
-    elif which == 2:
-        first, last = sorted((at, random.choice(places)))
-        body = body[:first] + body[last:]
-    elif which == 3:
-        module, name = random.choice(_GLOBALS).split()
-        body = body[:at] + f"c{module}\n{name}\n".encode() + random.choice((b"", b"(tR", b"N\x85R", b")R")) + body[at:]
-    elif which == 4:
-        call = random.choice((b"(I%d\ntR", b"(I%d\nI%d\ntR", b"\x8a\x08%d", b"I%d\n", b"\x8e%d", b"r%d")).replace(
-            b"%d", str(random.choice((-1, 0, 1, 2**31, 2**40, 2**63))).encode()
-        )
-        body = body[:at] + call + body[at:]
-    else:
-        body = _put(body, at, _edge(random, random.choice((1, 2, 4, 8)), "<"))
-    return data[:start] + body
-
-
-def crafted_pickle(data: bytes, random: Random, other: bytes) -> bytes:
-    """A small pickle that builds numpy objects in ways that numpy itself never writes."""
-    core = random.choice(("numpy._core", "numpy.core"))
-    kind = random.choice(("f8", "O8", "V8", "U1000000000", "S2000000000", "O", "i4,f4", "(1000000000,)f8", "f8" * 99))
-    dtype = b"cnumpy\ndtype\n(" + f"S'{kind}'\nI{random.choice((0, 1))}\nI{random.choice((0, 1))}\ntR".encode()
-    if random.random() < 0.5:  # its state, as __reduce__ gives it, with something wrong
-        state: list[int | bytes] = [3, b"'<'", b"N", b"N", b"N", -1, -1, random.choice((0, 63, 2**31))]
-        at = random.randrange(len(state))
-        state[at] = random.choice((-5, 2**31, 2**62, b"'x'", b"(t", b"(S'a'\nt", b"}"))
-        words = b"".join(_literal(item) for item in state)
-        dtype += b"(" + words + b"tb"
-    shape = random.choice(
-        (b"(t", b"(I4\nt", b"(I-4\nt", b"(I1073741824\nI1073741824\nt", b"(I2000000000\nt", b"N", b"I5\n")
-    )
-    raw = random.choice((b"S''\n", b"S'%s'\n" % (b"a" * 32), b"(lI1\na", b"N", b"I7\n", b"cnumpy\nndarray\n"))
-    which = random.randrange(5)
-    if which == 0:
-        body = f"c{core}.multiarray\nscalar\n(".encode() + dtype + raw + b"tR."
-    elif which == 1:
-        body = f"c{core}.multiarray\n_reconstruct\n(cnumpy\nndarray\n".encode() + shape + b"S'b'\ntR"
-        body += b"(I1\n" + shape + dtype + b"I00\n" + raw + b"tb."
-    elif which == 2:
-        body = f"c{core}.numeric\n_frombuffer\n(".encode() + raw + dtype + shape + b"S'C'\ntR."
-    elif which == 3:
-        body = b"cnumpy\nndarray\n(" + shape + dtype + b"tR."
-    else:
-        body = b"(" * random.choice((10, 900, 30000)) + b"t" * 5 + b"." + raw
-    if random.random() < 0.3:
-        body = b"(S'Kmin'\n" + body[:-1] + b"d."
-    start = io.BytesIO()
-    np.lib.format.write_array_header_1_0(start, {"descr": "|O", "fortran_order": False, "shape": ()})
-    return start.getvalue() + body
-
-
-def _literal(item: int | bytes) -> bytes:
-    if isinstance(item, int):
-        return b"I%d\n" % item
-    return b"S" + item + b"\n" if item.startswith(b"'") else item

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import pickle
 import struct
 import tempfile
 from dataclasses import asdict, dataclass, replace
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TESTS = Path(__file__).parents[1]
-BY_0_1 = TESTS / "written_by_0_1"
+GOOD = Path(__file__).parent / "good"
 
 SENSOR = make_sensor(BAYER["RGGB"], 60, 64)
 """Of the reference that predictions belong to."""
@@ -146,11 +145,7 @@ def raws() -> list[Seed]:
         Seed("made-16.raw", "buffer", _scene(*BUFFER, 3).astype("<u2").tobytes()),
     ]
     fixtures = sorted(
-        path
-        for path in TESTS.rglob("*")
-        if path.suffix.lower() in RAW_EXTENSIONS
-        and path.stat().st_size < 120_000
-        and (path.parent == BY_0_1 / "raw" or BY_0_1 not in path.parents)
+        path for path in TESTS.rglob("*") if path.suffix.lower() in RAW_EXTENSIONS and path.stat().st_size < 120_000
     )
     return [*found, *(Seed("-".join(path.relative_to(TESTS).parts), "raw", path.read_bytes()) for path in fixtures)]
 
@@ -256,6 +251,19 @@ def _facts() -> str:
     return facts_text(Facts(record, Fraction(100), 0, 0, side, side))
 
 
+def _results() -> dict[str, Any]:
+    """A result of images, several of them in one file, and one of clips."""
+    from eldata.evaluation.evaluate import evaluate
+    from tests.drv_tree import small_drv
+    from tests.reports.evaluations import result_data
+
+    image = result_data(cameras=("SonyA7S2",), scenes=1)
+    with tempfile.TemporaryDirectory(prefix="eldata-fuzz-") as folder:
+        drv = small_drv(Path(folder), ("0007",), 12)
+        clip = evaluate(None, manifest=drv.csv, root=drv.root, ids=["0007"], baseline="input")
+    return {"images": image, "several": {"results": [image]}, "clips": clip.as_dict()}
+
+
 def texts() -> list[Seed]:
     """A small file of every text format that a command reads."""
     from capture.camera import EXAMPLE
@@ -264,6 +272,14 @@ def texts() -> list[Seed]:
     from manifests.sid_scenes import SHORT_EXPOSURES
 
     profile = {"schema": 1} | CameraProfile.load("SonyA7S2").as_dict()
+    fit = {"slope": 0.5, "bias": -1.0, "sigma": 0.25}
+    parameters = {
+        "Kmin": 0.25,
+        "Kmax": 16.0,
+        "G_shape": [0.1, 0.0, -0.2],
+        "color_bias": [[0.0, 1.0, 2.0, 3.0]] * 3,
+        "Profile-1": {"G_scale": fit, "g_scale": fit, "R_scale": fit},
+    }
     exposure = json.dumps({"iso": "100", "exposure_s": "1/30", "f_number": None})
     sensor = json.dumps(asdict(Sensor("make", "model", ((0, 1), (3, 2)), (0.0,) * 4, 16383.0, 4, 4)))
     curve = b"# a curve\n0 0\n0.25 0.5\n0.5 0.7\n1 1\n"
@@ -272,13 +288,13 @@ def texts() -> list[Seed]:
     bump = " ".join(f"{value:g}" for value in np.sin(np.linspace(0, np.pi, 16)).round(3))
     model = "".join(f"{label}=\n{of}\n" for label, of in (("E", grid), ("f0", grid), ("h(1)", bump), ("h(2)", bump)))
     scenes = f"scene,iso,long,{','.join(SHORT_EXPOSURES)}\n00001,100,10s,1,1,1\n00002,200,30s,1,1,1\n"
-    mapping = (BY_0_1 / "capture" / "again.mapping.json").read_bytes().replace(b"{files}/capture", b"")
     found = {
-        "protocol.toml": ("protocol", (BY_0_1 / "results" / "hallway.toml").read_bytes()),
+        "protocol.toml": ("protocol", (GOOD / "protocol.toml").read_bytes()),
         "profile.json": ("profile", json.dumps(profile).encode()),
+        "parameters.json": ("parameters", json.dumps(parameters).encode()),
         "eld.json": ("card", (shipped_manifest("eld").path.with_suffix(".json")).read_bytes()),
-        "mine.json": ("card", (BY_0_1 / "mine" / "mine.json").read_bytes()),
-        "mine.csv": ("manifest", (BY_0_1 / "mine" / "mine.csv").read_bytes()),
+        "mine.json": ("card", (GOOD / "mine.json").read_bytes()),
+        "mine.csv": ("manifest", (GOOD / "mine.csv").read_bytes()),
         "table.csv": ("published", table()),
         "sources.json": ("sources", SOURCES),
         "curve.txt": ("read_response_table", curve),
@@ -287,24 +303,20 @@ def texts() -> list[Seed]:
         "emor.txt": ("read_curve_model", model.encode()),
         "scenes.csv": ("scenes", scenes.encode()),
         "camera.json": ("camera", _made(EXAMPLE.save, "camera.json")),
-        "plan.json": ("plan", (BY_0_1 / "capture" / "plan.json").read_bytes()),
-        "calibration-plan.json": ("plan", (BY_0_1 / "capture" / "calibration-plan.json").read_bytes()),
-        "progress.json": ("progress", (BY_0_1 / "capture" / "progress.json").read_bytes()),
-        "mapping.json": ("mapping", mapping),
+        "plan.json": ("plan", (GOOD / "plan.json").read_bytes()),
+        "calibration-plan.json": ("plan", (GOOD / "calibration-plan.json").read_bytes()),
+        "progress.json": ("progress", (GOOD / "progress.json").read_bytes()),
+        "mapping.json": ("mapping", (GOOD / "mapping.json").read_bytes()),
         "scheduler.json": (
             "scheduler",
             b'{"type": "Scheduler", "id": "x", "address": "tcp://host:8786", "workers": {}}',
         ),
         "seconds.txt": ("seconds", b"1/60"),
-        "index.json": ("index", (BY_0_1 / "shards" / "tiles" / "index.json").read_bytes()),
+        "index.json": ("index", (GOOD / "shards" / "index.json").read_bytes()),
         "facts.json": ("facts", _facts().encode()),
         "attributes.txt": ("store", f"{exposure}\n{sensor}".encode()),
     }
-    found |= {
-        f"result-{path.name}": ("result", path.read_bytes())
-        for path in sorted((BY_0_1 / "results").glob("*.json"))
-        if path.stat().st_size < 5000
-    }
+    found |= {f"result-{name}.json": ("result", json.dumps(data).encode()) for name, data in _results().items()}
     return [Seed(name, reader, content) for name, (reader, content) in found.items()]
 
 
@@ -386,38 +398,29 @@ def predictions() -> list[Seed]:
     return [Seed(name, reader, content) for (name, reader), content in found.items()]
 
 
-# --- pickles, stores, shards ----------------------------------------------------------------------------------------
-
-
-def pickles() -> list[Seed]:
-    """Parameter files as the authors published them, by every protocol of pickle."""
-    fit = {"slope": np.float64(0.5), "bias": -1.0, "sigma": np.array(0.25)}
-    content: dict[str, Any] = {
-        "Kmin": np.float64(0.25),
-        "Kmax": 16.0,
-        "G_shape": np.array([0.1, 0.0, -0.2]),
-        "color_bias": np.arange(12, dtype=np.float32).reshape(3, 4),
-        "Profile-1": {"G_scale": fit, "g_scale": fit, "R_scale": fit},
-    }
-    array = np.empty((), dtype=object)
-    array[()] = content
-    start = io.BytesIO()
-    np.lib.format.write_array_header_1_0(start, {"descr": "|O", "fortran_order": False, "shape": ()})
-    return [
-        Seed(f"protocol-{number}.npy", "published", start.getvalue() + pickle.dumps(array, protocol=number))
-        for number in range(pickle.HIGHEST_PROTOCOL + 1)
-    ]
+# --- stores, shards --------------------------------------------------------------------------------------------------
 
 
 def stores() -> list[Seed]:
     """Training stores with every compression."""
-    paths = sorted((BY_0_1 / "stores").glob("*.h5"))
-    return [Seed(path.name, "store", path.read_bytes()) for path in paths if path.stat().st_size < 60_000]
+    from eldata.sources.store import build_store, source_of_dataset
+    from eldata.sources.store.format import COMPRESSIONS
+    from tests.trees import build_tree
+
+    with tempfile.TemporaryDirectory(prefix="eldata-fuzz-") as folder:
+        tree = build_tree(Path(folder))
+        source = source_of_dataset("eld-demo", root=tree.root, manifest=tree.csv, cameras=["DemoBeta"], isos=[800])
+        found = []
+        for compression in COMPRESSIONS:
+            path = Path(folder) / f"{compression}.h5"
+            build_store(source, path, compression=compression)
+            found.append(Seed(path.name, "store", path.read_bytes()))
+    return found
 
 
 def shards() -> list[Seed]:
     """A shard; its index stays as it was written."""
-    return [Seed("shard-000000.tar", "shard", (BY_0_1 / "shards" / "whole" / "shard-000000.tar").read_bytes())]
+    return [Seed("shard-000000.tar", "shard", (GOOD / "shards" / "shard-000000.tar").read_bytes())]
 
 
 def shadings() -> list[Seed]:

@@ -93,16 +93,6 @@ def _colours(path: Path, pixels: Any) -> object:
     return np.array(load_colours(path, (3, seeds.SENSOR.height, seeds.SENSOR.width), pixels))
 
 
-def _published(path: Path) -> object:
-    from eldata.noise.published import profiles_from_published, read_published
-
-    found = read_published(path)
-    try:
-        return profiles_from_published("SonyA7S2", found)
-    except ProfileError as error:  # it is handed no path, and names the camera
-        raise FileError(path, str(error)) from error
-
-
 # --- archives, stores, shards ---------------------------------------------------------------------------------------
 
 
@@ -126,7 +116,7 @@ def _store(path: Path) -> object:
 def _shard(path: Path) -> object:
     from eldata.sources.shards.reading import verify_shards
 
-    (path.parent / "index.json").write_bytes((seeds.BY_0_1 / "shards" / "whole" / "index.json").read_bytes())
+    (path.parent / "index.json").write_bytes((seeds.GOOD / "shards" / "index.json").read_bytes())
     problems = verify_shards(str(path.parent))
     if problems:  # listed, as a command lists them
         raise FileError(path, problems[0])
@@ -158,6 +148,16 @@ def _profile(path: Path) -> object:
     from eldata.noise.profile import CameraProfile
 
     return CameraProfile.load(path)
+
+
+def _parameters(path: Path) -> object:
+    from eldata.noise.published import profiles_from_published, read_published
+
+    found = read_published(path)
+    try:
+        return profiles_from_published("SonyA7S2", found)
+    except ProfileError as error:  # it is handed no path, and names the camera
+        raise FileError(path, str(error)) from error
 
 
 def _protocol(path: Path) -> object:
@@ -216,7 +216,7 @@ def _progress(path: Path) -> object:
     from capture.checklist_progress import load_progress
     from capture.plan import Plan
 
-    return load_progress(path, Plan.load(seeds.BY_0_1 / "capture" / "plan.json"))
+    return load_progress(path, Plan.load(seeds.GOOD / "plan.json"))
 
 
 def _mapping(path: Path) -> object:
@@ -224,7 +224,7 @@ def _mapping(path: Path) -> object:
     from capture.observed import Observed, ObservedFrame
     from capture.plan import Plan
 
-    plan = Plan.load(seeds.BY_0_1 / "capture" / "plan.json")
+    plan = Plan.load(seeds.GOOD / "plan.json")
     shots = [shot for _, shot in plan.shots]
     frames = [
         ObservedFrame(Path(f"/card/DSC{number:05d}.dng"), Fraction(shot.iso), shot.setting.nominal_s, None, "Mine 1")
@@ -265,6 +265,7 @@ def _store_attributes(path: Path) -> object:
 
     first, _, second = path.read_bytes().decode(errors="surrogateescape").partition("\n")
     attributes = {"path": "a", "role": "bias", "sha256": "x", "exposure": first, "sensor": second}
+    attributes["file"] = '{"size_bytes": 1, "sha256": "x", "decoder": "x"}'
     try:
         return stored("0", attributes, ())
     except (ValueError, LookupError, TypeError) as error:  # as documented: its caller names the store
@@ -340,6 +341,7 @@ KINDS: dict[str, Kind] = {
             "manifest": _manifest,
             "card": _card,
             "profile": _profile,
+            "parameters": _parameters,
             "protocol": _protocol,
             "result": _result,
             "published": _published_table,
@@ -381,11 +383,6 @@ KINDS: dict[str, Kind] = {
             ".png": (containers.png, containers.png, containers.png_bomb),
             "": (*tiffs.CHANGES, tiffs.crowded),
         },
-    ),
-    "pickles": Kind(
-        seeds.pickles,
-        {"published": _published},
-        {"": (*(containers.pickle_opcode,) * 4, *(containers.crafted_pickle,) * 3, containers.npy)},
     ),
     "stores": Kind(seeds.stores, {"store": _store}, {}, isolated=True),
     "shards": Kind(seeds.shards, {"shard": _shard}, {".tar": (containers.tar_record, containers.npy)}),

@@ -84,13 +84,10 @@ def test_a_string_in_place_of_a_list_is_refused(name: str) -> None:
         select_pairs(RECORDS, **filters)
 
 
-def test_an_unknown_keyword_is_refused_and_one_of_0_1_understood() -> None:
+def test_an_unknown_keyword_is_refused() -> None:
     unknown: Any = {"camera": ["SonyA7S2"]}
     with pytest.raises(TypeError, match="unexpected keyword argument 'camera'; known are cameras, scenes"):
         select_pairs(RECORDS, **unknown)
-    old: Any = {"splits": ["test"]}
-    with pytest.warns(DeprecationWarning, match="splits is called split now"):
-        assert select_pairs(RECORDS, **old) == select_pairs(RECORDS, split="test")
 
 
 def test_a_combination_that_does_not_occur() -> None:

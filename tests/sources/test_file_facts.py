@@ -1,4 +1,4 @@
-"""What stores and shards hold of a sensor: as version 0.1 knows it, and the fractions beside it."""
+"""What stores and shards hold of a sensor: floats, and the fractions beside them."""
 
 from __future__ import annotations
 
@@ -51,8 +51,7 @@ def test_a_sensor_comes_back_with_its_fractions() -> None:
     assert fractions_of(back) == fractions_of(THIRDS)
 
 
-# Version 0.1 makes a sensor of just these fields, and knows no others.
-def test_what_0_1_reads_is_as_it_was() -> None:
+def test_a_sensor_is_floats_with_what_they_do_not_hold_beside_them() -> None:
     assert sorted(sensor_data(THIRDS)) == sorted(set(asdict(THIRDS)) - {"matrix_illuminant"})
     assert through_json(sensor_data(THIRDS))["black_level_dn"] == [float(Fraction(1535, 3)), 512.0, 511.0, 514.0]
     assert more_of_sensor(make_sensor()) == {}

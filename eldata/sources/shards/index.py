@@ -7,7 +7,7 @@
                             there is nothing
     shard-000000.tar        samples one after the other, three members each, named as WebDataset names them:
       000000042.json          the record, the exposure ratio, both sensors and exposures, the place in the frame; with
-                              sensor_more where a sensor states more than version 0.1 knows
+                              sensor_more where a sensor states fractions, or a light that is not D65
       000000042.input.npy     (H, W) uint16, the noisy mosaic in DN
       000000042.target.npy    (H, W) uint16, the reference's
 
@@ -198,11 +198,7 @@ def _shard(data: Mapping[str, Any]) -> Shard:
 def facts_text(facts: Facts) -> str:
     """Return a sample's facts as JSON; fractions as text, so that they stay exact."""
     fields = asdict(facts.record).items()
-    record = {
-        name: str(value) if isinstance(value, Fraction) else value
-        for name, value in fields
-        if name != "measured_ratio" or value is not None  # absent in 0.1
-    }
+    record = {name: str(value) if isinstance(value, Fraction) else value for name, value in fields}
     sides = {name: _side_data(side) for name, side in (("input", facts.input), ("target", facts.target))}
     data = {"record": record, "ratio": str(facts.ratio), "top": facts.top, "left": facts.left, **sides}
     return json.dumps(data, ensure_ascii=False, sort_keys=True)
@@ -225,7 +221,7 @@ def parse_facts(content: bytes) -> Facts:
     nominal, ratio = exact(record["ratio"]), exact(data["ratio"])
     if not nominal or not ratio:
         raise ValueError("there is no ratio")
-    measured, flags = exact(record.get("measured_ratio")), tuple(record["flags"])
+    measured, flags = exact(record["measured_ratio"]), tuple(record["flags"])
     pair = PairRecord(**texts, iso=iso, exposure_s=exposure_s, ratio=nominal, flags=flags, measured_ratio=measured)
     sides = {name: _side(data[name]) for name in ("input", "target")}
     return Facts(pair, ratio, int(data["top"]), int(data["left"]), **sides)

@@ -17,7 +17,7 @@ from eldata.base.fields import TextFile
 from eldata.base.files import atomic_write, check_same_work, remove_leftovers, sha256_of, write_json, write_text
 from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError, EldataError
-from eldata.manifest.pairs import RENAMED, Choice
+from eldata.manifest.pairs import Choice
 from eldata.sources.pairs import checked_ratio
 from eldata.sources.shards.index import FORMAT, INDEX, VERSION, Facts, Shard, ShardIndex, Side, index_text, key_of
 from eldata.sources.shards.members import END, to_bytes
@@ -108,7 +108,7 @@ def write_shards(
             f"samples_per_shard must be 1 or more and seed 0 or more; found {samples_per_shard}, {seed}"
         )
     folder = Path(folder)
-    (chosen,) = keywords("write_shards", choice, Choice, renamed=RENAMED)
+    (chosen,) = keywords("write_shards", choice, Choice)
     source = StoreFrames(store)
     planned = list(_planned(source, source.pairs(chosen), tile, overlap))
     order = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(planned)).tolist()

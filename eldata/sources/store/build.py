@@ -16,17 +16,17 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.files import check_same_work, inside
 from eldata.base.png import read_rgb16
-from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
+from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import EldataError
 from eldata.manifest.clip_checks import is_png
 from eldata.sources.store.format import (
     FORMAT,
+    VERSION,
     PackedFile,
     chunk_shape,
     filters,
     frame_attributes,
     rgb_attributes,
-    version_of,
 )
 from eldata.sources.store.journal import journaled, remove_stale_journal
 from eldata.sources.store.table import TABLE, frame_key, store_table
@@ -53,7 +53,6 @@ class BuildReport:
     store_bytes: int
 
 
-@accepts_jobs
 def build_store(
     source: Source,
     path: Path | str,
@@ -172,7 +171,7 @@ def _header(source: Source, compression: Compression) -> dict[str, Any]:
     """Return the attributes of a store that is not complete yet."""
     return {
         "format": FORMAT,
-        "version": version_of(path for path, _ in source.files),
+        "version": VERSION,
         "written_by": f"eldata {__version__}",
         "dataset": source.dataset,
         "compression": compression,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-from eldata.base.workers import AnyWorkers, Workers, accepts_jobs, require_files
+from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.manifest.verify_report import DatasetReport, Problem, VerifyReport
 from eldata.sources.store.build import pixels_digest
 from eldata.sources.store.format import StoreError, chunk_shape
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 _ADVICE = "copy or pack the store again"
 
 
-@accepts_jobs
 def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorkers = 1) -> VerifyReport:
     """Check a store.
 

@@ -8,14 +8,14 @@
     /table              what the attributes of all frames say once more (table.py); not in stores of RGB frames
     /frames/<n>         one file's visible mosaic, (H, W) uint16 in DN, in chunks of 256 x 256
                         attributes path, role, sha256 (of the pixels), sensor and exposure (JSON), and sensor_more
-                        (JSON) where the sensor states more than version 0.1 knows
-                        or, from version 2 on, a 16-bit RGB frame, (3, H, W) uint16, in chunks of 1 x 256 x 256
+                        (JSON) where the sensor states fractions, or a light that is not D65
+                        or a 16-bit RGB frame, (3, H, W) uint16, in chunks of 1 x 256 x 256
                         attributes path, role, sha256, kind = "rgb"
-                        Of either kind, since version 0.2: file (JSON), the packed file's size and digest and the
-                        LibRaw that decoded it; and channel_white_levels_dn (JSON) of a raw file that LibRaw has one of
+                        Of either kind: file (JSON), the packed file's size and digest and the LibRaw that decoded it;
+                        and channel_white_levels_dn (JSON) of a raw file that LibRaw has one of
 
-A store without RGB frames is of version 1, which older readers know. Frames of clips stand in the order of the clip,
-its reference before them; the manifest is then the list of these files, patterns expanded.
+Frames of clips stand in the order of the clip, its reference before them; the manifest is then the list of these files,
+patterns expanded.
 
 Mosaics, not packed planes: the one packer cuts, turns, packs and normalises a crop in one pass, which a packed crop
 would need two for, and nothing of the visible area is lost.
@@ -34,7 +34,7 @@ from eldata.manifest.clip_checks import is_png
 from eldata.sources.file_facts import exposure_data, exposure_of, more_of_sensor, parsed, sensor_data, sensor_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
     from eldata.manifest.catalogue import Manifest
@@ -71,9 +71,9 @@ class PackedFile:
         return cls(file.stat().st_size, sha256_of(file), decoder)
 
     @classmethod
-    def stated(cls, attributes: Mapping[str, Any]) -> PackedFile | None:
-        """Return what a frame's attributes say; ``None`` of one that version 0.1 packed."""
-        return cls(**parsed("attribute file", attributes["file"])) if "file" in attributes else None
+    def stated(cls, attributes: Mapping[str, Any]) -> PackedFile:
+        """Return what a frame's attributes say."""
+        return cls(**parsed("attribute file", attributes["file"]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +91,9 @@ class StoredFrame:
     sha256
         Of its pixels, row by row, little-endian.
     file
-        What it was decoded from; ``None``: version 0.1 packed it, which did not keep that.
+        What it was decoded from.
     channel_white_levels_dn
-        As in :class:`eldata.records.RawFrame`; kept where ``file`` is.
+        As in :class:`eldata.records.RawFrame`.
     """
 
     key: str
@@ -102,7 +102,7 @@ class StoredFrame:
     sensor: Sensor
     exposure: Exposure
     sha256: str
-    file: PackedFile | None = None
+    file: PackedFile
     channel_white_levels_dn: tuple[float, ...] | None = None
 
     @property
@@ -121,7 +121,7 @@ class StoredRgb:
     height: int
     width: int
     sha256: str
-    file: PackedFile | None = None
+    file: PackedFile
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -170,11 +170,6 @@ class Store:
             for frame in self.frames
         }
         return f"sha256:{hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()}"
-
-
-def version_of(paths: Iterable[str]) -> int:
-    """Return the version of a store of these files: the lowest whose readers know what it holds."""
-    return 2 if any(is_png(path) for path in paths) else 1
 
 
 def chunk_shape(shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -16,7 +16,7 @@ from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest
 from eldata.manifest.clip_checks import is_png
 from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.drv import scan_raw
-from eldata.manifest.pairs import RENAMED, Choice, select_pairs
+from eldata.manifest.pairs import Choice, select_pairs
 from eldata.manifest.patterns import expand, is_pattern
 from eldata.manifest.table import table_text
 from eldata.raw.extensions import raws_below
@@ -116,7 +116,7 @@ def source_of_dataset(
         If the folder or files of a clip are not there, a clip's frames do not follow one numbering, or the pairs are
         not raw files.
     """
-    (chosen,) = keywords("source_of_dataset", choice, Choice, renamed=RENAMED)
+    (chosen,) = keywords("source_of_dataset", choice, Choice)
     if name == _RAW_CLIPS and manifest is None:
         folder = _folder(known_manifest("drv"), root)
         scan = scan_raw(folder)

@@ -3,13 +3,12 @@
 ::
 
     /table      JSON as uint8; of all frames, in their order: "path", "role", "sha256" as the attributes have them,
-                "file" as {"size_bytes": [...], "sha256": [...], "decoder": [...]}, null where a frame has none;
+                "file" as {"size_bytes": [...], "sha256": [...], "decoder": [...]};
                 "sensor", "sensor_more", "exposure", "channel_white_levels_dn" as {"texts": those that there are,
                 "of": numbers of texts, with spaces between them, -1 for none}
 
-HDF5 takes about a millisecond for the attributes of a frame, which is minutes of 100,000. Stores of earlier versions,
-and those with RGB frames, have no table and are opened as before. The attributes stay what counts: ``eldata verify``
-compares.
+HDF5 takes about a millisecond for the attributes of a frame, which is minutes of 100,000. Stores with RGB frames have
+no table and are opened by the attributes, which stay what counts: ``eldata verify`` compares.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ def store_table(attributes: Sequence[Mapping[str, Any]]) -> NDArray[np.uint8] | 
         return None
     columns: dict[str, Any] = {name: [str(each[name]) for each in attributes] for name in _OWN}
     files = [*map(PackedFile.stated, attributes)]
-    columns["file"] = {name: [getattr(file, name, None) for file in files] for name in _FILE}
+    columns["file"] = {name: [getattr(file, name) for file in files] for name in _FILE}
     for name in _SHARED:
         numbers: dict[str, int] = {}
         of = [numbers.setdefault(str(each[name]), len(numbers)) if name in each else -1 for each in attributes]
@@ -64,30 +63,24 @@ def frames_in_table(content: bytes) -> list[StoredFrame]:
     """
     data = TextFile(TABLE, ArgumentError, content=content).json().data
     columns = {name: _of_kind(name, data[name], str) for name in _OWN}
-    columns["file"] = _files(data["file"])
+    files = {name: _of_kind(name, data["file"][name], kind) for name, kind in _FILE.items()}
+    columns["file"] = from_columns(PackedFile, files)
     sensors, more = _texts(data["sensor"]), _texts(data["sensor_more"])
     columns["sensor"] = _made(sensor_in, zip(sensors, more, strict=True))
     columns["exposure"] = _made(exposure_in, zip(_texts(data["exposure"])))
     columns["channel_white_levels_dn"] = _made(white_levels_in, zip(_texts(data["channel_white_levels_dn"])))
     count = len(columns["path"])
-    if {*map(len, columns.values())} != {count}:
-        raise ValueError(f"the table's columns have {sorted({*map(len, columns.values())})} rows")
+    rows = {*map(len, (*columns.values(), *files.values()))}
+    if rows != {count}:
+        raise ValueError(f"the table's columns have {sorted(rows)} rows")
     columns["key"] = [*map(frame_key, range(count))]
     return from_columns(StoredFrame, columns)
 
 
-def _of_kind(name: str, values: Any, *kinds: type) -> list[Any]:
-    if not isinstance(values, list) or not {*map(type, values)} <= {*kinds}:
-        raise TypeError(f"the table's column {name} holds other things than {kinds[0].__name__}")
+def _of_kind(name: str, values: Any, kind: type) -> list[Any]:
+    if not isinstance(values, list) or not {*map(type, values)} <= {kind}:
+        raise TypeError(f"the table's column {name} holds other things than {kind.__name__}")
     return values
-
-
-def _files(column: Mapping[str, Any]) -> list[PackedFile | None]:
-    values = {name: _of_kind(name, column[name], kind, type(None)) for name, kind in _FILE.items()}
-    whole = zip(*values.values(), strict=True)
-    return [
-        None if size is None else file for file, (size, *_) in zip(from_columns(PackedFile, values), whole, strict=True)
-    ]
 
 
 def _texts(column: Mapping[str, Any]) -> list[str | None]:

@@ -80,8 +80,7 @@ def test_frames_stand_in_order_with_their_reference_first(packed: Path) -> None:
     assert paths[start : start + 1 + FRAMES] == ["long/0013/half0001_0.png", *clip]
 
 
-def test_raw_clips_are_mosaics_in_a_store_of_version_1(tmp_path: Path) -> None:
-    """Readers of stores without RGB frames know all that is in it."""
+def test_raw_clips_are_mosaics_in_a_store(tmp_path: Path) -> None:
     for clip in ("0007", "M0003"):
         write_raw_clip(tmp_path / "DRV", clip, 3)
     (tmp_path / "DRV" / "long" / "0007" / "other.ARW").write_bytes(
@@ -95,7 +94,6 @@ def test_raw_clips_are_mosaics_in_a_store_of_version_1(tmp_path: Path) -> None:
     build_store(source, tmp_path / "raw.h5")
     store = open_store(tmp_path / "raw.h5")
     with h5py.File(tmp_path / "raw.h5") as file:
-        assert file.attrs["version"] == 1
         for frame in store.frames:
             np.testing.assert_array_equal(
                 file[f"frames/{frame.key}"][...], read_raw(tmp_path / "DRV" / frame.path).mosaic

@@ -200,7 +200,7 @@ def test_a_damaged_store(spoil: Any, reason: str, own: Path) -> None:
     refused(own, reason)
 
 
-@pytest.mark.parametrize("damage", [{"sensor": None}, {"exposure": "{"}])
+@pytest.mark.parametrize("damage", [{"sensor": None}, {"file": None}, {"exposure": "{"}])
 def test_damaged_attributes_are_found_where_a_table_is_read_too(damage: dict[str, Any], own: Path) -> None:
     with h5py.File(own, "r+") as file:
         attributes = file["frames/000002"].attrs
@@ -209,7 +209,7 @@ def test_damaged_attributes_are_found_where_a_table_is_read_too(damage: dict[str
             del attributes[name]
     refused(own, "is damaged", by_attributes, verify_store)
     with h5py.File(own, "r+") as file:
-        del file["table"]  # as in stores of 0.1
+        del file["table"]
     refused(own, "is damaged")
 
 
@@ -242,6 +242,8 @@ def test_the_table_says_what_the_attributes_say(clean: Packed, own: Path) -> Non
         {"sensor": shared | {"texts": ["{}"] * 4}},
         {"exposure": {"texts": []}},
         {"file": file | {"size_bytes": ["1"] * 4}},
+        {"file": file | {"size_bytes": [None] * 4}},
+        {"file": file | {"sha256": file["sha256"][1:]}},
         {"file": [1]},
     ]
     for damaged in changes:

@@ -173,7 +173,7 @@ def parse_index(place: str, content: bytes) -> ShardIndex:
 
 
 def _levels(data: Mapping[str, Any]) -> FrameLevels:
-    found = data.get("levels", "published")  # version 0.1 did not state them
+    found = data["levels"]
     if found not in FRAME_LEVELS:
         raise ValueError(f"levels {found!r}")
     return found  # type: ignore[no-any-return] # one of them

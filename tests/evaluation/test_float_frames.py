@@ -95,7 +95,8 @@ def test_predictions_may_be_floating_point_dngs(own: OwnSet, tmp_path: Path) -> 
     """The input itself, as its camera's whole DN and as floats."""
     floats = rewritten(own, tmp_path, "*/*.dng")
     options: Any = {"manifest": own.manifest, "root": own.root, "protocol": "lrd-eld"}
-    one, other = (evaluate(of.files, allow_missing=True, **options) for of in (own, floats))
+    whole = shutil.copytree(own.files, tmp_path / "whole")  # the set itself is no predictions
+    one, other = (evaluate(of, allow_missing=True, **options) for of in (whole, floats.files))
     assert len(one.images) == 2
     assert figures(one) == figures(other)
 

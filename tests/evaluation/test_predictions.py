@@ -549,7 +549,7 @@ def test_a_few_hot_pixels_are_no_scale_problem(tree: Tree, alpha: Path) -> None:
 def test_a_dark_scale_is_noted_because_rescaling_hides_it(factor: float, tree: Tree, tmp_path: Path) -> None:
     place(tmp_path, tree, lambda target, _: target * factor + 1e-4)
     result = evaluate(tmp_path, manifest=tree.manifest, root=tree.root)
-    (note,) = result.notes
+    (note,) = (note for note in result.notes if "saturate" not in note)
     assert "12 of 12 predictions" in note
     assert "scale" in note
     assert "scale" in result.format_text()

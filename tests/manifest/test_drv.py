@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from collections import Counter
 from dataclasses import replace
 from fractions import Fraction
@@ -14,9 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from eldata.base.files import write_text
 from eldata.base.png import read_png, read_png_header, read_rgb16, rgb_frame
 from eldata.download.card_downloads import archive_name, choose_parts
 from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
+from eldata.manifest import writing
 from eldata.manifest.card import load_card, save_card
 from eldata.manifest.catalogue import load_manifest, shipped_folder, shipped_manifest
 from eldata.manifest.clips import FRAME_RANGES, Clip, choose_clips, clips_of, frame_range, windows
@@ -404,11 +405,13 @@ def test_flipped_bits_show_at_level_full(drv: SmallDrv) -> None:
 def test_a_lock_that_was_killed_between_card_and_rows_goes_on(drv: SmallDrv, monkeypatch: pytest.MonkeyPatch) -> None:
     """The card says how many rows there will be, and the rows are still patterns."""
 
-    def killed(*_: object) -> None:
-        raise KeyboardInterrupt
+    def killed(file: Path, text: str) -> None:
+        if file.suffix == ".csv":
+            raise KeyboardInterrupt
+        write_text(file, text)
 
     with monkeypatch.context() as patch:
-        patch.setattr(sys.modules["eldata.manifest.lock"], "save_records", killed)
+        patch.setattr(writing, "write_text", killed)
         with pytest.raises(KeyboardInterrupt):
             lock(drv.csv, drv.root)
     with pytest.raises(ManifestError, match=r"the card expects .* found .*; was eldata lock killed here\? lock again"):

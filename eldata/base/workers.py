@@ -506,7 +506,7 @@ class _Own:
             self._lifeline = Lifeline()
             try:
                 self._pool = self._new()
-            except BaseException:
+            except BaseException:  # Ctrl-C too: nobody else would close its sockets
                 self._lifeline.cut()
                 raise
 

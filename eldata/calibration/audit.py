@@ -38,12 +38,12 @@ ACCEPTABLE: Final = (
 
 
 def checked_acceptance(accept: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of checks to be accepted; :class:`ArgumentError` if one of them is no check that can be."""
+    """Return the names of checks to be accepted; :class:`ArgumentError` if one of them is not a check that can be."""
     names = (accept,) if isinstance(accept, str) else tuple(accept)
     for name in names:
         if name not in ACCEPTABLE:
             raise ArgumentError(
-                f"there is no check {name!r} whose withheld figures can be accepted; there are "
+                f"{name!r} is not a check whose withheld figures can be accepted; known are "
                 f"{', '.join(map(repr, ACCEPTABLE))}{did_you_mean(str(name), ACCEPTABLE)}"
             )
     return names

@@ -348,7 +348,7 @@ class DarkSignal:
     is_rising
         Whether noise grows with the level.
     is_of_few
-        Whether it surely is no dark current of all pixels: it falls with the level, is too skewed, is steeper than K,
+        Whether it surely is not dark current of all pixels: it falls with the level, is too skewed, is steeper than K,
         or noise differs between pixels by much more than K and their levels explain.
     """
 

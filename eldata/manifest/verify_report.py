@@ -50,7 +50,7 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class FileRemark:
-    """What should be known of some files but is no problem: its words for the first of them, and how many they are."""
+    """What should be known of some files but is not a problem: the words for the first of them, and how many."""
 
     path: str
     files: int

@@ -16,6 +16,10 @@ from eldata.noise.profile import CameraProfile, ProfileRow
 if TYPE_CHECKING:
     from pathlib import Path
 
+_FIELDS = (
+    "the fields of published parameters, Kmin, Kmax, G_shape, color_bias and Profile-1 with slope, bias and sigma of "
+    "G_scale, g_scale and R_scale"
+)
 SOURCE = "ELD repository (Vandermode/ELD, MIT licence), commit 53d5408, camera_params"
 
 
@@ -80,6 +84,8 @@ def profiles_from_published(camera: str, data: dict[str, Any], source: str = SOU
                     ),
                 )
             )
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
-        raise ProfileError(f"{camera}: is not a published parameter dictionary ({error!r})") from error
+    except KeyError as error:
+        raise ProfileError(f"{camera}: expected {_FIELDS}; {error.args[0]!r} is missing") from error
+    except (TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        raise ProfileError(f"{camera}: expected {_FIELDS}, all numbers; found something else: {error}") from error
     return tuple(profiles)

@@ -1,6 +1,6 @@
 """What should be known of a raw file that is read rightly: sentences that say what was, or was not, done with it.
 
-A remark is no problem: ``read_raw`` gives them with the frame, and ``eldata verify`` says each once.
+A remark is not a problem: ``read_raw`` gives them with the frame, and ``eldata verify`` says each once.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ from eldata.calibration.structure import measured_structure
 from eldata.calibration.telegraph import TelegraphGroups
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.verify_report import Problem
-from eldata.raw.compression import lossy_compression
+from eldata.raw.sensor_facts import lossy_compression
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -333,7 +333,12 @@ def test_tables_and_exif_of_a_file_are_parsed_once(
 
     def count(module: Any, name: str) -> None:
         work = getattr(module, name)
-        monkeypatch.setattr(module, name, lambda path: calls.append(name) or work(path))
+
+        def counted(path: Path) -> Any:
+            calls.append(name)
+            return work(path)
+
+        monkeypatch.setattr(module, name, counted)
 
     count(reading, "read_directories")
     count(exif, "exif_tags")

@@ -6,7 +6,7 @@ from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from eldata.noise.findings import LIMIT, parameter_rows
+from eldata.calibration.acceptance.verdicts import LIMIT, parameter_rows
 from eldata.plots.axes import log_ticks
 from eldata.reports.figures import draw_plot
 from eldata.reports.html import plot_words, rendered
@@ -14,7 +14,7 @@ from eldata.reports.html import plot_words, rendered
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from eldata.calibration.acceptance_results import Acceptance, Curve, IsoAcceptance
+    from eldata.calibration.acceptance.results import Acceptance, Curve, IsoAcceptance
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.noise.findings import LIMIT
+from eldata.calibration.acceptance.verdicts import LIMIT
 from eldata.plots.axes import (
     MARKERS,
     deviation_band,
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import GivenFigure
+    from eldata.calibration.acceptance.reproduction import Reproduction
+    from eldata.calibration.audit.structure import MeasuredStructure
+    from eldata.calibration.core.findings import GivenFigure
+    from eldata.calibration.core.photon_transfer import PhotonTransfer
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
-    from eldata.calibration.photon_transfer import PhotonTransfer
-    from eldata.calibration.reproduction import Reproduction
-    from eldata.calibration.structure import MeasuredStructure
     from eldata.noise.structure import RowSpectrum
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from eldata.calibration.audit import GivenFigure
+    from eldata.calibration.audit.structure import MeasuredStructure
+    from eldata.calibration.core.findings import GivenFigure
     from eldata.calibration.iso_results import IsoGain
     from eldata.calibration.panels import ScalePanel
     from eldata.calibration.results import Calibration
-    from eldata.calibration.structure import MeasuredStructure
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from eldata.noise.findings import CHANNELS, LIMIT, SIGNALS_E, parameter_rows, read_fit
+from eldata.calibration.acceptance.verdicts import CHANNELS, LIMIT, SIGNALS_E, parameter_rows, read_fit
 from eldata.plots.axes import (
     MARKERS,
     deviation_band,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from eldata.noise.findings import Diagnostics, Quantiles, TheoryCheck
+    from eldata.calibration.acceptance.verdicts import Diagnostics, Quantiles, TheoryCheck
     from eldata.noise.gain_modes import LogLogFit
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot

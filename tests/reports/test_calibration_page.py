@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eldata.calibration.structure import MeasuredStructure
+from eldata.calibration.audit.structure import MeasuredStructure
 from eldata.noise.structure import RowSpectrum, RowWave, TelegraphPixels
 from eldata.plots.pictures import block_means, grey_png
 from eldata.reports.calibration import calibration_page

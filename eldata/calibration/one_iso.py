@@ -17,16 +17,7 @@ from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.audit import Finding, with_accepted
 from eldata.calibration.bias_audit import BiasAudit, BiasStatistics
 from eldata.calibration.bias_checks import bias_findings
-from eldata.calibration.clipped_black import ClippedFit, clipped_fit
-from eldata.calibration.clipped_figures import (
-    clipped_bias,
-    clipped_findings,
-    clipped_plot,
-    clipped_read_noise,
-    unclipped_pattern,
-)
-from eldata.calibration.clipped_values import ClippedValues
-from eldata.calibration.colour_bias import ChannelMeans, colour_bias
+from eldata.calibration.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.flat_checks import edge_findings, flat_findings, saturation_findings
 from eldata.calibration.frame_checks import (
@@ -52,17 +43,9 @@ from eldata.calibration.photon_transfer import (
     photon_transfer,
     spatial_photon_transfer,
 )
-from eldata.calibration.read_noise import (
-    ResidualHistogram,
-    Residuals,
-    probability_plot,
-    read_noise,
-    read_noise_findings,
-)
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.calibration.reproduction import compared_piece, reproduction
 from eldata.calibration.response_pattern import ResponsePattern
-from eldata.calibration.row_noise import LineMeans, row_noise
 from eldata.calibration.single_frame import single_frame_plot
 from eldata.calibration.spectrum import power_spectrum
 from eldata.calibration.structure import measured_structure
@@ -248,11 +231,9 @@ class _Reader:
 def _calibrated(reader: _Reader, chosen: IsoFrames, structure: bool) -> IsoCalibration:
     recorded, estimated, held_out = _first_pass(reader, *_split(chosen.bias))
     sensor, is_clipped = reader.sensor, recorded.clips_at_black
-    values = ClippedValues(recorded) if is_clipped else Residuals(recorded)
-    lines, audit = LineMeans(recorded), BiasAudit(recorded)
-    means = ChannelMeans(sensor.cfa, defects=recorded.defects)
+    bias_sums, audit = BiasSums(recorded, sensor.cfa), BiasAudit(recorded)
     jumping = TelegraphGroups(recorded) if structure and not is_clipped else None
-    sums = [one for one in (values, audit, lines, means, jumping) if one is not None]
+    sums = [*bias_sums.parts, audit, *(() if jumping is None else (jumping,))]
     spectrum, single, gaps, step = None, None, 0.0, 1
     for _, frame in reader.read(estimated):
         if spectrum is None:
@@ -264,51 +245,39 @@ def _calibrated(reader: _Reader, chosen: IsoFrames, structure: bool) -> IsoCalib
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
-    of_first_frame = spectrum, single
-    if isinstance(values, ClippedValues):
-        shown: ClippedFit | ResidualHistogram = clipped_fit(values, lines, means)
-    else:
-        shown = values.histogram()
-    fixed = recorded if isinstance(shown, ResidualHistogram) else unclipped_pattern(recorded, shown)
+    fixed = bias_sums.fixed_pattern()
 
-    def from_bias_frames() -> tuple[IsoCalibration, BiasStatistics]:
-        bias, found = colour_bias(means, sensor.black_level_dn), audit.statistics()
-        if isinstance(shown, ResidualHistogram):
-            read, plot = read_noise(shown), probability_plot(shown)
-            of_clip: Iterator[Finding] = iter(())
-        else:
-            read, plot, bias = clipped_read_noise(shown), clipped_plot(shown), clipped_bias(shown, bias, recorded)
-            of_clip = clipped_findings(shown, read, bias)
-        dark = IsoCalibration(
-            iso=float(chosen.iso),
-            sensor=sensor,
-            bias_frames=len(estimated),
-            flat_frames=0,
-            transfer=None,
-            spatial=None,
-            bias=bias,
-            rows=row_noise(lines, read.response),
-            read=read,
-            plot=plot,
-            pattern=fixed.summary,
-            spectrum_dn2=of_first_frame[0],
-            single_frame=of_first_frame[1],
-            reproduction=None,
-            remarks=(),
-            findings=(*of_clip, *read_noise_findings(read, bias, fixed.summary)),
-            stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
-        )
-        return dark, found
+    def from_bias_frames() -> tuple[BiasFigures, BiasStatistics]:
+        return bias_sums.figures(sensor.black_level_dn), audit.statistics()
 
     # The flats decode while the bias frames' figures are worked out.
     if reader.workers.jobs > 1:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(from_bias_frames)
             of_flats = _flats(reader, chosen, fixed, structure)
-            dark, seen = waiting.result()
+            found, seen = waiting.result()
     else:
-        dark, seen = from_bias_frames()
+        found, seen = from_bias_frames()
         of_flats = _flats(reader, chosen, fixed, structure)
+    dark = IsoCalibration(
+        iso=float(chosen.iso),
+        sensor=sensor,
+        bias_frames=len(estimated),
+        flat_frames=0,
+        transfer=None,
+        spatial=None,
+        bias=found.bias,
+        rows=found.rows,
+        read=found.read,
+        plot=found.plot,
+        pattern=fixed.summary,
+        spectrum_dn2=spectrum,
+        single_frame=single,
+        reproduction=None,
+        remarks=(),
+        findings=found.findings,
+        stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
+    )
     # Dark current is told by K, which the flats tell.
     of_audit = bias_findings(
         seen,
@@ -322,17 +291,17 @@ def _calibrated(reader: _Reader, chosen: IsoFrames, structure: bool) -> IsoCalib
     )
     of_bias = with_accepted((*dark.findings, *of_audit), chosen.accept)
     if structure:
-        jumps = (jumping, shown) if jumping is not None and isinstance(shown, ResidualHistogram) else None
+        jumps = None if jumping is None or found.residuals is None else (jumping, found.residuals)
         dark = replace(dark, structure=measured_structure(dark.rows, of_bias, dark.read, jumps))
-    found = of_flats.on(replace(dark, findings=of_bias))
-    if held_out is not None and found.parameters is not None:
+    whole = of_flats.on(replace(dark, findings=of_bias))
+    if held_out is not None and whole.parameters is not None:
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
-        compared = reproduction(held_out, fixed, sensor, found.parameters, generator)
-        found = replace(found, reproduction=compared)
+        compared = reproduction(held_out, fixed, sensor, whole.parameters, generator)
+        whole = replace(whole, reproduction=compared)
     lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
-    remarks = (*reader.copies.remarks, *bias_remarks(found, chosen, lossy))
-    return replace(found, remarks=(*remarks, *of_flats.remarks, *transfer_remarks(found)))
+    remarks = (*reader.copies.remarks, *bias_remarks(whole, chosen, lossy))
+    return replace(whole, remarks=(*remarks, *of_flats.remarks, *transfer_remarks(whole)))
 
 
 def _first_pass(

@@ -23,8 +23,9 @@ from eldata.noise.structure import NoiseStructure, RowSpectrum, RowWave, Telegra
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from eldata.calibration._residual_fit import ResidualHistogram
     from eldata.calibration.audit import Finding
-    from eldata.calibration.read_noise import ReadNoise, ResidualHistogram
+    from eldata.calibration.read_noise import ReadNoise
     from eldata.calibration.row_noise import LineNoise, RowNoise
     from eldata.calibration.telegraph import TelegraphGroups
 

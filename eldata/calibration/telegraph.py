@@ -14,9 +14,10 @@ from eldata.noise.structure import TelegraphPixels
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.calibration._residual_fit import ResidualHistogram
     from eldata.calibration.bias_checks import Ripple
     from eldata.calibration.defects import FixedPattern
-    from eldata.calibration.read_noise import ReadNoise, ResidualHistogram
+    from eldata.calibration.read_noise import ReadNoise
 
     Plane = NDArray[np.float32]
 

@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.bias_figures import BiasSums
+from eldata.calibration.acceptance.reproduction import reproduction
 from eldata.calibration.camera import joined
-from eldata.calibration.defects import BiasStack, fixed_pattern
+from eldata.calibration.core.bias_figures import BiasSums
+from eldata.calibration.core.defects import BiasStack, fixed_pattern
+from eldata.calibration.core.photon_transfer import FlatFrames, FlatPairs, photon_transfer, spatial_photon_transfer
+from eldata.calibration.core.single_frame import single_frame_plot
+from eldata.calibration.core.spectra import power_spectrum
 from eldata.calibration.iso_results import IsoCalibration
-from eldata.calibration.photon_transfer import FlatFrames, FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.reproduction import reproduction
-from eldata.calibration.single_frame import single_frame_plot
-from eldata.calibration.spectrum import power_spectrum
 from eldata.records import Sensor
 from tests.calibration.simulation import Body, Camera
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.photon_transfer import PhotonTransfer
+    from eldata.calibration.core.photon_transfer import PhotonTransfer
     from eldata.calibration.results import Calibration
 
 SHAPE = (264, 384)

@@ -7,9 +7,9 @@ from .acceptance.results import IsoAcceptance as IsoAcceptance
 from .audit.frames import FramesError as FramesError
 from .audit.structure import MeasuredStructure as MeasuredStructure
 from .camera import calibrate as calibrate
-from .core.clipped_black import ClippedFit as ClippedFit
-from .core.clipped_black import clipped_fit as clipped_fit
-from .core.clipped_values import ClippedValues as ClippedValues
+from .core._residual_fit import ResidualHistogram as ResidualHistogram
+from .core.bias_figures import BiasFigures as BiasFigures
+from .core.bias_figures import BiasSums as BiasSums
 from .core.colour_bias import ChannelMeans as ChannelMeans
 from .core.colour_bias import ColourBias as ColourBias
 from .core.colour_bias import colour_bias as colour_bias
@@ -29,12 +29,10 @@ from .core.photon_transfer import photon_transfer as photon_transfer
 from .core.photon_transfer import spatial_photon_transfer as spatial_photon_transfer
 from .core.read_noise import ProbabilityPlot as ProbabilityPlot
 from .core.read_noise import ReadNoise as ReadNoise
-from .core.read_noise import ResidualHistogram as ResidualHistogram
-from .core.read_noise import Residuals as Residuals
 from .core.read_noise import ppcc as ppcc
 from .core.read_noise import probability_plot as probability_plot
 from .core.read_noise import read_noise as read_noise
-from .core.read_noise import read_noise_findings as read_noise_findings
+from .core.residuals import Residuals as Residuals
 from .core.row_noise import LineMeans as LineMeans
 from .core.row_noise import LineNoise as LineNoise
 from .core.row_noise import RowNoise as RowNoise

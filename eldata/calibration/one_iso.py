@@ -31,16 +31,7 @@ from eldata.calibration.audit.frames import FrameReader, FramesError
 from eldata.calibration.audit.response_pattern import ResponsePattern
 from eldata.calibration.audit.structure import measured_structure
 from eldata.calibration.audit.telegraph import TelegraphGroups
-from eldata.calibration.core.clipped_black import ClippedFit, clipped_fit
-from eldata.calibration.core.clipped_figures import (
-    clipped_bias,
-    clipped_findings,
-    clipped_plot,
-    clipped_read_noise,
-    unclipped_pattern,
-)
-from eldata.calibration.core.clipped_values import ClippedValues
-from eldata.calibration.core.colour_bias import ChannelMeans, colour_bias
+from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.core.findings import Finding, with_accepted
 from eldata.calibration.core.photon_transfer import (
@@ -50,14 +41,6 @@ from eldata.calibration.core.photon_transfer import (
     photon_transfer,
     spatial_photon_transfer,
 )
-from eldata.calibration.core.read_noise import (
-    ResidualHistogram,
-    Residuals,
-    probability_plot,
-    read_noise,
-    read_noise_findings,
-)
-from eldata.calibration.core.row_noise import LineMeans, row_noise
 from eldata.calibration.core.single_frame import single_frame_plot
 from eldata.calibration.core.spectra import power_spectrum
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
@@ -194,11 +177,9 @@ def _split(bias: Sequence[FrameRecord]) -> tuple[Sequence[FrameRecord], Sequence
 def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoCalibration:
     recorded, estimated, held_out = _first_pass(reader, *_split(chosen.bias))
     sensor, is_clipped = reader.sensor, recorded.clips_at_black
-    values = ClippedValues(recorded) if is_clipped else Residuals(recorded)
-    lines, audit = LineMeans(recorded), BiasAudit(recorded)
-    means = ChannelMeans(sensor.cfa, defects=recorded.defects)
+    bias_sums, audit = BiasSums(recorded, sensor.cfa), BiasAudit(recorded)
     jumping = TelegraphGroups(recorded) if structure and not is_clipped else None
-    sums = [one for one in (values, audit, lines, means, jumping) if one is not None]
+    sums = [*bias_sums.parts, audit, *(() if jumping is None else (jumping,))]
     spectrum, single, gaps, step = None, None, 0.0, 1
     for _, frame in reader.read(estimated):
         if spectrum is None:
@@ -210,51 +191,39 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
-    of_first_frame = spectrum, single
-    if isinstance(values, ClippedValues):
-        shown: ClippedFit | ResidualHistogram = clipped_fit(values, lines, means)
-    else:
-        shown = values.histogram()
-    fixed = recorded if isinstance(shown, ResidualHistogram) else unclipped_pattern(recorded, shown)
+    fixed = bias_sums.fixed_pattern()
 
-    def from_bias_frames() -> tuple[IsoCalibration, BiasStatistics]:
-        bias, found = colour_bias(means, sensor.black_level_dn), audit.statistics()
-        if isinstance(shown, ResidualHistogram):
-            read, plot = read_noise(shown), probability_plot(shown)
-            of_clip: Iterator[Finding] = iter(())
-        else:
-            read, plot, bias = clipped_read_noise(shown), clipped_plot(shown), clipped_bias(shown, bias, recorded)
-            of_clip = clipped_findings(shown, read, bias)
-        dark = IsoCalibration(
-            iso=float(chosen.iso),
-            sensor=sensor,
-            bias_frames=len(estimated),
-            flat_frames=0,
-            transfer=None,
-            spatial=None,
-            bias=bias,
-            rows=row_noise(lines, read.response),
-            read=read,
-            plot=plot,
-            pattern=fixed.summary,
-            spectrum_dn2=of_first_frame[0],
-            single_frame=of_first_frame[1],
-            reproduction=None,
-            remarks=(),
-            findings=(*of_clip, *read_noise_findings(read, bias, fixed.summary)),
-            stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
-        )
-        return dark, found
+    def from_bias_frames() -> tuple[BiasFigures, BiasStatistics]:
+        return bias_sums.figures(sensor.black_level_dn), audit.statistics()
 
     # The flats decode while the bias frames' figures are worked out.
     if reader.workers.jobs > 1:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(from_bias_frames)
             of_flats = _flats(reader, chosen, fixed, structure)
-            dark, seen = waiting.result()
+            found, seen = waiting.result()
     else:
-        dark, seen = from_bias_frames()
+        found, seen = from_bias_frames()
         of_flats = _flats(reader, chosen, fixed, structure)
+    dark = IsoCalibration(
+        iso=float(chosen.iso),
+        sensor=sensor,
+        bias_frames=len(estimated),
+        flat_frames=0,
+        transfer=None,
+        spatial=None,
+        bias=found.bias,
+        rows=found.rows,
+        read=found.read,
+        plot=found.plot,
+        pattern=fixed.summary,
+        spectrum_dn2=spectrum,
+        single_frame=single,
+        reproduction=None,
+        remarks=(),
+        findings=found.findings,
+        stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
+    )
     # Dark current is told by K, which the flats tell.
     of_audit = bias_findings(
         seen,
@@ -268,17 +237,17 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
     )
     of_bias = with_accepted((*dark.findings, *of_audit), chosen.accept)
     if structure:
-        jumps = (jumping, shown) if jumping is not None and isinstance(shown, ResidualHistogram) else None
+        jumps = None if jumping is None or found.residuals is None else (jumping, found.residuals)
         dark = replace(dark, structure=measured_structure(dark.rows, of_bias, dark.read, jumps))
-    found = of_flats.on(replace(dark, findings=of_bias))
-    if held_out is not None and found.parameters is not None:
+    whole = of_flats.on(replace(dark, findings=of_bias))
+    if held_out is not None and whole.parameters is not None:
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
-        compared = reproduction(held_out, fixed, sensor, found.parameters, generator)
-        found = replace(found, reproduction=compared)
+        compared = reproduction(held_out, fixed, sensor, whole.parameters, generator)
+        whole = replace(whole, reproduction=compared)
     lossy = _lossy(reader, estimated) or _lossy(reader, [pair.first for pair in chosen.pairs])
-    remarks = (*reader.copies.remarks, *bias_remarks(found, chosen, lossy))
-    return replace(found, remarks=(*remarks, *of_flats.remarks, *transfer_remarks(found)))
+    remarks = (*reader.copies.remarks, *bias_remarks(whole, chosen, lossy))
+    return replace(whole, remarks=(*remarks, *of_flats.remarks, *transfer_remarks(whole)))
 
 
 def _lossy(reader: FrameReader, records: Sequence[FrameRecord]) -> str | None:

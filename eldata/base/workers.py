@@ -307,7 +307,7 @@ def _in_order(
     waiting: deque[tuple[Unit, Future[Any]]] = deque()
     try:
         while True:
-            for unit in islice(left, pool.window() - len(waiting)):
+            for unit in islice(left, max(0, pool.window() - len(waiting))):  # a cluster may shrink
                 waiting.append((unit, pool.submit(_call(work, unit))))
             if not waiting:
                 return

@@ -24,7 +24,8 @@ from eldata.noise.diagnostics import (
 )
 from eldata.noise.findings import SIGNALS_E, Diagnostics, TheoryCheck, parameter_rows
 from eldata.noise.parameters import NoiseParameters
-from eldata.noise.profile import CameraProfile, shipped_profiles
+from eldata.noise.profile import CameraProfile
+from eldata.noise.profile_files import shipped_profiles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

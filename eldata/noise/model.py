@@ -43,7 +43,7 @@ from eldata.noise.exposures import (
 from eldata.noise.mosaic import first_place, pack_whole, packed_rows, region_anywhere, unpack_whole, whole_shape
 from eldata.noise.parameters import Generator, NoiseParameters, key_from
 from eldata.noise.structure import known_structure
-from eldata.raw.cfa import CLIP_RANGES
+from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,7 +52,8 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import Cfa, Clip
+    from eldata.raw.cfa import Cfa
+    from eldata.raw.levels import Clip
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
 

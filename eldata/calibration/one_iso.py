@@ -52,7 +52,7 @@ from eldata.calibration.iso_results import IsoCalibration, IsoGain
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.verify_report import Problem
-from eldata.raw.compression import lossy_compression
+from eldata.raw.sensor_facts import lossy_compression
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

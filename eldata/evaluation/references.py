@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.errors import ArgumentError
-from eldata.raw.cfa import CLIP_RANGES, pack, packed_black_level_dn
-from eldata.raw.levels import packed_frame, with_levels
+from eldata.raw.cfa import pack
+from eldata.raw.levels import CLIP_RANGES, packed_black_level_dn, packed_frame, with_levels
 from eldata.sources.frames import Frame
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def normalised_frame(frame: RawFrame, levels: Levels, *, clip: Clip, gain: float
         As :attr:`eldata.protocols.Protocol.levels` has them; ``metadata-per-channel`` means the frame's one white level
         where LibRaw states none for each channel.
     clip, gain
-        As :func:`eldata.raw.cfa.pack_normalised` has them.
+        As :func:`eldata.raw.levels.pack_normalised` has them.
 
     Returns
     -------

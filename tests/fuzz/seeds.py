@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.raw.files import RAW_EXTENSIONS
 from eldata.records import Exposure, PairRecord, Sensor
 from tests.raw.helpers import (
     BAYER,

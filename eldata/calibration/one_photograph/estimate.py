@@ -21,7 +21,8 @@ from eldata.errors import DatasetError, check_choice
 from eldata.noise.gain_modes import LogLogFit
 from eldata.noise.parameters import tukey_lambda_variance
 from eldata.noise.profile import CameraProfile, ProfileRow
-from eldata.raw.cfa import pack, packed_black_level_dn
+from eldata.raw.cfa import pack
+from eldata.raw.levels import packed_black_level_dn
 
 if TYPE_CHECKING:
     from eldata.calibration.one_photograph.noise_line import NoiseLine

@@ -4,7 +4,7 @@ from .acceptance.reproduction import reproduction as reproduction
 from .acceptance.results import Acceptance as Acceptance
 from .acceptance.results import FrameStatistic as FrameStatistic
 from .acceptance.results import IsoAcceptance as IsoAcceptance
-from .audit.frame_checks import FramesError as FramesError
+from .audit.frames import FramesError as FramesError
 from .audit.structure import MeasuredStructure as MeasuredStructure
 from .camera import calibrate as calibrate
 from .core._residual_fit import ResidualHistogram as ResidualHistogram

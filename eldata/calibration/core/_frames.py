@@ -30,6 +30,13 @@ def channels_of(pattern: NDArray[np.int64]) -> int:
     return int(pattern.max()) + 1
 
 
+def by_pixel(values: NDArray[Any], pattern: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return an array of that shape in which each pixel has its channel's entry of ``values``."""
+    repeats = -(-shape[0] // len(pattern)), -(-shape[1] // len(pattern))
+    plane: NDArray[Any] = np.tile(values[pattern], repeats)[: shape[0], : shape[1]]
+    return plane
+
+
 def checked_mosaic(mosaic: NDArray[Any], shape: tuple[int, int] | None, period: int) -> NDArray[np.uint16]:
     """Return the mosaic if it is a frame in DN, of the shape of the frames before or else large enough."""
     if mosaic.dtype != np.uint16:

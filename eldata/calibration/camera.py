@@ -15,7 +15,7 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Failed, Workers, require_files
-from eldata.calibration.audit.frame_checks import FramesError, sorted_frames
+from eldata.calibration.audit.frames import FramesError, sorted_frames
 from eldata.calibration.audit.structure import pooled_prnu
 from eldata.calibration.core.findings import checked_acceptance
 from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from eldata.calibration.audit.frame_checks import IsoFrames
+    from eldata.calibration.audit.frames import IsoFrames
     from eldata.calibration.core.findings import Figure
     from eldata.noise.structure import NoiseStructure
 

@@ -146,7 +146,7 @@ def run_show(arguments: argparse.Namespace) -> int:
 
     def write_page() -> None:
         from eldata.base.files import write_text
-        from eldata.reports.profile.page import profile_page
+        from eldata.reports.profile import profile_page
 
         write_text(arguments.html, profile_page(diagnostics))
 

@@ -20,7 +20,7 @@ import pytest
 
 from eldata.calibration.acceptance.comparison import check_noise
 from eldata.calibration.acceptance.results import FrameStatistic
-from eldata.calibration.audit.frame_checks import FramesError
+from eldata.calibration.audit.frames import FramesError
 from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile, NoiseModel

@@ -382,7 +382,7 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
         with path.open("rb") as file:
             header = read_npy_header(file)
             held = path.stat().st_size - file.tell()
-        found = f"{header.dtype or header.descr} {header.shape}"
+        found = f"{header.kind} {header.shape}"
         good = len(header.shape) == 3 and str(header.dtype) == "float32"
         if good and held < header.value_bytes:
             found, good = f"{found} of {header.value_bytes} bytes, {held} of which are there", False

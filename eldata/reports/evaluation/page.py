@@ -22,10 +22,11 @@ from eldata.reports.html import digits, signed
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from eldata.base.figures import Figure
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
-    from eldata.protocols.kinds import Kind, Metric
+    from eldata.protocols.kinds import Kind
 
 
 def write_evaluation_page(
@@ -202,8 +203,8 @@ def _cells(rows: Iterable[tuple[str, ...]]) -> tuple[tuple[Cell, ...], ...]:
     return tuple(tuple(Cell("–" if text == "-" else text) for text in row) for row in rows)
 
 
-def _interval_text(interval: Interval, metric: Metric) -> str:
-    return signed(f"{metric.text(interval.low)} to {metric.text(interval.high)}") if interval.is_known else "–"
+def _interval_text(interval: Interval, metric: Figure) -> str:
+    return signed(f"{metric.format(interval.low)} to {metric.format(interval.high)}") if interval.is_known else "–"
 
 
 def _protocols(results: Sequence[EvaluationResult]) -> Table:
@@ -224,7 +225,7 @@ def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
         cells += fact_cells(score, kind)
         for metric in kind.metrics:
             value = score.values[metric.name]
-            cells.append(number_cell(value, f"{value:.{metric.row_places}f}"))
+            cells.append(number_cell(value, metric.format_single(value)))
         rows.append((*cells, number_cell(score.rescale, f"{score.rescale:.3f}")))
     facts = () if kind.is_of_clips else FACTS
     header = (kind.unit, "camera", "scene", *facts, *kind.heads[1:], "rescaled by")
@@ -250,7 +251,7 @@ def _tiles(result: EvaluationResult) -> list[tuple[str, str, str]]:
     for metric in result.kind.metrics:
         interval = result.interval(result.whole, metric.name)
         note = f"{INTERVAL.split()[0]}: {_interval_text(interval, metric)}" if interval.is_known else TOO_FEW
-        tiles.append((metric.label, f"{metric.text(interval.mean)} {metric.unit}".rstrip(), note))
+        tiles.append((metric.label, f"{metric.format(interval.mean)} {metric.unit}".rstrip(), note))
     cameras = len({score.camera for score in result.scores})
     return [
         *tiles,
@@ -265,7 +266,7 @@ def _facts(image: ShownImage, result: EvaluationResult) -> str:
         *(
             f"{text} {metric.unit}" if metric.unit else f"{metric.label} {text}"
             for metric in result.kind.metrics
-            for text in [metric.text(score.values[metric.name])]
+            for text in [metric.format(score.values[metric.name])]
         ),
         *([f"rescaled by {score.rescale:.3f}"] if result.rescales else []),
         f"{score.camera}, {score.scene}",

@@ -20,10 +20,11 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
+    from eldata.base.figures import Figure
     from eldata.evaluation.looking import Column, Grouping
     from eldata.evaluation.scores import UnitScore
     from eldata.plots.axes import Theme
-    from eldata.protocols.kinds import Kind, Metric
+    from eldata.protocols.kinds import Kind
     from eldata.reports.figures import Plot
 
 _USUAL = (0.8, 1.25)
@@ -52,17 +53,17 @@ def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool, scen
 # --- one column per group -----------------------------------------------------------------------------------------
 
 
-def _strips(metric: Metric, columns: Sequence[Column], by: Grouping, kind: Kind, note: str) -> Plot:
+def _strips(metric: Figure, columns: Sequence[Column], by: Grouping, kind: Kind, note: str) -> Plot:
     scores = [score for column in columns for score in column.scores]
     groups = list(dict.fromkeys(column.group for column in columns))
     values = [score.values[metric.name] for score in scores]
 
     def draw(axes: Axes, theme: Theme) -> None:
         strips(axes, [column.to_draw(metric.name) for column in columns], theme)
-        axes.set_ylabel(metric.head)
+        axes.set_ylabel(metric.heading)
 
     alt = (
-        f"{metric.head} of {len(scores)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
+        f"{metric.heading} of {len(scores)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
         f"{min(values):.4g} to {max(values):.4g}."
     )
     by_what = f"{'ISO' if by == 'iso' else by}{'' if factors_of(scores) == [None] else ' and factor'}"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 
 from eldata.errors import ArgumentError, PredictionError
-from eldata.evaluation.compared_frames import scored_arrays
+from eldata.evaluation.frames import scored_arrays
 from eldata.evaluation.ordering import cameras_in_order, natural
 from eldata.evaluation.originals import Originals
 from eldata.evaluation.pairs import place_of
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.compared_frames import ScoredArrays
+    from eldata.evaluation.frames import ScoredArrays
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval

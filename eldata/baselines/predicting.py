@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from eldata.manifest.clips import Clip
     from eldata.noise.profile import CameraProfile
     from eldata.protocols.protocol import Protocol as ScoringProtocol
-    from eldata.raw.cfa import Clip as ClipRange
+    from eldata.raw.levels import Clip as ClipRange
 
     Values = NDArray[np.floating[Any]]
 

@@ -14,22 +14,11 @@ import numpy as np
 from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.calibration.audit import Finding, with_accepted
-from eldata.calibration.bias_audit import BiasAudit, BiasStatistics
-from eldata.calibration.bias_checks import bias_findings
-from eldata.calibration.clipped_black import ClippedFit, clipped_fit
-from eldata.calibration.clipped_figures import (
-    clipped_bias,
-    clipped_findings,
-    clipped_plot,
-    clipped_read_noise,
-    unclipped_pattern,
-)
-from eldata.calibration.clipped_values import ClippedValues
-from eldata.calibration.colour_bias import ChannelMeans, colour_bias
-from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.flat_checks import edge_findings, flat_findings, saturation_findings
-from eldata.calibration.frame_checks import (
+from eldata.calibration.acceptance.reproduction import compared_piece, reproduction
+from eldata.calibration.audit.bias_checks import bias_findings
+from eldata.calibration.audit.bias_sums import BiasAudit, BiasStatistics
+from eldata.calibration.audit.flat_checks import edge_findings, flat_findings, saturation_findings
+from eldata.calibration.audit.frame_checks import (
     ADVISED_BIAS_FRAMES,
     Copies,
     FrameFigures,
@@ -44,39 +33,50 @@ from eldata.calibration.frame_checks import (
     unlike_most,
     unreadable,
 )
-from eldata.calibration.iso_results import IsoCalibration, IsoGain
-from eldata.calibration.photon_transfer import (
+from eldata.calibration.audit.response_pattern import ResponsePattern
+from eldata.calibration.audit.structure import measured_structure
+from eldata.calibration.audit.telegraph import TelegraphGroups
+from eldata.calibration.core.clipped_black import ClippedFit, clipped_fit
+from eldata.calibration.core.clipped_figures import (
+    clipped_bias,
+    clipped_findings,
+    clipped_plot,
+    clipped_read_noise,
+    unclipped_pattern,
+)
+from eldata.calibration.core.clipped_values import ClippedValues
+from eldata.calibration.core.colour_bias import ChannelMeans, colour_bias
+from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
+from eldata.calibration.core.findings import Finding, with_accepted
+from eldata.calibration.core.photon_transfer import (
     FlatFrames,
     FlatPairs,
     PhotonTransfer,
     photon_transfer,
     spatial_photon_transfer,
 )
-from eldata.calibration.read_noise import (
+from eldata.calibration.core.read_noise import (
     ResidualHistogram,
     Residuals,
     probability_plot,
     read_noise,
     read_noise_findings,
 )
+from eldata.calibration.core.row_noise import LineMeans, row_noise
+from eldata.calibration.core.single_frame import single_frame_plot
+from eldata.calibration.core.spectra import power_spectrum
+from eldata.calibration.iso_results import IsoCalibration, IsoGain
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
-from eldata.calibration.reproduction import compared_piece, reproduction
-from eldata.calibration.response_pattern import ResponsePattern
-from eldata.calibration.row_noise import LineMeans, row_noise
-from eldata.calibration.single_frame import single_frame_plot
-from eldata.calibration.spectrum import power_spectrum
-from eldata.calibration.structure import measured_structure
-from eldata.calibration.telegraph import TelegraphGroups
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.verify_report import Problem
-from eldata.raw.compression import lossy_compression
+from eldata.raw.sensor_facts import lossy_compression
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.frame_checks import IsoFrames
+    from eldata.calibration.audit.frame_checks import IsoFrames
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, Sensor
 
@@ -101,7 +101,7 @@ def calibrate_iso(
     frames
         Where the files are.
     chosen
-        The ISO's frames (:func:`~eldata.calibration.frame_checks.sorted_frames`).
+        The ISO's frames (:func:`~eldata.calibration.audit.frame_checks.sorted_frames`).
     workers
         The threads that decode; the result does not depend on them. One frame more than that is in memory, besides
         the sums.

@@ -105,8 +105,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run_show(arguments: argparse.Namespace) -> int:
     """Show and test one profile."""
     from eldata.base.tables import one_line, text_table
-    from eldata.noise.diagnostics import diagnose, sample_parameters
-    from eldata.noise.findings import parameter_rows
+    from eldata.calibration.acceptance.theory import diagnose, sample_parameters
+    from eldata.calibration.acceptance.verdicts import parameter_rows
     from eldata.noise.profile import CameraProfile
 
     profile = CameraProfile.load(arguments.camera)
@@ -160,7 +160,7 @@ def run_show(arguments: argparse.Namespace) -> int:
 
 def run_estimate(arguments: argparse.Namespace) -> int:
     """Estimate a profile from one photograph."""
-    from eldata.calibration.one_image import estimate_profile
+    from eldata.calibration.one_photograph.estimate import estimate_profile
 
     found = estimate_profile(arguments.image, source=arguments.source)
 

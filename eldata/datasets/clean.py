@@ -16,7 +16,7 @@ from eldata.manifest.patterns import sequence_of
 from eldata.noise.model import check_normalised
 from eldata.raw._kernels import scatter_bayer
 from eldata.raw.cfa import packing_sites, unpack
-from eldata.raw.extensions import RAW_EXTENSIONS, no_raws, raws_below
+from eldata.raw.files import RAW_EXTENSIONS, no_raws, raws_below
 from eldata.raw.levels import LEVELS, Levels, check_in_dn
 from eldata.sources.frames import Files, Frame
 from eldata.sources.store.frames import StoreFrames

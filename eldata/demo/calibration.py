@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from eldata.calibration.audit import GivenFigure
+    from eldata.calibration.core.findings import GivenFigure
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
     from eldata.demo.body import FixedFeatures

@@ -16,8 +16,8 @@ from eldata.manifest.clip_checks import size_findings
 from eldata.manifest.patterns import RowFinding
 from eldata.manifest.verify import header_findings, ratio_findings
 from eldata.manifest.verify_report import Problem
-from eldata.raw.cfa import CLIP_RANGES, pack, packed_black_level_dn
-from eldata.raw.levels import packed_frame, with_levels
+from eldata.raw.cfa import pack
+from eldata.raw.levels import CLIP_RANGES, packed_black_level_dn, packed_frame, with_levels
 from eldata.records import RawFrame, RawHeader
 from eldata.sources.frames import Frame
 
@@ -150,7 +150,7 @@ def normalised_frame(frame: RawFrame, levels: Levels, *, clip: Clip, gain: float
         As :attr:`eldata.protocols.Protocol.levels` has them; ``metadata-per-channel`` means the frame's one white level
         where LibRaw states none for each channel.
     clip, gain
-        As :func:`eldata.raw.cfa.pack_normalised` has them.
+        As :func:`eldata.raw.levels.pack_normalised` has them.
 
     Returns
     -------

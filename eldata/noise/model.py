@@ -41,7 +41,7 @@ from eldata.noise.packed_rows import packed_rows
 from eldata.noise.parameters import NoiseParameters
 from eldata.noise.randomness import Generator, key_from
 from eldata.noise.structure import known_structure
-from eldata.raw.cfa import CLIP_RANGES
+from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,7 +50,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.noise.makers import DarkSource
-    from eldata.raw.cfa import Cfa, Clip
+    from eldata.raw.cfa import Cfa
+    from eldata.raw.levels import Clip
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
 

@@ -26,7 +26,12 @@ from eldata.calibration import (
     read_noise_findings,
     row_noise,
 )
-from eldata.calibration.clipped_figures import clipped_bias, clipped_findings, clipped_read_noise, unclipped_pattern
+from eldata.calibration.core.clipped_figures import (
+    clipped_bias,
+    clipped_findings,
+    clipped_read_noise,
+    unclipped_pattern,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from eldata.calibration.acceptance import check_iso_noise
-from eldata.calibration.frame_checks import IsoFrames
+from eldata.calibration.acceptance.comparison import check_iso_noise
+from eldata.calibration.audit.frame_checks import IsoFrames
 from eldata.datasets.calibration_frames import FlatPair
 from eldata.noise.parameters import NoiseParameters
 from eldata.raw.cfa import packing_sites
@@ -20,7 +20,7 @@ from tests.calibration.simulation import Body, Camera
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.acceptance_results import IsoAcceptance
+    from eldata.calibration.acceptance.results import IsoAcceptance
 
 
 @dataclass

@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from eldata.calibration import ChannelMeans, ClippedValues, LineMeans, Residuals, clipped_fit
-from eldata.calibration._clipped_noise import ClippedNoise, laplace, normal
-from eldata.calibration.audit import given
+from eldata.calibration.core._clipped_noise import ClippedNoise, laplace, normal
+from eldata.calibration.core.findings import given
 from eldata.errors import DatasetError
 from tests.calibration.chain import calibrated, stacked
 from tests.calibration.in_memory import calibrated_arrays
@@ -19,7 +19,7 @@ from tests.calibration.read_noise_study import REGIMES
 from tests.calibration.simulation import XTRANS, Body, Camera
 
 if TYPE_CHECKING:
-    from eldata.calibration.audit import Figure
+    from eldata.calibration.core.findings import Figure
 
 QUIET = Camera(shape=(96, 128), black=0.0, hot_share=0.0)
 

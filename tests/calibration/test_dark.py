@@ -13,11 +13,11 @@ from eldata.calibration import (
     ChannelMeans,
     LineMeans,
     colour_bias,
-    defects,
     fit_log_log,
     fixed_pattern,
     row_noise,
 )
+from eldata.calibration.core import defects
 from eldata.errors import ArgumentError, DatasetError
 from tests.calibration.chain import calibrated, stacked
 from tests.calibration.simulation import BAYER, XTRANS, Body, Camera

@@ -16,7 +16,7 @@ import pytest
 from eldata import calibrate
 from eldata.base.workers import Workers
 from eldata.calibration import FramesError
-from eldata.calibration.frame_checks import (
+from eldata.calibration.audit.frame_checks import (
     Copies,
     FrameFigures,
     PairLevels,

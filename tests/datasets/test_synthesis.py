@@ -26,7 +26,8 @@ from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.noise.profile import ProfileRow
 from eldata.noise.shading_content import DarkCurrent
 from eldata.raw import bayer_cfa, read_raw, write_dng
-from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised
+from eldata.raw.cfa import XTRANS_CFA, pack
+from eldata.raw.levels import pack_normalised
 from eldata.records import Exposure, RawFrame, Sensor, exact_fraction
 from tests.planted_shading import shading_of
 from tests.raw.helpers import write_plain_dng

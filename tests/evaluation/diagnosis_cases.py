@@ -29,8 +29,8 @@ from eldata.evaluation.suspicions import Inspection, sketch, suspicions_of
 from eldata.isp.preview import preview
 from eldata.metrics.image_score import score_by
 from eldata.protocols.named import PROTOCOLS
-from eldata.raw.cfa import XTRANS_CFA, Clip, pack, pack_normalised, unpack
-from eldata.raw.levels import with_levels
+from eldata.raw.cfa import XTRANS_CFA, pack, unpack
+from eldata.raw.levels import Clip, pack_normalised, with_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

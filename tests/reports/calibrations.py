@@ -7,23 +7,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.calibration.acceptance.reproduction import reproduction
 from eldata.calibration.camera import joined
-from eldata.calibration.colour_bias import ChannelMeans, colour_bias
-from eldata.calibration.defects import BiasStack, fixed_pattern
+from eldata.calibration.core.colour_bias import ChannelMeans, colour_bias
+from eldata.calibration.core.defects import BiasStack, fixed_pattern
+from eldata.calibration.core.photon_transfer import FlatFrames, FlatPairs, photon_transfer, spatial_photon_transfer
+from eldata.calibration.core.read_noise import Residuals, probability_plot, read_noise
+from eldata.calibration.core.row_noise import LineMeans, row_noise
+from eldata.calibration.core.single_frame import single_frame_plot
+from eldata.calibration.core.spectra import power_spectrum
 from eldata.calibration.iso_results import IsoCalibration
-from eldata.calibration.photon_transfer import FlatFrames, FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
-from eldata.calibration.reproduction import reproduction
-from eldata.calibration.row_noise import LineMeans, row_noise
-from eldata.calibration.single_frame import single_frame_plot
-from eldata.calibration.spectrum import power_spectrum
 from eldata.records import Sensor
 from tests.calibration.simulation import Body, Camera
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.photon_transfer import PhotonTransfer
+    from eldata.calibration.core.photon_transfer import PhotonTransfer
     from eldata.calibration.results import Calibration
 
 SHAPE = (264, 384)

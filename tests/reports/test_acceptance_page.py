@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.calibration.acceptance_results import Acceptance
+from eldata.calibration.acceptance.results import Acceptance
 from eldata.noise import NoiseModel
 from eldata.reports.acceptance.page import acceptance_page
 from tests.calibration.judged import Specimen, judged

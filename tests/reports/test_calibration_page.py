@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eldata.calibration.structure import MeasuredStructure
+from eldata.calibration.audit.structure import MeasuredStructure
 from eldata.noise.structure import RowSpectrum, RowWave, TelegraphPixels
 from eldata.reports.calibration.page import calibration_page
 from eldata.reports.html import digits, measured, prose, typeset

@@ -5,12 +5,12 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from eldata.noise.findings import LIMIT, parameter_rows
+from eldata.calibration.acceptance.verdicts import LIMIT, parameter_rows
 from eldata.reports.acceptance.plots import acceptance_plots
 from eldata.reports.html import rendered
 
 if TYPE_CHECKING:
-    from eldata.calibration.acceptance_results import Acceptance, FrameStatistic, IsoAcceptance
+    from eldata.calibration.acceptance.results import Acceptance, FrameStatistic, IsoAcceptance
     from eldata.reports.figures import Plot
 
 

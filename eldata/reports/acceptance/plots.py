@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from eldata.noise.findings import LIMIT
+from eldata.calibration.acceptance.verdicts import LIMIT
 from eldata.plots.axes import log_ticks
 from eldata.reports.figures import drawn_axes
 from eldata.reports.html import plot_words
@@ -13,7 +13,7 @@ from eldata.reports.html import plot_words
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from eldata.calibration.acceptance_results import Curve, IsoAcceptance
+    from eldata.calibration.acceptance.results import Curve, IsoAcceptance
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 

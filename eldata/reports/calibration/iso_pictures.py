@@ -12,8 +12,8 @@ from eldata.reports.pictures import Picture, Pictures, grey, limits, pooled
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from eldata.calibration.acceptance.reproduction import Reproduction
     from eldata.calibration.iso_results import IsoCalibration
-    from eldata.calibration.reproduction import Reproduction
 
 _SHADING_SHOWN = 72  # rows or columns
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.noise.findings import LIMIT
+from eldata.calibration.acceptance.verdicts import LIMIT
 from eldata.plots.axes import (
     MARKERS,
     Theme,
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import GivenFigure
+    from eldata.calibration.acceptance.reproduction import Reproduction
+    from eldata.calibration.core.findings import GivenFigure
+    from eldata.calibration.core.photon_transfer import PhotonTransfer
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
-    from eldata.calibration.photon_transfer import PhotonTransfer
-    from eldata.calibration.reproduction import Reproduction
 
 GAUSSIAN_LAMBDA = 0.14
 """The shape at which the Tukey-lambda distribution is nearest to the normal one."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from eldata.calibration.audit import GivenFigure
+    from eldata.calibration.core.findings import GivenFigure
     from eldata.calibration.iso_results import IsoGain
     from eldata.calibration.panels import ScalePanel
     from eldata.calibration.results import Calibration

@@ -26,10 +26,10 @@ from eldata.reports.html import digits, grouped, measured, rendered
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.audit import Effect, Figure, GivenFigure
+    from eldata.calibration.audit.structure import MeasuredStructure
+    from eldata.calibration.core.findings import Effect, Figure, GivenFigure
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
     from eldata.calibration.results import Calibration
-    from eldata.calibration.structure import MeasuredStructure
     from eldata.reports.figures import Plot
     from eldata.reports.pictures import Pictures
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from eldata.calibration.audit.structure import MeasuredStructure
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
-    from eldata.calibration.structure import MeasuredStructure
     from eldata.noise.structure import RowSpectrum
 
 _NONE = "none seen"

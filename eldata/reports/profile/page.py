@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from eldata.noise.findings import CHANNELS, LIMIT, parameter_rows
+from eldata.calibration.acceptance.verdicts import CHANNELS, LIMIT, parameter_rows
 from eldata.reports.html import rendered
 from eldata.reports.profile.plots import plots
 
 if TYPE_CHECKING:
-    from eldata.noise.findings import Diagnostics, TheoryCheck
+    from eldata.calibration.acceptance.verdicts import Diagnostics, TheoryCheck
 
 
 def profile_page(diagnostics: Diagnostics) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from eldata.noise.findings import CHANNELS, LIMIT, SIGNALS_E, read_fit
+from eldata.calibration.acceptance.verdicts import CHANNELS, LIMIT, SIGNALS_E, read_fit
 from eldata.plots.axes import (
     MARKERS,
     Theme,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from eldata.noise.findings import Diagnostics, Quantiles, TheoryCheck
+    from eldata.calibration.acceptance.verdicts import Diagnostics, Quantiles, TheoryCheck
     from eldata.noise.gain_modes import LogLogFit
 
 

@@ -15,7 +15,7 @@ from eldata.calibration.iso_results import usual_gain_per_iso
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.audit.frame_checks import IsoFrames
+    from eldata.calibration.audit.frames import IsoFrames
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
 
 _LONGEST_BIAS_S = 1 / 250

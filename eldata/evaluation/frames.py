@@ -10,19 +10,17 @@ import json
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
 
 import numpy as np
 
 from eldata.base.naming import named_object
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, ShadingError
-from eldata.evaluation.diagnosis import mistake_in
-from eldata.evaluation.inspected_frame import Circumstances
+from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch
+from eldata.evaluation.diagnosis.places import Circumstances
 from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame
-from eldata.evaluation.pairs import Pair, amplified_by, ratio_of, reference_of
+from eldata.evaluation.pairs import Pair, amplified_by, ratio_of
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
-from eldata.evaluation.suspicions import Inspection, sketch
 from eldata.metrics.registry import OF_FRAMES
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.digests import CHOOSING, OF_INPUT, canonical
@@ -31,11 +29,11 @@ from eldata.raw.levels import with_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from eldata.evaluation.originals import Originals
-    from eldata.evaluation.scores import FrameScore
     from eldata.evaluation.tasks import Task, TaskImages
     from eldata.metrics.image_score import Score, ScoringRules
     from eldata.noise.dark_shading import DarkShading
@@ -380,75 +378,3 @@ def as_scored(prediction: NDArray[Any], rules: ScoringRules, factor: float, dtyp
     for channel, plane in enumerate(prediction):  # the float64 intermediates are 8 bytes per pixel
         result[channel] = np.clip(np.clip(plane.astype(np.float64), low, high) * factor, final_low, final_high)
     return result
-
-
-# --- for those who look at it ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScoredArrays:
-    """One frame as it was scored: arrays (C, h, w) of the whole frame.
-
-    Attributes
-    ----------
-    amplified
-        The noisy input; ``None`` where predictions are renderings.
-    prediction
-        Rescaled and clamped.
-    reference
-        What it was compared with.
-    sensor
-        Of packed raw; ``None`` of colours.
-    """
-
-    amplified: NDArray[Any] | None
-    prediction: NDArray[Any]
-    reference: NDArray[Any]
-    sensor: Sensor | None
-
-    @property
-    def error(self) -> NDArray[Any]:
-        """The absolute error, mean over channels, (h, w)."""
-        return cast("NDArray[Any]", np.abs(self.prediction - self.reference).mean(axis=0))
-
-
-def scored_arrays(
-    originals: Originals,
-    protocol: Protocol,
-    pair: Pair,
-    frame: FrameScore,
-    file: Path | None,
-    dark_shading: Path | None = None,
-) -> ScoredArrays:
-    """Return what was compared, decoded once more.
-
-    Parameters
-    ----------
-    originals
-        The dataset's frames.
-    protocol, pair
-        What was scored, and how.
-    frame
-        Which frame of the pair, and the factor that it was given.
-    file
-        Its prediction; ``None`` if the noisy input itself was scored.
-    dark_shading
-        The file of what was taken off the input, if anything was.
-
-    Raises
-    ------
-    RawFileError, PredictionError, ManifestError
-        If a file is no longer what was scored.
-    """
-    job = ScoringJob(Path.cwd(), originals, (protocol,), None, dark_shading=dark_shading)
-    reference = Reference(originals, reference_of(pair, frame.path) or "")
-    shared = ComparedFrame(job, reference, pair, NoisyInput(job, reference, pair, frame.path), file)
-    target = reference.target(protocol)
-    factor = 1.0 if np.isnan(frame.rescale) else frame.rescale
-    prediction = as_scored(shared.prediction(protocol), protocol.rules, factor, np.float32)
-    return ScoredArrays(
-        amplified=None if protocol.pixels == "srgb" else shared.input(protocol),
-        prediction=prediction,
-        reference=target,
-        sensor=reference.frame.sensor if protocol.pixels == "packed" else None,
-    )

@@ -19,10 +19,10 @@ import numpy as np
 
 from eldata.base.workers import Failed, require_files
 from eldata.errors import ArgumentError, EldataError, FileError, PredictionError
+from eldata.evaluation.diagnosis import Inspection, chosen_frames
 from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
 from eldata.evaluation.pairs import Pair, files_of, frames_of, iso_of, place_of, ratio_of, reference_of
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
-from eldata.evaluation.suspicions import Inspection, chosen_frames
 from eldata.manifest.clips import ClipRecord
 from eldata.protocols.clips import ClipProtocol
 

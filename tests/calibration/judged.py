@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from eldata.calibration.acceptance.comparison import check_iso_noise
-from eldata.calibration.audit.frame_checks import IsoFrames
+from eldata.calibration.audit.frames import IsoFrames
 from eldata.datasets.calibration_frames import FlatPair
 from eldata.noise.parameters import NoiseParameters
 from eldata.raw.cfa import packing_sites
@@ -120,4 +120,4 @@ def judged(
         single=(),
         bias_exposure_s=Fraction(1, 8000),
     )
-    return check_iso_noise(model, frames, chosen, parameters or truth(specimen.camera), seed=seed, **options)
+    return check_iso_noise(model, parameters or truth(specimen.camera), frames, chosen, seed=seed, **options)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,42 +23,31 @@ from tqdm import tqdm
 
 from eldata.base.numbers import checked_whole, counted
 from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Workers, require_files
-from eldata.calibration.acceptance.held_out import HeldOutFrames
-from eldata.calibration.acceptance.made_frames import MadeFrames
-from eldata.calibration.acceptance.pairs import (
-    FlatScale,
-    FrameScale,
-    dark_pair,
-    flat_pair,
-    mean_of,
-    smoothed,
-)
+from eldata.calibration.acceptance.frames import HeldOutFrames, MadeFrames
+from eldata.calibration.acceptance.pairs import PairScale, dark_pair, flat_pair, level_names, mean_of, smoothed
 from eldata.calibration.acceptance.reproduction import compared_place
 from eldata.calibration.acceptance.results import Acceptance, FrameStatistic, IsoAcceptance
-from eldata.calibration.acceptance.statistics import PairNumbers, curves_of, dark_statistics, flat_statistics
+from eldata.calibration.acceptance.statistics import PairNumbers, curves_of, frame_statistics
 from eldata.calibration.acceptance.theory import sample_parameters
-from eldata.calibration.audit.frame_checks import (
-    FramesError,
-    sorted_frames,
-)
-from eldata.calibration.core._frames import channels_of, pattern_of
+from eldata.calibration.audit.frames import FramesError, sorted_frames
+from eldata.calibration.core._frames import by_pixel, channels_of, pattern_of
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError, DatasetError
+from eldata.manifest.verify_report import Problem
 from eldata.noise.makers import check_noise_maker, maker_name
 from eldata.noise.model import NoiseModel
 from eldata.noise.profile import CameraProfile, profile_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
     from fractions import Fraction
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from eldata.calibration.acceptance.pairs import PairFigures
-    from eldata.calibration.audit.frame_checks import IsoFrames
+    from eldata.calibration.audit.frames import IsoFrames
     from eldata.datasets.calibration_frames import FlatPair
-    from eldata.manifest.verify_report import Problem
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.parameters import NoiseParameters
     from eldata.records import Sensor
@@ -152,41 +142,23 @@ def check_noise(
         raise ArgumentError(
             f"parameters are of one ISO, and the frames of {len(chosen)}; give a profile, or isos=[...]"
         )
-    options = _Options(seed, pairs, whole_frames)
+    judge = partial(check_iso_noise, model, parameters, seed=seed, pairs=pairs, whole_frames=whole_frames)
     if workers.executor is None:
-        found = [_checked(model, frames, parameters, options, one, workers) for one in chosen]
+        found = [judge(frames, one, workers=workers) for one in chosen]
     else:
         there = copy.copy(frames)
         there.root = frames.root.absolute()  # workers have folders of their own to start from
-        work = partial(_checked_there, model, there, parameters, options)
-        found = list(workers.run(work, chosen, label=f"checking {name}", unit="ISO"))
+        found = list(workers.run(partial(_judge_there, judge, there), chosen, label=f"checking {name}", unit="ISO"))
     return Acceptance(frames.camera, name, seed, pairs, tuple(found))
 
 
-@dataclass(frozen=True, slots=True)
-class _Options:
-    """As :func:`check_noise` has them."""
-
-    seed: int
-    pairs: int
-    whole_frames: bool
-
-
-def _checked_there(
-    model: NoiseMaker,
-    frames: CalibrationFrames,
-    parameters: CameraProfile | NoiseParameters,
-    options: _Options,
-    chosen: IsoFrames,
-) -> IsoAcceptance:
+def _judge_there(judge: Callable[..., IsoAcceptance], frames: CalibrationFrames, chosen: IsoFrames) -> IsoAcceptance:
     flats = (flat for pair in chosen.pairs for flat in (pair.first, pair.second))
     require_files(*map(frames.path, (*chosen.bias, *flats)))
-    return _checked(model, frames, parameters, options, chosen, IN_THIS_PROCESS)
+    return judge(frames, chosen)
 
 
 def _too_few(frames: CalibrationFrames, one: IsoFrames) -> Problem:
-    from eldata.manifest.verify_report import Problem
-
     where = f"ISO {float(one.iso):g}"
     advice = "take ten more with the lens capped, and keep them from the calibration"
     return Problem(frames.camera, where, "bias", "two held-out bias frames or more", str(len(one.bias)), advice)
@@ -197,9 +169,9 @@ def _too_few(frames: CalibrationFrames, one: IsoFrames) -> Problem:
 
 def check_iso_noise(
     model: NoiseMaker,
+    parameters: CameraProfile | NoiseParameters,
     frames: CalibrationFrames,
     chosen: IsoFrames,
-    profile: CameraProfile | NoiseParameters,
     *,
     seed: int = 0,
     pairs: int = PAIRS,
@@ -207,18 +179,6 @@ def check_iso_noise(
     workers: Workers = IN_THIS_PROCESS,
 ) -> IsoAcceptance:
     """Check a model at one ISO; arguments and errors are those of :func:`check_noise`, and ``chosen`` its frames."""
-    return _checked(model, frames, profile, _Options(seed, pairs, whole_frames), chosen, workers)
-
-
-def _checked(
-    model: NoiseMaker,
-    frames: CalibrationFrames,
-    profile: CameraProfile | NoiseParameters,
-    options: _Options,
-    chosen: IsoFrames,
-    workers: Workers,
-) -> IsoAcceptance:
-    seed, pairs, whole_frames = options.seed, options.pairs, options.whole_frames
     camera = HeldOutFrames(frames, workers)
     held_out = camera.bias_pairs(chosen.bias)
     first = next(held_out, None)
@@ -227,65 +187,75 @@ def _checked(
         raise DatasetError(
             f"ISO {float(chosen.iso):g}: fewer than two bias frames that differ: " + camera.copies.remarks[0]
         )
-    sensor = camera.known()
-    if min(first[0].shape) < _SMALLEST:
-        raise DatasetError(f"the comparison needs {_SMALLEST} x {_SMALLEST} pixels or more; found {first[0].shape}")
-    parameters, measured = _parameters(profile, chosen.iso, sensor, seed)
+    sensor, shape = camera.sensor, first[0].shape
+    if min(shape) < _SMALLEST:
+        raise DatasetError(f"the comparison needs {_SMALLEST} x {_SMALLEST} pixels or more; found {shape}")
+    told, measured = _parameters(parameters, chosen.iso, sensor, seed)
     pattern = pattern_of(sensor.cfa)
-    scale = FrameScale.of(*first, pattern)
-    made = MadeFrames(
-        model, parameters, sensor, (seed, int(chosen.iso)), whole_frames, _seconds(chosen.bias_exposure_s)
-    )
-    size = (sensor.height, sensor.width) if whole_frames else first[0].shape
-    no_light = np.zeros(size, dtype=np.float32)
+    scale = PairScale.of_bias(*first, pattern)
+    made = MadeFrames(model, told, sensor, (seed, int(chosen.iso)), whole_frames, _seconds(chosen.bias_exposure_s))
+    no_light = np.zeros((sensor.height, sensor.width) if whole_frames else shape, dtype=np.float32)
     made.check(no_light, first[0], scale)
 
-    reference, of_camera, of_model = PairNumbers(), PairNumbers(), PairNumbers()
-    total = np.zeros(first[0].shape, dtype=np.float64)
-    measure = partial(dark_pair, scale=scale)
-    for pair in _made(made, no_light, 1, _REFERENCE, measure, workers):
-        reference.add(pair)
-        total += pair.mean_dn
-    mean_dn = (total / _REFERENCE).astype(np.float32)
-    of_camera.add(dark_pair(*first, scale), mean_dn)
-    for one in held_out:
-        of_camera.add(dark_pair(*one, scale), mean_dn)
-    camera.refuse()
-    simulated = _made(made, no_light, 2, pairs, measure, workers)
-    for pair in tqdm(simulated, f"ISO {float(chosen.iso):g}", pairs, unit="pair", disable=None, leave=False):
-        of_model.add(pair, mean_dn)
-    statistics = dark_statistics(reference, of_camera, of_model, 2 * first[0].size)
+    def of_bias() -> Iterator[PairFigures]:
+        yield dark_pair(*first, scale)
+        for one in held_out:
+            yield dark_pair(*one, scale)
+        camera.refuse()
 
-    levels = [float(np.mean(of_camera.of(f"level {index}"))) for index in range(channels_of(pattern))]
-    lit, used, remarks = _flats(camera, chosen, made, levels, pairs)
+    compared = _Compared(made, no_light, 1, pairs, partial(dark_pair, scale=scale), workers)
+    reference, of_camera, of_model = compared.sides(of_bias(), f"ISO {float(chosen.iso):g}")
+    statistics = frame_statistics(reference, of_camera, of_model, first[0].size)
+
+    levels = [np.mean(of_camera.of(name)) for name in level_names(channels_of(pattern))]
+    lit, used, remarks = _flats(camera, chosen, made, np.array(levels, dtype=np.float32), pairs)
     drawn = [] if measured else ["the profile has not measured this ISO, or not completely: its parameters were drawn"]
     few = [] if of_camera.fours else ["pixels of unlike noise are looked for in fours of bias frames: there are fewer"]
     return IsoAcceptance(
         iso=float(chosen.iso),
-        parameters=parameters,
+        parameters=told,
         measured=measured,
-        bias_frames=2 * len(of_camera.units),
+        bias_frames=2 * len(of_camera.pairs),
         flat_frames=used,
-        shape=(first[0].shape[0], first[0].shape[1]),
+        shape=(shape[0], shape[1]),
         statistics=(*statistics, *lit),
         curves=curves_of(of_camera, of_model, scale),
         remarks=tuple(dict.fromkeys((*drawn, *few, *remarks, *camera.copies.remarks))),
     )
 
 
-def _made(
-    made: MadeFrames,
-    light_dn: Plane,
-    stream: int,
-    count: int,
-    measure: Callable[[Mosaic, Mosaic], PairFigures],
-    workers: Workers,
-) -> Iterator[PairFigures]:
-    """Yield the figures of the model's pairs. A model that is not ours may not be called by two threads at a time."""
-    is_ours = isinstance(made.model, NoiseModel) and made.model.dark_frames is None
-    return (workers if is_ours else IN_THIS_PROCESS).read_ahead(
-        lambda index: measure(*made.pair(light_dn, stream, index)), range(count)
-    )
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """One kind of frames: what the model makes them of, of which streams, and how a pair is measured."""
+
+    made: MadeFrames
+    light_dn: Plane
+    stream: int
+    pairs: int
+    measure: Callable[[Mosaic, Mosaic], PairFigures]
+    workers: Workers
+
+    def sides(self, held_out: Iterable[PairFigures], label: str) -> tuple[PairNumbers, PairNumbers, PairNumbers]:
+        """Return the numbers of the model's reference, of the camera, and of the model."""
+        reference, of_camera, of_model = PairNumbers(), PairNumbers(), PairNumbers()
+        total = np.zeros(1)
+        for pair in self._simulated(self.stream, _REFERENCE):
+            total = total + pair.mean_dn
+            reference.add(pair)
+        mean_dn = (total / _REFERENCE).astype(np.float32)
+        for pair in held_out:
+            of_camera.add(pair, mean_dn)
+        simulated = self._simulated(self.stream + 1, self.pairs)
+        for pair in tqdm(simulated, label, self.pairs, unit="pair", disable=None, leave=False):
+            of_model.add(pair, mean_dn)
+        return reference, of_camera, of_model
+
+    def _simulated(self, stream: int, count: int) -> Iterator[PairFigures]:
+        """Yield the figures of the model's pairs. A model not ours may not be called by two threads at a time."""
+        is_ours = isinstance(self.made.model, NoiseModel) and self.made.model.dark_frames is None
+        return (self.workers if is_ours else IN_THIS_PROCESS).read_ahead(
+            lambda index: self.measure(*self.made.pair(self.light_dn, stream, index)), range(count)
+        )
 
 
 def _parameters(
@@ -320,7 +290,7 @@ def _parameters(
 
 
 def _flats(
-    camera: HeldOutFrames, chosen: IsoFrames, made: MadeFrames, levels: Sequence[float], pairs: int
+    camera: HeldOutFrames, chosen: IsoFrames, made: MadeFrames, dark: Plane, pairs: int
 ) -> tuple[list[FrameStatistic], int, list[str]]:
     """Return the statistics of flats at three exposures at most, how many frames they are of, and remarks."""
     by_time: dict[Fraction | None, list[FlatPair]] = {}
@@ -332,7 +302,6 @@ def _flats(
     saturated = len(groups) - len(usable)
     remarks = [f"flats of {counted(saturated, 'exposure')} saturate and were left out"] if saturated else []
     places = sorted({round(place) for place in np.linspace(0, len(usable) - 1, min(_FLAT_LEVELS, len(usable)))})
-    dark = np.array(levels, dtype=np.float32)
     statistics, used = [], 0
     for number, place in enumerate(places):
         found, frames = _of_exposure(camera, usable[place], made, dark, pairs, 3 + 2 * number)
@@ -346,49 +315,31 @@ def _is_saturated(camera: HeldOutFrames, pair: FlatPair) -> bool:
     flats = camera.flats(pair)
     if flats is None:
         return True
-    white = camera.known().white_level_dn
-    return max(float(np.mean(camera.cut(flat) >= white)) for flat in flats) > _SATURATED
+    return max(float(np.mean(camera.cut(flat) >= camera.sensor.white_level_dn)) for flat in flats) > _SATURATED
 
 
 def _of_exposure(
     camera: HeldOutFrames, group: Sequence[FlatPair], made: MadeFrames, dark: Plane, pairs: int, stream: int
 ) -> tuple[list[FrameStatistic], int]:
-    sensor, made = made.sensor, replace(made, exposure_s=_seconds(group[0].first.exposure_s))
-    pattern = pattern_of(sensor.cfa)
-    light: Plane | None = None
-    scale: FlatScale | None = None
-    reference, of_camera, of_model = PairNumbers(), PairNumbers(), PairNumbers()
-    for one in group:
-        flats = camera.flats(one)
-        if flats is None:
-            continue
-        first, second = (camera.cut(flat) for flat in flats)
-        if scale is None:
-            of_piece = _tiled(dark, pattern, first.shape)
-            scale = FlatScale.of(first, second, of_piece, pattern)
-            seen = flats if made.whole_frames else (first, second)
-            mean = mean_of(*seen)
-            light = np.maximum(smoothed(mean, scale.sigma_dn, pattern) - _tiled(dark, pattern, mean.shape), 0)
-        of_camera.add(flat_pair(first, second, scale))
-    if scale is None or light is None:
+    """Return the statistics of one exposure's flats, of whose first pair the light is taken, and of how many frames."""
+    found = (flats for one in group if (flats := camera.flats(one)) is not None)
+    flats = next(found, None)
+    if flats is None:
         return [], 0
-    measure = partial(flat_pair, scale=scale)
-    for pair in _made(made, light, stream, _REFERENCE, measure, camera.workers):
-        reference.add(pair)
-    simulated = _made(made, light, stream + 1, pairs, measure, camera.workers)
-    for pair in tqdm(simulated, "flats", pairs, unit="pair", disable=None, leave=False):
-        of_model.add(pair)
+    pattern = pattern_of(made.sensor.cfa)
+    first = camera.cut(flats[0]), camera.cut(flats[1])
+    scale = PairScale.of_flats(*first, by_pixel(dark, pattern, first[0].shape), pattern)
+    mean = mean_of(*(flats if made.whole_frames else first))
+    light = np.maximum(smoothed(mean, scale.sigma_dn, pattern) - by_pixel(dark, pattern, mean.shape), 0)
+    held_out = chain([first], ((camera.cut(one), camera.cut(two)) for one, two in found))
+    made = replace(made, exposure_s=_seconds(group[0].first.exposure_s))
+    compared = _Compared(made, light, stream, pairs, partial(flat_pair, scale=scale), camera.workers)
+    reference, of_camera, of_model = compared.sides((flat_pair(*one, scale) for one in held_out), "flats")
     where = light[compared_place(light.shape, len(pattern))] if made.whole_frames else light
     check = f"flats of {float(where.mean()):.0f} DN"
-    statistics = flat_statistics(check, reference, of_camera, of_model, where.size)
-    return statistics, 2 * len(of_camera.units)
+    statistics = frame_statistics(reference, of_camera, of_model, where.size, check)
+    return statistics, 2 * len(of_camera.pairs)
 
 
 def _seconds(exposure_s: Fraction | None) -> float | None:
     return None if exposure_s is None else float(exposure_s)
-
-
-def _tiled(dark: Plane, pattern: NDArray[np.int64], shape: tuple[int, ...]) -> Plane:
-    repeats = -(-shape[0] // len(pattern)), -(-shape[1] // len(pattern))
-    tiled: Plane = np.tile(dark[pattern], repeats)[: shape[0], : shape[1]]
-    return tiled

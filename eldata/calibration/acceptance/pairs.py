@@ -4,38 +4,48 @@ Of two frames of one scene, the difference has what changes from frame to frame,
 knows nothing of the fixed pattern, the mean of the second knows nothing of the noise. Every number is one of a pair.
 Pairs that share no frame are independent, whatever rows, columns and fixed pattern do within a frame: from pair to pair
 a number scatters as it does, and no count of independent pixels is needed.
+
+A number is named where it is measured, by the check, the symbol and the unit that tables give it.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from eldata.calibration.core._frames import channels_of
+from eldata.calibration.acceptance.verdicts import CHANNELS
+from eldata.calibration.core._frames import by_pixel, channels_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Plane = NDArray[np.float32]
 
+Name = tuple[str, str, str]
+
+# What is measured against the model's reference, once that is known; flats have no check of their own name.
+FRAME_KS: Final[Name] = ("one frame", "distance of values (KS)", "1")
+KS: Final[Name] = ("difference of two", "distance of values (KS)", "1")
+FLAT_KS: Final[Name] = ("flats", "distance of values (KS)", "1")
+SAME_PATTERN: Final[Name] = ("fixed pattern", "energy in common with the model's", "DN^2")
+HOT: Final[Name] = ("fixed pattern", "share of hot pixels", "1")
+
 _REACH = 8  # standard deviations, at which values end: no single outlier decides anything
 _LEAST_SPREAD_DN = 0.5  # quantiles of whole DN can agree
-_BLOCK = (
-    32  # pixels a side, whose means are the shading: whole periods of every CFA but X-Trans and nona, where it is 36
-)
+_BLOCK = 32  # pixels a side, whose means are the shading: whole periods of every CFA but X-Trans and nona: there 36
 _AROUND = 16  # sites on each side, over which light is smoothed
 # Cycles per line between which the spectrum's bands lie.
 _LOW, _HIGH = 1 / 64, 1 / 8
 _FEWEST_LINES = 4  # frequencies in the lowest band: one alone scatters by all of itself
 _NOTHING = 1e-12  # DN^2: in decibels, as a power of 0 would be, of a model without noise
-LAGS = ((0, 1), (0, 2), (1, 0), (2, 0), (1, 1), (2, 2))
+_LAGS = ((0, 1), (0, 2), (1, 0), (2, 0), (1, 1), (2, 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrameScale:
+class PairScale:
     """The levels and spreads that all frames are measured by: held-out frames give them, for both sides alike.
 
     Attributes
@@ -43,25 +53,33 @@ class FrameScale:
     pattern
         The CFA's period, of channel numbers.
     level_dn
-        (H, W) int32: each channel's median, whole DN.
-    spread_dn, sigma_dn
-        Half the distance of the 16th and the 84th percentile: of a frame's values over their channel's level, and of
-        the difference of two frames over the square root of 2.
+        (H, W): of bias frames each channel's median, int32; of flats that of no light, black and colour bias, float32.
+    sigma_dn, spread_dn
+        Half the distance of the 16th and the 84th percentile: of the difference of two frames over the square root of
+        2, and of a bias frame's values over their channel's level.
     """
 
     pattern: NDArray[np.int64]
-    level_dn: NDArray[np.int32] = field(repr=False)
-    spread_dn: float
+    level_dn: NDArray[Any] = field(repr=False)
     sigma_dn: float
+    spread_dn: float = 0.0
 
     @classmethod
-    def of(cls, first: NDArray[np.uint16], second: NDArray[np.uint16], pattern: NDArray[np.int64]) -> FrameScale:
-        """Measure two frames."""
-        channel = _channel(pattern, first.shape)
-        levels = [int(np.median(first[channel == index])) for index in range(channels_of(pattern))]
-        level = np.array(levels, dtype=np.int32)[channel]
+    def of_bias(cls, first: NDArray[np.uint16], second: NDArray[np.uint16], pattern: NDArray[np.int64]) -> PairScale:
+        """Measure two bias frames."""
+        channels = range(channels_of(pattern))
+        channel = by_pixel(np.array(channels), pattern, first.shape)
+        medians = np.array([int(np.median(first[channel == index])) for index in channels], dtype=np.int32)
+        level = by_pixel(medians, pattern, first.shape)
         difference = np.subtract(first, second, dtype=np.int32)
-        return cls(pattern, level, _half_width(first - level), _half_width(difference) / 2**0.5)
+        return cls(pattern, level, _half_width(difference) / 2**0.5, _half_width(first - level))
+
+    @classmethod
+    def of_flats(
+        cls, first: NDArray[np.uint16], second: NDArray[np.uint16], dark_dn: Plane, pattern: NDArray[np.int64]
+    ) -> PairScale:
+        """Measure two flats of one exposure, with the level of no light."""
+        return cls(pattern, dark_dn, _half_width(_scaled_difference(first, second, dark_dn)) / 2**0.5)
 
     @property
     def reach_dn(self) -> int:
@@ -74,59 +92,70 @@ class FrameScale:
         return int(np.ceil(_REACH * 2**0.5 * self.sigma_dn))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class PairFigures:
     """The numbers of one pair.
 
     Attributes
     ----------
     numbers
-        By name.
+        By name, in the order of the tables; nan for what only the model's reference tells.
     values, differences
-        Counts of both frames' values over their channel's level, and of their differences, by whole DN from one end of
-        the scale's reach to the other.
+        Counts of both frames' values over their channel's level (not of flats), and of their differences, by whole DN
+        from one end of the scale's reach to the other.
     row_power_dn2, column_power_dn2
-        Periodograms of the row and the column means of the difference over the square root of 2; empty for flats.
+        Periodograms of the row and the column means of the difference over the square root of 2.
     mean_dn
         (H, W) float32: mean of both frames, less their channels' means.
     sizes_dn
         (H, W) float32: the sizes of the differences, less their mean, over it.
     """
 
-    numbers: dict[str, float]
-    values: NDArray[np.int64] = field(repr=False)
+    numbers: dict[Name, float]
     differences: NDArray[np.int64] = field(repr=False)
     row_power_dn2: NDArray[np.float64] = field(repr=False)
     column_power_dn2: NDArray[np.float64] = field(repr=False)
     mean_dn: Plane = field(repr=False)
     sizes_dn: Plane = field(repr=False)
+    values: NDArray[np.int64] = field(repr=False, default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
-def dark_pair(first: NDArray[np.uint16], second: NDArray[np.uint16], scale: FrameScale) -> PairFigures:
+def level_names(channels: int) -> list[Name]:
+    """Return the names of the channels' levels."""
+    return [("level", f"mean of {name}", "DN") for name in (CHANNELS if channels == len(CHANNELS) else "RGB")]
+
+
+def dark_pair(first: NDArray[np.uint16], second: NDArray[np.uint16], scale: PairScale) -> PairFigures:
     """Measure two bias frames, (H, W) in DN, of the shape of the scale's."""
+    pattern, period = scale.pattern, len(scale.pattern)
     whole = [_within(frame - scale.level_dn, scale.reach_dn) for frame in (first, second)]
     steps = _within(np.subtract(first, second, dtype=np.int32), scale.difference_reach_dn)
-    (a, of_a), (b, of_b) = (_less_channels(values, scale.pattern) for values in whole)
-    change, _ = _less_channels(steps, scale.pattern)
+    (a, of_a), (b, of_b) = (_less_channels(values, pattern) for values in whole)
+    change, _ = _less_channels(steps, pattern)
     change /= np.float32(2**0.5)
     variance = (_mean(a * a) + _mean(b * b)) / 2
-    levels = scale.level_dn[: len(scale.pattern), : len(scale.pattern)]
-    level_of = {int(channel): float(level) for channel, level in zip(scale.pattern.flat, levels.flat, strict=True)}
-    numbers = {f"level {index}": level_of[index] + (of_a[index] + of_b[index]) / 2 for index in range(len(of_a))}
-    numbers |= {
-        "drift": abs(_mean(whole[0]) - _mean(whole[1])),
-        "frame sigma": variance**0.5,
-        "frame skewness": (_mean(a**3) + _mean(b**3)) / 2 / variance**1.5 if variance else 0.0,
-        "sigma": _mean(change * change) ** 0.5,
+    levels = scale.level_dn[:period, :period]
+    level_of = {int(channel): float(level) for channel, level in zip(pattern.flat, levels.flat, strict=True)}
+    numbers = {
+        name: level_of[index] + (of_a[index] + of_b[index]) / 2 for index, name in enumerate(level_names(len(of_a)))
     }
-    lines, row_power, column_power = _lines(change, len(scale.pattern))
-    numbers |= lines | _neighbours(change)
+    lines, row_power, column_power = _lines(change, period)
+    in_blocks = (_blocks(plane, period) for plane in (a, b))
     numbers |= {
-        "pattern": _mean(a * b),
-        "pattern columns": _shared(a.mean(axis=0, dtype=np.float64), b.mean(axis=0, dtype=np.float64)),
-        "pattern rows": _shared(a.mean(axis=1, dtype=np.float64), b.mean(axis=1, dtype=np.float64)),
-        "pattern shading": _shared(*(_blocks(plane, len(scale.pattern)) for plane in (a, b))),
-        "hot": float(np.mean(np.logical_and(*(np.abs(values) == scale.reach_dn for values in whole)))),
+        ("level", "from frame to frame", "DN"): abs(_mean(whole[0]) - _mean(whole[1])),
+        ("one frame", "standard deviation", "DN"): variance**0.5,
+        ("one frame", "skewness", "1"): (_mean(a**3) + _mean(b**3)) / 2 / variance**1.5 if variance else 0.0,
+        FRAME_KS: math.nan,
+        ("difference of two", "standard deviation", "DN"): _mean(change * change) ** 0.5,
+        KS: math.nan,
+        **lines,
+        **_neighbours(change),
+        ("fixed pattern", "energy", "DN^2"): _mean(a * b),
+        ("fixed pattern", "energy of columns", "DN^2"): _shared(*(f.mean(axis=0, dtype=np.float64) for f in (a, b))),
+        ("fixed pattern", "energy of rows", "DN^2"): _shared(*(f.mean(axis=1, dtype=np.float64) for f in (a, b))),
+        ("fixed pattern", "energy of shading", "DN^2"): _shared(*in_blocks),
+        SAME_PATTERN: math.nan,
+        HOT: float(np.mean(np.logical_and(*(np.abs(values) == scale.reach_dn for values in whole)))),
     }
     sizes = np.abs(change)
     size = np.float32(_mean(sizes))
@@ -141,57 +170,31 @@ def dark_pair(first: NDArray[np.uint16], second: NDArray[np.uint16], scale: Fram
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FlatScale:
-    """As :class:`FrameScale`, of flats of one exposure: the level of each channel in the dark, and the noise's spread.
-
-    ``dark_dn`` is (H, W) float32: black level and colour bias, DN.
-    """
-
-    pattern: NDArray[np.int64]
-    dark_dn: Plane = field(repr=False)
-    sigma_dn: float
-
-    @classmethod
-    def of(
-        cls, first: NDArray[np.uint16], second: NDArray[np.uint16], dark_dn: Plane, pattern: NDArray[np.int64]
-    ) -> FlatScale:
-        """Measure two flats."""
-        return cls(pattern, dark_dn, _half_width(_scaled_difference(first, second, dark_dn)) / 2**0.5)
-
-    @property
-    def difference_reach_dn(self) -> int:
-        """How far from 0 differences of two frames count."""
-        return int(np.ceil(_REACH * 2**0.5 * self.sigma_dn))
-
-
-def flat_pair(first: NDArray[np.uint16], second: NDArray[np.uint16], scale: FlatScale) -> PairFigures:
+def flat_pair(first: NDArray[np.uint16], second: NDArray[np.uint16], scale: PairScale) -> PairFigures:
     """Measure two flats; the second is scaled to the first, whose light may differ a little."""
-    steps = _within(
-        np.rint(_scaled_difference(first, second, scale.dark_dn)).astype(np.int32), scale.difference_reach_dn
-    )
+    reach = scale.difference_reach_dn
+    steps = _within(np.rint(_scaled_difference(first, second, scale.level_dn)).astype(np.int32), reach)
     change, _ = _less_channels(steps, scale.pattern)
     change /= np.float32(2**0.5)
-    signal = _mean(first - scale.dark_dn)
+    signal = _mean(first - scale.level_dn)
     mean = mean_of(first, second)
     light = smoothed(mean, scale.sigma_dn, scale.pattern)
-    residuals = [_within(frame - light, 4 * scale.difference_reach_dn) for frame in (first, second)]
+    residuals = [_within(frame - light, 4 * reach) for frame in (first, second)]
     (a, _), (b, _) = (_less_channels(values, scale.pattern) for values in residuals)
     variance = _mean(change * change)
     lines, row_power, column_power = _lines(change, len(scale.pattern))
-    sizes = np.abs(change)
     return PairFigures(
         numbers={
-            "transfer": variance / signal if signal > 0 else 0.0,
-            "row halves": lines["row halves"],
-            "pattern": _mean(a * b) / signal**2 if signal > 0 else 0.0,
+            ("flats", "variance over mean", "DN"): variance / signal if signal > 0 else 0.0,
+            FLAT_KS: math.nan,
+            ("flats", "shared by halves of a row", "DN^2"): lines[_ROW_HALVES],
+            ("flats", "fixed pattern over signal^2", "1"): _mean(a * b) / signal**2 if signal > 0 else 0.0,
         },
-        values=np.zeros(0, dtype=np.int64),
-        differences=_counts(steps, scale.difference_reach_dn),
+        differences=_counts(steps, reach),
         row_power_dn2=row_power,
         column_power_dn2=column_power,
         mean_dn=mean,
-        sizes_dn=sizes,
+        sizes_dn=np.abs(change),
     )
 
 
@@ -226,18 +229,18 @@ def smoothed(plane: Plane, sigma_dn: float, pattern: NDArray[np.int64]) -> Plane
     return result
 
 
-def same_sizes(first: PairFigures, second: PairFigures) -> float:
+def same_sizes(first: Plane, second: Plane) -> float:
     """Return the covariance of the sizes that a pixel's differences have in two pairs, over the squared mean size.
 
     Where all pixels have the same noise it is 0, whatever the noise's distribution; otherwise the squared coefficient
     of variation of the pixels' noise: pixels that jump between two levels, or noise that differs from pixel to pixel.
     """
-    return _mean(first.sizes_dn * second.sizes_dn)
+    return _mean(first * second)
 
 
-def same_pattern(pair: PairFigures, pattern_dn: Plane) -> float:
+def same_pattern(mean_dn: Plane, pattern_dn: Plane) -> float:
     """Return the energy, DN^2, that a pair's mean shares with a mean of other frames."""
-    return _mean(pair.mean_dn * pattern_dn)
+    return _mean(mean_dn * pattern_dn)
 
 
 def distance(counts: NDArray[np.int64], reference: NDArray[np.float64]) -> float:
@@ -264,11 +267,6 @@ def tail_threshold(shares: NDArray[np.float64], wanted: float, side: int) -> int
 
 
 # --- parts --------------------------------------------------------------------------------------------------------
-
-
-def _channel(pattern: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
-    repeats = -(-shape[0] // len(pattern)), -(-shape[1] // len(pattern))
-    return np.tile(pattern, repeats)[: shape[0], : shape[1]]
 
 
 def _scaled_difference(first: NDArray[np.uint16], second: NDArray[np.uint16], dark_dn: Plane) -> Plane:
@@ -314,7 +312,10 @@ def _less_channels(values: NDArray[Any], pattern: NDArray[np.int64]) -> tuple[Pl
     return plane, means
 
 
-def _lines(change: Plane, period: int) -> tuple[dict[str, float], NDArray[np.float64], NDArray[np.float64]]:
+_ROW_HALVES: Final[Name] = ("rows", "shared by left and right half", "DN^2")
+
+
+def _lines(change: Plane, period: int) -> tuple[dict[Name, float], NDArray[np.float64], NDArray[np.float64]]:
     """Return what rows and columns share, and the periodograms of their means.
 
     Bands of the spectra are in decibels: a band's power scatters in proportion to itself, and the more, the fewer its
@@ -323,36 +324,45 @@ def _lines(change: Plane, period: int) -> tuple[dict[str, float], NDArray[np.flo
     height, width = change.shape
     down, across = height // 2 // period * period, width // 2 // period * period
     colours = np.arange(width) % period < period / 2
-    rows, columns = change.mean(axis=1, dtype=np.float64), change.mean(axis=0, dtype=np.float64)
-    halves = [part.mean(axis=1, dtype=np.float64) for part in (change[:, :across], change[:, across:])]
-    by_colour = [part.mean(axis=1, dtype=np.float64) for part in (change[:, colours], change[:, ~colours])]
-    upright = [part.mean(axis=0, dtype=np.float64) for part in (change[:down], change[down:])]
+
+    def shared(axis: int, *parts: Plane) -> float:
+        return _shared(*(part.mean(axis=axis, dtype=np.float64) for part in parts))
+
+    def spectrum(check: str, axis: int) -> tuple[dict[Name, float], NDArray[np.float64]]:
+        line = change.mean(axis=1 - axis, dtype=np.float64)
+        power = np.abs(np.fft.rfft(line)) ** 2 / len(line)
+        low, high = max(int(_LOW * len(line)), _FEWEST_LINES) + 1, int(_HIGH * len(line)) + 1
+        bands = {"low": power[1:low], "middle": power[low:high], "high": power[high:]}
+        return {
+            (check, f"spectrum, {band} frequencies", "dB"): 10 * math.log10(max(float(values.mean()), _NOTHING))
+            for band, values in bands.items()
+        }, power
+
+    (of_rows, row_power), (of_columns, column_power) = spectrum("rows", 0), spectrum("columns", 1)
     numbers = {
-        "row halves": _shared(*halves),
-        "row colours": _shared(*by_colour),
-        "column halves": _shared(*upright),
+        _ROW_HALVES: shared(1, change[:, :across], change[:, across:]),
+        ("rows", "shared by their colours", "DN^2"): shared(1, change[:, colours], change[:, ~colours]),
+        **of_rows,
+        ("columns", "shared by upper and lower half", "DN^2"): shared(0, change[:down], change[down:]),
+        **of_columns,
     }
-    of_rows, of_columns = (np.abs(np.fft.rfft(line)) ** 2 / len(line) for line in (rows, columns))
-    for name, of_lines, lines in (("row", of_rows, height), ("column", of_columns, width)):
-        low, high = max(int(_LOW * lines), _FEWEST_LINES) + 1, int(_HIGH * lines) + 1
-        bands = {"low": of_lines[1:low], "middle": of_lines[low:high], "high": of_lines[high:]}
-        numbers |= {
-            f"{name} {band}": 10 * math.log10(max(float(values.mean()), _NOTHING)) for band, values in bands.items()
-        }
-    return numbers, of_rows, of_columns
+    return numbers, row_power, column_power
 
 
-def _neighbours(change: Plane) -> dict[str, float]:
+def _neighbours(change: Plane) -> dict[Name, float]:
     """Return correlations of neighbours, without what a whole row or column has in common."""
     own = change - change.mean(axis=1, keepdims=True)
     own -= own.mean(axis=0, keepdims=True)
     variance = _mean(own * own)
     height, width = own.shape
     return {
-        f"lag {down} {across}": _mean(own[down:, across:] * own[: height - down, : width - across]) / variance
+        ("neighbours", f"correlation {down} down, {across} across", "1"): _mean(
+            own[down:, across:] * own[: height - down, : width - across]
+        )
+        / variance
         if variance
         else 0.0
-        for down, across in LAGS
+        for down, across in _LAGS
     }
 
 

@@ -22,10 +22,9 @@ if TYPE_CHECKING:
 
     from eldata.calibration.audit.bias_sums import BiasStatistics
     from eldata.calibration.audit.neighbours import NeighbourStatistics
-    from eldata.calibration.core.colour_bias import ColourBias
     from eldata.calibration.core.findings import Figure
     from eldata.calibration.core.read_noise import ReadNoise
-    from eldata.calibration.core.row_noise import LineNoise, RowNoise
+    from eldata.calibration.core.row_noise import ColourBias, LineNoise, RowNoise
 
 CHANCE = 1e-5
 """That a check speaks without a reason."""

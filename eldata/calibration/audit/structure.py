@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from eldata.calibration.audit.telegraph import TelegraphGroups
+    from eldata.calibration.core._residual_fit import ResidualHistogram
     from eldata.calibration.core.findings import Finding
-    from eldata.calibration.core.read_noise import ReadNoise, ResidualHistogram
+    from eldata.calibration.core.read_noise import ReadNoise
     from eldata.calibration.core.row_noise import LineNoise, RowNoise
 
 _BANDING = ("banding", "slow row drift")  # findings by which rows are not white

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.audit.bias_checks import Ripple
+    from eldata.calibration.core._residual_fit import ResidualHistogram
     from eldata.calibration.core.defects import FixedPattern
-    from eldata.calibration.core.read_noise import ReadNoise, ResidualHistogram
+    from eldata.calibration.core.read_noise import ReadNoise
 
     Plane = NDArray[np.float32]
 

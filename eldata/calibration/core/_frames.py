@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from eldata.raw.cfa import Cfa
 
+_GROUPS = 64
+
 
 def pattern_of(cfa: Cfa) -> NDArray[np.int64]:
     """Return the CFA's smallest period as an array of channel indices; an ArgumentError if it is unsupported."""
@@ -26,6 +28,13 @@ def pattern_of(cfa: Cfa) -> NDArray[np.int64]:
 def channels_of(pattern: NDArray[np.int64]) -> int:
     """Return the number of channels: 4 for Bayer (R, G1, B, G2), 3 for X-Trans."""
     return int(pattern.max()) + 1
+
+
+def by_pixel(values: NDArray[Any], pattern: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return an array of that shape in which each pixel has its channel's entry of ``values``."""
+    repeats = -(-shape[0] // len(pattern)), -(-shape[1] // len(pattern))
+    plane: NDArray[Any] = np.tile(values[pattern], repeats)[: shape[0], : shape[1]]
+    return plane
 
 
 def checked_mosaic(mosaic: NDArray[Any], shape: tuple[int, int] | None, period: int) -> NDArray[np.uint16]:
@@ -98,16 +107,14 @@ def sums_by_row(values: NDArray[Any], pattern: NDArray[np.int64]) -> NDArray[np.
     return sums
 
 
-def sums_by_line(
-    values: NDArray[Any], defects: NDArray[np.bool_], pattern: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the sums of the sound pixels by (row, channel) and by (column, channel)."""
-    from eldata.calibration.core._kernels import masked_sums
+def sums_by_line(values: NDArray[Any], pattern: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the sums of integers or truth values by (row, channel) and by (column, channel)."""
+    return sums_by_row(values, pattern), sums_by_row(values.T, pattern.T)
 
-    channels = channels_of(pattern)
-    rows, columns = (np.zeros((length, channels), dtype=np.int64) for length in values.shape)
-    masked_sums(values, defects, pattern, rows, columns)
-    return rows, columns
+
+def groups_of_rows(height: int) -> NDArray[np.int64]:
+    """Return the group of each row, by pairs of rows as the kernels have it; scatter between groups gives errors."""
+    return np.arange(height) // 2 % max(1, min(_GROUPS, height // 4))
 
 
 def classes_of_rows(pattern: NDArray[np.int64]) -> int:

@@ -39,6 +39,48 @@ _GRID = (np.array([-0.3, -0.15, 0.0, 0.15]), np.geomspace(0.1, 0.8, 12))  # shap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ResidualHistogram:
+    """Counts of residuals.
+
+    Attributes
+    ----------
+    counts
+        (groups, cells): cell j is centred on (j - cells // 2) ``cell_dn``; the first and last hold all beyond. Whole
+        numbers, or estimates of them, which in the tails may be negative.
+    cell_dn
+        Width of a cell.
+    frames
+        Over how many frames each pixel's mean was taken off; 1 if none was.
+    row_pixels
+        Over how many pixels each row's mean was taken off; infinity if none was.
+    rounding_dn
+        Step that the values had been rounded to before other things were taken off; 0 if the cells are that rounding
+        (whole DN, counted as they are).
+    reach_dn
+        Residuals beyond, of either sign, count as "beyond" only: there the recorded values end at 0.
+    squares_dn2
+        (groups,) exact sums of the squared residuals; without, the counts tell them.
+    fractions
+        Where between whole DN the pixels' levels lie; without, rounding counts as independent of the noise.
+    """
+
+    counts: NDArray[Any] = field(repr=False)
+    cell_dn: float
+    frames: int = 1
+    row_pixels: float = math.inf
+    rounding_dn: float = 1.0
+    reach_dn: float = math.inf
+    squares_dn2: NDArray[np.float64] | None = field(default=None, repr=False)
+    fractions: LevelFractions | None = field(default=None, repr=False)
+
+    @property
+    def values_dn(self) -> NDArray[np.float64]:
+        """Centre of each cell."""
+        cells = self.counts.shape[1]
+        return np.asarray((np.arange(cells) - cells // 2) * self.cell_dn, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ResidualCells:
     """Counts of abs(residual), ready for a likelihood.
 

@@ -17,9 +17,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Values: TypeAlias = NDArray[np.floating[Any]]
+    Nodes: TypeAlias = tuple[Values, Values]
 
 LOWEST, HIGHEST = -0.49, 1.0
 """Shapes that are searched: finite variance, up to nearly uniform."""
+
+NOTHING: Nodes = (np.zeros(1), np.ones(1))
+"""A discrete distribution, as nodes and weights: of what is always 0."""
 
 _HERMITE = np.polynomial.hermite_e.hermegauss(15)
 _LEGENDRE = np.polynomial.legendre.leggauss(4)
@@ -27,6 +31,25 @@ _TABLE = np.linspace(0.0, 9.0, 1201)  # arsinh(x / standard deviation): to 4000 
 _SIZE = 1 << 14  # cells of the distribution of the other frames' share
 _CELLS = 16  # of it, per standard deviation of one frame's share
 _MOST_FRAMES = 500  # with more, that share counts as normal
+
+
+class TailTable:
+    """Tails of ``scale X + U`` with X of a Tukey-lambda distribution and U discrete, from a table in steps of ``unit``.
+
+    ``unit`` is the standard deviation of the sum.
+    """
+
+    def __init__(self, unit: float, shape: float, scale: float, nodes: Nodes = NOTHING) -> None:
+        self.unit = unit
+        tails = smoothed_tails(unit * np.sinh(_TABLE), shape, scale, *nodes)
+        self._logs = np.log(np.maximum(tails, 1e-40))
+
+    def tails(self, edges: Values, others: Nodes = NOTHING, own: float = 1.0) -> Values:
+        """Return P(own times the sum + Z > edge) for each edge, Z discrete."""
+        found: Values = mixture_tails(
+            np.ascontiguousarray(edges), own, *others, self.unit, float(_TABLE[1]), self._logs
+        )
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +73,8 @@ class ResidualModel:
     def tails(self, edges: Values, shape: float, sigma: float) -> Values:
         """Return P(residual > edge) for each edge."""
         unit = math.sqrt(sigma**2 * tukey_lambda_variance(shape) + self.rounding_dn**2 / 12)
-        tails = smoothed_tails(
-            unit * np.sinh(_TABLE), shape, sigma, _LEGENDRE[0] * (self.rounding_dn / 2), _LEGENDRE[1] / 2
-        )
-        table = np.log(np.maximum(tails, 1e-40))
-        step = float(_TABLE[1])
-        nodes, weights = self._others(unit, step, table)
-        result: Values = mixture_tails(edges, self.own, nodes, weights, unit, step, table)
-        return result
+        table = TailTable(unit, shape, sigma, (_LEGENDRE[0] * (self.rounding_dn / 2), _LEGENDRE[1] / 2))
+        return table.tails(edges, self._others(table), self.own)
 
     def probabilities(self, edges: Values, shape: float, sigma: float) -> Values:
         """Return P of each cell of abs(residual): between the edges (the first is 0) and beyond the last."""
@@ -65,17 +82,18 @@ class ResidualModel:
         tails[0] = 0.5
         return np.maximum(-2 * np.diff(tails, append=0.0), 1e-300)
 
-    def _others(self, unit: float, step: float, table: Values) -> tuple[Values, Values]:
+    def _others(self, table: TailTable) -> Nodes:
         """Return Z as nodes and weights."""
+        unit = table.unit
         variance = self.own * (1 - self.own) * unit**2
         if variance <= 0:
-            return np.zeros(1), np.ones(1)
+            return NOTHING
         if not 1 < self.frames <= _MOST_FRAMES:
             return _HERMITE[0] * math.sqrt(variance), _HERMITE[1] / _HERMITE[1].sum()
         share = (1 - 1 / self.row_pixels) / self.frames
         width = share * unit / _CELLS
         edges = (np.arange(_SIZE // 2) + 0.5) * width
-        tails = mixture_tails(edges, share, np.zeros(1), np.ones(1), unit, step, table)
+        tails = table.tails(edges, own=share)
         half = -np.diff(tails, append=0.0)
         cells = np.zeros(_SIZE)
         cells[0] = 1 - 2 * tails[0]

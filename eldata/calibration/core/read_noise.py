@@ -20,69 +20,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.core._frames import sums_by_row
 from eldata.calibration.core.findings import Finding
-from eldata.calibration.core.row_noise import check_same_frames, line_sums
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.core._residual_fit import ResidualFit
-    from eldata.calibration.core._rounding import LevelFractions, OffsetResponse
+    from eldata.calibration.core._residual_fit import ResidualFit, ResidualHistogram
+    from eldata.calibration.core._rounding import OffsetResponse
     from eldata.calibration.core._tukey_lambda import ResidualModel
-    from eldata.calibration.core.colour_bias import ColourBias
-    from eldata.calibration.core.defects import FixedPattern, PatternSummary
+    from eldata.calibration.core.defects import PatternSummary
     from eldata.calibration.core.findings import Figure
+    from eldata.calibration.core.row_noise import ColourBias
 
-_FRACTIONS = 128  # of a DN, in which local levels are counted
-_HALF = 8192  # cells on each side of 0
-_GROUPS = 64  # of rows, whose scatter gives the standard errors
 _TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
 _MOST_ERROR = 0.15  # of lambda, and of sigma_TL as a share: beyond, neither figure nor error means anything
 _BY_CHANCE = 1e-6  # of the fit's chi^2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ResidualHistogram:
-    """Counts of residuals.
-
-    Attributes
-    ----------
-    counts
-        (groups, cells): cell j is centred on (j - cells // 2) ``cell_dn``; the first and last hold all beyond. Whole
-        numbers, or estimates of them, which in the tails may be negative.
-    cell_dn
-        Width of a cell.
-    frames
-        Over how many frames each pixel's mean was taken off; 1 if none was.
-    row_pixels
-        Over how many pixels each row's mean was taken off; infinity if none was.
-    rounding_dn
-        Step that the values had been rounded to before other things were taken off; 0 if the cells are that rounding
-        (whole DN, counted as they are).
-    reach_dn
-        Residuals beyond, of either sign, count as "beyond" only: there the recorded values end at 0.
-    squares_dn2
-        (groups,) exact sums of the squared residuals; without, the counts tell them.
-    fractions
-        Where between whole DN the pixels' levels lie; without, rounding counts as independent of the noise.
-    """
-
-    counts: NDArray[Any] = field(repr=False)
-    cell_dn: float
-    frames: int = 1
-    row_pixels: float = math.inf
-    rounding_dn: float = 1.0
-    reach_dn: float = math.inf
-    squares_dn2: NDArray[np.float64] | None = field(default=None, repr=False)
-    fractions: LevelFractions | None = field(default=None, repr=False)
-
-    @property
-    def values_dn(self) -> NDArray[np.float64]:
-        """Centre of each cell."""
-        cells = self.counts.shape[1]
-        return np.asarray((np.arange(cells) - cells // 2) * self.cell_dn, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,14 +48,9 @@ class ReadNoise:
     Attributes
     ----------
     tukey_lambda, tukey_lambda_error
-        Shape and its standard error.
+        Shape and its standard error, from the scatter between groups of rows.
     sigma_tl_dn, sigma_tl_error_dn
         Scale (not the standard deviation) without the rounding's share, and its standard error, DN.
-    correlation
-        Between the errors of the two.
-    information_errors
-        Standard errors of shape and scale if all residuals were independent. The ones above come from the scatter
-        between groups of rows, which allows for their dependence.
     sigma_gauss_dn, sigma_gauss_error_dn
         Standard deviation of the read noise without the rounding's share, and its standard error: the Gaussian model.
         Of the residuals themselves, but for the outermost thousand: of heavy tails a few pixels would decide it. Their
@@ -134,8 +82,6 @@ class ReadNoise:
     tukey_lambda_error: float
     sigma_tl_dn: float
     sigma_tl_error_dn: float
-    correlation: float
-    information_errors: tuple[float, float]
     sigma_gauss_dn: float
     sigma_gauss_error_dn: float
     ppcc_lambda: float
@@ -148,8 +94,8 @@ class ReadNoise:
     chi2_per_dof: float
     chi2_freedom: int
     residuals: int
-    beyond: int
     converged: bool
+    beyond: int = 0
     response: OffsetResponse | None = field(default=None, repr=False)
     shift_dn: float = 0.0
 
@@ -188,93 +134,27 @@ class ProbabilityPlot:
     slope_tukey_lambda_dn: float
 
 
-class Residuals:
-    """Accumulates the residuals of the bias frames that made a fixed pattern, for :func:`read_noise`.
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadFigures:
+    """What an estimator of the read noise gives.
 
-    Parameters
+    Attributes
     ----------
-    fixed
-        The first pass's result. Add the same frames again, each once.
+    read, plot
+        The figures, and their probability plots.
+    bias
+        The colour bias, of levels behind the clip if black is clipped.
+    findings
+        What the way of recording leaves of the figures.
+    residuals
+        Where they are the way: what the figures are of.
     """
 
-    def __init__(self, fixed: FixedPattern) -> None:
-        from eldata.calibration.core._residual_fit import CELLS_PER_SIGMA
-
-        self._fixed = fixed
-        self._pixels = sums_by_row(~fixed.defects, fixed.pattern)
-        self._added = 0
-        sigma = math.sqrt(float(np.mean(fixed.temporal_variance_dn2)))
-        step = round(fixed.frames * sigma / CELLS_PER_SIGMA)
-        self._step = max(1, step - 1 + step % 2)  # odd, so that cell 0 is symmetric; in units of 1/n DN
-        self._counts = np.zeros((min(_GROUPS, len(self._pixels) // 4), 2 * _HALF + 1), dtype=np.int64)
-        self._group = np.arange(len(self._pixels)) // 2 % len(self._counts)  # as the kernel has it
-        self._squares = np.zeros(len(self._counts))  # of residuals and of offsets, in units of 1/n DN
-        self._offset_squares = 0.0
-
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
-        """Add a bias frame."""
-        from eldata.calibration.core._kernels import residual_histogram
-
-        fixed = self._fixed
-        sums, squares, _ = line_sums(mosaic, fixed)
-        level = sums.sum(axis=0) / np.maximum(self._pixels.sum(axis=0), 1)
-        row = (sums - self._pixels * level).sum(axis=1) / np.maximum(self._pixels.sum(axis=1), 1)
-        phases = np.arange(len(row)) % len(fixed.pattern)
-        by_channel = row[:, None] + level
-        of_offsets = (by_channel**2 * self._pixels).sum(axis=1)
-        left = squares - 2 * (by_channel * sums).sum(axis=1) + of_offsets
-        self._squares += np.bincount(self._group, left, minlength=len(self._squares))
-        self._offset_squares += float(of_offsets.sum())
-        offsets = np.rint(row[:, None] + level[fixed.pattern[phases]]).astype(np.int64)
-        residual_histogram(
-            mosaic, fixed.total_dn, fixed.defects, fixed.frames, offsets, self._step, len(self._counts), self._counts
-        )
-        self._added += 1
-
-    def histogram(self) -> ResidualHistogram:
-        """Return the counts so far.
-
-        Raises
-        ------
-        DatasetError
-            If the frames added are not those of the fixed pattern, or black is too close to 0.
-        """
-        fixed, frames = self._fixed, self._fixed.frames
-        check_same_frames(self._added, fixed)
-        pixels = float(self._pixels.sum(axis=1).mean())
-        if fixed.clips_at_black:
-            raise DatasetError(
-                f"the black level ({min(fixed.level_dn):.1f} DN) is too close to 0 for noise of "
-                f"{math.sqrt(max(fixed.temporal_variance_dn2)):.1f} DN: much of it is clipped, and residuals do not "
-                "show it; clipped_fit does"
-            )
-        return ResidualHistogram(
-            self._counts.copy(),
-            self._step / frames,
-            frames,
-            pixels,
-            reach_dn=fixed.reach_dn,
-            squares_dn2=self._squares / frames**2,
-            fractions=self._fractions(pixels),
-        )
-
-    def _fractions(self, row_pixels: float) -> LevelFractions:
-        from eldata.calibration.core._kernels import remainder_counts
-        from eldata.calibration.core._rounding import LevelFractions
-
-        fixed, frames = self._fixed, self._fixed.frames
-        channels = len(fixed.level_dn)
-        remainders = np.zeros((len(self._counts), channels, frames), dtype=np.int64)
-        remainder_counts(fixed.total_dn, fixed.defects, fixed.pattern, remainders)
-        residuals = float(self._pixels.sum()) * frames
-        pixel_variance = float(self._squares.sum()) / residuals / frames**2 / ((1 - 1 / frames) * (1 - 1 / row_pixels))
-        offset_variance = self._offset_squares / residuals / frames**2 - pixel_variance * (1 - 1 / frames) / row_pixels
-        levels = np.array(fixed.level_dn)[:, None] + fixed.summary.shading_dn.reshape(channels, -1)
-        places = np.rint(levels % 1 * _FRACTIONS).astype(np.int64) % _FRACTIONS
-        local = np.stack([np.bincount(of_channel, minlength=_FRACTIONS) for of_channel in places]) / places.shape[1]
-        period = len(fixed.pattern)
-        rows = np.stack([self._pixels[kind::period].sum(axis=0) for kind in range(period)]) / self._pixels.sum()
-        return LevelFractions(remainders, local, np.array(fixed.summary.dsnu_dn), rows, offset_variance, pixel_variance)
+    read: ReadNoise
+    plot: ProbabilityPlot
+    bias: ColourBias
+    findings: tuple[Finding, ...] = ()
+    residuals: ResidualHistogram | None = None
 
 
 def read_noise(histogram: ResidualHistogram) -> ReadNoise:
@@ -339,8 +219,6 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
         tukey_lambda_error=float(errors[0]),
         sigma_tl_dn=sigma,
         sigma_tl_error_dn=float(errors[1]) * sigma,
-        correlation=float(covariance[0, 1] / (errors[0] * errors[1])),
-        information_errors=(math.sqrt(fit.information[0, 0]), math.sqrt(fit.information[1, 1]) * sigma),
         sigma_gauss_dn=gauss,
         sigma_gauss_error_dn=gauss_error,
         ppcc_lambda=plain_lambda + shape - model_lambda,
@@ -412,24 +290,15 @@ def read_noise_findings(read: ReadNoise, bias: ColourBias, pattern: PatternSumma
     return tuple(found)
 
 
-def probability_plot(histogram: ResidualHistogram, *, points: int = 121) -> ProbabilityPlot:
-    """Return the points of the two probability plots that :func:`read_noise` takes its R^2 from.
-
-    Raises
-    ------
-    DatasetError
-        If the histogram holds fewer than 1000 residuals.
-    """
+def probability_plot(histogram: ResidualHistogram, read: ReadNoise, *, points: int = 121) -> ProbabilityPlot:
+    """Return the points of the two probability plots that :func:`read_noise` has taken its R^2 of ``read`` from."""
     from scipy.special import ndtr, ndtri
 
     from eldata.calibration.core._tukey_lambda import normal_correlation
 
     inner = histogram.counts[:, 1:-1].sum(axis=0)
     number = int(inner.sum())
-    if number < 1000:
-        raise DatasetError(f"{number} residuals do not show a distribution: give more pixels")
-    values = histogram.values_dn[1:-1]
-    shape, slope, _ = ppcc(values, inner)
+    values, shape = histogram.values_dn[1:-1], read.ppcc_lambda_plain
     reach = float(-ndtri(100 / number)) if number > 1000 else 1.28
     normal = np.linspace(-reach, reach, points)
     levels = ndtr(normal)
@@ -443,7 +312,7 @@ def probability_plot(histogram: ResidualHistogram, *, points: int = 121) -> Prob
         tukey_lambda=quantiles,
         shape=shape,
         slope_normal_dn=normal_correlation(values[filled], inner[filled].astype(np.float64))[1],
-        slope_tukey_lambda_dn=slope,
+        slope_tukey_lambda_dn=read.ppcc_sigma_plain_dn,
     )
 
 

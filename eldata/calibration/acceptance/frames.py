@@ -1,4 +1,8 @@
-"""A noise model's frames, digitised as the camera digitises; and values that are not what they should be, by name."""
+"""Both sides' frames: a camera's that were kept from a noise model, and the model's, digitised as the camera digitises.
+
+What is wrong with the camera's frames is collected; values of a model that are not what they should be are refused by
+name.
+"""
 
 from __future__ import annotations
 
@@ -8,25 +12,62 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.calibration.acceptance.reproduction import compared_place
-from eldata.calibration.core._frames import pattern_of
+from eldata.calibration.audit.frame_checks import FrameFigures, clipped_black
+from eldata.calibration.audit.frames import FrameReader
+from eldata.calibration.core._frames import by_pixel, pattern_of
 from eldata.errors import ArgumentError
 from eldata.noise.makers import made_exposure, maker_name
 from eldata.noise.model import NoiseModel
 from eldata.noise.mosaic import pack_whole, unpack_whole
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
 
-    from eldata.calibration.acceptance.pairs import FrameScale
+    from eldata.calibration.acceptance.pairs import PairScale
+    from eldata.datasets.calibration_frames import FlatPair
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.parameters import NoiseParameters
-    from eldata.records import Sensor
+    from eldata.records import FrameRecord, Sensor
 
     Mosaic = NDArray[np.uint16]
     Plane = NDArray[np.float32]
 
 _UNITS_APART = 64.0  # a model whose noise is so many times too strong or weak is taken to be in other units
 _CLIPPED = 0.01  # of the values
+
+
+class HeldOutFrames(FrameReader):
+    """Reads the frames of one ISO, a pair at a time and no copies, and collects what is wrong with them."""
+
+    def _mosaics(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, Mosaic]]:
+        for record, frame in self.read(records):
+            if self.copies.original(record, frame.mosaic) is None:
+                yield record, frame.mosaic
+            del frame  # before the next one is decoded
+
+    def bias_pairs(self, records: Sequence[FrameRecord]) -> Iterator[tuple[Mosaic, Mosaic]]:
+        """Yield pairs of pieces of bias frames that share no frame."""
+        first: Mosaic | None = None
+        for record, mosaic in self._mosaics(records):
+            self.problems += clipped_black(record, mosaic)
+            self.figures.append(FrameFigures.of(record, mosaic))
+            piece = self.cut(mosaic)
+            if first is None:
+                first = piece
+            else:
+                yield first, piece
+                first = None
+
+    def flats(self, pair: FlatPair) -> tuple[Mosaic, Mosaic] | None:
+        """Return a pair of whole flats."""
+        found = [mosaic for _, mosaic in self._mosaics((pair.first, pair.second))]
+        return (found[0], found[1]) if len(found) == 2 else None
+
+    def cut(self, mosaic: NDArray[np.generic]) -> Mosaic:
+        """Return a copy of the piece that is compared."""
+        return mosaic[compared_place(mosaic.shape, len(self.sensor.cfa))].copy()  # type: ignore[return-value]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +115,7 @@ class MadeFrames:
         """Return a whole DN of each pixel."""
         values = self.values_dn(light_dn, *stream)
         black = np.asarray(self.sensor.black_level_dn, dtype=np.float32)
-        period = len(self.sensor.cfa)
-        for (y, x), channel in np.ndenumerate(pattern_of(self.sensor.cfa)):
-            values[y::period, x::period] += black[channel]
+        values += by_pixel(black, pattern_of(self.sensor.cfa), values.shape)
         np.rint(values, out=values)
         return np.clip(values, 0, self.sensor.white_level_dn, out=values).astype(np.uint16)
 
@@ -84,7 +123,7 @@ class MadeFrames:
         """Return two frames; stream and index number the pair."""
         return self.frame(light_dn, stream, index, 0), self.frame(light_dn, stream, index, 1)
 
-    def check(self, dark_dn: Plane, frame: Mosaic, scale: FrameScale) -> None:
+    def check(self, dark_dn: Plane, frame: Mosaic, scale: PairScale) -> None:
         """Refuse a model that clips at 0, or whose values are in other units than the frames'."""
         values, name = self.values_dn(dark_dn, 0), maker_name(self.model)
         low, middle, high = (float(value) for value in np.quantile(values, (0.159, 0.5, 0.841)))

@@ -6,7 +6,6 @@ all of its arguments; and the score of protocols that come to the same on these 
 
 from __future__ import annotations
 
-import json
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
@@ -251,7 +250,7 @@ class ComparedFrame:
         ignored = CHOOSING if self.file is None else (*CHOOSING, *OF_INPUT)
         stated = {name: value for name, value in canonical(protocol.as_dict()).items() if name not in ignored}
         equal = {name: sorted(values) for name, values in self.equal_choices(protocol).items()}
-        return json.dumps(stated | equal, sort_keys=True)
+        return repr(sorted((stated | equal).items()))
 
     def score(self, protocol: Protocol, target: NDArray[Any]) -> Score:
         """Return the scores of the region."""

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.scratch import scratch
+from eldata.base.memory import scratch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

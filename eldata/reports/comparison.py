@@ -155,8 +155,7 @@ def _differences_table(comparison: Comparison, index: int | None = None) -> Tabl
     for of, texts in zip(gains, table.rows, strict=True):
         looks = [""] * (len(texts) - labels)
         for at, metric in enumerate(kind.metrics):
-            sign = of[metric.name].interval.sign
-            looks[each * at] = _look(sign if metric.higher_is_better else -sign)
+            looks[each * at] = _look(of[metric.name].interval.sign * metric.sign)
         cells = (
             Cell("–" if text == "-" else signed(text), look) for text, look in zip(texts[labels:], looks, strict=True)
         )
@@ -282,7 +281,7 @@ def _looked_at(scores: Sequence[UnitScore], image: DrawnImage, comparison: Compa
         "facts": ", ".join(filter(None, facts)),
         "scores": {
             f"method-{index}": ", ".join(
-                f"{metric.text(score.values[metric.name])} {metric.unit or metric.label}" for metric in kind.metrics
+                f"{metric.format(score.values[metric.name])} {metric.unit or metric.label}" for metric in kind.metrics
             )
             for index, score in enumerate(scores, start=1)
         },

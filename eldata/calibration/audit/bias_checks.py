@@ -22,10 +22,9 @@ if TYPE_CHECKING:
 
     from eldata.calibration.audit.bias_sums import BiasStatistics
     from eldata.calibration.audit.neighbours import NeighbourStatistics
-    from eldata.calibration.core.colour_bias import ColourBias
     from eldata.calibration.core.findings import Figure
     from eldata.calibration.core.read_noise import ReadNoise
-    from eldata.calibration.core.row_noise import LineNoise, RowNoise
+    from eldata.calibration.core.row_noise import ColourBias, LineNoise, RowNoise
 
 CHANCE = 1e-5
 """That a check speaks without a reason."""
@@ -121,7 +120,7 @@ class Ripple:
     @classmethod
     def of(cls, shape: float, sigma_steps: float) -> Ripple:
         """Work it out for a Tukey-lambda distribution of this shape, and scale in steps of the values."""
-        from eldata.calibration.core._kernels import smoothed_tails
+        from eldata.calibration.core._tukey_lambda import smoothed_tails
 
         if not sigma_steps > _LEAST_SIGMA_STEPS:
             return cls(math.inf, math.inf, math.inf, math.inf)

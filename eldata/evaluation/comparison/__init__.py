@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from eldata.base import figures
     from eldata.evaluation.results import EvaluationResult
     from eldata.plots.axes import Theme
-    from eldata.protocols.kinds import Kind, Metric
+    from eldata.protocols.kinds import Kind
 
 Images: TypeAlias = "Sequence[tuple[UnitScore, ...]]"
 """Of each image the score by each method."""
@@ -217,7 +218,7 @@ class Comparison:
 
         def draw(axes: Axes, theme: Theme) -> None:
             mean_gains(axes, [group.name for group in self.groups], gains, theme)
-            axes.set_xlabel(f"difference of {chosen.head}")
+            axes.set_xlabel(f"difference of {chosen.heading}")
 
         named = others[0].name if len(others) == 1 else f"{len(others)} methods"
         return drawn_into(ax, f"{named} against {first.name}", draw)
@@ -225,7 +226,7 @@ class Comparison:
     def __repr__(self) -> str:
         psnr = self.kind.metric("psnr_db")
         texts = [
-            f"{method.name} {psnr.text(means[psnr.name])}"
+            f"{method.name} {psnr.format(means[psnr.name])}"
             for method, means in zip(self.methods, self.whole.means, strict=True)
         ]
         warned = f"; {counted(len(self.warnings), 'warning')}" if self.warnings else ""
@@ -235,7 +236,7 @@ class Comparison:
         metrics = self.kind.metrics
         heads = [f"{method.name} {metric.unit or metric.label}" for method in self.methods for metric in metrics]
         texts = [
-            [str(group.images), *(metric.text(means[metric.name]) for means in group.means for metric in metrics)]
+            [str(group.images), *(metric.format(means[metric.name]) for means in group.means for metric in metrics)]
             for group in self.groups
         ]
         groups = [(group.camera, group.ratio) for group in self.groups]
@@ -315,7 +316,7 @@ def _common_kind(methods: Sequence[Method]) -> Kind:
     return replace(first, metrics=shared, values=tuple(name for name in first.values if name not in left_out))
 
 
-def _groups(images: Images, metrics: Sequence[Metric], result: EvaluationResult) -> tuple[Group, ...]:
+def _groups(images: Images, metrics: Sequence[figures.Figure], result: EvaluationResult) -> tuple[Group, ...]:
     names = [metric.name for metric in metrics]
     groups = []
     for camera, ratio in groups_of([(scores[0].camera, scores[0].ratio) for scores in images], result.dataset):
@@ -337,7 +338,7 @@ def _groups(images: Images, metrics: Sequence[Metric], result: EvaluationResult)
     return tuple(groups)
 
 
-def _contests(methods: Sequence[Method], images: Images, metrics: Sequence[Metric]) -> tuple[Contest, ...]:
+def _contests(methods: Sequence[Method], images: Images, metrics: Sequence[figures.Figure]) -> tuple[Contest, ...]:
     names = [metric.name for metric in metrics]
     places = clusters_of((scores[0] for scores in images), scenes_shared=methods[0].result.scenes_shared)
     pairs = list(combinations(zip((method.name for method in methods), zip(*images, strict=True), strict=True), 2))

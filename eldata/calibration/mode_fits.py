@@ -8,13 +8,15 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from eldata.base.numbers import counted
+from eldata.calibration.core.figures import SCALES, SIGMA_ROW
 from eldata.calibration.core.joint import FittedMode, fit_log_log, gain_steps
 from eldata.noise.gain_modes import GainMode, LogLogFit, modes_problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from eldata.calibration.core.findings import Finding, GivenFigure
+    from eldata.calibration.core.figures import DarkFigure
+    from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.joint import LogLogEstimate
     from eldata.calibration.iso_results import IsoCalibration
 
@@ -54,7 +56,7 @@ def joint_fits(isos: Sequence[IsoCalibration], starts: Sequence[float] | None = 
     """
     known = sorted((one for one in isos if one.gain_dn_per_e is not None), key=_gain)
     iso_of = {_gain(one): one.iso for one in known}
-    steps = gain_steps({name: _points(known, scale_of) for name, scale_of in _SCALES.items()})
+    steps = gain_steps({figure.label: _points(known, figure) for figure in SCALES})
     said: list[Finding] = []
     if starts is None:
         parts = _split(known, [step.above_dn_per_e for step in steps], _gain)
@@ -119,10 +121,8 @@ def _fitted_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remark
     isos = [one.iso for one in part]
     lowest, highest = min(isos), max(isos)
     where = f" from ISO {lowest:g} to {highest:g}" if is_one_of_several else ""
-    tukey_lambda, gauss, rows = (
-        _fitted(f"{name}{where}", _points(part, scale_of), remarks) for name, scale_of in _SCALES.items()
-    )
-    if not _points(part, _SCALES["sigma_row"]):
+    tukey_lambda, gauss, rows = (_fitted(f"{figure.label}{where}", _points(part, figure), remarks) for figure in SCALES)
+    if not _points(part, SIGMA_ROW):
         if is_one_of_several:
             remarks.append(f"sigma_row is withheld at ISO {lowest:g} to {highest:g}: that gain mode makes no row noise")
         else:
@@ -152,21 +152,12 @@ def _from(one: FittedMode, start: float | None, remarks: list[str]) -> FittedMod
     )
 
 
-_SCALES: dict[str, Callable[[IsoCalibration], GivenFigure | None]] = {
-    "sigma_TL": lambda one: one.sigma_tl_dn,
-    "sigma_G": lambda one: one.sigma_gauss_dn,
-    "sigma_row": lambda one: one.sigma_row_dn,
-}
-
-
-def _points(
-    isos: Sequence[IsoCalibration], scale_of: Callable[[IsoCalibration], GivenFigure | None]
-) -> list[tuple[float, float]]:
+def _points(isos: Sequence[IsoCalibration], figure: DarkFigure) -> list[tuple[float, float]]:
     """Return K and a scale of the ISOs at which both are given."""
     return [
         (one.gain_dn_per_e, scale.value)
         for one in isos
-        if one.gain_dn_per_e is not None and (scale := scale_of(one)) is not None
+        if one.gain_dn_per_e is not None and (scale := figure.given(one)) is not None
     ]
 
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.calibration.core.figures import DarkFigure
+
 
 @dataclass(frozen=True, slots=True)
 class LogLogEstimate:
@@ -111,6 +113,11 @@ class FittedMode:
     tukey_lambda_fit: LogLogEstimate | None
     gauss_fit: LogLogEstimate | None
     row_fit: LogLogEstimate | None
+
+    def estimate(self, figure: DarkFigure) -> LogLogEstimate | None:
+        """Return the estimate of a scale."""
+        found: LogLogEstimate | None = getattr(self, figure.fit)
+        return found
 
 
 _BY_CHANCE = 0.002  # of one fit: a calibration has three

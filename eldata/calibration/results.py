@@ -17,8 +17,8 @@ from eldata.errors import DatasetError
 if TYPE_CHECKING:
     from eldata.calibration.core.figures import DarkFigure
     from eldata.calibration.core.findings import GivenFigure
-    from eldata.calibration.core.joint import FittedMode, LogLogEstimate
     from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
+    from eldata.calibration.joint import FittedMode, LogLogEstimate
     from eldata.calibration.panels import ScalePanel
     from eldata.manifest.verify_report import Problem
     from eldata.noise.profile import CameraProfile

@@ -212,7 +212,8 @@ def run_import(arguments: argparse.Namespace) -> int:
 def run_list(arguments: argparse.Namespace) -> int:
     """List the shipped profiles."""
     from eldata.base.tables import text_table
-    from eldata.noise.profile import CameraProfile, shipped_profiles
+    from eldata.noise.profile import CameraProfile
+    from eldata.noise.profile_files import shipped_profiles
 
     profiles = {name: CameraProfile.load(name) for name in shipped_profiles()}
     rows = []

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from eldata.base.files import atomic_write
 from eldata.baselines.networks import load_network
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
-from eldata.calibration.core.joint import fit_log_log
+from eldata.calibration.joint import fit_log_log
 from eldata.calibration.one_photograph.estimate import GAUSSIAN_SHAPE
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_title

@@ -215,11 +215,10 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
 
     def _check_pairs(self) -> None:
         """Refuse what is not a pair: a source that reads parts knows all but the pixels. One of each kind is opened."""
-        kind_of = getattr(self.source, "kind_of", lambda path: path)
         kinds = set()
         for record in self.records:
             own = record.camera, record.ratio, record.flags, record.measured_ratio
-            kind = kind_of(record.reference), kind_of(record.path), own
+            kind = *map(_kind_of, map(self.source.frame, (record.reference, record.path))), own
             if kind not in kinds:
                 kinds.add(kind)
                 self._opened(record)
@@ -380,6 +379,12 @@ def _manifest(manifest: Path | str) -> Manifest:
     if isinstance(manifest, str) and "/" not in manifest and not manifest.endswith(".csv"):
         return known_manifest(manifest)
     return load_manifest(manifest)
+
+
+def _kind_of(frame: Frame) -> tuple[object, ...]:
+    """Return what decides with which others a frame makes a pair: all but its colours."""
+    exposure = frame.exposure
+    return frame.shape, frame.cfa, frame.black_level_dn, frame.white_level_dn, exposure.iso, exposure.exposure_s
 
 
 def _packed_noisy(path: Path, record: PairRecord, target: Frame) -> Frame:

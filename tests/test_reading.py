@@ -119,7 +119,7 @@ SENSOR = Sensor("make", "model", ((0, 1), (3, 2)), (0.0,) * 4, 16383.0, 4, 4)
 def read_store(path: Path, text: str) -> None:
     frame = StoredFrame("000000", "a", "bias", SENSOR, Exposure(Fraction(100)), "x", PackedFile(1, "x", "x"))
     data = json.loads(facts_line(frame, {}))
-    [*frames_in(json.dumps(changed(data, ("states", "exposure", "exposure_s"), text)).encode())]
+    frames_in(json.dumps(changed(data, (5, "exposure_s"), text)).encode())
 
 
 def read_facts(path: Path, text: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, get_args
 
@@ -216,9 +217,12 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
     def _check_pairs(self) -> None:
         """Refuse what is not a pair: a source that reads parts knows all but the pixels. One of each kind is opened."""
         kinds = set()
+        numbers: dict[object, int] = {}
+        # Of a reference once; by number, for to look at the hash of fractions takes longer than all else here.
+        kind_of = cache(lambda path: numbers.setdefault(_kind_of(self.source.frame(path)), len(numbers)))
         for record in self.records:
             own = record.camera, record.ratio, record.flags, record.measured_ratio
-            kind = *map(_kind_of, map(self.source.frame, (record.reference, record.path))), own
+            kind = kind_of(record.reference), kind_of(record.path), own
             if kind not in kinds:
                 kinds.add(kind)
                 self._opened(record)

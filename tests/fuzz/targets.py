@@ -264,7 +264,7 @@ def _store_facts(path: Path) -> object:
     from eldata.sources.store.format import frames_in
 
     try:
-        return [*frames_in(path.read_bytes())]
+        return frames_in(path.read_bytes())
     except (ValueError, LookupError, TypeError) as error:  # as documented: its caller names the store
         raise ArgumentError("not the facts of frames") from error
 

@@ -167,10 +167,10 @@ class FactsWriter:
     def __init__(self, store: h5py.File) -> None:
         self._facts = store["facts"]
         self._known: dict[str, int] = {}
-        self.count = 0
-        for frame in frames_in(self._facts[:].tobytes()):
+        frames, rgb = frames_in(self._facts[:].tobytes())
+        for frame in frames:
             facts_line(frame, self._known)
-            self.count += 1
+        self.count = len(frames) + len(rgb)
 
     def add(self, frame: AnyStored) -> None:
         """Append a line."""

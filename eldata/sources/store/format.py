@@ -29,10 +29,11 @@ from eldata.base.fields import TextFile
 from eldata.base.files import sha256_of
 from eldata.errors import ArgumentError, FileError, check_choice
 from eldata.manifest.clip_checks import is_png
+from eldata.records import from_columns
 from eldata.sources.file_facts import exposure_data, exposure_of, more_of_sensor, sensor_data, sensor_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from eldata.manifest.catalogue import Manifest
@@ -201,10 +202,10 @@ def frame_key(number: int) -> str:
 def facts_line(frame: AnyStored, known: dict[str, int]) -> bytes:
     """Return what a store states of a frame beside its pixels, as a line of JSON.
 
-    Its keys are ``path``, ``role``, ``sha256`` (of the pixels) and ``file``; of an RGB frame ``size``, of a mosaic
-    ``states``: sensor and exposure as its file states them, ``more`` where the sensor states fractions, or a light that
-    is not D65, and ``whites`` of a raw file that LibRaw has one a channel of. Where an earlier frame's file states the
-    same, ``states`` is the number of that one.
+    ``[path, role, sha256 of the pixels, [size, sha256, decoder] of the file, sensor, exposure]``: the sensor as the
+    file states it, with ``more`` where it states fractions, or a light that is not D65, and ``whites`` of a raw file
+    that LibRaw has one a channel of. Where an earlier frame's file states the same, the number of that one stands in
+    its place. Of an RGB frame, ``[height, width]`` and null.
 
     Parameters
     ----------
@@ -213,44 +214,47 @@ def facts_line(frame: AnyStored, known: dict[str, int]) -> bytes:
     known
         The numbers of frames by what they state; this one is added.
     """
-    line = {"path": frame.path, "role": frame.role, "sha256": frame.sha256, "file": [*astuple(frame.file)]}
+    line: list[Any] = [frame.path, frame.role, frame.sha256, astuple(frame.file)]
     if isinstance(frame, StoredRgb):
-        return _as_line(line | {"size": [frame.height, frame.width]})
-    states = {
-        "sensor": sensor_data(frame.sensor),
-        "more": more_of_sensor(frame.sensor),
-        "exposure": exposure_data(frame.exposure),
-        "whites": frame.channel_white_levels_dn,
-    }
-    number = known.setdefault(json.dumps(states), int(frame.key))
-    return _as_line(line | {"states": states if number == int(frame.key) else number})
+        line += [[frame.height, frame.width], None]
+    else:
+        sensor = {"sensor": sensor_data(frame.sensor), "more": more_of_sensor(frame.sensor)}
+        for stated in (sensor | {"whites": frame.channel_white_levels_dn}, exposure_data(frame.exposure)):
+            number = known.setdefault(json.dumps(stated), int(frame.key))
+            line.append(stated if number == int(frame.key) else number)
+    return json.dumps(line, separators=(",", ":")).encode() + b"\n"
 
 
-def _as_line(facts: Mapping[str, Any]) -> bytes:
-    return json.dumps(facts, separators=(",", ":")).encode() + b"\n"
-
-
-def frames_in(facts: bytes) -> Iterator[AnyStored]:
-    """Yield the frames that lines of :func:`facts_line` state; those that state the same share one record of it.
+def frames_in(facts: bytes) -> tuple[list[StoredFrame], list[StoredRgb]]:
+    """Return the frames that lines of :func:`facts_line` state; those that state the same share one record of it.
 
     Raises
     ------
     ValueError, LookupError, TypeError, ArgumentError
         If they are anything else.
     """
-    known: dict[int, tuple[Sensor, Exposure, tuple[float, ...] | None]] = {}
     lines = TextFile("facts", ArgumentError, content=b'{"frames":[%s]}' % b",".join(facts.splitlines())).json()
-    for number, data in enumerate(lines.data["frames"]):
-        key, path, role, sha256, file = frame_key(number), data["path"], data["role"], data["sha256"], data["file"]
-        packed = PackedFile(*file)
-        if "size" in data:
-            height, width = map(int, data["size"])
-            yield StoredRgb(key, path, role, height, width, sha256, packed)
+    sensors: dict[int, tuple[Sensor, tuple[float, ...] | None]] = {}
+    exposures: dict[int, Exposure] = {}
+    rows, rgb = [], []
+    for number, (path, role, sha256, file, sensor, exposure) in enumerate(lines.data["frames"]):
+        key = frame_key(number)
+        if not isinstance(path, str):
+            raise TypeError(f"path {path!r}")
+        if isinstance(sensor, list):
+            height, width = map(int, sensor)
+            rgb.append(StoredRgb(key, path, role, height, width, sha256, PackedFile(*file)))
             continue
-        states = data["states"]
-        if isinstance(states, dict):
-            whites = None if states["whites"] is None else tuple(map(float, states["whites"]))
-            known[number] = sensor_of(states["sensor"], states["more"]), exposure_of(states["exposure"]), whites
-            states = number
-        sensor, exposure, whites = known[states]
-        yield StoredFrame(key, path, role, sensor, exposure, sha256, packed, whites)
+        of_sensor, of_exposure = sensor, exposure
+        if isinstance(sensor, dict):
+            of_sensor, whites = number, None if sensor["whites"] is None else tuple(map(float, sensor["whites"]))
+            sensors[number] = sensor_of(sensor["sensor"], sensor["more"]), whites
+        if isinstance(exposure, dict):
+            of_exposure, exposures[number] = number, exposure_of(exposure)
+        its_sensor, whites = sensors[of_sensor]
+        rows.append((key, path, role, its_sensor, exposures[of_exposure], sha256, file, whites))
+    if not rows:
+        return [], rgb
+    columns: dict[str, Sequence[Any]] = dict(zip(StoredFrame.__slots__, zip(*rows, strict=True), strict=True))
+    files = zip(PackedFile.__slots__, zip(*columns["file"], strict=True), strict=True)
+    return from_columns(StoredFrame, columns | {"file": from_columns(PackedFile, dict(files))}), rgb

@@ -30,7 +30,6 @@ from eldata.sources.store.format import (
     FORMAT,
     VERSION,
     Store,
-    StoredFrame,
     StoredRgb,
     StoreError,
     frames_in,
@@ -71,17 +70,15 @@ def open_store(path: Path | str) -> Store:
     with opened(path) as file, no_search_for_cycles():
         try:
             manifest = _manifest(path, file)
-            held = [*frames_in(_facts(file))]
+            frames, rgb = frames_in(_facts(file))
             listed, there = int(file.attrs["files"]), len(file["frames"])
             header = texts_of(file.attrs)
             dataset, compression = header["dataset"], header["compression"]
         except (OSError, RuntimeError, ValueError, LookupError, TypeError, EldataError) as error:
             raise _damaged(path, error) from error
-    if not len(held) == listed == there:
-        raise _damaged(path, f"expected {listed} frames, found {min(len(held), there)}")
-    frames = Records(frame for frame in held if isinstance(frame, StoredFrame))
-    rgb = tuple(frame for frame in held if isinstance(frame, StoredRgb))
-    return Store(path, dataset, compression, manifest, frames, rgb)
+    if not len(frames) + len(rgb) == listed == there:
+        raise _damaged(path, f"expected {listed} frames, found {min(len(frames) + len(rgb), there)}")
+    return Store(path, dataset, compression, manifest, Records(frames), tuple(rgb))
 
 
 def opened(path: Path) -> h5py.File:

@@ -119,16 +119,17 @@ def test_a_damaged_store(spoil: Any, reason: str, own: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("place", "value"),
     [
-        {"path": None},
-        {"file": ["1"]},
-        {"states": 3},
-        {"states": {"sensor": {}, "more": {}, "exposure": {}, "whites": None}},
-        {"size": [4]},
+        (0, None),
+        (3, ["1"]),
+        (4, 3),
+        (4, {"sensor": {}, "more": {}, "whites": None}),
+        (5, -1),
+        (4, [4]),
     ],
 )
-def test_facts_that_are_no_frames(change: dict[str, Any], own: Path) -> None:
+def test_facts_that_are_no_frames(place: int, value: object, own: Path) -> None:
     """One bit is found by the checksum; what is wrong with lines whose checksum fits is found as they are read."""
     with h5py.File(own, "r+") as file:
         file["facts"][5] ^= 1
@@ -136,7 +137,8 @@ def test_facts_that_are_no_frames(change: dict[str, Any], own: Path) -> None:
     with h5py.File(own, "r+") as file:
         file["facts"][5] ^= 1
         lines = file["facts"][:].tobytes().splitlines(keepends=True)
-        changed = {name: value for name, value in (json.loads(lines[1]) | change).items() if value is not None}
+        changed = json.loads(lines[1])
+        changed[place] = value
         content = b"".join([lines[0], json.dumps(changed).encode(), b"\n", *lines[2:]])
         file["facts"].resize((len(content),))
         file["facts"][:] = np.frombuffer(content, np.uint8)

@@ -14,7 +14,7 @@ from capture.exact import ExactNumber, as_exact
 from capture.shutter import Shutter, ShutterTime, borders, shutter_as_dict, shutter_from
 from eldata.base.fields import Fields, TextFile, shown
 from eldata.base.files import write_json
-from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.raw.files import RAW_EXTENSIONS
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from eldata.baselines import NoisyFrame
-    from eldata.raw.cfa import Clip
+    from eldata.raw.levels import Clip
 
 ISOS, RATIOS = (800, 1600, 3200), (100.0, 200.0)
 BATCH, CROP, EPOCH = 8, 64, 250  # crops in packed pixels; steps between checkpoints

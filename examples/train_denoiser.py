@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from eldata.datasets import CleanSource
-    from eldata.raw.cfa import Clip
+    from eldata.raw.levels import Clip
 
 
 def main(argv: Sequence[str] | None = None) -> None:

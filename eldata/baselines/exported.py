@@ -21,13 +21,13 @@ from eldata.base.fields import TextFile, names_of
 from eldata.base.files import atomic_write, json_text
 from eldata.baselines.consistency import checked_window
 from eldata.errors import EldataError, FileError, check_choice
-from eldata.raw.cfa import CLIP_RANGES
+from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from eldata.raw.cfa import Clip
+    from eldata.raw.levels import Clip
 
 # Below the archive's own folder. torch looks members up without regard to case.
 _PLAIN = re.compile(

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.baselines.predicting import NoisyFrame
-    from eldata.raw.cfa import Clip
+    from eldata.raw.levels import Clip
 
     Values = NDArray[np.floating[Any]]
 

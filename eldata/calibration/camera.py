@@ -15,25 +15,26 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Failed, Workers, require_files
-from eldata.calibration.audit import checked_acceptance
-from eldata.calibration.frame_checks import FramesError, sorted_frames
+from eldata.calibration.audit.frames import FramesError, sorted_frames
+from eldata.calibration.audit.structure import pooled_prnu
+from eldata.calibration.core.findings import checked_acceptance
 from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
 from eldata.calibration.mode_fits import joint_fits, whole_ranges
 from eldata.calibration.one_iso import calibrate_flats, calibrate_iso, decodings
 from eldata.calibration.remarks import overall_remarks
 from eldata.calibration.results import Calibration
-from eldata.calibration.structure import pooled_prnu
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
 from eldata.manifest.verify_report import Problem
-from eldata.noise.profile import CameraProfile, ProfileRow, profile_of
+from eldata.noise.gain_modes import ProfileRow
+from eldata.noise.profile import CameraProfile, profile_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from eldata.calibration.audit import Figure
-    from eldata.calibration.frame_checks import IsoFrames
+    from eldata.calibration.audit.frames import IsoFrames
+    from eldata.calibration.core.findings import Figure
     from eldata.noise.structure import NoiseStructure
 
 _LEVELS_APART = 0.001  # of the range

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
+    from eldata.calibration.core.photon_transfer import PhotonTransfer
     from eldata.calibration.panels import ScalePanel
-    from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.plots.axes import Drawing, Theme
     from eldata.plots.gains import Point
 

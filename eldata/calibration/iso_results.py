@@ -8,23 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.audit import SYMBOLS, GivenFigure, given, named, widened, withheld
-from eldata.calibration.spectrum import SpectrumLines
+from eldata.calibration.core.findings import SYMBOLS, GivenFigure, given, named, widened, withheld
+from eldata.calibration.core.spectra import SpectrumLines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import Effect, Figure, Finding
-    from eldata.calibration.colour_bias import ColourBias
-    from eldata.calibration.defects import PatternSummary
-    from eldata.calibration.photon_transfer import PhotonTransfer
-    from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
-    from eldata.calibration.reproduction import Reproduction
-    from eldata.calibration.row_noise import LineNoise, RowNoise
-    from eldata.calibration.single_frame import SingleFramePlot
-    from eldata.calibration.structure import MeasuredStructure
+    from eldata.calibration.acceptance.reproduction import Reproduction
+    from eldata.calibration.audit.structure import MeasuredStructure
+    from eldata.calibration.core.defects import PatternSummary
+    from eldata.calibration.core.findings import Effect, Figure, Finding
+    from eldata.calibration.core.photon_transfer import PhotonTransfer
+    from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
+    from eldata.calibration.core.row_noise import ColourBias, LineNoise, RowNoise
+    from eldata.calibration.core.single_frame import SingleFramePlot
     from eldata.manifest.verify_report import Problem
     from eldata.noise.parameters import NoiseParameters
     from eldata.records import Sensor

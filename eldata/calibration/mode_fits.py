@@ -8,15 +8,15 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from eldata.base.numbers import counted
-from eldata.calibration.joint import FittedMode, fit_log_log, gain_steps
+from eldata.calibration.core.joint import FittedMode, fit_log_log, gain_steps
 from eldata.noise.gain_modes import GainMode, LogLogFit, modes_problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from eldata.calibration.audit import Finding, GivenFigure
+    from eldata.calibration.core.findings import Finding, GivenFigure
+    from eldata.calibration.core.joint import LogLogEstimate
     from eldata.calibration.iso_results import IsoCalibration
-    from eldata.calibration.joint import LogLogEstimate
 
 NO_NOISE_DN = 1e-9
 """A scale that a log-log line can hold in place of 0."""
@@ -50,7 +50,7 @@ def joint_fits(isos: Sequence[IsoCalibration], starts: Sequence[float] | None = 
         What was measured.
     starts
         The first ISO of each gain mode but the lowest, as somebody states them, ascending; none for one mode. ``None``:
-        modes are told by steps in the fits (:func:`~eldata.calibration.joint.gain_steps`).
+        modes are told by steps in the fits (:func:`~eldata.calibration.core.joint.gain_steps`).
     """
     known = sorted((one for one in isos if one.gain_dn_per_e is not None), key=_gain)
     iso_of = {_gain(one): one.iso for one in known}

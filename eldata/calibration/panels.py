@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.audit import Figure, GivenFigure
-    from eldata.calibration.joint import FittedMode, LogLogEstimate
+    from eldata.calibration.core.findings import Figure, GivenFigure
+    from eldata.calibration.core.joint import FittedMode, LogLogEstimate
     from eldata.noise.gain_modes import GainMode
     from eldata.plots.gains import Point
 

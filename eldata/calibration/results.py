@@ -9,14 +9,14 @@ from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
 from eldata.base.tables import text_table, with_error
 from eldata.base.visible import in_line
-from eldata.calibration.audit import named
+from eldata.calibration.core.findings import named
 from eldata.calibration.iso_results import usual_gain_per_iso
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
-    from eldata.calibration.audit import GivenFigure
+    from eldata.calibration.core.findings import GivenFigure
+    from eldata.calibration.core.joint import FittedMode, LogLogEstimate
     from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
-    from eldata.calibration.joint import FittedMode, LogLogEstimate
     from eldata.calibration.panels import ScalePanel
     from eldata.manifest.verify_report import Problem
     from eldata.noise.profile import CameraProfile
@@ -253,7 +253,7 @@ class Calibration:
 
     def structure_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Return header and rows of what the noise of pixels has in common, where it was asked for."""
-        from eldata.calibration.structure import HEADER
+        from eldata.calibration.audit.structure import HEADER
 
         rows = [(f"{one.iso:g}", *one.structure.cells()) for one in self.isos if one.structure is not None]
         return ("ISO", *HEADER), rows

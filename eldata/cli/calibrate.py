@@ -137,8 +137,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from eldata.base.files import write_text
+    from eldata.calibration.audit.frames import FramesError
     from eldata.calibration.camera import calibrate, stated_gains
-    from eldata.calibration.frame_checks import FramesError
     from eldata.calibration.shading_fit import dark_shading
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.manifest.catalogue import load_manifest
@@ -208,7 +208,7 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"    {note}")
 
     def write_page() -> None:
-        from eldata.reports.calibration.page import calibration_page
+        from eldata.reports.calibration import calibration_page
 
         write_text(arguments.html, calibration_page(found))
         print(f"\nreport: {arguments.html}")

@@ -138,8 +138,8 @@ def run_check(arguments: argparse.Namespace) -> int:
     """Judge one model."""
     from eldata.base.files import write_text
     from eldata.base.tables import one_line
-    from eldata.calibration.acceptance import check_noise
-    from eldata.calibration.frame_checks import FramesError
+    from eldata.calibration.acceptance.comparison import check_noise
+    from eldata.calibration.audit.frames import FramesError
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.datasets.dark_frames import DarkFrames
     from eldata.noise.dark_shading import DarkShading
@@ -173,7 +173,7 @@ def run_check(arguments: argparse.Namespace) -> int:
         print(f"{one_line(profile.camera)}: {found.model} against {one_line(found.camera)}\n\n{found.format_text()}")
 
     def write_page() -> None:
-        from eldata.reports.acceptance.page import acceptance_page
+        from eldata.reports.acceptance import acceptance_page
 
         write_text(arguments.html, acceptance_page(found))
         print(f"\nreport: {arguments.html}")

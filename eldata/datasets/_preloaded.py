@@ -8,6 +8,6 @@ import numpy as np
 
 import eldata.datasets.packed_store  # torch and h5py with it
 import eldata.raw.reading  # noqa: F401 # to be there in each worker
-from eldata.raw.cfa import pack_normalised
+from eldata.raw.levels import pack_normalised
 
 pack_normalised(np.zeros((2, 2), np.uint16), ((0, 1), (3, 2)), (0.0, 0.0, 0.0, 0.0), 1.0)

@@ -13,10 +13,10 @@ from eldata.base.numbers import checked_number
 from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import sequence_of
-from eldata.noise.model import check_normalised
+from eldata.noise.exposures import check_normalised
 from eldata.raw._kernels import scatter_bayer
 from eldata.raw.cfa import packing_sites, unpack
-from eldata.raw.extensions import RAW_EXTENSIONS, no_raws, raws_below
+from eldata.raw.files import RAW_EXTENSIONS, no_raws, raws_below
 from eldata.raw.levels import LEVELS, Levels, check_in_dn
 from eldata.sources.frames import Files, Frame
 from eldata.sources.store.read import StoreFrames

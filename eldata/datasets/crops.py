@@ -11,23 +11,15 @@ import numpy as np
 from eldata.base.scratch import scratch
 from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented, turned_levels
 from eldata.errors import ArgumentError, DatasetError
-from eldata.raw.cfa import (
-    CLIP_RANGES,
-    PackedArea,
-    cfa_from,
-    normalise,
-    pack,
-    pack_normalised,
-    packed_area,
-    packed_shape,
-    packing_sites,
-)
+from eldata.raw.cfa import PackedArea, cfa_from, pack, packed_area, packed_shape, packing_sites
+from eldata.raw.levels import CLIP_RANGES, normalise, pack_normalised
 from eldata.sources.frames import RGB_WHITE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import CfaRows, Clip
+    from eldata.raw.cfa import CfaRows
+    from eldata.raw.levels import Clip
     from eldata.sources.frames import Frame
 
 Region = tuple[int, int, int, int]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from eldata.datasets.crops import Crop
     from eldata.plots.axes import Drawing
-    from eldata.raw.cfa import Clip
+    from eldata.raw.levels import Clip
     from eldata.records import Sensor
     from eldata.sources.frames import Frame
 

@@ -19,7 +19,7 @@ from eldata.errors import ArgumentError, check_choice
 from eldata.noise.makers import check_noise_maker, made_exposure, maker_name
 from eldata.noise.model import NoiseModel
 from eldata.noise.structure import known_structure
-from eldata.raw.cfa import CLIP_RANGES
+from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence, Sized
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from eldata.noise.dark_shading import DarkShading
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.profile import RowChoice
-    from eldata.raw.cfa import Clip
+    from eldata.raw.levels import Clip
     from eldata.records import Sensor
     from eldata.sources.frames import Frame
 

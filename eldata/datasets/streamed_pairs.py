@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
     from eldata.protocols.protocol import Amplification
-    from eldata.raw.cfa import Clip
-    from eldata.raw.levels import FrameLevels
+    from eldata.raw.levels import Clip, FrameLevels
     from eldata.sources.shards.members import StoredSample
 
 # Keep these random numbers apart from those of the items, which are seeded by (seed, epoch, index).

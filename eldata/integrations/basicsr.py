@@ -24,8 +24,8 @@ from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean
 from eldata.integrations.colours import balance_multipliers, matrix_to_srgb
 from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
 from eldata.manifest.pairs import Choice
-from eldata.raw.cfa import pack, packed_black_level_dn
-from eldata.raw.levels import FrameLevels
+from eldata.raw.cfa import pack
+from eldata.raw.levels import FrameLevels, packed_black_level_dn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -37,7 +37,7 @@ from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.patterns import RowFinding, expand, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.manifest.verify_report import LEVELS, DatasetReport, FileRemark, Level, Problem, VerifyReport, distinct
-from eldata.raw.facts import raw_facts
+from eldata.raw.files import raw_facts
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -235,7 +235,7 @@ def _names(folder: Path) -> list[str]:
 
 def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[RowFinding]:
     """Name files of the listed kind that the manifest does not list, in the folders of these records."""
-    from eldata.raw.extensions import RAW_EXTENSIONS
+    from eldata.raw.files import RAW_EXTENSIONS
 
     every = expand(manifest.records, folder)
     listed = {record.path for record in every}

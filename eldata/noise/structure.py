@@ -1,7 +1,7 @@
 """Figures of the noise that pixels do not have each for itself: what components C, W, T and F of a model are made with.
 
-``eldata calibrate --structure`` measures them (:mod:`eldata.calibration.structure`), a profile holds them by ISO, and
-the parameters that are drawn from it bring those of the nearest gain.
+``eldata calibrate --structure`` measures them (:mod:`eldata.calibration.audit.structure`), a profile holds them by ISO,
+and the parameters that are drawn from it bring those of the nearest gain.
 """
 
 from __future__ import annotations

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.audit import given, with_accepted
-from eldata.calibration.bias_audit import BiasAudit
-from eldata.calibration.bias_checks import bias_findings
-from eldata.calibration.frame_checks import code_step, missing_codes
+from eldata.calibration.audit.bias_checks import bias_findings
+from eldata.calibration.audit.bias_sums import BiasAudit
+from eldata.calibration.audit.frame_checks import code_step, missing_codes
+from eldata.calibration.core.findings import given, with_accepted
 from tests.calibration import draws
 from tests.calibration.chain import calibrated
 from tests.calibration.faults import EVERY, NONE, Planted
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import Figure, Finding, GivenFigure
+    from eldata.calibration.core.findings import Figure, Finding, GivenFigure
 
 CAMERA = Camera(shape=(512, 768), shading=1.0)
 FRAMES = 9

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from eldata.base.workers import IN_THIS_PROCESS
-from eldata.calibration.frame_checks import IsoFrames
+from eldata.calibration.audit.frames import IsoFrames
 from eldata.calibration.one_iso import calibrate_iso
 from eldata.datasets.calibration_frames import FlatPair
 from eldata.records import Exposure, FrameRecord, RawFrame

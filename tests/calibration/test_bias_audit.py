@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.calibration import bias_audit
-from eldata.calibration.bias_audit import BiasAudit, BiasStatistics
-from eldata.calibration.neighbours import LIMIT, Neighbours
+from eldata.calibration.audit import bias_sums as bias_audit
+from eldata.calibration.audit.bias_sums import BiasAudit, BiasStatistics
+from eldata.calibration.audit.neighbours import LIMIT, Neighbours
 from eldata.errors import DatasetError
 from tests.calibration.audit_study import CAMERA, Audited, audited, clean, planted
 from tests.calibration.chain import stacked

@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[2]
 DOCS = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
-SOURCES = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "eldata/calibration").glob("*.py"))}
+ROOM = ROOT / "eldata/calibration"
+SOURCES = {path.relative_to(ROOM).as_posix(): path.read_text("utf-8") for path in sorted(ROOM.rglob("*.py"))}
 # Where remarks are made otherwise than by remarks.append(...): the functions that return them.
-RETURNED = {("remarks", "no_pairs"), ("frame_checks", "unequal_pair"), ("results", "FailedIso")}
+RETURNED = {("remarks.py", "no_pairs"), ("audit/frame_checks.py", "unequal_pair"), ("iso_results.py", "FailedIso")}
 
 
 def text_of(node: ast.expr) -> str:

@@ -7,7 +7,7 @@ import shutil
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from eldata.calibration.frame_checks import FramesError, sorted_frames
+from eldata.calibration.audit.frames import FramesError, sorted_frames
 from eldata.calibration.one_iso import calibrate_iso
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.demo.calibration_frames import make_calibration_frames

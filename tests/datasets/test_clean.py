@@ -16,7 +16,8 @@ from eldata.datasets.clean import Arrays, CleanFrame, RawFiles
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import write_dng
-from eldata.raw.cfa import CLIP_RANGES, XTRANS_CFA, normalise, pack, unpack
+from eldata.raw.cfa import XTRANS_CFA, pack, unpack
+from eldata.raw.levels import CLIP_RANGES, normalise
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
 
 if TYPE_CHECKING:

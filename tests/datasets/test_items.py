@@ -18,7 +18,7 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import save_card
 from eldata.noise import CameraProfile
 from eldata.raw import pack, read_raw, write_dng
-from eldata.raw.cfa import packed_black_level_dn
+from eldata.raw.levels import packed_black_level_dn
 from eldata.sources.frames import Frame, FrameSource
 from eldata.sources.shards import write_shards
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip

@@ -23,8 +23,7 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import save_card
 from eldata.manifest.subsets import Subset
 from eldata.raw import read_raw, write_dng
-from eldata.raw.cfa import pack_normalised
-from eldata.raw.levels import with_levels
+from eldata.raw.levels import pack_normalised, with_levels
 from tests.datasets.methods import METHODS
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 from tests.sid_tree import SmallTree, build_small_tree

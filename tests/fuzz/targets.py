@@ -366,8 +366,7 @@ KINDS: dict[str, Kind] = {
         {"archive": _archive},
         {
             ".zip": (containers.zip_record, containers.zip_record, containers.named),
-            ".7z": (containers.sevenzip, containers.sevenzip),
-            "": (containers.tar_record, containers.tar_record, containers.named),
+            "": (containers.sevenzip, containers.sevenzip),
         },
     ),
     "predictions": Kind(

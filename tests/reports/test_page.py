@@ -12,16 +12,15 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from eldata.noise.diagnostics import diagnose, sample_parameters
-from eldata.reports.profile.page import profile_page
-from eldata.reports.profile.plots import plots
+from eldata.calibration.acceptance.theory import diagnose, sample_parameters
+from eldata.reports.profile import plots, profile_page
 from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from eldata.noise.findings import Diagnostics
+    from eldata.calibration.acceptance.verdicts import Diagnostics
     from eldata.noise.profile import CameraProfile
 
 
@@ -110,8 +109,8 @@ def test_another_process_makes_the_same_page_without_pyplot(page: str) -> None:
     code = (
         "import hashlib, sys\n"
         "from eldata.noise.profile import CameraProfile\n"
-        "from eldata.noise.diagnostics import diagnose, sample_parameters\n"
-        "from eldata.reports.profile.page import profile_page\n"
+        "from eldata.calibration.acceptance.theory import diagnose, sample_parameters\n"
+        "from eldata.reports.profile import profile_page\n"
         "profile = CameraProfile.load('SonyA7S2')\n"
         "page = profile_page(diagnose(profile, sample_parameters(profile, 0)))\n"
         "print(hashlib.sha256(page.encode()).hexdigest())\n"

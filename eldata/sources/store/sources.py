@@ -19,7 +19,7 @@ from eldata.manifest.drv import scan_raw
 from eldata.manifest.pairs import Choice, select_pairs
 from eldata.manifest.patterns import expand, is_pattern
 from eldata.manifest.table import table_text
-from eldata.raw.extensions import raws_below
+from eldata.raw.files import raws_below
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence

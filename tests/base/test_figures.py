@@ -1,0 +1,63 @@
+"""Figures: what is shown of a value follows from the declaration."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from eldata.base.figures import Figure, by_name
+
+PSNR = Figure(name="psnr_db", label="PSNR", unit="dB", decimals=2, better="higher", meaning="peak signal to noise")
+SSIM = Figure(name="ssim", label="SSIM", decimals=3, difference_decimals=4, single_decimals=4, meaning="similarity")
+GAIN = Figure(name="gain_dn_per_e", label="K", unit="DN/e-", meaning="overall system gain")
+SIGMA = Figure(name="sigma_tl_dn", label="sigma_TL", symbol="σ TL", unit="DN", meaning="scale of the read noise")
+
+
+@pytest.mark.parametrize(
+    ("figure", "heading", "page"),
+    [
+        (PSNR, "PSNR [dB]", "PSNR [dB]"),
+        (SSIM, "SSIM", "SSIM"),
+        (GAIN, "K [DN/e-]", "K [DN/e⁻]"),
+        (SIGMA, "sigma_TL [DN]", "σ TL [DN]"),
+    ],
+)
+def test_headings_state_the_unit(figure: Figure, heading: str, page: str) -> None:
+    assert (figure.heading, figure.page_heading) == (heading, page)
+
+
+@pytest.mark.parametrize(
+    ("figure", "value", "error", "text"),
+    [
+        (PSNR, 41.237, math.nan, "41.24"),
+        (PSNR, math.inf, math.nan, "inf"),
+        (PSNR, math.nan, math.nan, "-"),
+        (PSNR, None, math.nan, "withheld"),
+        (GAIN, 2.34567, 0.012, "2.346 ± 0.012"),
+        (GAIN, 2.345678, math.nan, "2.3457"),
+        (GAIN, math.inf, 0.1, "inf"),
+        (GAIN, None, 0.1, "withheld"),
+    ],
+)
+def test_a_value_is_written_with_its_decimals_or_by_its_error(
+    figure: Figure, value: float | None, error: float, text: str
+) -> None:
+    assert figure.format(value, error) == text
+
+
+def test_one_value_and_a_difference_have_decimals_of_their_own() -> None:
+    assert (SSIM.format(0.98765), SSIM.format_single(0.98765)) == ("0.988", "0.9877")
+    assert [PSNR.format_difference(value) for value in (0.126, -0.126, 0.0, math.inf, math.nan, None)] == [
+        *("+0.13", "-0.13", "+0.00", "+inf", "-", "withheld")
+    ]
+
+
+def test_the_better_one_of_two_is_told_by_a_sign() -> None:
+    assert (PSNR.sign, GAIN.sign) == (1, 0)
+
+
+def test_a_name_means_one_figure() -> None:
+    assert list(by_name([PSNR, SSIM])) == ["psnr_db", "ssim"]
+    with pytest.raises(ValueError, match="psnr_db"):
+        by_name([PSNR, SSIM, PSNR])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.core.findings import Finding
+from eldata.calibration.core.findings import STEP
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.gain_modes import GainMode, LogLogFit
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
+
+    from eldata.calibration.core.findings import Finding
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +167,7 @@ class GainStep:
                 "than the camera's: state the modes (--mode ISO), or calibrate the ISOs on either side by themselves "
                 "(--iso)"
             )
-        return Finding("a step in a joint fit", (), "remark", largest.statistic, largest.threshold, seen + outcome)
+        return STEP.seen(largest.statistic, largest.threshold, seen + outcome)
 
 
 def gain_steps(points: Mapping[str, Sequence[tuple[float, float]]]) -> tuple[GainStep, ...]:

@@ -275,9 +275,8 @@ SHOWN = (
         "eldata.reports",
     ),
     # Words of results and protocols; what of a result is chosen, grouped and decoded to be looked at.
-    *("eldata.evaluation.table", "eldata.evaluation.comparison_tables", "eldata.evaluation.looking"),
+    *("eldata.evaluation.table", "eldata.evaluation.comparison.tables", "eldata.evaluation.looking"),
     *("eldata.protocols.kinds", "eldata.protocols.words"),
-    "eldata.isp.preview",  # how much brighter a dark picture is shown
 )
 LIBRARIES = {"numpy", "matplotlib", "jinja2", "PIL"}
 STATISTICS = {
@@ -285,7 +284,7 @@ STATISTICS = {
     *("interp", "polyfit", "lstsq", "solve", "rfft", "fft", "fft2", "convolve", "default_rng", "bincount", "cumsum"),
 }
 # Where measured arrays are turned into pixels: means of blocks, and the values that are black and white.
-MAKES_PIXELS = ("eldata.reports.pictures", "eldata.reports.evaluation.pictures", "eldata.plots.pictures")
+MAKES_PIXELS = ("eldata.plots.pictures",)
 
 
 def libraries_of(tree: ast.AST) -> set[str]:
@@ -322,7 +321,7 @@ WRITES = {
     "eldata.base.files": "the one writer of JSON files",
     "eldata.evaluation.comparison": "one value of a setting in a sentence",
     "eldata.protocols.digests": "what a digest is made of",
-    "eldata.reports.evaluation.page": "one value of a setting in a sentence",
+    "eldata.reports.evaluation": "one value of a setting in a sentence",
     "eldata.sources.shards.index": "an index with one line per shard, and a sample's own JSON",
     "eldata.sources.store.format": "attributes of an HDF5 store",
     "eldata.sources.store.table": "a data set of an HDF5 store, without spaces: it is as long as there are frames",

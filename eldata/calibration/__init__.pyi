@@ -10,9 +10,6 @@ from .camera import calibrate as calibrate
 from .core._residual_fit import ResidualHistogram as ResidualHistogram
 from .core.bias_figures import BiasFigures as BiasFigures
 from .core.bias_figures import BiasSums as BiasSums
-from .core.colour_bias import ChannelMeans as ChannelMeans
-from .core.colour_bias import ColourBias as ColourBias
-from .core.colour_bias import colour_bias as colour_bias
 from .core.defects import BiasStack as BiasStack
 from .core.defects import FixedPattern as FixedPattern
 from .core.defects import PatternSummary as PatternSummary
@@ -33,9 +30,11 @@ from .core.read_noise import ppcc as ppcc
 from .core.read_noise import probability_plot as probability_plot
 from .core.read_noise import read_noise as read_noise
 from .core.residuals import Residuals as Residuals
+from .core.row_noise import ColourBias as ColourBias
 from .core.row_noise import LineMeans as LineMeans
 from .core.row_noise import LineNoise as LineNoise
 from .core.row_noise import RowNoise as RowNoise
+from .core.row_noise import colour_bias as colour_bias
 from .core.row_noise import row_noise as row_noise
 from .core.single_frame import SingleFramePlot as SingleFramePlot
 from .core.single_frame import single_frame_plot as single_frame_plot

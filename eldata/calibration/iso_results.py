@@ -18,12 +18,11 @@ if TYPE_CHECKING:
 
     from eldata.calibration.acceptance.reproduction import Reproduction
     from eldata.calibration.audit.structure import MeasuredStructure
-    from eldata.calibration.core.colour_bias import ColourBias
     from eldata.calibration.core.defects import PatternSummary
     from eldata.calibration.core.findings import Effect, Figure, Finding
     from eldata.calibration.core.photon_transfer import PhotonTransfer
     from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
-    from eldata.calibration.core.row_noise import LineNoise, RowNoise
+    from eldata.calibration.core.row_noise import ColourBias, LineNoise, RowNoise
     from eldata.calibration.core.single_frame import SingleFramePlot
     from eldata.manifest.verify_report import Problem
     from eldata.noise.parameters import NoiseParameters

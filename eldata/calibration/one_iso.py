@@ -176,9 +176,9 @@ def _split(bias: Sequence[FrameRecord]) -> tuple[Sequence[FrameRecord], Sequence
 def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoCalibration:
     recorded, estimated, held_out = _first_pass(reader, *_split(chosen.bias))
     sensor, is_clipped = reader.sensor, recorded.clips_at_black
-    bias_sums, audit = BiasSums(recorded, sensor.cfa), BiasAudit(recorded)
+    bias_sums, audit = BiasSums(recorded), BiasAudit(recorded)
     jumping = TelegraphGroups(recorded) if structure and not is_clipped else None
-    sums = [*bias_sums.parts, audit, *(() if jumping is None else (jumping,))]
+    sums = [bias_sums, audit, *(() if jumping is None else (jumping,))]
     spectrum, single, gaps, step = None, None, 0.0, 1
     for _, frame in reader.read(estimated):
         if spectrum is None:

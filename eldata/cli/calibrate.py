@@ -208,7 +208,7 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"    {note}")
 
     def write_page() -> None:
-        from eldata.reports.calibration.page import calibration_page
+        from eldata.reports.calibration import calibration_page
 
         write_text(arguments.html, calibration_page(found))
         print(f"\nreport: {arguments.html}")

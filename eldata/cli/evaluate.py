@@ -182,7 +182,7 @@ def run(arguments: argparse.Namespace) -> int:
     result = combined if request.every else combined.results[0]
 
     def write_page() -> None:
-        from eldata.reports.evaluation.page import write_evaluation_page
+        from eldata.reports.evaluation import write_evaluation_page
 
         write_evaluation_page(
             combined.results,
@@ -204,9 +204,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run_several(arguments: argparse.Namespace) -> int:
     """Score several folders, or one whose results go to a folder."""
-    from eldata.evaluation.comparison_tables import format_comparison
+    from eldata.evaluation.comparison.folders import (
+        COMPARISON,
+        ScoredMethods,
+        named_folders,
+        requests_of,
+        results_folder,
+    )
+    from eldata.evaluation.comparison.tables import format_comparison
     from eldata.evaluation.evaluate import perform_each
-    from eldata.evaluation.methods import COMPARISON, ScoredMethods, named_folders, requests_of, results_folder
     from eldata.evaluation.request import EvaluationOptions
 
     if arguments.baseline is not None:
@@ -242,7 +248,7 @@ def _run_several(arguments: argparse.Namespace) -> int:
             print(f"eldata evaluate: {methods.why_not}", file=sys.stderr)
 
     def write_page() -> None:
-        from eldata.reports.compare.page import write_comparison_page
+        from eldata.reports.comparison import write_comparison_page
 
         if comparison is not None and out is not None:
             write_comparison_page(comparison, out / f"{COMPARISON}.html")
@@ -279,7 +285,7 @@ def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, a
             print(f"eldata evaluate: {line}", file=sys.stderr)
     print(result.format(form))
     if arguments.compare and result.scored:
-        from eldata.evaluation.published_comparison import comparison_table
+        from eldata.evaluation.published.comparison import comparison_table
 
         for one, *others in combined.groups:
             print(f"\n{comparison_table(one)}")

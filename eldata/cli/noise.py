@@ -173,7 +173,7 @@ def run_check(arguments: argparse.Namespace) -> int:
         print(f"{one_line(profile.camera)}: {found.model} against {one_line(found.camera)}\n\n{found.format_text()}")
 
     def write_page() -> None:
-        from eldata.reports.acceptance.page import acceptance_page
+        from eldata.reports.acceptance import acceptance_page
 
         write_text(arguments.html, acceptance_page(found))
         print(f"\nreport: {arguments.html}")

@@ -146,7 +146,7 @@ def run_show(arguments: argparse.Namespace) -> int:
 
     def write_page() -> None:
         from eldata.base.files import write_text
-        from eldata.reports.profile.page import profile_page
+        from eldata.reports.profile import profile_page
 
         write_text(arguments.html, profile_page(diagnostics))
 
@@ -212,7 +212,8 @@ def run_import(arguments: argparse.Namespace) -> int:
 def run_list(arguments: argparse.Namespace) -> int:
     """List the shipped profiles."""
     from eldata.base.tables import text_table
-    from eldata.noise.profile import CameraProfile, shipped_profiles
+    from eldata.noise.profile import CameraProfile
+    from eldata.noise.profile_files import shipped_profiles
 
     profiles = {name: CameraProfile.load(name) for name in shipped_profiles()}
     rows = []

@@ -13,7 +13,7 @@ from eldata.base.numbers import checked_number
 from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import sequence_of
-from eldata.noise.model import check_normalised
+from eldata.noise.exposures import check_normalised
 from eldata.raw._kernels import scatter_bayer
 from eldata.raw.cfa import packing_sites, unpack
 from eldata.raw.files import RAW_EXTENSIONS, no_raws, raws_below

@@ -15,7 +15,7 @@ from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
 from eldata.demo.folder import prepare_folder
 from eldata.errors import EldataError
-from eldata.reports.calibration.page import calibration_page
+from eldata.reports.calibration import calibration_page
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

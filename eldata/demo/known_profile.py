@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from eldata.calibration.core.joint import fit_log_log
 from eldata.calibration.one_photograph.estimate import GAUSSIAN_SHAPE
+from eldata.noise.gain_modes import ProfileRow
 from eldata.noise.parameters import tukey_lambda_variance
-from eldata.noise.profile import CameraProfile, ProfileRow
+from eldata.noise.profile import CameraProfile
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

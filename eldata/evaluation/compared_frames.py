@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
 
 from eldata.errors import RawFileError
-from eldata.evaluation.diagnosis import mistake_in
-from eldata.evaluation.inspected_frame import Circumstances
-from eldata.evaluation.pairs import Pair, ratio_of, reference_of
+from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch
+from eldata.evaluation.diagnosis.places import Circumstances
+from eldata.evaluation.pairs import Pair, ratio_of
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
 from eldata.evaluation.references import levels_dn, normalised_frame
 from eldata.evaluation.shared_frames import NoisyInput, Reference, ScoringJob, Shared, file_problem_of
-from eldata.evaluation.suspicions import Inspection, sketch
 from eldata.protocols.protocol import Levels
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.originals import Originals
-    from eldata.evaluation.scores import FrameScore
     from eldata.evaluation.tasks import TaskImages
     from eldata.metrics.image_score import Score, ScoringRules
     from eldata.protocols.protocol import Protocol
@@ -228,75 +225,3 @@ def as_scored(prediction: NDArray[Any], rules: ScoringRules, factor: float, dtyp
     for channel, plane in enumerate(prediction):  # the float64 intermediates are 8 bytes per pixel
         result[channel] = np.clip(np.clip(plane.astype(np.float64), low, high) * factor, final_low, final_high)
     return result
-
-
-# --- for those who look at it ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScoredArrays:
-    """One frame as it was scored: arrays (C, h, w) of the whole frame.
-
-    Attributes
-    ----------
-    amplified
-        The noisy input; ``None`` where predictions are renderings.
-    prediction
-        Rescaled and clamped.
-    reference
-        What it was compared with.
-    sensor
-        Of packed raw; ``None`` of colours.
-    """
-
-    amplified: NDArray[Any] | None
-    prediction: NDArray[Any]
-    reference: NDArray[Any]
-    sensor: Sensor | None
-
-    @property
-    def error(self) -> NDArray[Any]:
-        """The absolute error, mean over channels, (h, w)."""
-        return cast("NDArray[Any]", np.abs(self.prediction - self.reference).mean(axis=0))
-
-
-def scored_arrays(
-    originals: Originals,
-    protocol: Protocol,
-    pair: Pair,
-    frame: FrameScore,
-    file: Path | None,
-    dark_shading: Path | None = None,
-) -> ScoredArrays:
-    """Return what was compared, decoded once more.
-
-    Parameters
-    ----------
-    originals
-        The dataset's frames.
-    protocol, pair
-        What was scored, and how.
-    frame
-        Which frame of the pair, and the factor that it was given.
-    file
-        Its prediction; ``None`` if the noisy input itself was scored.
-    dark_shading
-        The file of what was taken off the input, if anything was.
-
-    Raises
-    ------
-    RawFileError, PredictionError, ManifestError
-        If a file is no longer what was scored.
-    """
-    job = ScoringJob(Path.cwd(), originals, (protocol,), None, dark_shading=dark_shading)
-    reference = Reference(originals, reference_of(pair, frame.path) or "")
-    shared = ComparedFrame(job, reference, pair, NoisyInput(job, reference, pair, frame.path), file)
-    target = reference.target(protocol)
-    factor = 1.0 if np.isnan(frame.rescale) else frame.rescale
-    prediction = as_scored(shared.prediction(protocol)[1], protocol.rules, factor, np.float32)
-    return ScoredArrays(
-        amplified=None if protocol.pixels == "srgb" else shared.input(protocol)[1],
-        prediction=prediction,
-        reference=target,
-        sensor=reference.frame.sensor if protocol.pixels == "packed" else None,
-    )

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from eldata import __version__
 from eldata.errors import ArgumentError, ManifestError, PredictionError
 from eldata.evaluation.combined import CombinedResult, NotScored
+from eldata.evaluation.diagnosis import suspicions_of
 from eldata.evaluation.layouts import Expected
 from eldata.evaluation.pairs import frames_of, place_of
 from eldata.evaluation.planning import known_places, places_elsewhere, plan_scoring, require_pairs
@@ -25,7 +26,6 @@ from eldata.evaluation.predictions import (
 from eldata.evaluation.request import ALL, SETTINGS, EvaluationOptions, Request, make_request, stated_shading
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import EvaluationProblem
-from eldata.evaluation.suspicions import suspicions_of
 from eldata.evaluation.table import short_digest
 from eldata.evaluation.units import Contender, score_plans
 from eldata.noise.dark_shading import dark_shading_in
@@ -96,7 +96,7 @@ def evaluate(
         ``"input"``, in place of ``predictions``: score the noisy input itself, amplified and clipped as the protocol
         has it. Default: None.
     strict
-        Whether predictions that show a mistake (:mod:`eldata.evaluation.suspicions`) are a problem: then nothing has a
+        Whether predictions that show a mistake (:mod:`eldata.evaluation.diagnosis`) are a problem: then nothing has a
         score. Default: False, the result's ``suspicions`` name it.
     task
         A function of (prediction, reference), (C, h, w) float32 as the protocol compares them, whose value is scored

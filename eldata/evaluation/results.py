@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from eldata.base.tables import Format
+    from eldata.evaluation.diagnosis import Suspicion
     from eldata.evaluation.pairs import Pair
     from eldata.evaluation.statistics import Interval
-    from eldata.evaluation.suspicions import Suspicion
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip
     from eldata.protocols.kinds import Kind
@@ -75,7 +75,7 @@ class EvaluationResult:
     notes
         What a reader of the table should know.
     suspicions
-        Mistakes that the predictions show (:mod:`eldata.evaluation.suspicions`).
+        Mistakes that the predictions show (:mod:`eldata.evaluation.diagnosis`).
     units
         The pairs, or windows of clips, that were to be scored; none in a result that was read back.
     source

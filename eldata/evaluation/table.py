@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from eldata.evaluation.ordering import cameras_in_order
 from eldata.evaluation.pairs import ratio_of
 from eldata.evaluation.scores import UnitScore, Valued, means
+from eldata.manifest.catalogue import shipped_manifest, shipped_names
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from eldata.evaluation.pairs import Pair
     from eldata.protocols.kinds import Kind
@@ -54,7 +55,7 @@ def groups_of(items: Sequence[tuple[str, float | None]], dataset: str = "") -> l
     """Return the groups of a table over cameras and factors: camera by factor, each factor over all, and all.
 
     A set without factors, or with more than twelve, has each camera, if there are several, and all. Cameras come in the
-    order of the set of this name (:func:`~eldata.evaluation.ordering.cameras_in_order`).
+    order of the set of this name (:func:`cameras_in_order`).
     """
     cameras = cameras_in_order((camera for camera, _ in items), dataset)
     ratios = sorted({ratio for _, ratio in items if ratio is not None})
@@ -162,3 +163,22 @@ def factor_text(ratio: float | None, times: str = "x") -> str:
 def short_digest(digest: str) -> str:
     """Return the beginning of a digest that tells it from others: ``sha256:`` and eight digits."""
     return digest[:15]
+
+
+# --- the order in which people read -----------------------------------------------------------------------------------
+
+
+def natural(text: str) -> tuple[tuple[int, int, str], ...]:
+    """Return a key that sorts texts with the numbers in them as numbers: ``scene-2`` before ``scene-10``."""
+    parts = re.split(r"([0-9]+)", text)
+    return tuple((0, int(part), part) if index % 2 else (1, 0, part) for index, part in enumerate(parts) if part)
+
+
+def cameras_in_order(cameras: Iterable[str], dataset: str) -> list[str]:
+    """Return names of cameras once each: in the order of the card, and of its paper, of a set that comes with eldata.
+
+    Others, and those of a set of the user's own, follow by their names.
+    """
+    known = list(shipped_manifest(dataset).card.cameras) if dataset in shipped_names() else []
+    found = set(cameras)
+    return [name for name in known if name in found] + sorted(found.difference(known), key=natural)

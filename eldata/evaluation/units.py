@@ -20,10 +20,10 @@ import numpy as np
 from eldata.base.workers import Failed, require_files
 from eldata.errors import ArgumentError, EldataError, FileError, PredictionError
 from eldata.evaluation.compared_frames import ComparedFrame, as_scored
+from eldata.evaluation.diagnosis import Inspection, chosen_frames
 from eldata.evaluation.pairs import Pair, files_of, frames_of, iso_of, place_of, ratio_of, reference_of
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
 from eldata.evaluation.shared_frames import NoisyInput, Reference, ScoringJob
-from eldata.evaluation.suspicions import Inspection, chosen_frames
 from eldata.manifest.clips import ClipRecord
 from eldata.protocols.clips import ClipProtocol
 

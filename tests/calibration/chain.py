@@ -45,7 +45,7 @@ def stacked(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> FixedPatter
 
 
 def calibrated(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Calibration:
-    sums = BiasSums(stacked(camera, frames), camera.cfa)
+    sums = BiasSums(stacked(camera, frames))
     for frame in frames:
         sums.add(frame)
     fixed = sums.fixed_pattern()

@@ -16,9 +16,9 @@ from eldata.calibration.camera import joined
 from eldata.calibration.core.findings import ACCEPTABLE, SYMBOLS, checked_acceptance, with_accepted
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile
-from eldata.reports.calibration.page import calibration_page
+from eldata.reports.calibration import calibration_page
 from eldata.reports.html import typeset
-from eldata.reports.profile.page import profile_page
+from eldata.reports.profile import profile_page
 from tests.reports.calibrations import camera_at, measured
 from tests.reports.pages import checked
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.calibration import ChannelMeans, LineMeans, Residuals
+from eldata.calibration import LineMeans, Residuals
 from eldata.calibration.core._clipped_noise import ClippedNoise, laplace, normal
 from eldata.calibration.core.clipped_black import ClippedValues
 from eldata.calibration.core.findings import given
+from eldata.calibration.core.row_noise import line_sums
 from eldata.errors import DatasetError
 from tests.calibration.chain import calibrated, stacked
 from tests.calibration.in_memory import calibrated_arrays
@@ -122,11 +123,11 @@ def test_frames_are_added_once() -> None:
     assert fixed.clips_at_black
     values, lines, residuals = ClippedValues(fixed), LineMeans(fixed), Residuals(fixed)
     for frame in frames[:3]:
-        values.add(frame)
+        values.add(frame, lines.add(frame))
     with pytest.raises(DatasetError, match="3 frames were added"):
-        values.solve(lines, ChannelMeans(QUIET.cfa))
+        values.solve(lines)
     for frame in frames:
-        residuals.add(frame)
+        residuals.add(frame, line_sums(frame, fixed))
     with pytest.raises(DatasetError, match="ClippedValues"):
         residuals.histogram()
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -10,7 +12,6 @@ from scipy import stats
 
 from eldata.calibration import (
     BiasStack,
-    ChannelMeans,
     LineMeans,
     colour_bias,
     fit_log_log,
@@ -22,7 +23,22 @@ from eldata.errors import ArgumentError, DatasetError
 from tests.calibration.chain import calibrated, stacked
 from tests.calibration.simulation import BAYER, XTRANS, Body, Camera
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.calibration import FixedPattern
+
 CAMERA = Camera(shape=(512, 768))
+
+
+def lines(fixed: FixedPattern, frames: Sequence[NDArray[np.uint16]]) -> LineMeans:
+    means = LineMeans(fixed)
+    for frame in frames:
+        means.add(frame)
+    return means
+
 
 # --- defects ------------------------------------------------------------------------------------------------------
 
@@ -194,21 +210,21 @@ def test_rows_that_are_not_normal_fail_the_test() -> None:
 
 def test_other_frames_than_the_patterns_are_refused() -> None:
     frames = Body(CAMERA, np.random.default_rng(12)).bias_frames(4)
-    means = LineMeans(stacked(CAMERA, frames))
-    means.add(frames[0])
     with pytest.raises(DatasetError, match="add the same frames again"):
-        row_noise(means)
+        row_noise(lines(stacked(CAMERA, frames), frames[:1]))
 
 
 # --- colour bias --------------------------------------------------------------------------------------------------
 
 
+def without_defects(frames: Sequence[NDArray[np.uint16]]) -> FixedPattern:
+    fixed = stacked(CAMERA, frames)
+    return replace(fixed, defects=np.zeros_like(fixed.defects))
+
+
 def test_bias_per_frame_and_pooled() -> None:
     frames = Body(CAMERA, np.random.default_rng(13)).bias_frames(6)
-    means = ChannelMeans(BAYER)
-    for frame in frames:
-        means.add(frame)
-    found = colour_bias(means, [512.0, 512.0, 510.0, 512.0])
+    found = colour_bias(lines(without_defects(frames), frames), [512.0, 512.0, 510.0, 512.0])
     stack = np.stack(frames)
     for channel, (y, x) in enumerate([(0, 0), (0, 1), (1, 1), (1, 0)]):
         expected = stack[:, y::2, x::2].mean(axis=(1, 2)) - (510 if channel == 2 else 512)
@@ -226,26 +242,18 @@ def test_hot_pixels_shift_a_bias_that_is_not_masked() -> None:
     body = Body(camera, np.random.default_rng(14))
     frames = body.bias_frames(6)
     masked = calibrated(camera, frames).bias
-    plain = ChannelMeans(BAYER)
-    for frame in frames:
-        plain.add(frame)
+    plain = lines(without_defects(frames), frames)
     assert abs(masked.bias_dn[0] - camera.bias[0]) < 0.1
     assert colour_bias(plain, [512.0] * 4).bias_dn[0] > camera.bias[0] + 0.5
 
 
 def test_unusable_bias() -> None:
-    with pytest.raises(DatasetError, match="ten or more"):
-        colour_bias(ChannelMeans(BAYER), [512.0] * 4)
-    frame = np.full((32, 48), 512, dtype=np.uint16)
-    means = ChannelMeans(BAYER)
-    means.add(frame)
-    assert math.isnan(colour_bias(means, [512.0] * 4).standard_error_dn[0])
+    frames = Body(CAMERA, np.random.default_rng(15)).bias_frames(4)
+    fixed = stacked(CAMERA, frames)
+    with pytest.raises(DatasetError, match="add the same frames again"):
+        colour_bias(lines(fixed, frames[:1]), [512.0] * 4)
     with pytest.raises(ArgumentError, match="black levels"):
-        colour_bias(means, [512.0] * 3)
-    with pytest.raises(ArgumentError, match="mask of defects"):
-        ChannelMeans(BAYER, defects=np.zeros((2, 2), dtype=np.bool_)).add(frame)
-    with pytest.raises(DatasetError, match="no sound pixel"):
-        ChannelMeans(BAYER, defects=np.ones((32, 48), dtype=np.bool_)).add(frame)
+        colour_bias(lines(fixed, frames), [512.0] * 3)
 
 
 # --- over the gain --------------------------------------------------------------------------------------------------

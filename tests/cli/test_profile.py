@@ -13,7 +13,8 @@ from eldata.base.console import run
 from eldata.base.parsing import Parser
 from eldata.calibration.acceptance import theory as diagnostics
 from eldata.cli import profile as command
-from eldata.noise.profile import CameraProfile, shipped_profiles
+from eldata.noise.profile import CameraProfile
+from eldata.noise.profile_files import shipped_profiles
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:

@@ -23,9 +23,8 @@ from eldata.baselines.classical import BASELINES
 from eldata.baselines.signal_noise import SignalNoise
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
-from eldata.evaluation.diagnosis import mistake_in
-from eldata.evaluation.inspected_frame import Circumstances
-from eldata.evaluation.suspicions import Inspection, sketch, suspicions_of
+from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch, suspicions_of
+from eldata.evaluation.diagnosis.places import Circumstances
 from eldata.isp.preview import preview
 from eldata.metrics.image_score import score_by
 from eldata.protocols.named import PROTOCOLS
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.demo.camera import SimulatedCamera
-    from eldata.evaluation.suspicions import Suspicion
+    from eldata.evaluation.diagnosis import Suspicion
     from eldata.metrics.image_score import Score
     from eldata.protocols.protocol import Protocol
     from eldata.records import Sensor

@@ -18,14 +18,14 @@ from eldata.datasets.drv import DRVDataset, DRVRawDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
 from eldata.evaluation import EvaluationResult, evaluate, load_results, save_clip_prediction
 from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.looking import images_of
 from eldata.evaluation.saved import saved_result
-from eldata.evaluation.seen_methods import images_of
 from eldata.manifest.catalogue import shipped_card
 from eldata.manifest.drv import scan_raw
 from eldata.metrics import PEAK_ELD, psnr, st_rred
 from eldata.protocols import PROTOCOLS, default_protocol, get_protocol, kinds
 from eldata.raw.cfa import unpack
-from eldata.reports.compare.page import write_comparison_page
+from eldata.reports.comparison import write_comparison_page
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
 from tests.evaluation import published_code
 from tests.raw.helpers import BAYER
@@ -380,7 +380,7 @@ def test_pictures_of_clips_show_a_frame_of_each(
     assert main(["compare", *files, *arguments, "--html", str(tmp_path / "page.html"), "--pictures"]) == 0
     comparison = compare(methods)
     assert len(list((tmp_path / "page-pictures").glob("*-reference.jpg"))) == len(comparison.images)
-    images = images_of(comparison, dataset_folder=drv.data, predictions=[predictions, own])
+    images = images_of(comparison.results, comparison.images, dataset_folder=drv.data, predictions=[predictions, own])
     for image, (scores, _) in zip(images, comparison.images, strict=True):
         worst = min(frame.psnr_db for frame in scores.frames)
         seen = image.decoded()

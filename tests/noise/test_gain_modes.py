@@ -14,8 +14,7 @@ from scipy import stats
 from eldata.calibration.acceptance.theory import diagnose, sample_parameters
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile
-from eldata.noise.gain_modes import GainMode, LogLogFit
-from eldata.noise.profile import ProfileRow
+from eldata.noise.gain_modes import GainMode, LogLogFit, ProfileRow
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:

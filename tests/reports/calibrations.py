@@ -47,7 +47,7 @@ def measured(iso: float, camera: Camera, *, frames: int = 6, levels: Sequence[fl
     for frame in bias:
         stack.add(frame)
     fixed = fixed_pattern(stack)
-    sums = BiasSums(fixed, camera.cfa)
+    sums = BiasSums(fixed)
     for frame in bias:
         sums.add(frame)
     sums.fixed_pattern()

@@ -9,7 +9,7 @@ import pytest
 
 from eldata.calibration.acceptance.results import Acceptance
 from eldata.noise import NoiseModel
-from eldata.reports.acceptance.page import acceptance_page
+from eldata.reports.acceptance import acceptance_page
 from tests.calibration.judged import Specimen, judged
 from tests.calibration.simulation import Camera
 from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser

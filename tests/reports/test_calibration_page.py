@@ -18,9 +18,9 @@ from PIL import Image
 
 from eldata.calibration.audit.structure import MeasuredStructure
 from eldata.noise.structure import RowSpectrum, RowWave, TelegraphPixels
-from eldata.reports.calibration.page import calibration_page
+from eldata.plots.pictures import block_means, grey_png
+from eldata.reports.calibration import calibration_page
 from eldata.reports.html import digits, measured, prose, typeset
-from eldata.reports.pictures import grey, pooled
 from tests.calibration.simulation import XTRANS
 from tests.reports import calibrations
 from tests.reports.calibrations import camera_at
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 DRAWINGS, PICTURES = 9, 1 + 2 + 4  # of an ISO that has everything: spectrum, two frames, shading by channel
 CODE = (
     "import hashlib, sys\n"
-    "from eldata.reports.calibration.page import calibration_page\n"
+    "from eldata.reports.calibration import calibration_page\n"
     "from tests.reports.calibrations import calibration, camera_at, measured\n"
     "page = calibration_page(calibration([measured(800.0, camera_at(800.0))]))\n"
     "print(hashlib.sha256(page.encode()).hexdigest())\n"
@@ -285,18 +285,16 @@ def test_numbers() -> None:
 
 
 def test_grey_spans_black_and_white() -> None:
-    picture = grey("", "words", np.array([[-1.0, 0.0, 1.0, 9.0]]), -1.0, 1.0)
-    found = np.asarray(Image.open(io.BytesIO(picture.png)))
+    found = np.asarray(Image.open(io.BytesIO(grey_png(np.array([[-1.0, 0.0, 1.0, 9.0]]), -1.0, 1.0))))
     assert found[0, 0] == 0
     assert found[0, 1] == pytest.approx(127.5, abs=5)
     assert found[0, 2] == found[0, 3] == 255
 
 
-def test_pooled_takes_means() -> None:
+def test_blocks_are_means() -> None:
     plane = np.arange(60.0).reshape(6, 10)
-    np.testing.assert_allclose(pooled(plane, 5), plane.reshape(3, 2, 5, 2).mean(axis=(1, 3)))
-    assert pooled(plane, 10) is not plane
-    np.testing.assert_array_equal(pooled(plane, 10), plane)
+    np.testing.assert_allclose(block_means(plane, 2), plane.reshape(3, 2, 5, 2).mean(axis=(1, 3)))
+    np.testing.assert_array_equal(block_means(plane, 1), plane)
 
 
 # --- in a browser -------------------------------------------------------------------------------------------------

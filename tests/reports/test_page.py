@@ -13,8 +13,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from eldata.calibration.acceptance.theory import diagnose, sample_parameters
-from eldata.reports.profile.page import profile_page
-from eldata.reports.profile.plots import plots
+from eldata.reports.profile import plots, profile_page
 from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser
 from tests.waiting import PATIENCE_S
 
@@ -111,7 +110,7 @@ def test_another_process_makes_the_same_page_without_pyplot(page: str) -> None:
         "import hashlib, sys\n"
         "from eldata.noise.profile import CameraProfile\n"
         "from eldata.calibration.acceptance.theory import diagnose, sample_parameters\n"
-        "from eldata.reports.profile.page import profile_page\n"
+        "from eldata.reports.profile import profile_page\n"
         "profile = CameraProfile.load('SonyA7S2')\n"
         "page = profile_page(diagnose(profile, sample_parameters(profile, 0)))\n"
         "print(hashlib.sha256(page.encode()).hexdigest())\n"

@@ -32,10 +32,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.audit.bias_sums import BiasStatistics, NeighbourStatistics
-    from eldata.calibration.core.colour_bias import ColourBias
     from eldata.calibration.core.findings import Figure, Finding
     from eldata.calibration.core.read_noise import ReadNoise
-    from eldata.calibration.core.row_noise import RowNoise
+    from eldata.calibration.core.row_noise import ColourBias, RowNoise
 
 _LOW_SHARE = 0.05  # of the blocks, the darkest: taken for those without light
 _MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias; in loud noise this share of its standard deviation

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.core._tukey_lambda import Nodes
-    from eldata.calibration.core.colour_bias import ChannelMeans
     from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.core.row_noise import LineMeans
 
@@ -115,16 +114,15 @@ class ClippedStatistics:
     drift_dn2: float
 
     @classmethod
-    def of(
-        cls, fixed: FixedPattern, counts: NDArray[np.int64], lines: LineMeans, means: ChannelMeans
-    ) -> ClippedStatistics:
-        """Sum up the frames; arguments as of :func:`~eldata.calibration.core.clipped_black.clipped_fit`."""
+    def of(cls, counts: NDArray[np.int64], lines: LineMeans) -> ClippedStatistics:
+        """Sum up the frames: their values by group of rows and channel, and what their lines show."""
+        fixed = lines.fixed
         frames, (groups, _, size) = fixed.frames, counts.shape
         group = groups_of_rows(len(fixed.total_dn))
         each = np.arange(size, dtype=np.int64)
         number, sums, squares = (counts @ power for power in (np.ones_like(each), each, each**2))
         mean = sums.sum(axis=0) / number.sum(axis=0)
-        by_frame = np.array(means.means_dn)
+        by_frame = np.array(lines.means_dn)
         drift = ((by_frame - by_frame.mean(axis=0)) ** 2).sum(axis=0)
         # Of the deviations' sum over frames, squared, the frames' own squares are taken off; both are of one mean, from
         # which drift moves the frames apart, to the sum 0.
@@ -149,7 +147,7 @@ class ClippedStatistics:
             products,
             np.bincount(group, of_rows, minlength=groups).astype(np.float64),
             np.bincount(group, used, minlength=groups).astype(np.float64),
-            max(float(np.mean(drift / (frames - 1) - np.mean(means.row_variances_dn2, axis=0))), 0.0),
+            max(float(np.mean(drift / (frames - 1) - np.mean(lines.row_variances_dn2, axis=0))), 0.0),
         )
 
 

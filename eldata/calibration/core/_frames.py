@@ -107,16 +107,9 @@ def sums_by_row(values: NDArray[Any], pattern: NDArray[np.int64]) -> NDArray[np.
     return sums
 
 
-def sums_by_line(
-    values: NDArray[Any], defects: NDArray[np.bool_], pattern: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the sums of the sound pixels by (row, channel) and by (column, channel)."""
-    from eldata.calibration.core._kernels import masked_sums
-
-    channels = channels_of(pattern)
-    rows, columns = (np.zeros((length, channels), dtype=np.int64) for length in values.shape)
-    masked_sums(values, defects, pattern, rows, columns)
-    return rows, columns
+def sums_by_line(values: NDArray[Any], pattern: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the sums of integers or truth values by (row, channel) and by (column, channel)."""
+    return sums_by_row(values, pattern), sums_by_row(values.T, pattern.T)
 
 
 def groups_of_rows(height: int) -> NDArray[np.int64]:

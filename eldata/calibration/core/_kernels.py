@@ -106,28 +106,6 @@ def block_moments(
 
 
 @kernel
-def masked_sums(
-    values: NDArray[np.integer[Any]],
-    defects: NDArray[np.bool_],
-    pattern: NDArray[np.int64],
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
-) -> None:
-    """Add the values of sound pixels by (row, channel) and by (column, channel)."""
-    period = pattern.shape[0]
-    for row in range(values.shape[0]):
-        for phase in range(period):
-            channel = pattern[row % period, phase]
-            added: Any = 0
-            for column in range(phase, values.shape[1], period):
-                if not defects[row, column]:
-                    value = np.int64(values[row, column])
-                    added += value
-                    columns[column, channel] += value
-            rows[row, channel] += added
-
-
-@kernel
 def channel_histograms(
     mosaic: NDArray[np.uint16], defects: NDArray[np.bool_], pattern: NDArray[np.int64], counts: NDArray[np.int64]
 ) -> None:

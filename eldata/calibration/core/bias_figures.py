@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from eldata.calibration.core.clipped_black import ClippedValues
-from eldata.calibration.core.colour_bias import ChannelMeans, colour_bias
 from eldata.calibration.core.read_noise import read_noise_findings
 from eldata.calibration.core.residuals import Residuals
-from eldata.calibration.core.row_noise import LineMeans, row_noise
+from eldata.calibration.core.row_noise import LineMeans, colour_bias, row_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,22 +21,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.core._residual_fit import ResidualHistogram
-    from eldata.calibration.core.colour_bias import ColourBias
     from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.read_noise import ProbabilityPlot, ReadFigures, ReadNoise
-    from eldata.calibration.core.row_noise import RowNoise
-    from eldata.raw.cfa import Cfa
+    from eldata.calibration.core.row_noise import ColourBias, LineSums, RowNoise
 
 
 class ReadNoiseSums(Protocol):
     """Accumulates bias frames for an estimate of the read noise."""
 
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
+    def add(self, mosaic: NDArray[np.uint16], sums_of_lines: LineSums) -> None:
         """Add a bias frame."""
 
-    def solve(self, lines: LineMeans, means: ChannelMeans) -> FixedPattern:
-        """Return what stays from frame to frame as it is without a clip, by what lines and channels show, too."""
+    def solve(self, lines: LineMeans) -> FixedPattern:
+        """Return what stays from frame to frame as it is without a clip, by what lines show, too."""
 
     def figures(self, bias: ColourBias) -> ReadFigures:
         """Return the figures, given the bias of the recorded means; after :meth:`solve`."""
@@ -74,28 +71,19 @@ class BiasSums:
     ----------
     fixed
         The first pass's result. Add the same frames again, each once.
-    cfa
-        The CFA of pixel (0, 0).
-
-    Attributes
-    ----------
-    parts
-        What each frame is added to, which threads may share.
     """
 
-    def __init__(self, fixed: FixedPattern, cfa: Cfa) -> None:
-        self._lines, self._means = LineMeans(fixed), ChannelMeans(cfa, defects=fixed.defects)
+    def __init__(self, fixed: FixedPattern) -> None:
+        self._lines = LineMeans(fixed)
         self._values: ReadNoiseSums = ClippedValues(fixed) if fixed.clips_at_black else Residuals(fixed)
-        self.parts = self._values, self._lines, self._means
 
     def add(self, mosaic: NDArray[np.uint16]) -> None:
         """Add a bias frame."""
-        for part in self.parts:
-            part.add(mosaic)
+        self._values.add(mosaic, self._lines.add(mosaic))
 
     def fixed_pattern(self) -> FixedPattern:
         """Return what stays from frame to frame, as it is without a clip."""
-        self._fixed = self._values.solve(self._lines, self._means)
+        self._fixed = self._values.solve(self._lines)
         return self._fixed
 
     def figures(self, black_level_dn: Sequence[float]) -> BiasFigures:
@@ -106,7 +94,7 @@ class BiasSums:
         DatasetError
             If the frames added are not those of the fixed pattern, or do not show their noise.
         """
-        found = self._values.figures(colour_bias(self._means, black_level_dn))
+        found = self._values.figures(colour_bias(self._lines, black_level_dn))
         findings = (*found.findings, *read_noise_findings(found.read, found.bias, self._fixed.summary))
         rows = row_noise(self._lines, found.read.response)
         return BiasFigures(found.bias, rows, found.read, found.plot, findings, found.residuals)

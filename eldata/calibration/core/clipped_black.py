@@ -12,11 +12,10 @@ import numpy as np
 
 from eldata.calibration.core._clipped_fit import ClippedEquations
 from eldata.calibration.core._clipped_noise import ClippedStatistics
-from eldata.calibration.core._frames import channels_of, checked_mosaic, groups_of_rows
-from eldata.calibration.core.colour_bias import ColourBias
+from eldata.calibration.core._frames import channels_of, groups_of_rows
 from eldata.calibration.core.findings import BEHIND_CLIP, CLIPPED
 from eldata.calibration.core.read_noise import ReadFigures
-from eldata.calibration.core.row_noise import check_same_frames
+from eldata.calibration.core.row_noise import ColourBias, check_same_frames
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,10 +24,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.core._clipped_fit import ClippedFit
-    from eldata.calibration.core.colour_bias import ChannelMeans
     from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.core.findings import Finding
-    from eldata.calibration.core.row_noise import LineMeans
+    from eldata.calibration.core.row_noise import LineMeans, LineSums
 
     Values: TypeAlias = NDArray[np.float64]
 
@@ -62,14 +60,12 @@ class ClippedValues:
         self.counts = np.zeros((groups, channels_of(fixed.pattern), highest + 1), dtype=np.int64)
         self.added = 0
 
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
-        """Add a bias frame."""
+    def add(self, mosaic: NDArray[np.uint16], sums_of_lines: LineSums) -> None:
+        """Add a bias frame; what its lines show is in the means of all."""
+        del sums_of_lines
         from eldata.calibration.core._kernels import channel_histograms
 
-        fixed = self.fixed
-        height, width = fixed.total_dn.shape
-        checked_mosaic(mosaic, (height, width), len(fixed.pattern))
-        channel_histograms(mosaic, fixed.defects, fixed.pattern, self.counts)
+        channel_histograms(mosaic, self.fixed.defects, self.fixed.pattern, self.counts)
         self.added += 1
 
     @property
@@ -78,12 +74,12 @@ class ClippedValues:
         total = self.counts.sum(axis=0)
         return np.asarray(total[:, 0] / np.maximum(total.sum(axis=1), 1))
 
-    def solve(self, lines: LineMeans, means: ChannelMeans) -> FixedPattern:
+    def solve(self, lines: LineMeans) -> FixedPattern:
         """Fit the noise behind the clip, and return what stays from frame to frame, as it is there.
 
         Parameters
         ----------
-        lines, means
+        lines
             Of the same frames.
 
         Raises
@@ -92,7 +88,7 @@ class ClippedValues:
             If the frames added are not those of the fixed pattern, or too few values are above 0.
         """
         check_same_frames(self.added, self.fixed)
-        self._fit = ClippedEquations(ClippedStatistics.of(self.fixed, self.counts, lines, means)).solved()
+        self._fit = ClippedEquations(ClippedStatistics.of(self.counts, lines)).solved()
         return self._fit.fixed
 
     def figures(self, bias: ColourBias) -> ReadFigures:

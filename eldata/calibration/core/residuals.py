@@ -10,16 +10,15 @@ import numpy as np
 from eldata.calibration.core._frames import groups_of_rows, sums_by_row
 from eldata.calibration.core._residual_fit import CELLS_PER_SIGMA, ResidualHistogram
 from eldata.calibration.core.read_noise import ReadFigures, probability_plot, read_noise
-from eldata.calibration.core.row_noise import check_same_frames, line_sums
+from eldata.calibration.core.row_noise import check_same_frames
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.core._rounding import LevelFractions
-    from eldata.calibration.core.colour_bias import ChannelMeans, ColourBias
     from eldata.calibration.core.defects import FixedPattern
-    from eldata.calibration.core.row_noise import LineMeans
+    from eldata.calibration.core.row_noise import ColourBias, LineMeans, LineSums
 
 _FRACTIONS = 128  # of a DN, in which local levels are counted
 _HALF = 8192  # cells on each side of 0
@@ -46,12 +45,12 @@ class Residuals:
         self._squares = np.zeros(len(self._counts))  # of residuals and of offsets, in units of 1/n DN
         self._offset_squares = 0.0
 
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
-        """Add a bias frame."""
+    def add(self, mosaic: NDArray[np.uint16], sums_of_lines: LineSums) -> None:
+        """Add a bias frame, with its sums by :func:`~eldata.calibration.core.row_noise.line_sums`."""
         from eldata.calibration.core._kernels import residual_histogram
 
         fixed = self._fixed
-        sums, squares, _ = line_sums(mosaic, fixed)
+        sums, squares, _ = sums_of_lines
         level = sums.sum(axis=0) / np.maximum(self._pixels.sum(axis=0), 1)
         row = (sums - self._pixels * level).sum(axis=1) / np.maximum(self._pixels.sum(axis=1), 1)
         phases = np.arange(len(row)) % len(fixed.pattern)
@@ -93,9 +92,9 @@ class Residuals:
             fractions=self._fractions(pixels),
         )
 
-    def solve(self, lines: LineMeans, means: ChannelMeans) -> FixedPattern:
+    def solve(self, lines: LineMeans) -> FixedPattern:
         """Return what stays from frame to frame: as the first pass has it."""
-        del lines, means
+        del lines
         return self._fixed
 
     def figures(self, bias: ColourBias) -> ReadFigures:

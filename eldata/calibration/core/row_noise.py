@@ -1,5 +1,7 @@
 """Row noise sigma_row: the standard deviation of one random offset per mosaic row and frame; column noise likewise.
 
+And the colour bias mu_c: by how much the mean of a bias frame differs from the recorded black level, per channel.
+
 The second pass over the bias frames, after :mod:`eldata.calibration.core.defects`: each pixel's own mean over the
 frames is taken off, which removes every fixed row and column pattern; the factor n / (n - 1) makes up for what that
 takes from the noise.
@@ -13,15 +15,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.core._frames import channels_of, checked_mosaic, classes_of_rows, sums_by_line, sums_by_row
+from eldata.calibration.core._frames import (
+    channels_of,
+    checked_black_level,
+    checked_mosaic,
+    classes_of_rows,
+    sums_by_line,
+)
 from eldata.calibration.core.spectra import smoothed_power
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import TypeAlias
+
     from numpy.typing import NDArray
 
     from eldata.calibration.core._rounding import OffsetResponse
     from eldata.calibration.core.defects import FixedPattern
+
+    LineSums: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
 SHAPIRO_VALUES = 5000
 """The Shapiro-Wilk test's p is accurate up to this many values; more are thinned evenly."""
@@ -103,33 +116,84 @@ class RowNoise:
     frames: int
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ColourBias:
+    """Colour bias per CFA channel, DN: R, G1, B, G2 for Bayer, R, G, B for X-Trans.
+
+    Attributes
+    ----------
+    bias_dn
+        Mean of all frames minus black level.
+    standard_error_dn
+        From the scatter of the frames' means, with n - 1 degrees of freedom. It holds drift from frame to frame,
+        which the next one cannot see.
+    row_error_dn
+        From the scatter of row means inside the frames; it also holds a fixed row pattern.
+    frame_bias_dn
+        (frames, channels): each frame's own.
+    frames
+        Number of frames.
+    """
+
+    bias_dn: tuple[float, ...]
+    standard_error_dn: tuple[float, ...]
+    row_error_dn: tuple[float, ...]
+    frame_bias_dn: NDArray[np.float64] = field(repr=False)
+    frames: int
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the CFA's channels."""
+        return ("R", "G1", "B", "G2") if len(self.bias_dn) == 4 else ("R", "G", "B")
+
+
 class LineMeans:
-    """Accumulates line means of the bias frames that made a fixed pattern, for :func:`row_noise`.
+    """Accumulates what bias frames show by row, column and channel, for :func:`row_noise` and :func:`colour_bias`.
 
     Parameters
     ----------
     fixed
         The first pass's result. Add the same frames again, each once.
+
+    Attributes
+    ----------
+    rows_dn, columns_dn
+        Mean of each line over its channels, each channel less its own mean in the frame; an entry per frame, as all.
+    means_dn, row_variances_dn2
+        Mean of each channel, and its variance by the scatter of its row means.
+    squares
+        Sum over pixels and frames of the squared deviation from the pixel's mean and its row's, DN^2.
     """
 
     def __init__(self, fixed: FixedPattern) -> None:
         self.fixed = fixed
-        self.row_pixels = sums_by_row(~fixed.defects, fixed.pattern)
-        self.column_pixels = sums_by_row(~fixed.defects.T, fixed.pattern.T)
+        self.row_pixels, self.column_pixels = sums_by_line(~fixed.defects, fixed.pattern)
+        self.row_totals, self.column_totals = sums_by_line(np.where(fixed.defects, 0, fixed.total_dn), fixed.pattern)
         self.rows_dn: list[NDArray[np.float64]] = []
         self.columns_dn: list[NDArray[np.float64]] = []
+        self.means_dn: list[NDArray[np.float64]] = []
+        self.row_variances_dn2: list[NDArray[np.float64]] = []
         self.squares = 0.0
-        """Sum over pixels and frames of the squared deviation from the pixel's mean and its row's, DN^2."""
 
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
-        """Add a bias frame."""
-        rows, squares, columns = line_sums(mosaic, self.fixed)
+    def add(self, mosaic: NDArray[np.uint16]) -> LineSums:
+        """Add a bias frame, and return its sums."""
+        found = line_sums(mosaic, self.fixed)
+        rows, squares, columns = found
         frames = self.fixed.frames
         sums = rows.sum(axis=1)
         pixels = self.row_pixels.sum(axis=1)
         self.squares += float((squares - sums**2 / np.maximum(pixels, 1)).sum()) / frames**2
         self.rows_dn.append(_line_means(rows / frames, self.row_pixels))
         self.columns_dn.append(_line_means(columns / frames, self.column_pixels))
+        values = (rows + self.row_totals) // frames  # of the pixels themselves, exactly
+        of_channel = self.row_pixels.sum(axis=0)
+        mean = values.sum(axis=0) / of_channel
+        # Cluster-robust variance of a ratio: rows are the clusters.
+        deviations = values - self.row_pixels * mean
+        count = np.count_nonzero(self.row_pixels, axis=0)
+        self.means_dn.append(mean)
+        self.row_variances_dn2.append((deviations**2).sum(axis=0) / of_channel**2 * count / np.maximum(count - 1, 1))
+        return found
 
 
 def check_same_frames(added: int, fixed: FixedPattern) -> None:
@@ -140,9 +204,7 @@ def check_same_frames(added: int, fixed: FixedPattern) -> None:
         )
 
 
-def line_sums(
-    mosaic: NDArray[np.uint16], fixed: FixedPattern
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def line_sums(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> LineSums:
     """Return sums of one frame's residuals (n times the deviation from the pixel's mean) over its sound pixels.
 
     By (row, channel), their squares by row, and by (column, channel).
@@ -193,10 +255,9 @@ def row_noise(means: LineMeans, response: OffsetResponse | None = None) -> RowNo
     # Per pixel and row 1/n and 1/m of the freedom are gone.
     freedom = (frames - 1) * float(np.maximum(pixels - 1, 0).sum())
     pixel_variance = means.squares / freedom
-    rows, columns = sums_by_line(fixed.total_dn, fixed.defects, fixed.pattern)
     lines = (
-        (means.rows_dn, means.row_pixels, rows, fixed.pattern),
-        (means.columns_dn, means.column_pixels, columns, fixed.pattern.T),
+        (means.rows_dn, means.row_pixels, means.row_totals, fixed.pattern),
+        (means.columns_dn, means.column_pixels, means.column_totals, fixed.pattern.T),
     )
     of_rows, of_columns = (
         _line_noise(np.array(deviations), counts, sums / frames, pattern, pixel_variance, response)
@@ -269,3 +330,30 @@ def _sigma(variance: float, error: float, response: OffsetResponse | None) -> tu
 
 def _offset_sigma(variance: float, response: OffsetResponse | None) -> float:
     return math.sqrt(variance) if response is None else response.sigma_dn(variance)
+
+
+def colour_bias(means: LineMeans, black_level_dn: Sequence[float]) -> ColourBias:
+    """Return mu_c: the mean of each channel over all frames minus its recorded black level.
+
+    The standard error of the pooled mean is the frames' standard deviation over sqrt(n).
+
+    Raises
+    ------
+    ArgumentError
+        If there is not one black level per channel.
+    DatasetError
+        If the frames added are not those of the fixed pattern.
+    """
+    check_same_frames(len(means.means_dn), means.fixed)
+    table = np.array(means.means_dn)
+    frames, channels = table.shape
+    bias = table - checked_black_level(black_level_dn, channels)
+    scatter = bias.std(axis=0, ddof=1) / math.sqrt(frames)
+    by_rows = np.sqrt(np.array(means.row_variances_dn2).sum(axis=0)) / frames
+    return ColourBias(
+        bias_dn=tuple(bias.mean(axis=0).tolist()),
+        standard_error_dn=tuple(scatter.tolist()),
+        row_error_dn=tuple(by_rows.tolist()),
+        frame_bias_dn=bias,
+        frames=frames,
+    )

@@ -18,9 +18,9 @@ import numpy as np
 from eldata.base.tables import one_line
 from eldata.calibration.mode_fits import NO_NOISE_DN
 from eldata.errors import DatasetError, check_choice
-from eldata.noise.gain_modes import LogLogFit
+from eldata.noise.gain_modes import LogLogFit, ProfileRow
 from eldata.noise.parameters import tukey_lambda_variance
-from eldata.noise.profile import CameraProfile, ProfileRow
+from eldata.noise.profile import CameraProfile
 from eldata.raw.cfa import pack
 from eldata.raw.levels import packed_black_level_dn
 

@@ -4,28 +4,53 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from eldata.base.files import write_text
 from eldata.base.numbers import counted
 from eldata.errors import ArgumentError
-from eldata.evaluation.looking import INTERVAL, TOO_FEW, interval_note, scores_in_order, seen_frames
+from eldata.evaluation.looking import (
+    INTERVAL,
+    TOO_FEW,
+    columns_of,
+    factors_of,
+    finite_scores,
+    interval_note,
+    scores_in_order,
+    worst_and_best_images,
+)
 from eldata.evaluation.table import factor_text, short_digest
+from eldata.plots.axes import number
+from eldata.plots.pictures import heat_gradient
+from eldata.plots.scores import draw_points, strips
 from eldata.protocols.words import FIELDS, in_words
-from eldata.reports.evaluation.pictures import EACH, ShownImage, ShownImages, heat_gradient, shown_images
-from eldata.reports.evaluation.plots import score_plots
-from eldata.reports.evaluation.script import jpeg_uri, rendered_with_script
-from eldata.reports.html import digits, signed
+from eldata.reports.figures import draw_plot
+from eldata.reports.html import digits, rendered_with_script, signed
+from eldata.reports.pictures import ShownImage, ShownImages, show_images
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from matplotlib.axes import Axes
+
+    from eldata.evaluation.looking import Column, Grouping
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
+    from eldata.plots.axes import Theme
     from eldata.protocols.kinds import Kind, Metric
+    from eldata.reports.figures import Plot
+
+EACH: Final = 4
+"""How many of the worst and of the best are shown."""
+
+_USUAL = (0.8, 1.25)  # factors that errors of exposure come to
 
 
 def write_evaluation_page(
@@ -62,15 +87,9 @@ def write_evaluation_page(
     """
     if not results:
         raise ArgumentError("a page is of one result or more; found none")
-    seen = seen_frames(
-        results[0],
-        EACH,
-        dataset_folder=dataset_folder,
-        predictions=predictions,
-        dark_shading=dark_shading,
-        store=store,
-    )
-    write_text(out, evaluation_page(results, shown_images(seen)))
+    where = {"dataset_folder": dataset_folder, "dark_shading": dark_shading, "store": store}
+    images = worst_and_best_images(results[0], EACH, predictions=predictions, **where)
+    write_text(out, evaluation_page(results, show_images(images)))
 
 
 def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> str:
@@ -114,7 +133,6 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
             ]
             for rank in dict.fromkeys(image.rank for image in shown.images)
         },
-        jpeg_uri=jpeg_uri,
         rows=_rows(result, ids),
         protocol_fields=[(name, _protocol_text(name, value)) for name, value in result.protocol.as_dict().items()],
         provenance_fields=[(name, field_text(value)) for name, value in result.provenance.items()],
@@ -274,3 +292,94 @@ def _facts(image: ShownImage, result: EvaluationResult) -> str:
         *([f"shown {image.brighter:g} times brighter"] if image.brighter != 1 else []),
     ]
     return ", ".join(parts)
+
+
+# --- plots of scores, one by one: by camera, ISO and factor, and the rescaling that was found ------------------------
+
+
+def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool, scenes_shared: bool) -> tuple[Plot, ...]:
+    """Return the plots of a result; none of no scores. Those of the rescaling only if the protocol rescales."""
+    finite = finite_scores(scores, kind)
+    if not finite:
+        return ()
+    left_out = len(scores) - len(finite)
+    note = f" Not drawn: {left_out} without a finite score." if left_out else ""
+    groupings: tuple[Grouping, ...] = ("camera", "iso") if any(score.iso for score in finite) else ("camera",)
+    plots = [
+        _strips_plot(metric, columns_of(finite, by, scenes_shared=scenes_shared), by, kind, note)
+        for by in groupings
+        for metric in kind.metrics
+    ]
+    positive = [score for score in finite if math.isfinite(score.rescale) and score.rescale > 0]
+    if rescaled and positive:
+        plots += _rescaling_plots(positive, kind, scenes_shared=scenes_shared)
+    return tuple(plots)
+
+
+def _strips_plot(metric: Metric, columns: Sequence[Column], by: Grouping, kind: Kind, note: str) -> Plot:
+    """Draw the values of each group in a column."""
+    scores = [score for column in columns for score in column.scores]
+    groups = list(dict.fromkeys(column.group for column in columns))
+    values = [score.values[metric.name] for score in scores]
+
+    def draw(axes: Axes, theme: Theme) -> None:
+        strips(axes, [column.to_draw(metric.name) for column in columns], theme)
+        axes.set_ylabel(metric.head)
+
+    alt = (
+        f"{metric.head} of {len(scores)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
+        f"{min(values):.4g} to {max(values):.4g}."
+    )
+    name = f"{re.sub(r'[^a-z0-9]+', '-', metric.label.lower())}-{by}"
+    by_what = f"{'ISO' if by == 'iso' else by}{'' if factors_of(scores) == [None] else ' and factor'}"
+    words = {"metric": metric.label, "groups": by_what, "unit": kind.unit, "note": note}
+    return draw_plot("evaluation", "by-group", alt, draw, name=name, words=words)
+
+
+def _rescaling_plots(scores: Sequence[UnitScore], kind: Kind, *, scenes_shared: bool) -> tuple[Plot, Plot]:
+    """Draw the factors by camera, and the PSNR over them."""
+    columns = columns_of(scores, "camera", scenes_shared=scenes_shared)
+    factors = [score.rescale for score in scores]
+    points = [(score.ratio, score.rescale, score.psnr_db) for score in scores]
+
+    def draw_factors(axes: Axes, theme: Theme) -> None:
+        _draw_exposure_band(axes, theme, horizontal=True)
+        strips(axes, [column.to_draw("rescale", mean=False) for column in columns], theme)
+        _set_up_factors(axes, factors)
+        axes.set_ylabel("rescaled by")
+
+    def draw_scores(axes: Axes, theme: Theme) -> None:
+        _draw_exposure_band(axes, theme, horizontal=False)
+        draw_points(axes, points, theme, alpha=0.7)
+        _set_up_factors(axes, factors, horizontal=True)
+        axes.set(xlabel="rescaled by", ylabel="PSNR [dB]")
+
+    alt = f"Factor of each of {len(factors)} predictions by camera, from {min(factors):.3g} to {max(factors):.3g}."
+    over = f"PSNR of {len(scores)} {kind.units} against the factor that each prediction was multiplied by."
+    return (
+        draw_plot("evaluation", "rescaling", alt, draw_factors, words={"units": kind.units}),
+        draw_plot("evaluation", "rescaling-psnr", over, draw_scores, words={"units": kind.units}),
+    )
+
+
+def _draw_exposure_band(axes: Axes, theme: Theme, *, horizontal: bool) -> None:
+    (axes.axhspan if horizontal else axes.axvspan)(*_USUAL, color=theme.theory, alpha=0.13, linewidth=0)
+    (axes.axhline if horizontal else axes.axvline)(1, color=theme.theory, linewidth=1)
+
+
+def _set_up_factors(axes: Axes, factors: Sequence[float], *, horizontal: bool = False) -> None:
+    """Set up a logarithmic axis of factors, wide enough for the band."""
+    low, high = min(0.7, *factors), max(1.43, *factors)
+    low, high = low / 1.05, high * 1.05
+    (axes.set_xscale if horizontal else axes.set_yscale)("log", base=2)
+    (axes.set_xlim if horizontal else axes.set_ylim)(low, high)
+    axis = axes.xaxis if horizontal else axes.yaxis
+    doublings = math.log2(high / low)
+    ticks = [0.7, 0.8, 0.9, 1, 1.1, 1.25, 1.4] if doublings < 1.3 else [0.5, 0.7, 1, 1.4, 2]
+    if doublings > 2.5:
+        step = max(1, math.ceil(doublings / 7))
+        exponents = np.arange(math.ceil(math.log2(low) / step), math.floor(math.log2(high) / step) + 1) * step
+        ticks = [float(2.0**exponent) for exponent in exponents]
+    axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _position: number(float(f"{value:.3g}"))))

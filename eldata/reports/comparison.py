@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_text
 from eldata.base.tables import Strong
-from eldata.evaluation.comparison_tables import (
+from eldata.evaluation.comparison.tables import (
     LABELS,
     contests_note,
     contests_table,
@@ -19,30 +18,34 @@ from eldata.evaluation.comparison_tables import (
     summary_of,
 )
 from eldata.evaluation.looking import scenes_of, scores_in_order
-from eldata.reports.compare.pictures import draw_images, picture_file
-from eldata.reports.compare.plots import gain_plots
-from eldata.reports.evaluation.page import FACTS, Cell, Table, fact_cells, field_text, number_cell
-from eldata.reports.evaluation.pictures import heat_gradient
-from eldata.reports.evaluation.script import rendered_with_script
-from eldata.reports.html import digits, signed
+from eldata.plots.pictures import heat_gradient
+from eldata.plots.scores import draw_points, mean_gains, short
+from eldata.reports.evaluation import FACTS, Cell, Table, fact_cells, field_text, number_cell
+from eldata.reports.figures import draw_plot
+from eldata.reports.html import digits, rendered_with_script, signed
+from eldata.reports.pictures import draw_images, picture_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from matplotlib.axes import Axes
+
     from eldata.base.workers import Workers
     from eldata.evaluation.comparison import Comparison, Method, Pairing
+    from eldata.evaluation.looking import ScoredImage
     from eldata.evaluation.scores import UnitScore
-    from eldata.evaluation.seen_methods import MethodsImage
     from eldata.evaluation.statistics import Difference
-    from eldata.reports.compare.pictures import DrawnImage, DrawnImages
+    from eldata.plots.axes import Theme
+    from eldata.reports.figures import Plot
+    from eldata.reports.pictures import DrawnImage, DrawnImages
 
 
 def write_comparison_page(
     comparison: Comparison,
     out: Path | str,
     *,
-    images: Sequence[MethodsImage] = (),
+    images: Sequence[ScoredImage] = (),
     whole: bool = False,
     workers: Workers | None = None,
 ) -> None:
@@ -55,10 +58,10 @@ def write_comparison_page(
     out
         The file.
     images
-        What to decode of each common image (:func:`eldata.evaluation.seen_methods.images_of`): their pictures are drawn
+        What to decode of each common image (:func:`eldata.evaluation.looking.images_of`): their pictures are drawn
         into the folder ``<page>-pictures`` beside the page. Of none, the page has no pictures.
     whole, workers
-        As for :func:`eldata.reports.compare.pictures.draw_images`.
+        As for :func:`eldata.reports.pictures.draw_images`.
 
     Raises
     ------
@@ -256,55 +259,40 @@ def _facets(comparison: Comparison) -> dict[str, list[str]]:
     return {name: list(dict.fromkeys(values)) for name, values in found.items()}
 
 
-@dataclass(frozen=True, slots=True)
-class _Panel:
-    """A place of the viewer: its key, what it is called, the key of the error below it, the key that chooses it."""
-
-    key: str
-    name: str
-    error: str = ""
-    digit: str = ""
-
-
 def _looking(comparison: Comparison, drawn: DrawnImages) -> dict[str, Any]:
-    """Return what the viewer shows: its panels, and of each image addresses, sizes and words."""
-    names = [method.name for method in comparison.methods]
+    """Return what the viewer shows: its panels, and of each image addresses, sizes and words.
+
+    A panel has a key, what it is called, the key of the error below it, and the key of a keyboard that chooses it.
+    """
     images = [
         _looked_at(scores, image, comparison, drawn.folder)
         for scores, image in zip(comparison.images, drawn.images, strict=True)
     ]
-    first = images[comparison.worst_first()[0]]
-    has_input = "input" in drawn.images[0].layers
+    panels = [
+        *([("input", "Input", "", "i")] if "input" in drawn.images[0].layers else []),
+        *(
+            (f"method-{index}", method.name, f"error-{index}", str(index) if index < 10 else "")
+            for index, method in enumerate(comparison.methods, start=1)
+        ),
+        ("reference", "Reference", "", "r"),
+    ]
     return {
-        "panels": [
-            *([_Panel("input", "Input", digit="i")] if has_input else []),
-            *(
-                _Panel(f"method-{index}", name, f"error-{index}", str(index) if index < 10 else "")
-                for index, name in enumerate(names, start=1)
-            ),
-            _Panel("reference", "Reference", digit="r"),
-        ],
-        "first": first,
+        "panels": [dict(zip(("key", "name", "error", "digit"), panel, strict=True)) for panel in panels],
+        "first": images[comparison.worst_first()[0]],
         "data": {_row_name(image["place"]): image for image in images},
         "colours": comparison.methods[0].result.protocol.pixels,
     }
 
 
 def _looked_at(scores: Sequence[UnitScore], image: DrawnImage, comparison: Comparison, folder: str) -> dict[str, Any]:
-    first, kind = scores[0], comparison.kind
+    first, kind, (rows, columns) = scores[0], comparison.kind, image.part
     iso, factor = (fact_cells(first, kind) or (Cell("–"), Cell("")))[:2]
-    facts = [*([f"ISO {iso.text}"] if first.iso else []), *([factor.text] if factor.text else [])]
+    facts = [f"{first.camera}, {first.scene}", f"ISO {iso.text}" if first.iso else "", factor.text]
+    facts.append(f"shown {image.brighter:g} times brighter" if image.brighter != 1 else "")
     return {
         "place": image.number - 1,
         "name": first.name,
-        "facts": ", ".join(
-            [
-                first.camera,
-                first.scene,
-                *facts,
-                *([f"shown {image.brighter:g} times brighter"] if image.brighter != 1 else []),
-            ]
-        ),
+        "facts": ", ".join(filter(None, facts)),
         "scores": {
             f"method-{index}": ", ".join(
                 f"{metric.text(score.values[metric.name])} {metric.unit or metric.label}" for metric in kind.metrics
@@ -312,7 +300,71 @@ def _looked_at(scores: Sequence[UnitScore], image: DrawnImage, comparison: Compa
             for index, score in enumerate(scores, start=1)
         },
         "files": {layer: f"{folder}/{picture_file(image, layer)}" for layer in (*image.layers, "whole")},
-        "box": [image.left, image.top, image.columns, image.rows],
-        "size": [image.width, image.height],
+        "box": [columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start],
+        "size": [image.size[1], image.size[0]],
         "limit": digits(image.error_limit, 2),
     }
+
+
+# --- plots --------------------------------------------------------------------------------------------------------
+
+
+def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
+    """Return the plots of the method of this index among all but the first; none of no finite scores.
+
+    They show the mean differences of groups with their intervals; each image by both methods; and its difference over
+    the first one's score.
+    """
+    finite = [one for one in comparison.pairings(index) if one.is_finite]
+    if not finite:
+        return ()
+    kind, (first, other) = comparison.kind, (comparison.methods[at].name for at in (0, index + 1))
+    groups = [group for group in comparison.groups if math.isfinite(group.gains[index]["psnr_db"].interval.mean)]
+    both = [(one.first.ratio, one.first.psnr_db, one.other.psnr_db) for one in finite]
+    gains = [(one.first.ratio, one.first.psnr_db, one.gain_db) for one in finite]
+    values = [value for _, *scores in both for value in scores]
+    margin = 0.04 * (max(values) - min(values)) + 0.1
+    reach = min(values) - margin, max(values) + margin
+
+    def draw_groups(axes: Axes, theme: Theme) -> None:
+        means = [group.gains[index]["psnr_db"].interval.ends for group in groups]
+        mean_gains(axes, [group.name for group in groups], [(other, means)], theme)
+        axes.set_xlabel("difference of PSNR [dB]")
+
+    def draw_both(axes: Axes, theme: Theme) -> None:
+        axes.plot(reach, reach, color=theme.theory, linewidth=1)
+        draw_points(axes, both, theme, alpha=0.6)
+        axes.set(xlim=reach, ylim=reach)
+        axes.set_xlabel(f"{short(first)} [dB]", parse_math=False)
+        axes.set_ylabel(f"{short(other)} [dB]", parse_math=False)
+
+    def draw_gains(axes: Axes, theme: Theme) -> None:
+        axes.axhline(0, color=theme.theory, linewidth=1)
+        draw_points(axes, gains, theme, alpha=0.6)
+        axes.set_xlabel(f"{short(first)} [dB]", parse_math=False)
+        axes.set_ylabel("difference [dB]")
+
+    better = sum(one.gain_db > 0 for one in finite)
+    low, high = min(gain for _, _, gain in gains), max(gain for _, _, gain in gains)
+    words: dict[str, object] = {
+        "first": first,
+        "other": other,
+        "better": better,
+        "count": len(finite),
+        "unit": kind.unit,
+    }
+    words |= {"Unit": kind.unit.capitalize(), "units": kind.units, "Units": kind.units.capitalize()}
+    said = {
+        "gain-groups": (f"Mean difference of PSNR, {other} minus {first}, of {len(groups)} groups.", draw_groups),
+        "gain-scatter": (
+            f"PSNR of {other} against that of {first} on {len(finite)} {kind.units}; it is higher on {better}.",
+            draw_both,
+        ),
+        "gain-level": (
+            f"Difference of PSNR, from {low:.2f} to {high:.2f} dB, against the PSNR of {first}.",
+            draw_gains,
+        ),
+    }
+    return tuple(
+        draw_plot("compare", name, alt, draw, name=f"{name}-{index}", words=words) for name, (alt, draw) in said.items()
+    )

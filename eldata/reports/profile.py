@@ -1,68 +1,124 @@
-"""Plots of a noise profile's diagnostics."""
+"""The diagnostics of a noise profile as one HTML page."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import partial
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from eldata.calibration.acceptance.verdicts import CHANNELS, LIMIT, SIGNALS_E, read_fit
+from eldata.calibration.acceptance.verdicts import CHANNELS, LIMIT, SIGNALS_E, parameter_rows, read_fit
 from eldata.plots.axes import (
     MARKERS,
-    Theme,
     deviation_band,
+    draw_quantiles,
     fit_bands,
     log_log,
     log_ticks,
-    one_axes,
     plain_ticks,
-    quantile_plot,
     thinned,
-    two_axes,
 )
-from eldata.reports.figures import Plot, drawn
-from eldata.reports.html import plot_words
+from eldata.reports.figures import draw_plot
+from eldata.reports.html import rendered
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from typing import Any
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from eldata.calibration.acceptance.verdicts import Diagnostics, Quantiles, TheoryCheck
     from eldata.noise.gain_modes import LogLogFit
+    from eldata.plots.axes import Theme
+    from eldata.reports.figures import Plot
+
+
+def profile_page(diagnostics: Diagnostics) -> str:
+    """Return the page; the same diagnostics give the same text."""
+    groups = [
+        _Group.of(check, tuple(comparisons))
+        for check, comparisons in groupby(diagnostics.comparisons, lambda item: item.check)
+    ]
+    return rendered(
+        "profile.html",
+        diagnostics=diagnostics,
+        profile=diagnostics.profile,
+        parameters=parameter_rows(diagnostics.parameters),
+        groups=groups,
+        plots=plots(diagnostics),
+        channels=CHANNELS,
+        limit=LIMIT,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """A table: its caption, the heading and the labels of its first column, and the comparisons."""
+
+    title: str
+    heading: str
+    labels: tuple[str, ...]
+    comparisons: tuple[TheoryCheck, ...]
+
+    @classmethod
+    def of(cls, check: str, comparisons: tuple[TheoryCheck, ...]) -> _Group:
+        units = {item.unit for item in comparisons}
+        unit = comparisons[0].unit if len(units) == 1 else ""
+        title = check[:1].upper() + check[1:] + (f" [{unit}]" if unit not in ("", "1") else "")
+        labels = [item.symbol if unit else f"{item.symbol} [{item.unit}]" for item in comparisons]
+        # What all labels begin with is said once.
+        for heading, start in (("signal", "at "), ("quantile", "quantile ")):
+            if all(label.startswith(start) for label in labels):
+                return cls(title, heading, tuple(label.removeprefix(start) for label in labels), comparisons)
+        return cls(title, "quantity", tuple(labels), comparisons)
+
+    @property
+    def off(self) -> tuple[TheoryCheck, ...]:
+        return tuple(item for item in self.comparisons if item.verdict == "off")
+
+    @property
+    def worst(self) -> TheoryCheck:
+        return max(self.comparisons, key=lambda item: abs(item.deviation or 0.0))
+
+
+# --- plots -----------------------------------------------------------------------------------------------------------
 
 
 def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
     """Draw every plot that the diagnostics have data for, in the order of the report."""
-    rows, read = len(diagnostics.profile.rows), _read_letters(diagnostics)
+    of_rows, read = f"{len(diagnostics.profile.rows)} calibration rows", _read_letters(diagnostics)
     fit = (
         "over the gain: the profile's line with its bands of 1 and 2 standard deviations, and where "
         f"{diagnostics.draws.gain_dn_per_e.size} sampled parameters fall."
     )
     biases = "Mean of a bias frame in R, G1, B and G2, found and expected. " + _worst(diagnostics.colour_bias)
-    wanted: list[tuple[str, str, Callable[[Diagnostics, Theme], Figure]]] = [
-        ("mean", _over_signal_alt("Mean of D", diagnostics.mean), _mean),
-        ("variance", _over_signal_alt("Variance of D", diagnostics.variance), _variance),
-        ("colour-bias", biases, _colour_bias),
-        ("row-means", "Normal probability plot of the row means. " + _worst(diagnostics.rows), _row_means),
-        ("read-fit", f"σ {read} {fit}", _read_fit),
-        ("row-fit", f"σ row {fit}", _row_fit),
-        ("lambda-rows", f"Lambda of the profile's {rows} calibration rows by ISO.", _lambda_rows),
-        ("bias-rows", f"Colour bias of the profile's {rows} calibration rows by ISO and channel.", _bias_rows),
+    below = 2.6  # of the heights, with deviations in standard errors below
+    wanted: list[tuple[str, str, Callable[..., None], float | None]] = [
+        ("mean", _over_signal_alt("Mean of D", diagnostics.mean), _draw_mean, below),
+        ("variance", _over_signal_alt("Variance of D", diagnostics.variance), _draw_variance, below),
+        ("colour-bias", biases, _draw_colour_bias, below),
+        ("row-means", f"Normal probability plot of the row means. {_worst(diagnostics.rows)}", _draw_row_means, None),
+        ("read-fit", f"σ {read} {fit}", _draw_read_fit, None),
+        ("row-fit", f"σ row {fit}", _draw_row_fit, None),
+        ("lambda-rows", f"Lambda of the profile's {of_rows} by ISO.", _draw_lambda_rows, None),
+        (
+            "bias-rows",
+            f"Colour bias of the profile's {of_rows} by ISO and channel.",
+            _draw_bias_rows,
+            None,
+        ),
     ]
     if diagnostics.quantiles is not None:
         alt = "Probability plot of the read noise alone against its model. " + _worst(diagnostics.read)
-        wanted.insert(4, ("read-noise", alt, partial(_read_noise, diagnostics.quantiles)))
-    said = plot_words("profile")
+        wanted.insert(4, ("read-noise", alt, partial(_draw_read_noise, diagnostics.quantiles), below))
     return tuple(
-        drawn(name, said[name]["title"].format(read=read), alt, said[name]["caption"], partial(draw, diagnostics))
-        for name, alt, draw in wanted
+        draw_plot("profile", kind, alt, partial(draw, diagnostics), ratio=ratio, words={"read": read})
+        for kind, alt, draw, ratio in wanted
     )
 
 
@@ -84,14 +140,8 @@ def _worst(comparisons: Sequence[TheoryCheck]) -> str:
     return f"Largest deviation {max(deviations):.2g} standard errors."
 
 
-# --- figures ------------------------------------------------------------------------------------------------------
-
-
-def _with_deviations(
-    comparisons: Sequence[TheoryCheck], at: Sequence[float], theme: Theme
-) -> tuple[Figure, Axes, Axes]:
-    """Return a figure whose lower axes show deviations in standard errors; the upper ones are to be filled."""
-    drawing, main, below = two_axes(2.6)
+def _draw_deviations(below: Axes, comparisons: Sequence[TheoryCheck], at: Sequence[float], theme: Theme) -> None:
+    """Draw deviations in standard errors."""
     points = [
         (x, item.deviation, item.verdict) for x, item in zip(at, comparisons, strict=True) if item.deviation is not None
     ]
@@ -100,14 +150,18 @@ def _with_deviations(
         chosen = [(x, y) for x, y, which in points if which == verdict]
         if chosen:
             below.plot(*zip(*chosen, strict=True), marker, color=theme.found)
-    return drawing, main, below
 
 
-def _over_signal(
-    comparisons: Sequence[TheoryCheck], theory: Callable[[float], float], label: str, theme: Theme
-) -> Figure:
+def _draw_over_signal(
+    both: tuple[Axes, Axes],
+    comparisons: Sequence[TheoryCheck],
+    theory: Callable[[float], float],
+    label: str,
+    theme: Theme,
+) -> None:
     """Draw something against the signal; both axes are logarithmic, but for the neighbourhood of 0."""
-    drawing, main, below = _with_deviations(comparisons, SIGNALS_E, theme)
+    main, below = both
+    _draw_deviations(below, comparisons, SIGNALS_E, theme)
     main.set_xscale("asinh", linear_width=1)
     top = SIGNALS_E[-1]
     grid = np.sinh(np.linspace(0, math.asinh(top), 120))
@@ -131,20 +185,20 @@ def _over_signal(
     below.set_xlabel("signal [e⁻]")
     plain_ticks(below.xaxis, [0, 1, 3, 10, 30, 100, 300])
     below.set_xlim(-0.2, top * 1.25)
-    return drawing
 
 
-def _mean(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    return _over_signal(diagnostics.mean, diagnostics.expected_mean_dn, "mean of D [DN]", theme)
+def _draw_mean(diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
+    _draw_over_signal((main, below), diagnostics.mean, diagnostics.expected_mean_dn, "mean of D [DN]", theme)
 
 
-def _variance(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    return _over_signal(diagnostics.variance, diagnostics.expected_variance_dn2, "variance of D [DN²]", theme)
+def _draw_variance(diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
+    expected = diagnostics.expected_variance_dn2
+    _draw_over_signal((main, below), diagnostics.variance, expected, "variance of D [DN²]", theme)
 
 
-def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
+def _draw_colour_bias(diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
     places = list(range(4))
-    drawing, main, below = _with_deviations(diagnostics.colour_bias, places, theme)
+    _draw_deviations(below, diagnostics.colour_bias, places, theme)
     for place, item in zip(places, diagnostics.colour_bias, strict=True):
         # matplotlib leaves labels with an underscore out of the legend: one entry for four channels.
         label = ("closed form", "simulated") if place == 0 else ("_", "_")
@@ -157,24 +211,24 @@ def _colour_bias(diagnostics: Diagnostics, theme: Theme) -> Figure:
     main.legend(loc="best")
     below.set_xticks(places, CHANNELS)
     below.set_xlim(-0.5, 3.5)
-    return drawing
 
 
-def _row_means(diagnostics: Diagnostics, theme: Theme) -> Figure:
+def _draw_row_means(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
     means = diagnostics.row_means_dn
     shown = thinned(means.size)
-    return quantile_plot(
-        diagnostics.normal_quantiles[shown],
-        means[shown],
-        (diagnostics.rows[0].expected, 0.0),
+    draw_quantiles(
+        axes,
         theme,
+        expected=diagnostics.normal_quantiles[shown],
+        found=means[shown],
+        line=(diagnostics.rows[0].expected, 0.0),
         names=("closed form", "simulated"),
         labels=("normal quantile", "row mean [DN]"),
     )
 
 
-def _read_noise(quantiles: Quantiles, diagnostics: Diagnostics, theme: Theme) -> Figure:
-    drawing, main, below = _with_deviations(diagnostics.read, [item.expected for item in diagnostics.read], theme)
+def _draw_read_noise(quantiles: Quantiles, diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
+    _draw_deviations(below, diagnostics.read, [item.expected for item in diagnostics.read], theme)
     ends = quantiles.expected_dn[[0, -1]]
     main.plot(ends, ends, color=theme.theory, label="closed form")
     main.plot(quantiles.expected_dn, quantiles.found_dn, "o", markersize=3, color=theme.found, label="simulated")
@@ -182,32 +236,31 @@ def _read_noise(quantiles: Quantiles, diagnostics: Diagnostics, theme: Theme) ->
     main.legend(loc="upper left")
     family = {"G": "Gaussian", "TL": "Tukey-lambda"}[_read_letters(diagnostics)]
     below.set_xlabel(f"{family} quantile [DN]")
-    return drawing
 
 
-def _read_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
+def _draw_read_fit(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
     name = _read_letters(diagnostics)
     field = {"G": "sigma_gauss_dn", "TL": "sigma_tl_dn"}[name]
     components = diagnostics.model.components
     fits = [read_fit(mode, components) for mode in diagnostics.profile.gain_modes]
-    return _fit(diagnostics, fits, diagnostics.draws.sigma_read_dn, field, name, theme)
+    _draw_fit(axes, diagnostics, fits, diagnostics.draws.sigma_read_dn, field, name, theme)
 
 
-def _row_fit(diagnostics: Diagnostics, theme: Theme) -> Figure:
+def _draw_row_fit(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
     fits = [mode.row_fit for mode in diagnostics.profile.gain_modes]
-    return _fit(diagnostics, fits, diagnostics.draws.sigma_row_dn, "sigma_row_dn", "row", theme)
+    _draw_fit(axes, diagnostics, fits, diagnostics.draws.sigma_row_dn, "sigma_row_dn", "row", theme)
 
 
-def _fit(
+def _draw_fit(
+    axes: Axes,
     diagnostics: Diagnostics,
     fits: Sequence[LogLogFit],
     scales: NDArray[np.float64],
     field: str,
     name: str,
     theme: Theme,
-) -> Figure:
+) -> None:
     """Draw a log-log fit by gain mode with its bands, the draws, the measured rows and the draw that is examined."""
-    drawing, axes = one_axes()
     fit_bands(
         axes,
         [(fit, *mode.gain_range_dn_per_e) for fit, mode in zip(fits, diagnostics.profile.gain_modes, strict=True)],
@@ -227,10 +280,9 @@ def _fit(
     axes.plot(parameters.gain_dn_per_e, getattr(parameters, field), "o", label="examined here", **ring)
     log_log(axes, name)
     axes.legend(loc="upper left")
-    return drawing
 
 
-def _by_iso(diagnostics: Diagnostics, axes: Axes) -> list[float]:
+def _set_up_isos(diagnostics: Diagnostics, axes: Axes) -> list[float]:
     """Set up an axis of ISOs and return each row's place on it; of row numbers if an ISO is unknown."""
     isos = [row.iso for row in diagnostics.profile.rows]
     known = [iso for iso in isos if iso is not None]
@@ -246,18 +298,15 @@ def _by_iso(diagnostics: Diagnostics, axes: Axes) -> list[float]:
     return known
 
 
-def _lambda_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    drawing, axes = one_axes()
-    places = _by_iso(diagnostics, axes)
+def _draw_lambda_rows(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
+    places = _set_up_isos(diagnostics, axes)
     axes.axhline(0, color=theme.theory, linewidth=1)
     axes.plot(places, [row.tukey_lambda for row in diagnostics.profile.rows], "o", color=theme.found)
     axes.set_ylabel("λ")
-    return drawing
 
 
-def _bias_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
-    drawing, axes = one_axes()
-    places = _by_iso(diagnostics, axes)
+def _draw_bias_rows(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
+    places = _set_up_isos(diagnostics, axes)
     step = 0.07 if axes.get_xscale() == "log" else 0.0  # side by side, where the channels' values are alike
     for channel, name in enumerate(CHANNELS):
         beside = [place * math.exp((channel - 1.5) * step) for place in places]
@@ -266,4 +315,3 @@ def _bias_rows(diagnostics: Diagnostics, theme: Theme) -> Figure:
     axes.axhline(0, color=theme.theory, linewidth=1)
     axes.set_ylabel("colour bias [DN]")
     axes.legend(loc="best", ncols=2)
-    return drawing

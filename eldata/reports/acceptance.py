@@ -1,19 +1,20 @@
-"""Plots of a noise model's acceptance test."""
+"""The acceptance test of a noise model as one HTML page."""
 
 from __future__ import annotations
 
 from functools import partial
+from itertools import groupby
 from typing import TYPE_CHECKING
 
-from eldata.calibration.acceptance.verdicts import LIMIT
+from eldata.calibration.acceptance.verdicts import LIMIT, parameter_rows
 from eldata.plots.axes import log_ticks
-from eldata.reports.figures import drawn_axes
-from eldata.reports.html import plot_words
+from eldata.reports.figures import draw_plot
+from eldata.reports.html import plot_words, rendered
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from eldata.calibration.acceptance.results import Curve, IsoAcceptance
+    from eldata.calibration.acceptance.results import Acceptance, Curve, IsoAcceptance
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 
@@ -25,26 +26,33 @@ _LABELS = {
 _REACH = 20.0  # standard errors: beyond, a point lies at the edge
 
 
-def acceptance_plots(found: IsoAcceptance) -> tuple[Plot, ...]:
+def acceptance_page(acceptance: Acceptance) -> str:
+    """Return the page; the same result gives the same text."""
+    isos = [
+        {
+            "found": found,
+            "name": f"{found.iso:g}",
+            "parameters": parameter_rows(found.parameters),
+            "plots": _plots(found),
+            "groups": [(check, tuple(group)) for check, group in groupby(found.statistics, lambda one: one.check)],
+        }
+        for found in acceptance.isos
+    ]
+    return rendered("acceptance.html", acceptance=acceptance, isos=isos, limit=LIMIT)
+
+
+def _plots(found: IsoAcceptance) -> list[Plot]:
     """Draw the verdicts and the curves of one ISO."""
-    said = plot_words("acceptance")
     worst = max((abs(one.deviation or 0.0) for one in found.statistics), default=0.0)
     alt = f"Deviations of {len(found.statistics)} statistics; {len(found.off)} are off, the furthest {worst:.3g} s.e."
-    name = f"deviations-{found.iso:g}"
-    first = drawn_axes(name, said["deviations"]["title"], alt, said["deviations"]["caption"], partial(_all, found))
-    return first, *(
-        drawn_axes(
-            f"{curve.name}-{found.iso:g}",
-            said[curve.name]["title"],
-            f"{said[curve.name]['title']}: the held-out frames and the model.",
-            said[curve.name]["caption"],
-            partial(_curve, curve),
-        )
-        for curve in found.curves
-    )
+    drawn = [("deviations", alt, partial(_draw_deviations, found))]
+    for curve in found.curves:
+        title = plot_words("acceptance")[curve.name]["title"]
+        drawn.append((curve.name, f"{title}: the held-out frames and the model.", partial(_draw_curve, curve)))
+    return [draw_plot("acceptance", kind, alt, draw, name=f"{kind}-{found.iso:g}") for kind, alt, draw in drawn]
 
 
-def _all(found: IsoAcceptance, axes: Axes, theme: Theme) -> None:
+def _draw_deviations(found: IsoAcceptance, axes: Axes, theme: Theme) -> None:
     checks = list(dict.fromkeys(one.check for one in found.statistics))
     axes.axvspan(-LIMIT, LIMIT, color=theme.theory, alpha=0.13, linewidth=0)
     axes.axvline(0, color=theme.theory, linewidth=1)
@@ -62,8 +70,7 @@ def _all(found: IsoAcceptance, axes: Axes, theme: Theme) -> None:
     axes.set_xlabel("model − frames [s.e.]")
 
 
-def _curve(curve: Curve, axes: Axes, theme: Theme) -> None:
-    x_label, y_label = _LABELS[curve.name]
+def _draw_curve(curve: Curve, axes: Axes, theme: Theme) -> None:
     for values, style, colour, label in (
         (curve.frames, "-", theme.theory, "held-out frames"),
         (curve.model, "--", theme.found, "model"),
@@ -75,6 +82,6 @@ def _curve(curve: Curve, axes: Axes, theme: Theme) -> None:
         middle = float(curve.model[len(curve.model) // 2]) or 1.0
         axes.set_ylim(min(middle / 30, *curve.frames), max(middle * 30, *curve.frames))
     log_ticks(axes.yaxis, 3)
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
+    xlabel, ylabel = _LABELS[curve.name]
+    axes.set(xlabel=xlabel, ylabel=ylabel)
     axes.legend(loc="upper right")

@@ -1,4 +1,4 @@
-"""Curves that mistakes put between true values and predicted ones: gamma, levels, a missing amplification."""
+"""What mistakes make of true values: curves of gamma, levels or a missing amplification; the input's own values."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.evaluation.inspected_frame import Candidate, LevelsTaken, cell_means
+from eldata.evaluation.diagnosis.places import Candidate, cell_means, inner_entries, levels_taken
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,13 +16,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.inspected_frame import Change, Circumstances
+    from eldata.evaluation.diagnosis.places import Blocks, Change, Circumstances
 
     Array: TypeAlias = NDArray[Any]
 
-LEAST_RATIO = 2.0
-"""A smaller factor cannot be told from an error of brightness, and below it every DNG's values are whole DN too."""
-
+# A smaller factor cannot be told from an error of brightness, and below it every DNG's values are whole DN too.
+_LEAST_RATIO = 2.0
 _BINS = 48
 
 
@@ -97,20 +96,20 @@ def _curve_mistakes(now: Circumstances) -> Iterator[_CurveMistake]:
     yield _line("as if in [-1, 1], not in [0, 1]", 2, -1)
     if now.sensor is None:
         return
-    levels = LevelsTaken.of(now.sensor, now.protocol)
-    black, span = levels.black, levels.white - levels.black
+    black, whites = levels_taken(now.sensor, now.protocol)
+    span = whites[0] - black
     if black > 0:
-        for white in levels.whites:
+        for white in whites:
             yield _line("as if black were not subtracted", span / white, black / white)
         yield _line("as if DN were divided by 65535", span / 65535, black / 65535)
         twice = black / span
         yield _CurveMistake("as if black were subtracted twice", lambda t: np.maximum(t - twice, 0), None)
     yield _scaled("as if DN were divided by 65535", span / 65535)
-    for white in levels.whites:
+    for white in whites:
         if black > 0:
             yield _scaled(f"as if DN were divided by {white:g}, black included", span / white)
-        yield _scaled(f"as if normalised with white level {white:g}, not {levels.white:g}", span / (white - black))
-    if now.ratio is not None and now.ratio >= LEAST_RATIO:
+        yield _scaled(f"as if normalised with white level {white:g}, not {whites[0]:g}", span / (white - black))
+    if now.ratio is not None and now.ratio >= _LEAST_RATIO:
         ratio = now.ratio
         yield _scaled("as if not amplified", 1 / ratio)
         yield _CurveMistake("as if amplified twice", lambda t: np.clip(t * ratio, 0, 1), None)
@@ -148,8 +147,7 @@ def best_curve(p: NDArray[np.float32], g: NDArray[np.float32], now: Circumstance
     return Candidate(mistake.words, None if mistake.is_large and rescales else mistake.undo)
 
 
-_FEWEST_LEVELS = 3
-_FEWEST_AT_A_LEVEL = 4
+_FEWEST_LEVELS, _FEWEST_AT_A_LEVEL = 3, 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,3 +186,45 @@ class _Response:
         """Return the root mean square of what is left between means and a curve, times a factor of up to ``most``."""
         factor = min(max(self.factor(means, curve), 1 / most), most)
         return math.sqrt(float((self.weights * (means - factor * curve) ** 2).sum()))
+
+
+# --- the noisy input --------------------------------------------------------------------------------------------------
+
+_LEAST_VALUES = 256
+_OFF_WHOLE_DN = 0.1
+_WHOLE_SHARE = 0.9
+_SAME_ERRORS = 0.99
+
+
+def is_copied_input(p: NDArray[np.float32], g: NDArray[np.float32], blocks: Blocks, now: Circumstances) -> bool:
+    """Return whether a prediction is the noisy input, amplified: of whole DN, and with the errors of the input.
+
+    Parameters
+    ----------
+    p, g
+        The prediction's blocks, and those of the reference without margin, (C, entries).
+    """
+    if not _is_of_whole_dn(p, now):
+        return False
+    amplified = blocks.cut(now.amplified())
+    errors: Array = np.stack([np.clip(inner_entries(image), 0, 1) - g for image in (p, amplified)]).reshape(2, -1)
+    return bool(np.corrcoef(errors)[0, 1] > _SAME_ERRORS)
+
+
+def _is_of_whole_dn(p: NDArray[np.float32], now: Circumstances) -> bool:
+    """Return whether values, divided by the factor, are whole DN: those of the input, or a choice of them."""
+    sensor, ratio = now.sensor, now.ratio
+    if sensor is None or ratio is None or ratio < _LEAST_RATIO:
+        return False
+    values = p.ravel()
+    values = values[(values > 0) & (values < 1)][: 8 * _LEAST_VALUES].astype(np.float64)
+    if values.size < _LEAST_VALUES:
+        return False
+    black, whites = levels_taken(sensor, now.protocol)
+    for white in whites:
+        steps = values * ((white - black) / ratio)
+        steps -= np.rint(steps)
+        # The black levels of channels may differ by fractions of a DN.
+        if np.mean(np.abs(steps - np.median(steps)) < _OFF_WHOLE_DN) > _WHOLE_SHARE:
+            return True
+    return False

@@ -6,21 +6,21 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from eldata.base.numbers import counted
-from eldata.reports.calibration.iso_pictures import reproduced_pictures, shading_pictures, spectrum_picture
-from eldata.reports.calibration.iso_plots import (
+from eldata.reports.calibration_iso import (
     bias_plot,
     estimated,
-    gaussian_plot,
     line_spectrum_plot,
     ppcc_plot,
-    reproduced_quantiles_plot,
-    reproduced_rows_plot,
+    read_noise_plots,
+    reproduced_pictures,
+    reproduced_plots,
+    row_bands_plot,
     rows_plot,
+    shading_pictures,
+    spectrum_picture,
     transfer_plot,
-    tukey_lambda_plot,
 )
-from eldata.reports.calibration.joint_plots import joint_plots
-from eldata.reports.calibration.structure_plots import row_bands_plot, structure_numbers, structure_plots
+from eldata.reports.calibration_joint import joint_plots, structure_numbers
 from eldata.reports.html import digits, grouped, measured, rendered
 
 if TYPE_CHECKING:
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from eldata.calibration.core.findings import Effect, Figure, GivenFigure
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
     from eldata.calibration.results import Calibration
+    from eldata.reports.calibration_iso import Pictures
     from eldata.reports.figures import Plot
-    from eldata.reports.pictures import Pictures
 
 _GRAVEST: tuple[Effect, ...] = ("withheld", "wider", "remark")
 _FIT_HEADER = ("fit over ln K", "slope", "intercept", "σ", "R²")
@@ -48,7 +48,7 @@ def calibration_page(calibration: Calibration) -> str:
         widened=_where([one.withheld_and_widened[1] for one in calibration.all_isos], calibration),
         remarks=_remarks(calibration),
         tables=[table for table in _tables(calibration) if table.rows],
-        joint=(*joint_plots(calibration), *structure_plots(calibration)),
+        joint=joint_plots(calibration),
         sections=_sections(calibration),
         made_from=_made_from(calibration),
     )
@@ -261,7 +261,7 @@ def _rows(one: IsoCalibration) -> _Group:
 def _structure(one: IsoCalibration, structure: MeasuredStructure) -> _Group:
     spectrum = structure.row_spectrum
     plots = () if spectrum is None else (row_bands_plot(one, structure, spectrum),)
-    return _Group("What pixels have in common", structure_numbers(one, structure), plots=plots)
+    return _Group("What pixels have in common", structure_numbers(structure, one.withheld), plots=plots)
 
 
 def _read_noise(one: IsoCalibration) -> _Group:
@@ -281,7 +281,7 @@ def _read_noise(one: IsoCalibration) -> _Group:
         ("Residuals", grouped(read.residuals)),
     )
     of_shape = (ppcc_plot(one, shape),) if shape is not None and has_curve else ()
-    plots = (*of_shape, gaussian_plot(one), tukey_lambda_plot(one))
+    plots = (*of_shape, *read_noise_plots(one))
     return _judged(one, "read noise", _Group("Read noise", numbers, plots=plots))
 
 
@@ -312,12 +312,7 @@ def _reproduction(one: IsoCalibration) -> _Group:
         ("Row means, σ real", f"{digits(found.row_sigma_real_dn)} DN"),
         ("Row means, σ simulated", f"{digits(found.row_sigma_simulated_dn)} DN"),
     )
-    return _Group(
-        title,
-        numbers,
-        plots=(reproduced_quantiles_plot(one, found), reproduced_rows_plot(one, found)),
-        pictures=(reproduced_pictures(one, found),),
-    )
+    return _Group(title, numbers, plots=reproduced_plots(one, found), pictures=(reproduced_pictures(one, found),))
 
 
 def _pattern(one: IsoCalibration) -> _Group:

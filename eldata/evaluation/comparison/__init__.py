@@ -140,6 +140,11 @@ class Comparison:
     contests: tuple[Contest, ...] = ()
 
     @property
+    def results(self) -> tuple[EvaluationResult, ...]:
+        """The result of each method."""
+        return tuple(method.result for method in self.methods)
+
+    @property
     def kind(self) -> Kind:
         """What was scored: images or clips, with the numbers that every method has; a task may be of some."""
         return _common_kind(self.methods)

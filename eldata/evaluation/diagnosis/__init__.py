@@ -1,21 +1,35 @@
-"""Which frames an evaluation looks at for mistakes, and what their mistakes say together."""
+"""What is wrong with predictions, as far as references show: mistakes that, undone, would raise their scores.
+
+A few frames of each camera and factor are looked at (:func:`chosen_frames`). On some blocks of each, the orders of
+channels, shifts, flips and curves that mistakes leave behind are tried (:func:`mistake_in`); what stands out there is
+undone on the whole frame and scored as the protocol does. What most frames show alike is a suspicion
+(:func:`suspicions_of`).
+
+A prediction that is merely poor is not to be accused. So a mistake has to be worth at least a decibel (a shift half of
+one), most frames have to show the same one, and a curve has to be the mistake's own: the mean prediction at each level
+of the reference lies on it, which neither noise nor the lifted shadows of clipped inputs do.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
 from dataclasses import dataclass
+from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.evaluation.scores import mean
+from eldata.evaluation.diagnosis.places import GAIN_DB, Blocks, best_place, inner_entries
+from eldata.evaluation.diagnosis.values import best_curve, is_copied_input
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from typing import TypeAlias
 
     from numpy.typing import NDArray
+
+    from eldata.evaluation.diagnosis.places import Circumstances
 
     Array: TypeAlias = NDArray[Any]
 
@@ -99,6 +113,46 @@ class Suspicion:
         if self.without_db is not None:
             score += f" becomes {self.without_db:.2f}"
         return f"SUSPECT: {where}{self.words}: {score} in {self.shown} of {self.looked} looked at"
+
+
+# --- one frame -------------------------------------------------------------------------------------------------------
+
+
+def mistake_in(prediction: Array, target: Array, psnr_db: float, now: Circumstances) -> Mistake | None:
+    """Return the mistake that would explain the score of a prediction, if there is one that stands out.
+
+    Parameters
+    ----------
+    prediction, target
+        (C, h, w) of the whole frame; the prediction as it was loaded.
+    psnr_db
+        What it scored.
+    now
+        How it was scored.
+    """
+    blocks = Blocks.of(target, now.protocol.crop(target.shape)) if math.isfinite(psnr_db) else None
+    if blocks is None:
+        return None
+    p, g = blocks.cut(prediction), blocks.cut(target)
+    inner = inner_entries(g)
+    if float(inner.max()) - float(inner.min()) < 1e-6:  # nothing to tell by
+        return None
+    if float(p.max()) == float(p.min()) and float(prediction.max()) == float(prediction.min()):
+        return Mistake(f"every value is {float(p.flat[0]):.4g}", psnr_db)
+    if is_copied_input(p, inner, blocks, now):
+        return Mistake("as if the noisy input, amplified, were copied", psnr_db)
+    found: list[tuple[float, Mistake]] = []
+    for candidate in (best_curve(p, g, now), best_place(prediction, blocks, p, inner, now)):
+        if candidate is None:
+            continue
+        if candidate.undo is None:
+            found.append((GAIN_DB, Mistake(candidate.words, psnr_db)))
+            continue
+        undone = np.ascontiguousarray(candidate.undo(prediction), prediction.dtype)
+        without_db = now.score(undone).psnr_db
+        if without_db - psnr_db >= candidate.least_db:
+            found.append((without_db - psnr_db, Mistake(candidate.words, psnr_db, without_db)))
+    return max(found, key=lambda one: one[0])[1] if found else None
 
 
 # --- which frames, and what they say together -------------------------------------------------------------------------
@@ -196,7 +250,7 @@ def _exchanged(inspections: Sequence[Inspection]) -> list[Suspicion]:
         return []
     first, its = found[0]
     words = f"as if of another frame: that of {first.path} is like the reference of {its.path}"
-    score = mean([one.psnr_db for one, _ in found])
+    score = fmean([one.psnr_db for one, _ in found])
     return [Suspicion(words, "", len(found), len(inspections), score, None, first.path)]
 
 
@@ -222,7 +276,7 @@ def _shared(inspections: Sequence[Inspection], where: str, least: int) -> Suspic
         where=where,
         shown=len(most),
         looked=len(inspections),
-        psnr_db=mean([mistake.psnr_db for _, mistake in most]),
-        without_db=mean(without) if len(without) == len(most) else None,
+        psnr_db=fmean([mistake.psnr_db for _, mistake in most]),
+        without_db=fmean(without) if len(without) == len(most) else None,
         example=most[0][0],
     )

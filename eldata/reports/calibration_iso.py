@@ -1,8 +1,9 @@
-"""Plots of what was measured at one ISO: the figures with which the paper judges its noise model."""
+"""Plots and pictures of what was measured at one ISO: those with which the paper judges its noise model."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -11,31 +12,33 @@ import numpy as np
 from eldata.calibration.acceptance.verdicts import LIMIT
 from eldata.plots.axes import (
     MARKERS,
-    Theme,
     deviation_band,
+    draw_quantiles,
     evenly,
     legend_above,
     log_ticks,
-    one_axes,
-    quantile_plot,
+    plain_ticks,
     thinned,
-    two_axes,
 )
 from eldata.plots.gains import transfer_lines
-from eldata.reports.figures import Plot, drawn
+from eldata.plots.pictures import block_means, grey_png, limits
+from eldata.reports.figures import draw_plot
 from eldata.reports.html import digits, measured, plot_words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from eldata.calibration.acceptance.reproduction import Reproduction
+    from eldata.calibration.audit.structure import MeasuredStructure
     from eldata.calibration.core.findings import GivenFigure
     from eldata.calibration.core.photon_transfer import PhotonTransfer
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
+    from eldata.noise.structure import RowSpectrum
+    from eldata.plots.axes import Theme
+    from eldata.reports.figures import Plot
 
 GAUSSIAN_LAMBDA = 0.14
 """The shape at which the Tukey-lambda distribution is nearest to the normal one."""
@@ -44,6 +47,8 @@ _SINGLE_FRAMES_SHOWN = 48
 _ROOM_ABOVE = 1.7
 _AROUND_MAXIMUM = 0.27  # of lambda
 _FRAMES_SHOWN = 32
+_SHADING_SHOWN = 72  # rows or columns
+_FREQUENCIES_LABELLED = (1e-4, 1e-3, 0.01, 0.1, 0.5)
 
 
 def estimated(figure: GivenFigure | None, unit: str = "") -> str:
@@ -53,10 +58,9 @@ def estimated(figure: GivenFigure | None, unit: str = "") -> str:
     return measured(figure.value, figure.error, unit) + (" (stated)" if figure.is_stated else "")
 
 
-def _plot(kind: str, one: IsoGain, alt: str, draw: Callable[[Theme], Figure], more: str = "") -> Plot:
+def _plot(kind: str, one: IsoGain, alt: str, draw: Callable[..., object], **options: Any) -> Plot:
     """Return a plot of one ISO, with the words of its kind."""
-    said = plot_words("calibration")[kind]
-    return drawn(f"{kind}-{one.iso:g}", said["title"], alt, said["caption"] + more, draw)
+    return draw_plot("calibration", kind, alt, draw, name=f"{kind}-{one.iso:g}", **options)
 
 
 # --- photon transfer ----------------------------------------------------------------------------------------------
@@ -71,26 +75,22 @@ def transfer_plot(one: IsoGain, transfer: PhotonTransfer) -> Plot:
         f"{estimated(one.gain, 'DN/e⁻')}, chi² per degree of freedom at most "
         f"{digits(worst, 2)}."
     )
-    more = ""
-    if spatial is not None:
-        if spatial_gain is not None:
-            alt += f" The published single-frame method gives {digits(spatial_gain.value, 4)} DN/e⁻."
-        more = plot_words("calibration")["transfer"]["single_frames"]
+    if spatial is not None and spatial_gain is not None:
+        alt += f" The published single-frame method gives {digits(spatial_gain.value, 4)} DN/e⁻."
 
-    def draw(theme: Theme) -> Figure:
-        drawing, main, below = two_axes(2.6)
+    def draw(main: Axes, below: Axes, theme: Theme) -> None:
         furthest = transfer_lines(main, below, one.channels, transfer.channels, theme)
         if spatial is not None:
-            _single_frames(main, spatial, theme)
+            _draw_single_frames(main, spatial, theme)
             legend_above(main)
         deviation_band(below, furthest, LIMIT, theme)
         below.set_xlabel("signal [DN]")
-        return drawing
 
-    return _plot("transfer", one, alt, draw, more)
+    more = "" if spatial is None else plot_words("calibration")["transfer"]["single_frames"]
+    return _plot("transfer", one, alt, draw, ratio=2.6, more=more)
 
 
-def _single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> None:
+def _draw_single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> None:
     """Draw the published method's points; those far above the others as arrows, or they would flatten the rest."""
     signal = np.concatenate([line.signal_dn for line in spatial.channels])
     variance = np.concatenate([line.variance_dn2 for line in spatial.channels])
@@ -120,8 +120,7 @@ def bias_plot(one: IsoCalibration, given: Sequence[GivenFigure]) -> Plot:
         f"{bias.frames} single frames around it."
     )
 
-    def draw(theme: Theme) -> Figure:
-        drawing, main, below = two_axes(1 / 1.4)
+    def draw(main: Axes, below: Axes, theme: Theme) -> None:
         frames = evenly(bias.frames, _FRAMES_SHOWN)
         across = np.linspace(-0.3, 0.3, frames.size) if frames.size > 1 else np.zeros(1)
         main.axhline(0, color=theme.theory)
@@ -143,9 +142,8 @@ def bias_plot(one: IsoCalibration, given: Sequence[GivenFigure]) -> Plot:
         below.set_ylabel("frame − mean [DN]")
         below.set_xticks(range(channels), bias.channels)
         below.set_xlim(-0.5, channels - 0.5)
-        return drawing
 
-    return _plot("bias", one, alt, draw)
+    return _plot("bias", one, alt, draw, ratio=1 / 1.4)
 
 
 # --- rows ---------------------------------------------------------------------------------------------------------
@@ -161,10 +159,10 @@ def rows_plot(one: IsoCalibration) -> Plot:
         f"{rows.shapiro_values} values, excess kurtosis {digits(rows.excess_kurtosis, 2)}."
     )
     draw = partial(
-        quantile_plot,
-        rows.quantiles[shown],
-        rows.ordered_dn[shown],
-        rows.normal_line_dn,
+        draw_quantiles,
+        expected=rows.quantiles[shown],
+        found=rows.ordered_dn[shown],
+        line=rows.normal_line_dn,
         names=("normal", "row means"),
         labels=("normal quantile", "row mean [DN]"),
         note=f"R² {r_squared}\nShapiro-Wilk p {p}",
@@ -180,8 +178,7 @@ def line_spectrum_plot(one: IsoCalibration) -> Plot:
         f"{estimated(one.sigma_row_dn, 'DN')}, σ column {estimated(one.sigma_column_dn, 'DN')}."
     )
 
-    def draw(theme: Theme) -> Figure:
-        drawing, axes = one_axes()
+    def draw(axes: Axes, theme: Theme) -> None:
         variance = one.rows.pixel_variance_dn2 or 1.0
         of_pixels = variance / columns.deviations_dn.shape[1]
         for line, alone, colour, style, name in (
@@ -194,21 +191,56 @@ def line_spectrum_plot(one: IsoCalibration) -> Plot:
             white = 1 + one.sigma_row_dn.value**2 / of_pixels
             axes.axhline(white, color=theme.theory, label="white noise of σ row")
         axes.axhline(1, color=theme.theory, linewidth=1, linestyle="--", label="pixels alone")
-        _log_power(axes)
+        _set_up_power(axes)
         axes.set(xlabel="frequency [cycles per line]", ylabel="power / pixels' own")
         axes.legend(loc="best", ncols=2)
-        return drawing
 
     return _plot("line-spectrum", one, alt, draw)
 
 
-def _log_power(axes: Axes) -> None:
+def _set_up_power(axes: Axes) -> None:
     """Set up a logarithmic axis of power with room for the legend."""
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     low, high = low / 1.3, high * max(1.6, (high / low) ** 0.35)
     axes.set_ylim(low, high)
     log_ticks(axes.yaxis, max(1, round(math.log10(high / low))))
+
+
+def row_bands_plot(one: IsoCalibration, structure: MeasuredStructure, spectrum: RowSpectrum) -> Plot:
+    """Draw the bands and waves that W makes, over the spectrum of the row means that they come from."""
+    rows, columns = one.rows.rows, one.rows.columns
+    waves = "".join(f", a wave of {digits(1 / wave.frequency_per_row)} rows" for wave in spectrum.waves)
+    low, high = min(spectrum.power_dn2), max(spectrum.power_dn2)
+    powers = f"power {digits(high)} DN²" if low == high else f"powers from {digits(low)} to {digits(high)} DN²"
+    bands = len(spectrum.power_dn2)
+    alt = (
+        f"Spectrum of the row means at ISO {one.iso:g}, and what component W makes: {bands} band{'s'[: bands > 1]}, "
+        f"{powers}{waves}."
+    )
+
+    def draw(axes: Axes, theme: Theme) -> None:
+        of_pixels = one.rows.pixel_variance_dn2 / columns.deviations_dn.shape[1]
+        frequency, power = rows.smoothed_power_dn2(len(one.sensor.cfa))
+        axes.plot(frequency, power, "o", markersize=3, color=theme.found, label="row means")
+        edges = np.array(spectrum.edges_per_row)
+        made = of_pixels + np.array(spectrum.power_dn2)
+        axes.stairs(made, edges, baseline=None, color=theme.theory, linewidth=1.8, label="W and pixels")
+        middles = np.sqrt(edges[:-1] * edges[1:])
+        axes.errorbar(middles, made, yerr=structure.band_errors_dn2, fmt="none", color=theme.theory, capsize=3)
+        axes.axhline(of_pixels, color=theme.theory, linewidth=1, linestyle="--", label="pixels alone")
+        for number, wave in enumerate(spectrum.waves):
+            label = "_" if number else "wave"
+            axes.axvline(wave.frequency_per_row, color=theme.ink, linewidth=1.2, linestyle=":", label=label)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        plain_ticks(axes.xaxis, [at for at in _FREQUENCIES_LABELLED if edges[0] <= at])
+        bottom, top = axes.get_ylim()
+        log_ticks(axes.yaxis, max(1, round(math.log10(top / bottom))))
+        axes.set(xlabel="frequency [cycles per row]", ylabel="power [DN²]")
+        legend_above(axes)
+
+    return _plot("row-bands", one, alt, draw)
 
 
 # --- read noise ---------------------------------------------------------------------------------------------------
@@ -223,8 +255,7 @@ def ppcc_plot(one: IsoCalibration, shape: GivenFigure) -> Plot:
         f"mean over frames; λ by maximum likelihood {estimated(shape)}."
     )
 
-    def draw(theme: Theme) -> Figure:
-        drawing, axes = one_axes()
+    def draw(axes: Axes, theme: Theme) -> None:
         shapes, correlations = read.curve
         best, at = read.highest_correlation, read.ppcc_lambda_plain
         axes.plot(shapes, correlations, color=theme.found)
@@ -238,83 +269,164 @@ def ppcc_plot(one: IsoCalibration, shape: GivenFigure) -> Plot:
         axes.set_ylim(floor, best + 0.1 * (best - floor))
         axes.set(xlabel="λ", ylabel="correlation")
         legend_above(axes)
-        return drawing
 
     return _plot("ppcc", one, alt, draw)
 
 
-def gaussian_plot(one: IsoCalibration) -> Plot:
-    """Draw the probability plot of the residuals against the normal distribution."""
-    r_squared = digits(one.read.r_squared_gauss, 6)
-    alt = f"Quantiles of the read noise against normal ones at ISO {one.iso:g}: R² {r_squared}."
-    draw = _probability(one, one.plot.normal, one.plot.slope_normal_dn, r_squared, "normal")
-    return _plot("gaussian", one, alt, draw)
+def read_noise_plots(one: IsoCalibration) -> tuple[Plot, Plot]:
+    """Draw the probability plots of the residuals against the normal and the Tukey-lambda distribution."""
+    plot, (gauss, tukey) = one.plot, (digits(r, 6) for r in (one.read.r_squared_gauss, one.read.r_squared_tl))
+    shape = "" if one.tukey_lambda is None else f" of shape {digits(plot.shape)}"
+    start = "Quantiles of the read noise against"
+    alt = f"{start} normal ones at ISO {one.iso:g}: R² {gauss}."
+    of_shape = f"{start} those of the Tukey-lambda distribution{shape} at ISO {one.iso:g}: R² {tukey}."
 
+    def probability_plot(
+        kind: str, said: str, expected: NDArray[np.float64], slope: float, r_squared: str, family: str
+    ) -> Plot:
+        draw = partial(
+            draw_quantiles,
+            expected=expected,
+            found=plot.ordered_dn,
+            line=(slope, 0.0),
+            names=(family, "read noise"),
+            labels=(f"{family} quantile", "read noise [DN]"),
+            note=f"R² {r_squared}",
+        )
+        return _plot(kind, one, said, draw)
 
-def tukey_lambda_plot(one: IsoCalibration) -> Plot:
-    """Draw the probability plot of the residuals against the Tukey-lambda distribution."""
-    r_squared = digits(one.read.r_squared_tl, 6)
-    shape = "" if one.tukey_lambda is None else f" of shape {digits(one.plot.shape)}"
-    alt = (
-        f"Quantiles of the read noise against those of the Tukey-lambda distribution{shape} at ISO {one.iso:g}: R² "
-        f"{r_squared}."
-    )
-    draw = _probability(one, one.plot.tukey_lambda, one.plot.slope_tukey_lambda_dn, r_squared, "Tukey-lambda")
-    return _plot("tukey-lambda", one, alt, draw)
-
-
-def _probability(
-    one: IsoCalibration, quantiles: NDArray[np.float64], slope: float, r_squared: str, family: str
-) -> Callable[[Theme], Figure]:
-    return partial(
-        quantile_plot,
-        quantiles,
-        one.plot.ordered_dn,
-        (slope, 0.0),
-        names=(family, "read noise"),
-        labels=(f"{family} quantile", "read noise [DN]"),
-        note=f"R² {r_squared}",
+    return (
+        probability_plot("gaussian", alt, plot.normal, plot.slope_normal_dn, gauss, "normal"),
+        probability_plot(
+            "tukey-lambda", of_shape, plot.tukey_lambda, plot.slope_tukey_lambda_dn, tukey, "Tukey-lambda"
+        ),
     )
 
 
 # --- real against simulated ---------------------------------------------------------------------------------------
 
 
-def reproduced_quantiles_plot(one: IsoCalibration, found: Reproduction) -> Plot:
-    """Draw the quantiles of a real bias frame over those of a simulated one."""
+def reproduced_plots(one: IsoCalibration, found: Reproduction) -> tuple[Plot, Plot]:
+    """Draw the quantiles of a real bias frame over those of a simulated one, and the periodograms of their rows."""
     r_squared = digits(found.r_squared, 6)
-    alt = (
+    of_quantiles = (
         f"Quantiles of the held-out bias frame against those of a simulated one at ISO {one.iso:g}, from 0.00001 to "
         f"0.99999: R² {r_squared}."
     )
-    draw = partial(
-        quantile_plot,
-        found.quantiles_simulated_dn,
-        found.quantiles_real_dn,
-        (1.0, 0.0),
+    quantiles = partial(
+        draw_quantiles,
+        expected=found.quantiles_simulated_dn,
+        found=found.quantiles_real_dn,
+        line=(1.0, 0.0),
         names=("alike", "quantiles"),
         labels=("simulated [DN]", "real [DN]"),
         note=f"R² {r_squared}",
     )
-    return _plot("reproduced-quantiles", one, alt, draw)
-
-
-def reproduced_rows_plot(one: IsoCalibration, found: Reproduction) -> Plot:
-    """Draw the periodograms of the row means of a real and of a simulated bias frame."""
-    alt = (
+    of_rows = (
         f"Power of the row means of the held-out bias frame and of a simulated one at ISO {one.iso:g}. Standard "
         f"deviation of the row means: real {digits(found.row_sigma_real_dn)} DN, simulated "
         f"{digits(found.row_sigma_simulated_dn)} DN."
     )
 
-    def draw(theme: Theme) -> Figure:
-        drawing, axes = one_axes()
+    def rows(axes: Axes, theme: Theme) -> None:
         frequency, real, simulated = found.smoothed_row_powers_dn2(len(one.sensor.cfa))
         axes.plot(frequency, simulated, "--", color=theme.theory, label="simulated")
         axes.plot(frequency, real, "-", color=theme.found, label="real")
-        _log_power(axes)
+        _set_up_power(axes)
         axes.set(xlabel="frequency [cycles per row]", ylabel="power [DN²]")
         axes.legend(loc="upper right", ncols=2)
-        return drawing
 
-    return _plot("reproduced-rows", one, alt, draw)
+    return (
+        _plot("reproduced-quantiles", one, of_quantiles, quantiles),
+        _plot("reproduced-rows", one, of_rows, rows),
+    )
+
+
+# --- pictures -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One picture, pixel by pixel: what it is called, what it shows in words, its PNG, its columns and rows."""
+
+    label: str
+    alt: str
+    png: bytes
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """Pictures on one scale: heading, what to look for, and what the darkest and the lightest grey stand for.
+
+    ``pixelated``: whether pixels are to stay squares when enlarged.
+    """
+
+    title: str
+    caption: str
+    pictures: tuple[Picture, ...]
+    black: str
+    white: str
+    pixelated: bool
+
+
+def _pictures(
+    kind: str,
+    planes: Iterable[tuple[str, str, NDArray[Any]]],
+    scale: tuple[float, float],
+    unit: str,
+    shown: tuple[float, float] | None = None,
+    **said: str,
+) -> Pictures:
+    """Return labelled and described planes on one scale, with the words of their kind.
+
+    ``shown`` is what the scale's ends are said to be, where these are not the values themselves.
+    """
+    words = plot_words("calibration")[kind]
+    black, white = (f"{digits(limit)} {unit}" for limit in shown or scale)
+    pictures = tuple(
+        Picture(label, alt, grey_png(plane, *scale), plane.shape[1], plane.shape[0]) for label, alt, plane in planes
+    )
+    return Pictures(words["title"], words["caption"].format(**said), pictures, black, white, pixelated=unit == "DN")
+
+
+def spectrum_picture(one: IsoCalibration) -> Pictures:
+    """Show the centred power spectrum of a bias frame, in which row noise is a line."""
+    spectrum = np.asarray(one.spectrum_dn2, dtype=np.float64)
+    lines = one.spectrum_lines
+    ground, rows, columns = lines.ground_dn2, lines.rows_dn2, lines.columns_dn2
+    low, high = limits([spectrum], 0.01, 0.999)
+    low = max(low, ground / 8, 1e-9)  # of a single tile, chance alone goes far down
+    high = max(high, 2 * low)
+    found = f"{digits(rows / ground)} times the ground" if ground > 0 else f"{digits(rows)} DN²"
+    across = f"{digits(columns / ground)} times" if ground > 0 else f"{digits(columns)} DN²"
+    alt = (
+        f"Centred power spectrum of a bias frame at ISO {one.iso:g}: the vertical line of rows is {found}, the "
+        f"horizontal one of columns {across}; the ground is {digits(ground)} DN²."
+    )
+    scale = (float(np.log(low)), float(np.log(high)))
+    plane = np.log(np.maximum(spectrum, low))
+    return _pictures("spectrum", [("", alt, plane)], scale, "DN²", (low, high), rows=found, columns=across)
+
+
+def reproduced_pictures(one: IsoCalibration, found: Reproduction) -> Pictures:
+    """Show the same piece of a real bias frame and of a simulated one, on one scale."""
+    frames, sigmas = (found.real_dn, found.simulated_dn), map(digits, found.shown_sigmas_dn)
+    planes = (
+        (name, f"Piece of the {name} bias frame at ISO {one.iso:g}, standard deviation {sigma} DN.", frame)
+        for name, frame, sigma in zip(("real", "simulated"), frames, sigmas, strict=True)
+    )
+    return _pictures("reproduced", planes, limits(frames, 0.002, 0.998), "DN")
+
+
+def shading_pictures(one: IsoCalibration) -> Pictures:
+    """Show the level of blocks of the sensor over each channel's mean."""
+    planes = [block_means(plane, max(1, -(-max(plane.shape) // _SHADING_SHOWN))) for plane in one.pattern.shading_dn]
+    limit = limits([abs(plane) for plane in planes], 0, 0.99)[1]
+    described = (
+        (name, f"Shading of {name} at ISO {one.iso:g}: blocks from {low} to {high} DN around the mean.", plane)
+        for name, plane in zip(one.bias.channels, planes, strict=True)
+        for low, high in [(digits(float(plane.min())), digits(float(plane.max())))]
+    )
+    return _pictures("shading", described, (-limit, limit), "DN")

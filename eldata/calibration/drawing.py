@@ -1,49 +1,85 @@
-"""The figure of a calibration."""
+"""What of a calibration is drawn: the scales over the gain with their lines, on pages too; and its own figure."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError
-from eldata.plots.axes import drawn_grid, nothing_to_draw
-from eldata.plots.gains import bar, gain_over_iso, iso_axis, scale_over_gain, transfer_lines
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable
 
     from matplotlib.axes import Axes
 
-    from eldata.calibration.core.photon_transfer import PhotonTransfer
-    from eldata.calibration.panels import ScalePanel
+    from eldata.calibration.core.findings import Figure
+    from eldata.calibration.core.joint import LogLogEstimate
+    from eldata.calibration.results import Calibration
+    from eldata.noise.gain_modes import GainMode
     from eldata.plots.axes import Drawing, Theme
     from eldata.plots.gains import Point
 
+_SCALES: tuple[tuple[str, Figure, str, str], ...] = (
+    ("TL", "read noise", "tukey_lambda_fit", "sigma_tl_dn"),
+    ("G", "read noise", "gauss_fit", "sigma_gauss_dn"),
+    ("row", "row noise", "row_fit", "sigma_row_dn"),
+)
 
-def calibration_figure(
-    camera: str,
-    transfers: Mapping[float, tuple[tuple[str, ...], PhotonTransfer]],
-    iso: float | None,
-    gains: Sequence[Point],
-    usual: float,
-    panels: Sequence[ScalePanel],
-) -> Drawing:
-    """Draw what was found, an axes each.
 
-    Parameters
+@dataclass(frozen=True, slots=True)
+class ScalePanel:
+    """The scale of one component over K.
+
+    Attributes
     ----------
-    camera
-        For the title.
-    transfers
-        By ISO: names of the channels, and the lines.
-    iso
-        Which of them; the middle one by default.
-    gains
-        ISO, K and its standard error.
-    usual
-        The usual K / ISO.
-    panels
-        Scales over K.
+    name, figure
+        Index of its sigma, and the figure that is withheld with it.
+    lines
+        The fitted ones, with their gain modes.
+    points
+        K, scale and its standard error where both are given and a logarithmic axis can show them; never empty.
     """
+
+    name: str
+    figure: Figure
+    lines: tuple[tuple[GainMode, LogLogEstimate], ...]
+    points: tuple[Point, ...]
+
+    @property
+    def spans(self) -> list[tuple[LogLogEstimate, float, float]]:
+        """The lines, each with the lowest and the highest gain of its mode's points."""
+        spans = []
+        for mode, line in self.lines:
+            inside = [gain for gain, _, _ in self.points if mode.distance(gain) == 0]
+            spans.append((line, min(inside), max(inside)))
+        return spans
+
+
+def scale_panels(calibration: Calibration) -> tuple[ScalePanel, ...]:
+    """Return the scales over K that can be drawn: of the read noise by either model, and of the row noise."""
+    panels = []
+    for name, figure, line_of, scale_of in _SCALES:
+        points = tuple(
+            (one.gain_dn_per_e, scale.value, scale.error)
+            for one in calibration.isos
+            if one.gain_dn_per_e is not None
+            and (scale := getattr(one, scale_of)) is not None
+            and 0 < scale.value < math.inf
+        )
+        lines = ((one.mode, getattr(one, line_of)) for one in calibration.modes)
+        if points:
+            drawn = tuple((mode, line) for mode, line in lines if line is not None)
+            panels.append(ScalePanel(name, figure, drawn, points))
+    return tuple(panels)
+
+
+def calibration_figure(calibration: Calibration, iso: float | None) -> Drawing:
+    """Draw what was found, an axes each: photon transfer at an ISO, by default the middle one; K; scales over K."""
+    from eldata.plots.axes import drawn_grid, nothing_to_draw
+    from eldata.plots.gains import bar, gain_over_iso, iso_axis, scale_over_gain, transfer_lines
+
+    transfers = {one.iso: (one.channels, one.transfer) for one in calibration.all_isos if one.transfer is not None}
     known = sorted(transfers)
     if iso is not None and iso not in transfers:
         listed = ", ".join(f"{one:g}" for one in known) or "none"
@@ -58,22 +94,23 @@ def calibration_figure(
             axes.set_xlabel("signal [DN]")
 
         draws.append((f"photon transfer, ISO {chosen:g}", draw_transfer))
+    gains = [(one.iso, one.gain.value, one.gain.error) for one in calibration.all_isos if one.gain is not None]
     if gains:
 
         def draw_gains(axes: Axes, theme: Theme) -> None:
             isos, values, errors = zip(*gains, strict=True)
+            usual = calibration.usual_gain_per_iso
             gain_over_iso(axes, isos, values, [bar(error) for error in errors], usual, theme)
             iso_axis(axes, isos)
 
         draws.append(("system gain", draw_gains))
-    for panel in panels:
+    for panel in scale_panels(calibration):
 
         def draw_scales(axes: Axes, theme: Theme, panel: ScalePanel = panel) -> None:
-            scale_over_gain(
-                axes, panel.name, [(line.fit, low, high) for line, low, high in panel.spans], panel.points, theme
-            )
+            spans = [(line.fit, low, high) for line, low, high in panel.spans]
+            scale_over_gain(axes, panel.name, spans, panel.points, theme)
 
         draws.append((panel.figure if panel.name == "row" else f"{panel.figure}, {panel.name}", draw_scales))
     if not draws:
-        raise nothing_to_draw(f"the calibration of {camera}", "no ISO has flats or both K and bias frames")
-    return drawn_grid(f"Calibration of {camera}", draws)
+        raise nothing_to_draw(f"the calibration of {calibration.camera}", "no ISO has flats or both K and bias frames")
+    return drawn_grid(f"Calibration of {calibration.camera}", draws)

@@ -10,14 +10,15 @@ from eldata.base.numbers import counted
 from eldata.base.tables import text_table, with_error
 from eldata.base.visible import in_line
 from eldata.calibration.core.findings import named
+from eldata.calibration.drawing import calibration_figure, scale_panels
 from eldata.calibration.iso_results import usual_gain_per_iso
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from eldata.calibration.core.findings import GivenFigure
     from eldata.calibration.core.joint import FittedMode, LogLogEstimate
+    from eldata.calibration.drawing import ScalePanel
     from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
-    from eldata.calibration.panels import ScalePanel
     from eldata.manifest.verify_report import Problem
     from eldata.noise.profile import CameraProfile
     from eldata.plots.axes import Drawing
@@ -113,29 +114,7 @@ class Calibration:
     @property
     def scale_panels(self) -> tuple[ScalePanel, ...]:
         """The scales over K that can be drawn: of the read noise by either model, and of the row noise."""
-        from eldata.calibration.panels import scale_panel
-
-        found = (
-            scale_panel(
-                "TL",
-                "read noise",
-                [(one, one.tukey_lambda_fit) for one in self.modes],
-                [(one.gain_dn_per_e, one.sigma_tl_dn) for one in self.isos],
-            ),
-            scale_panel(
-                "G",
-                "read noise",
-                [(one, one.gauss_fit) for one in self.modes],
-                [(one.gain_dn_per_e, one.sigma_gauss_dn) for one in self.isos],
-            ),
-            scale_panel(
-                "row",
-                "row noise",
-                [(one, one.row_fit) for one in self.modes],
-                [(one.gain_dn_per_e, one.sigma_row_dn) for one in self.isos],
-            ),
-        )
-        return tuple(panel for panel in found if panel is not None)
+        return scale_panels(self)
 
     def plot(self, iso: float | None = None) -> Drawing:
         """Draw photon transfer at one ISO, K over the ISO, and the scales of the noise over K.
@@ -155,11 +134,7 @@ class Calibration:
         ArgumentError
             If there is no photon transfer at the ISO, or nothing to draw at all.
         """
-        from eldata.calibration.drawing import calibration_figure
-
-        transfers = {one.iso: (one.channels, one.transfer) for one in self.all_isos if one.transfer is not None}
-        gains = [(one.iso, one.gain.value, one.gain.error) for one in self.all_isos if one.gain is not None]
-        return calibration_figure(self.camera, transfers, iso, gains, self.usual_gain_per_iso, self.scale_panels)
+        return calibration_figure(self, iso)
 
     def __repr__(self) -> str:
         isos = ", ".join(f"{one.iso:g}" for one in self.all_isos)

@@ -186,7 +186,7 @@ class BiasAudit:
         self._first = None
 
     def _add_band(self, index: int, rows: slice, first: NDArray[np.uint16], second: NDArray[np.uint16]) -> None:
-        from eldata.calibration.core._kernels import add_sizes, standardised, variance_and_level
+        from eldata.calibration.audit._kernels import add_sizes, standardised, variance_and_level
 
         fixed, frames = self._fixed, self._fixed.frames
         total, defects, pattern = fixed.total_dn[rows], fixed.defects[rows], fixed.pattern
@@ -337,7 +337,7 @@ class Neighbours:
 
     def add_difference(self, band: NDArray[np.int16]) -> None:
         """Add rows of the standardised difference of two frames; they start with the pattern's first."""
-        from eldata.calibration.core._kernels import lag_products
+        from eldata.calibration.audit._kernels import lag_products
 
         height, width = band.shape
         lag_products(band, self._lags, self._products)
@@ -349,7 +349,7 @@ class Neighbours:
 
     def add_frame(self, band: NDArray[np.int16]) -> None:
         """Add rows of one frame less its pixels' means, standardised: what a filter has done to outliers."""
-        from eldata.calibration.core._kernels import outlier_neighbours
+        from eldata.calibration.audit._kernels import outlier_neighbours
 
         outlier_neighbours(
             band, self._offsets, self._reach, _AWAY, np.array(OUTLIERS) * _UNITS, self._wins, self._powers

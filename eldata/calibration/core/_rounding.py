@@ -24,15 +24,16 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.core._kernels import product, smoothed_tails
+from eldata.base.compiled import kernel
+from eldata.calibration.core._tukey_lambda import smoothed_tails
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
-    from typing import Any, TypeAlias
+    from typing import TypeAlias
 
     from numpy.typing import NDArray
 
@@ -435,8 +436,17 @@ def _even_nodes() -> tuple[Values, Values]:
     return np.arange(_PHASES) / _PHASES, np.full(_PHASES, 1 / _PHASES)
 
 
-def _product(left: Values | Complex, right: Complex) -> Complex:
-    """Return the matrix product without BLAS, whose threads would wait for one another at such sizes."""
-    result = np.empty((len(left), right.shape[1]), dtype=np.complex128)
-    product(left, right, result)
+@kernel
+def _product(left: NDArray[np.inexact[Any]], right: Complex) -> Complex:
+    """Return the matrix product of two small matrices, in this thread alone; entries of ``left`` near 0 cost nothing.
+
+    The threads of BLAS would wait for one another at such sizes.
+    """
+    result = np.zeros((left.shape[0], right.shape[1]), dtype=np.complex128)
+    for i in range(left.shape[0]):
+        for j in range(left.shape[1]):
+            factor = left[i, j]
+            if abs(factor) > 1e-15:
+                for k in range(right.shape[1]):
+                    result[i, k] += factor * right[j, k]
     return result

@@ -173,7 +173,7 @@ class FlatPairs(_Flats):
         ratio, so that what stays in the pixels cancels. Where a segment has an edge in it, as on a colour chart, it is
         left out: a camera that moves a tenth of a pixel would be seen there.
         """
-        from eldata.calibration.core._kernels import SEGMENT, pair_segments, segment_means
+        from eldata.calibration.core._flat_kernels import SEGMENT, pair_segments, segment_means
 
         self._check(first)
         defects = self._check(second)

@@ -45,7 +45,7 @@ class SingleFramePlot:
 
 def single_frame_plot(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> SingleFramePlot:
     """Return R^2 of the probability plots of a bias frame's sound pixels less their channels' and their rows' means."""
-    from eldata.calibration.core._kernels import offset_histogram
+    from eldata.calibration.core._kernels import residual_histogram
     from eldata.calibration.core._tukey_lambda import correlation, normal_correlation
     from eldata.calibration.core.read_noise import ppcc
 
@@ -57,8 +57,10 @@ def single_frame_plot(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> Single
     offsets = np.rint(_UNITS * (row[:, None] + level[fixed.pattern[phases]])).astype(np.int64)
     sigma = math.sqrt(float(np.mean(fixed.temporal_variance_dn2)) + max(fixed.summary.dsnu_dn) ** 2)
     step = max(1, round(_UNITS * sigma / _CELLS_PER_SIGMA)) | 1  # odd: cell 0 is symmetric
-    counts = np.zeros(2 * _HALF + 1, dtype=np.int64)
-    offset_histogram(mosaic, fixed.defects, offsets, _UNITS, step, counts)
+    of_group = np.zeros((1, 2 * _HALF + 1), dtype=np.int64)
+    nothing = np.zeros(mosaic.shape, dtype=np.uint32)
+    residual_histogram(mosaic, nothing, fixed.defects, _UNITS, offsets, step, of_group)
+    counts = of_group[0]
     filled = np.flatnonzero(counts)
     values = np.asarray((filled - _HALF) * (step / _UNITS), dtype=np.float64)
     number = counts[filled].astype(np.float64)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from eldata.calibration.core.figures import SCALES
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -14,17 +15,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from eldata.calibration.core.findings import Figure
-    from eldata.calibration.core.joint import LogLogEstimate
+    from eldata.calibration.joint import LogLogEstimate
     from eldata.calibration.results import Calibration
     from eldata.noise.gain_modes import GainMode
     from eldata.plots.axes import Drawing, Theme
     from eldata.plots.gains import Point
-
-_SCALES: tuple[tuple[str, Figure, str, str], ...] = (
-    ("TL", "read noise", "tukey_lambda_fit", "sigma_tl_dn"),
-    ("G", "read noise", "gauss_fit", "sigma_gauss_dn"),
-    ("row", "row noise", "row_fit", "sigma_row_dn"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,18 +54,17 @@ class ScalePanel:
 def scale_panels(calibration: Calibration) -> tuple[ScalePanel, ...]:
     """Return the scales over K that can be drawn: of the read noise by either model, and of the row noise."""
     panels = []
-    for name, figure, line_of, scale_of in _SCALES:
+    for scale in SCALES:
+        known = ((one.gain_dn_per_e, scale.given(one)) for one in calibration.isos)
         points = tuple(
-            (one.gain_dn_per_e, scale.value, scale.error)
-            for one in calibration.isos
-            if one.gain_dn_per_e is not None
-            and (scale := getattr(one, scale_of)) is not None
-            and 0 < scale.value < math.inf
+            (gain, found.value, found.error)
+            for gain, found in known
+            if gain is not None and found is not None and 0 < found.value < math.inf
         )
-        lines = ((one.mode, getattr(one, line_of)) for one in calibration.modes)
+        lines = ((one.mode, one.estimate(scale)) for one in calibration.modes)
         if points:
             drawn = tuple((mode, line) for mode, line in lines if line is not None)
-            panels.append(ScalePanel(name, figure, drawn, points))
+            panels.append(ScalePanel(scale.label.removeprefix("sigma_"), scale.basis or "read noise", drawn, points))
     return tuple(panels)
 
 

@@ -7,16 +7,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from eldata.calibration.core.figures import SCALES
+from eldata.calibration.iso_results import usual_gain_per_iso
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from matplotlib.axes import Axes
 
     from eldata.calibration.core.findings import Figure
-    from eldata.calibration.joint import LogLogEstimate
-    from eldata.calibration.results import Calibration
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain
+    from eldata.calibration.joint import FittedMode, LogLogEstimate
     from eldata.noise.gain_modes import GainMode
     from eldata.plots.axes import Drawing, Theme
     from eldata.plots.gains import Point
@@ -51,29 +52,31 @@ class ScalePanel:
         return spans
 
 
-def scale_panels(calibration: Calibration) -> tuple[ScalePanel, ...]:
+def scale_panels(modes: Sequence[FittedMode], isos: Sequence[IsoCalibration]) -> tuple[ScalePanel, ...]:
     """Return the scales over K that can be drawn: of the read noise by either model, and of the row noise."""
     panels = []
     for scale in SCALES:
-        known = ((one.gain_dn_per_e, scale.given(one)) for one in calibration.isos)
+        known = ((one.gain_dn_per_e, scale.given(one)) for one in isos)
         points = tuple(
             (gain, found.value, found.error)
             for gain, found in known
             if gain is not None and found is not None and 0 < found.value < math.inf
         )
-        lines = ((one.mode, one.estimate(scale)) for one in calibration.modes)
+        lines = ((one.mode, one.estimate(scale)) for one in modes)
         if points:
             drawn = tuple((mode, line) for mode, line in lines if line is not None)
             panels.append(ScalePanel(scale.label.removeprefix("sigma_"), scale.basis or "read noise", drawn, points))
     return tuple(panels)
 
 
-def calibration_figure(calibration: Calibration, iso: float | None) -> Drawing:
+def calibration_figure(
+    camera: str, isos: Sequence[IsoGain], panels: Sequence[ScalePanel], iso: float | None
+) -> Drawing:
     """Draw what was found, an axes each: photon transfer at an ISO, by default the middle one; K; scales over K."""
     from eldata.plots.axes import drawn_grid, nothing_to_draw
     from eldata.plots.gains import bar, gain_over_iso, iso_axis, scale_over_gain, transfer_lines
 
-    transfers = {one.iso: (one.channels, one.transfer) for one in calibration.all_isos if one.transfer is not None}
+    transfers = {one.iso: (one.channels, one.transfer) for one in isos if one.transfer is not None}
     known = sorted(transfers)
     if iso is not None and iso not in transfers:
         listed = ", ".join(f"{one:g}" for one in known) or "none"
@@ -88,17 +91,17 @@ def calibration_figure(calibration: Calibration, iso: float | None) -> Drawing:
             axes.set_xlabel("signal [DN]")
 
         draws.append((f"photon transfer, ISO {chosen:g}", draw_transfer))
-    gains = [(one.iso, one.gain.value, one.gain.error) for one in calibration.all_isos if one.gain is not None]
+    gains = [(one.iso, one.gain.value, one.gain.error) for one in isos if one.gain is not None]
     if gains:
 
         def draw_gains(axes: Axes, theme: Theme) -> None:
-            isos, values, errors = zip(*gains, strict=True)
-            usual = calibration.usual_gain_per_iso
-            gain_over_iso(axes, isos, values, [bar(error) for error in errors], usual, theme)
-            iso_axis(axes, isos)
+            known, values, errors = zip(*gains, strict=True)
+            usual = usual_gain_per_iso(isos)
+            gain_over_iso(axes, known, values, [bar(error) for error in errors], usual, theme)
+            iso_axis(axes, known)
 
         draws.append(("system gain", draw_gains))
-    for panel in scale_panels(calibration):
+    for panel in panels:
 
         def draw_scales(axes: Axes, theme: Theme, panel: ScalePanel = panel) -> None:
             spans = [(line.fit, low, high) for line, low, high in panel.spans]
@@ -106,5 +109,5 @@ def calibration_figure(calibration: Calibration, iso: float | None) -> Drawing:
 
         draws.append((panel.figure if panel.name == "row" else f"{panel.figure}, {panel.name}", draw_scales))
     if not draws:
-        raise nothing_to_draw(f"the calibration of {calibration.camera}", "no ISO has flats or both K and bias frames")
-    return drawn_grid(f"Calibration of {calibration.camera}", draws)
+        raise nothing_to_draw(f"the calibration of {camera}", "no ISO has flats or both K and bias frames")
+    return drawn_grid(f"Calibration of {camera}", draws)

@@ -15,7 +15,7 @@ from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.acceptance.reproduction import compared_piece, reproduction
-from eldata.calibration.audit.bias_checks import BiasSeen, bias_findings
+from eldata.calibration.audit.bias_checks import bias_findings
 from eldata.calibration.audit.bias_sums import BiasAudit, BiasStatistics
 from eldata.calibration.audit.flat_checks import edge_findings, flat_findings, saturation_findings
 from eldata.calibration.audit.frame_checks import (
@@ -26,7 +26,7 @@ from eldata.calibration.audit.frame_checks import (
     uneven_light,
 )
 from eldata.calibration.audit.frames import FrameReader, FramesError
-from eldata.calibration.audit.steps import code_step, missing_codes
+from eldata.calibration.audit.steps import BiasSeen, code_step, missing_codes
 from eldata.calibration.audit.structure import ResponsePattern, measured_structure
 from eldata.calibration.audit.telegraph import TelegraphGroups
 from eldata.calibration.core.bias_figures import BiasFigures, BiasSums

@@ -119,7 +119,7 @@ class Calibration:
     @property
     def scale_panels(self) -> tuple[ScalePanel, ...]:
         """The scales over K that can be drawn: of the read noise by either model, and of the row noise."""
-        return scale_panels(self)
+        return scale_panels(self.modes, self.isos)
 
     def plot(self, iso: float | None = None) -> Drawing:
         """Draw photon transfer at one ISO, K over the ISO, and the scales of the noise over K.
@@ -139,7 +139,7 @@ class Calibration:
         ArgumentError
             If there is no photon transfer at the ISO, or nothing to draw at all.
         """
-        return calibration_figure(self, iso)
+        return calibration_figure(self.camera, self.all_isos, self.scale_panels, iso)
 
     def __repr__(self) -> str:
         isos = ", ".join(f"{one.iso:g}" for one in self.all_isos)

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eldata.calibration.audit.bias_sums import OUTLIERS
 from eldata.calibration.audit.row_waves import row_waves
-from eldata.calibration.audit.steps import OF_LIGHTER_TAILS, Ripple, coarse_values
+from eldata.calibration.audit.steps import OF_LIGHTER_TAILS, BiasSeen, Ripple, coarse_values
 from eldata.calibration.core.findings import (
     CHANCE,
     CORRELATED,
@@ -33,8 +32,7 @@ if TYPE_CHECKING:
 
     from eldata.calibration.audit.bias_sums import BiasStatistics, NeighbourStatistics
     from eldata.calibration.core.findings import Figure, Finding
-    from eldata.calibration.core.read_noise import ReadNoise
-    from eldata.calibration.core.row_noise import ColourBias, RowNoise
+    from eldata.calibration.core.row_noise import ColourBias
 
 _LOW_SHARE = 0.05  # of the blocks, the darkest: taken for those without light
 _MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias; in loud noise this share of its standard deviation
@@ -48,53 +46,6 @@ _LEAST_STAYING = 0.02  # of the levels' variance: what stays from frame to frame
 _EXPONENTIAL = 2.0  # skewness of a dark signal over the pixels
 _SURELY = 2.0  # standard errors
 _FAINT_RIPPLE = 1e-3  # of sizes: the sum of sizes of a pixel then tells nothing of rounding
-
-
-@dataclass(frozen=True, eq=False)
-class BiasSeen:
-    """What the checks of bias frames are told.
-
-    Attributes
-    ----------
-    statistics
-        What :class:`~eldata.calibration.audit.bias_sums.BiasAudit` has summed up.
-    bias, rows, read
-        The figures from the same frames, with their errors: a finding that matters less is a remark.
-    step, gaps
-        What :func:`~eldata.calibration.audit.steps.code_step` and :func:`~eldata.calibration.audit.steps.missing_codes`
-        say of a frame.
-    is_clipped
-        Whether values end at 0. The clip makes noise smaller where the level is lower, and goes for one side alone, so
-        that neither tells of light, unlike pixels or lopsided noise.
-    gain_dn_per_e
-        K, if it is known: dark current makes the variance grow by it with each DN, and two levels by what they like.
-    """
-
-    statistics: BiasStatistics
-    bias: ColourBias
-    rows: RowNoise
-    read: ReadNoise
-    step: int = 1
-    gaps: float = 0.0
-    is_clipped: bool = False
-    gain_dn_per_e: float | None = None
-
-    @cached_property
-    def ripple(self) -> Ripple:
-        """What rounding does to the noise."""
-        return Ripple.of(self.read.tukey_lambda, self.read.sigma_tl_dn / self.step_dn)
-
-    @property
-    def step_dn(self) -> float:
-        """How far recorded values lie apart in the mean."""
-        return self.step if self.step > 1 else 1 / (1 - self.gaps)
-
-    @property
-    def read_error(self) -> float:
-        """The smallest relative error among the figures of the read noise."""
-        read = self.read
-        of_scales = read.sigma_tl_error_dn / read.sigma_tl_dn, read.sigma_gauss_error_dn / read.sigma_gauss_dn
-        return min(read.tukey_lambda_error, *of_scales)
 
 
 def bias_findings(seen: BiasSeen) -> tuple[Finding, ...]:

@@ -1,9 +1,10 @@
-"""The steps that recorded values go by, which ones of them never occur, and what rounding to them does to noise."""
+"""The steps that recorded values go by, which of them never occur, and what rounding does to what checks are told."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,8 +16,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit.bias_checks import BiasSeen
+    from eldata.calibration.audit.bias_sums import BiasStatistics
     from eldata.calibration.core.findings import Finding
+    from eldata.calibration.core.read_noise import ReadNoise
+    from eldata.calibration.core.row_noise import ColourBias, RowNoise
 
 GAPS = 0.02
 """Share of DN values that never occur, from which on it is told."""
@@ -111,6 +114,52 @@ class Ripple:
         typical, ripple = table.mean(axis=0), np.ptp(table, axis=0)
         mean, variance, size = ripple[:3] / (math.sqrt(typical[1]), typical[1], typical[2])
         return cls(float(mean), float(variance), float(size), float(ripple[3]))
+
+
+@dataclass(frozen=True, eq=False)
+class BiasSeen:
+    """What the checks of bias frames are told.
+
+    Attributes
+    ----------
+    statistics
+        What :class:`~eldata.calibration.audit.bias_sums.BiasAudit` has summed up.
+    bias, rows, read
+        The figures from the same frames, with their errors: a finding that matters less is a remark.
+    step, gaps
+        What :func:`code_step` and :func:`missing_codes` say of a frame.
+    is_clipped
+        Whether values end at 0. The clip makes noise smaller where the level is lower, and goes for one side alone, so
+        that neither tells of light, unlike pixels or lopsided noise.
+    gain_dn_per_e
+        K, if it is known: dark current makes the variance grow by it with each DN, and two levels by what they like.
+    """
+
+    statistics: BiasStatistics
+    bias: ColourBias
+    rows: RowNoise
+    read: ReadNoise
+    step: int = 1
+    gaps: float = 0.0
+    is_clipped: bool = False
+    gain_dn_per_e: float | None = None
+
+    @cached_property
+    def ripple(self) -> Ripple:
+        """What rounding does to the noise."""
+        return Ripple.of(self.read.tukey_lambda, self.read.sigma_tl_dn / self.step_dn)
+
+    @property
+    def step_dn(self) -> float:
+        """How far recorded values lie apart in the mean."""
+        return self.step if self.step > 1 else 1 / (1 - self.gaps)
+
+    @property
+    def read_error(self) -> float:
+        """The smallest relative error among the figures of the read noise."""
+        read = self.read
+        of_scales = read.sigma_tl_error_dn / read.sigma_tl_dn, read.sigma_gauss_error_dn / read.sigma_gauss_dn
+        return min(read.tukey_lambda_error, *of_scales)
 
 
 def coarse_values(seen: BiasSeen) -> Iterator[Finding]:

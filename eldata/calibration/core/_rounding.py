@@ -30,6 +30,7 @@ import numpy as np
 
 from eldata.base.compiled import kernel
 from eldata.calibration.core._tukey_lambda import smoothed_tails
+from eldata.calibration.core.row_noise import OffsetResponse, normal_nodes
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
@@ -48,8 +49,6 @@ _NEGLIGIBLE = 1e-7  # amplitude of what rounding adds; a hundred million residua
 _PER_DN = 16  # values of the density of noise and rounding per DN
 _REACH = 25.0  # standard deviations at which that density ends; further out the independent model does
 _FRACTION_ERROR = 0.02, 0.5  # of expected waves, and of what takes the non-uniformity for normal
-_NODE_DN = 0.04  # spacing of row offsets: HARMONICS turns per DN are still resolved
-_NODES_REACH = 5.0
 _WIDE_DN = 1.0  # of row offsets: beyond, residuals depend on them by their fraction of a DN alone, and that is even
 _PHASES = 128  # of these
 _LEAST_BLUR_DN2 = 1e-5  # of row means, whose sum over waves would not end: 1/300 DN, where they are taken to 1/n DN
@@ -95,49 +94,6 @@ class LevelFractions:
         turns = np.exp(2j * math.pi * np.outer(np.arange(frames), harmonics) / frames)
         waves = self.remainders @ turns / np.maximum(self.pixels, 1)[..., None]
         return np.concatenate([waves.real, waves.imag], axis=2)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OffsetResponse:
-    """By how much the recorded values of a row move, on average over its pixels, when an offset moves what is recorded.
-
-    Attributes
-    ----------
-    offsets_dn
-        A grid of offsets, ascending.
-    seen_dn
-        (kinds of rows, offsets): the mean recorded values less those at offset 0.
-    shares
-        Of the kinds of rows.
-    relative_error
-        Standard error of the standard deviation that :meth:`sigma_dn` returns, by what is not known of the response.
-    """
-
-    offsets_dn: Values = field(repr=False)
-    seen_dn: Values = field(repr=False)
-    shares: Values = field(repr=False)
-    relative_error: float = 0.0
-
-    def seen(self, nodes: Values) -> Values:
-        """Return what is recorded, (kinds of rows, nodes)."""
-        return np.stack([np.interp(nodes, self.offsets_dn, of_kind) for of_kind in self.seen_dn])
-
-    def seen_variance_dn2(self, sigma_dn: float) -> float:
-        """Return the variance of what is recorded under normal offsets of this standard deviation."""
-        nodes, chances = normal_nodes(sigma_dn)
-        seen = self.seen(nodes)
-        return float(self.shares @ (seen**2 @ chances - (seen @ chances) ** 2))
-
-    def sigma_dn(self, seen_variance_dn2: float) -> float:
-        """Return the standard deviation of the normal offsets of which this variance is recorded."""
-        from scipy.optimize import brentq
-
-        if seen_variance_dn2 <= 0:
-            return 0.0
-        highest = float(self.offsets_dn[-1]) / _NODES_REACH
-        if self.seen_variance_dn2(highest) <= seen_variance_dn2:
-            return math.sqrt(seen_variance_dn2)
-        return float(brentq(lambda sigma: self.seen_variance_dn2(sigma) - seen_variance_dn2, 0.0, highest, xtol=1e-9))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -419,16 +375,6 @@ def _response(noise: _Noise, levels: Complex, rows: Values) -> OffsetResponse:
     offsets = np.arange(-64 * periods, 64 * periods + 1) / 64
     whole = np.concatenate([np.tile(wave, 2 * periods), wave[:, :1]], axis=1)
     return OffsetResponse(offsets, offsets + whole - wave[:, :1], shares)
-
-
-def normal_nodes(sigma: float) -> tuple[Values, Values]:
-    """Return nodes and weights of a normal distribution, fine enough for what turns HARMONICS times per DN."""
-    if sigma < 1e-4:
-        return np.zeros(1), np.ones(1)
-    count = 2 * math.ceil(max(_NODES_REACH * sigma / _NODE_DN, 12)) + 1
-    nodes = np.linspace(-_NODES_REACH, _NODES_REACH, count)
-    shares = np.exp(-0.5 * nodes**2)
-    return nodes * sigma, shares / shares.sum()
 
 
 def _even_nodes() -> tuple[Values, Values]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -121,10 +121,10 @@ def test_unusable_stacks() -> None:
         stack.add(frame)
     with pytest.raises(DatasetError, match="4 are needed, ten or more advised"):
         fixed_pattern(stack)
-    with pytest.raises(ArgumentError, match="one orientation"):
-        stack.add(frames[0].T.copy())
-    with pytest.raises(ArgumentError, match="uint16"):
-        stack.add(frames[0].astype(np.int32))
+    unfit: Any
+    for unfit, word in ((frames[0].T.copy(), "one orientation"), (frames[0].astype(np.int32), "uint16")):
+        with pytest.raises(ArgumentError, match=word):
+            stack.add(unfit)
     with pytest.raises(ArgumentError, match="two periods"):
         BiasStack(XTRANS).add(frames[0][:8])
     with pytest.raises(ArgumentError, match="unsupported CFA"):
@@ -212,12 +212,6 @@ def test_rows_that_are_not_normal_fail_the_test() -> None:
     assert rows.shapiro_p < 1e-6
 
 
-def test_other_frames_than_the_patterns_are_refused() -> None:
-    frames = Body(CAMERA, np.random.default_rng(12)).bias_frames(4)
-    with pytest.raises(DatasetError, match="add the same frames again"):
-        row_noise(lines(stacked(CAMERA, frames), frames[:1]))
-
-
 # --- colour bias --------------------------------------------------------------------------------------------------
 
 
@@ -251,11 +245,12 @@ def test_hot_pixels_shift_a_bias_that_is_not_masked() -> None:
     assert colour_bias(plain, [512.0] * 4).bias_dn[0] > camera.bias[0] + 0.5
 
 
-def test_unusable_bias() -> None:
+def test_unusable_lines_and_levels() -> None:
     frames = Body(CAMERA, np.random.default_rng(15)).bias_frames(4)
     fixed = stacked(CAMERA, frames)
-    with pytest.raises(DatasetError, match="add the same frames again"):
-        colour_bias(lines(fixed, frames[:1]), [512.0] * 4)
+    for figures in (row_noise, lambda means: colour_bias(means, [512.0] * 4)):
+        with pytest.raises(DatasetError, match="add the same frames again"):
+            figures(lines(fixed, frames[:1]))
     with pytest.raises(ArgumentError, match="black levels"):
         colour_bias(lines(fixed, frames), [512.0] * 3)
 

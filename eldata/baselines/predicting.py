@@ -22,10 +22,10 @@ from eldata.baselines.prediction_folder import ANSWERS, begun, remarks_on
 from eldata.baselines.signal_noise import SignalNoise, noise_of_image, noise_of_parameters
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.layouts import stem_of
+from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame
 from eldata.evaluation.pairs import amplified_by, files_of, frames_of, iso_of, place_of, reference_of
 from eldata.evaluation.planning import plan_scoring, require_pairs
 from eldata.evaluation.predictions import save_prediction
-from eldata.evaluation.references import less_shading, levels_dn, normalised_frame
 from eldata.evaluation.request import make_request
 from eldata.manifest.card import CHANNELS
 from eldata.manifest.clips import clips_of, setting_name

@@ -26,7 +26,8 @@ from eldata.calibration.results import Calibration
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
 from eldata.manifest.verify_report import Problem
-from eldata.noise.profile import CameraProfile, ProfileRow, profile_of
+from eldata.noise.gain_modes import ProfileRow
+from eldata.noise.profile import CameraProfile, profile_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -5,10 +5,9 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, each_of, whole_number
+from eldata.base.console import OK, PROBLEMS, add_examples, add_shared, each_of, whole_number
 from eldata.base.files import write_json
 from eldata.base.outputs import PROFILE, FileKind, add_output, page_kind
-from eldata.base.parsing import add_examples
 
 if TYPE_CHECKING:
     import argparse
@@ -212,7 +211,8 @@ def run_import(arguments: argparse.Namespace) -> int:
 def run_list(arguments: argparse.Namespace) -> int:
     """List the shipped profiles."""
     from eldata.base.tables import text_table
-    from eldata.noise.profile import CameraProfile, shipped_profiles
+    from eldata.noise.profile import CameraProfile
+    from eldata.noise.profile_files import shipped_profiles
 
     profiles = {name: CameraProfile.load(name) for name in shipped_profiles()}
     rows = []

@@ -24,8 +24,7 @@ from eldata.calibration.audit.frames import FramesError
 from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile, NoiseModel
-from eldata.noise.gain_modes import LogLogFit
-from eldata.noise.profile import ProfileRow
+from eldata.noise.gain_modes import LogLogFit, ProfileRow
 from tests.calibration.faults import drift, telegraph
 from tests.calibration.judged import Specimen, judged, truth
 from tests.calibration.simulation import XTRANS, Camera

@@ -7,7 +7,7 @@ import pytest
 
 from eldata.errors import ArgumentError
 from eldata.noise import NoiseParameters
-from eldata.noise.packed_rows import channel_bias_dn, packed_rows
+from eldata.noise.mosaic import channel_bias_dn, packed_rows
 from eldata.raw.cfa import XTRANS_CFA, pack, packed_area
 from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, NONA, QUAD, XTRANS, XTRANS_COLOURS, Cfa

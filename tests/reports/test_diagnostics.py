@@ -24,7 +24,8 @@ from eldata.calibration.acceptance.verdicts import SIGNALS_E, Diagnostics, Theor
 from eldata.errors import ArgumentError
 from eldata.noise.components import PAPER_MODELS
 from eldata.noise.parameters import NoiseParameters
-from eldata.noise.profile import CameraProfile, shipped_profiles
+from eldata.noise.profile import CameraProfile
+from eldata.noise.profile_files import shipped_profiles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

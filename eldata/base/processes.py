@@ -164,8 +164,13 @@ class Processes:
 
     def end_idle(self) -> None:
         """End the processes that have nothing to do."""
-        while self._idle:
-            process = self._idle.pop()
+        ending: list[_Process] = []
+        with suppress(IndexError):  # another thread may take one meanwhile
+            while True:
+                ending.append(self._idle.pop())
+        for process in ending:
+            process.dismiss()  # all before the first is waited for
+        for process in ending:
             self._all.discard(process)
             process.end()
 
@@ -246,12 +251,16 @@ class _Process:
         self.is_new = False
         return answer  # type: ignore[no-any-return]
 
+    def dismiss(self) -> None:
+        """Let it end when it has nothing to do."""
+        with suppress(OSError):  # it did not take all that was sent
+            self._to.close()
+
     def end(self) -> int:
         """Close the streams; return the exit code, minus the signal if one ended it, once it has ended."""
         from subprocess import TimeoutExpired
 
-        with suppress(OSError):  # it did not take all that was sent
-            self._to.close()
+        self.dismiss()
         try:
             code = self._process.wait(_GRACE_S)
         except TimeoutExpired:

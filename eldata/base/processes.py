@@ -164,10 +164,7 @@ class Processes:
 
     def end_idle(self) -> None:
         """End the processes that have nothing to do."""
-        ending: list[_Process] = []
-        with suppress(IndexError):  # another thread may take one meanwhile
-            while True:
-                ending.append(self._idle.pop())
+        ending, self._idle = self._idle, []
         for process in ending:
             process.dismiss()  # all before the first is waited for
         for process in ending:

@@ -272,6 +272,7 @@ SHOWN = (
         "eldata.base",
         "eldata.plots",
         "eldata.calibration.acceptance.verdicts",
+        "eldata.calibration.audit.structure",  # declares its figures
         "eldata.reports",
     ),
     # Words of results and protocols; what of a result is chosen, grouped and decoded to be looked at.

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from eldata.base.memory import scratch
 from eldata.base.numbers import checked_number
-from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import sequence_of
 from eldata.noise.exposures import check_normalised
@@ -50,7 +50,7 @@ class CleanSource(Protocol):
 
 
 class ClipSource(Protocol):
-    """What :class:`~eldata.datasets.synthetic_clips.SyntheticClips` draws from: for each clip, its frames in order."""
+    """What :class:`~eldata.datasets.synthetic.SyntheticClips` draws from: for each clip, its frames in order."""
 
     def __len__(self) -> int:
         """Return the number of clips."""
@@ -371,7 +371,7 @@ class ArrayClips(SomeClips[Arrays]):
 
 
 class StoredClips(SomeClips[SomeFrames]):
-    """Clean clips of a store, for :class:`~eldata.datasets.synthetic_clips.SyntheticClips`: only the crops are read.
+    """Clean clips of a store, for :class:`~eldata.datasets.synthetic.SyntheticClips`: only the crops are read.
 
     The store is of a folder of clean raws (``eldata pack FOLDER``); each folder in it that holds raws is a clip, as in
     :class:`RawClips`, and items are the same.

@@ -30,8 +30,9 @@ if TYPE_CHECKING:
     from typing import Any
 
     from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
-    from eldata.calibration.acceptance.verdicts import Diagnostics, Quantiles, TheoryCheck
+    from eldata.calibration.acceptance.verdicts import Diagnostics, TheoryCheck
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 
@@ -92,7 +93,7 @@ def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
     of_rows, read = f"{len(diagnostics.profile.rows)} calibration rows", _read_letters(diagnostics)
     fit = (
         "over the gain: the profile's line with its bands of 1 and 2 standard deviations, and where "
-        f"{diagnostics.draws.gain_dn_per_e.size} sampled parameters fall."
+        f"{len(diagnostics.draws)} sampled parameters fall."
     )
     biases = "Mean of a bias frame in R, G1, B and G2, found and expected. " + _worst(diagnostics.colour_bias)
     below = 2.6  # of the heights, with deviations in standard errors below
@@ -111,9 +112,9 @@ def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
             None,
         ),
     ]
-    if diagnostics.quantiles is not None:
+    if diagnostics.quantiles_dn is not None:
         alt = "Probability plot of the read noise alone against its model. " + _worst(diagnostics.read)
-        wanted.insert(4, ("read-noise", alt, partial(_draw_read_noise, diagnostics.quantiles), below))
+        wanted.insert(4, ("read-noise", alt, partial(_draw_read_noise, diagnostics.quantiles_dn), below))
     return tuple(
         draw_plot("profile", kind, alt, partial(draw, diagnostics), ratio=ratio, words={"read": read})
         for kind, alt, draw, ratio in wanted
@@ -225,11 +226,14 @@ def _draw_row_means(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
     )
 
 
-def _draw_read_noise(quantiles: Quantiles, diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
+def _draw_read_noise(
+    quantiles_dn: NDArray[np.float64], diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme
+) -> None:
     _draw_deviations(below, diagnostics.read, [item.expected for item in diagnostics.read], theme)
-    ends = quantiles.expected_dn[[0, -1]]
+    expected, found = quantiles_dn
+    ends = expected[[0, -1]]
     main.plot(ends, ends, color=theme.theory, label="closed form")
-    main.plot(quantiles.expected_dn, quantiles.found_dn, "o", markersize=3, color=theme.found, label="simulated")
+    main.plot(expected, found, "o", markersize=3, color=theme.found, label="simulated")
     main.set_ylabel("found quantile [DN]")
     main.legend(loc="upper left")
     family = {"G": "Gaussian", "TL": "Tukey-lambda"}[_read_letters(diagnostics)]
@@ -240,13 +244,14 @@ def _draw_fit(which: str, diagnostics: Diagnostics, axes: Axes, theme: Theme) ->
     """Draw a log-log fit by gain mode with its bands, the draws, the measured rows and the draw that is examined."""
     modes, draws, read = diagnostics.profile.gain_modes, diagnostics.draws, _read_letters(diagnostics)
     if which == "row":
-        name, field, scales, fits = "row", "sigma_row_dn", draws.sigma_row_dn, [mode.row_fit for mode in modes]
+        name, field, fits = "row", "sigma_row_dn", [mode.row_fit for mode in modes]
     else:
-        name, field, scales = read, {"G": "sigma_gauss_dn", "TL": "sigma_tl_dn"}[read], draws.sigma_read_dn
+        name, field = read, {"G": "sigma_gauss_dn", "TL": "sigma_tl_dn"}[read]
         fits = [read_fit(mode, diagnostics.model.components) for mode in modes]
     lines = [(fit, *mode.gain_range_dn_per_e) for fit, mode in zip(fits, modes, strict=True)]
     fit_bands(axes, lines, theme)
-    axes.plot(draws.gain_dn_per_e, scales, "o", markersize=2.5, alpha=0.75, color=theme.found, label="sampled")
+    gains, scales = [draw.gain_dn_per_e for draw in draws], [getattr(draw, field) for draw in draws]
+    axes.plot(gains, scales, "o", markersize=2.5, alpha=0.75, color=theme.found, label="sampled")
     measured = [
         (row.gain_dn_per_e, scale)
         for row in diagnostics.profile.rows

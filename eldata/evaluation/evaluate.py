@@ -25,8 +25,7 @@ from eldata.evaluation.predictions import (
 )
 from eldata.evaluation.request import ALL, SETTINGS, EvaluationOptions, Request, make_request, stated_shading
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
-from eldata.evaluation.scores import EvaluationProblem
-from eldata.evaluation.table import short_digest
+from eldata.evaluation.scores import EvaluationProblem, short_digest
 from eldata.evaluation.units import Contender, score_plans
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.kinds import IMAGES

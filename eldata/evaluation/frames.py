@@ -346,7 +346,7 @@ def _rendered(
     prediction: NDArray[Any], target: NDArray[Any], sensor: Sensor, rules: ScoringRules, factor: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return a packed raw prediction, rescaled in raw, and its reference in sRGB, (3, h, w) of the codes of 8 bits."""
-    from eldata.isp.srgb_pairs import render_pair_for_scoring
+    from eldata.isp.rendering import render_pair_for_scoring
 
     treated = as_scored(prediction, rules, factor, np.float64)
     first, second = render_pair_for_scoring(treated, target, sensor)

@@ -17,8 +17,7 @@ from eldata.evaluation.results import THE_INPUT, EvaluationResult, nothing_score
 from eldata.evaluation.saved import load_results
 from eldata.evaluation.tasks import Task
 from eldata.manifest.catalogue import known_names
-from eldata.protocols.clips import ClipProtocol
-from eldata.protocols.protocol import NO_SHADING, Protocol
+from eldata.protocols.protocol import NO_SHADING, ClipProtocol, Protocol
 
 if TYPE_CHECKING:
     from eldata.base.workers import AnyWorkers

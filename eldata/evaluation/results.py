@@ -16,13 +16,23 @@ from eldata.base.numbers import counted
 from eldata.base.tables import latex_table, markdown_table, markdown_text, text_table, wrapped
 from eldata.base.visible import in_line
 from eldata.evaluation.pairs import name_of
-from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, finite_values, json_object
-from eldata.evaluation.table import PaperTable, TableRow, paper_table, short_digest, table_of
+from eldata.evaluation.scores import (
+    EvaluationProblem,
+    PaperTable,
+    TableRow,
+    UnitScore,
+    csv_number,
+    finite_values,
+    json_object,
+    paper_table,
+    short_digest,
+    table_of,
+)
 from eldata.evaluation.tasks import stated_figure
 from eldata.manifest.clips import ClipRecord
-from eldata.protocols.comparability import comparability
 from eldata.protocols.digests import CHOOSING, OF_INPUT
 from eldata.protocols.protocol import NO_SHADING
+from eldata.protocols.words import comparability
 from eldata.records import PairRecord
 
 if TYPE_CHECKING:
@@ -264,7 +274,7 @@ class EvaluationResult:
         return self.laid_out(self.kind.heads, [row.texts(self.kind) for row in self.table])
 
     def laid_out(self, names: Sequence[str], texts: Sequence[Sequence[str]], times: str = "x") -> PaperTable:
-        """Return texts for each row of the table laid out by :func:`~eldata.evaluation.table.paper_table`."""
+        """Return texts for each row of the table laid out by :func:`~eldata.evaluation.scores.paper_table`."""
         one_camera = self.provenance.get("cameras", "all") == "all"
         return paper_table(self.table, names, texts, one_camera=one_camera, times=times)
 

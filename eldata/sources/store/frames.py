@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.errors import DatasetError
 from eldata.manifest.pairs import select_pairs
-from eldata.protocols.choosing import default_protocol
+from eldata.protocols.named import default_protocol
 from eldata.records import FrameRecord
 from eldata.sources.frames import Frame
 from eldata.sources.store.format import StoredFrame, StoredRgb

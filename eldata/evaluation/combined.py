@@ -10,8 +10,8 @@ from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
 from eldata.base.tables import text_table, wrapped
 from eldata.base.visible import in_line
-from eldata.evaluation.results import nothing_scored, problem_lines, write_scores
-from eldata.evaluation.scores import json_object, mean
+from eldata.evaluation.results import write_scores
+from eldata.evaluation.scores import json_object, mean, nothing_scored, problem_lines
 from eldata.protocols.digests import CHOOSING, OF_INPUT
 from eldata.protocols.words import comparability
 

@@ -24,7 +24,9 @@ from eldata.evaluation.scores import (
     csv_number,
     finite_values,
     json_object,
+    nothing_scored,
     paper_table,
+    problem_lines,
     short_digest,
     table_of,
 )
@@ -54,10 +56,6 @@ if TYPE_CHECKING:
 
 THE_INPUT = "none: the input itself"
 """In the provenance in place of the folder of predictions."""
-
-_LINES_SHOWN = 20  # of problems
-_ALIKE = 3  # of one reason stand together
-_NAMES_SHOWN = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -418,44 +416,3 @@ def write_scores(results: Sequence[EvaluationResult], path: Path | str, *, named
         for row in (score.row(result.kind) for score in result.scores)
     )
     write_text(path, csv_text((*(("protocol",) if named else ()), *columns), rows))
-
-
-def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
-    """Return problems as lines of text, the first of many; those that are alike stand together, by folder."""
-    alike: dict[str, list[str]] = {}
-    for problem in problems:
-        alike.setdefault(problem.reason, []).append(problem.path)
-    lines: list[str] = []
-    shown = 0
-    for reason, paths in alike.items():
-        if len(paths) < _ALIKE:
-            rows = [(1, str(EvaluationProblem(path, reason))) for path in paths]
-        else:
-            lines += [in_line(f"{len(paths)} alike: {reason}")] if len(lines) < _LINES_SHOWN else []
-            rows = _by_folder(paths)
-        for count, row in rows[: max(_LINES_SHOWN - len(lines), 0)]:
-            lines.append(row)
-            shown += count
-    if shown < len(problems):
-        lines.append(f"... and {len(problems) - shown} more (--json FILE lists all)")
-    return lines
-
-
-def _by_folder(paths: Sequence[str]) -> list[tuple[int, str]]:
-    """Return a line for each folder that files are in, the first of many by name, and how many they are."""
-    folders: dict[str, list[str]] = {}
-    for path in paths:
-        folder, _, name = path.rpartition("/")
-        folders.setdefault(folder, []).append(name)
-    rows = []
-    for folder, names in folders.items():
-        more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
-        rows.append(
-            (len(names), in_line(f"  {folder + ': ' if folder else ''}{', '.join(names[:_NAMES_SHOWN])}{more}"))
-        )
-    return rows
-
-
-def nothing_scored(problems: Sequence[EvaluationProblem]) -> str:
-    """Return that nothing was scored, in a line."""
-    return f"nothing was scored: {counted(len(problems), 'problem')}"

@@ -7,6 +7,7 @@ import re
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.numbers import counted
 from eldata.base.visible import in_line
 from eldata.evaluation.pairs import ratio_of
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
@@ -334,3 +335,56 @@ def cameras_in_order(cameras: Iterable[str], dataset: str) -> list[str]:
     known = list(shipped_manifest(dataset).card.cameras) if dataset in shipped_names() else []
     found = set(cameras)
     return [name for name in known if name in found] + sorted(found.difference(known), key=natural)
+
+
+# --- problems in words ------------------------------------------------------------------------------------------------
+
+
+_LINES_SHOWN = 20  # of problems
+
+
+_ALIKE = 3  # of one reason stand together
+
+
+_NAMES_SHOWN = 6
+
+
+def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
+    """Return problems as lines of text, the first of many; those that are alike stand together, by folder."""
+    alike: dict[str, list[str]] = {}
+    for problem in problems:
+        alike.setdefault(problem.reason, []).append(problem.path)
+    lines: list[str] = []
+    shown = 0
+    for reason, paths in alike.items():
+        if len(paths) < _ALIKE:
+            rows = [(1, str(EvaluationProblem(path, reason))) for path in paths]
+        else:
+            lines += [in_line(f"{len(paths)} alike: {reason}")] if len(lines) < _LINES_SHOWN else []
+            rows = _by_folder(paths)
+        for count, row in rows[: max(_LINES_SHOWN - len(lines), 0)]:
+            lines.append(row)
+            shown += count
+    if shown < len(problems):
+        lines.append(f"... and {len(problems) - shown} more (--json FILE lists all)")
+    return lines
+
+
+def _by_folder(paths: Sequence[str]) -> list[tuple[int, str]]:
+    """Return a line for each folder that files are in, the first of many by name, and how many they are."""
+    folders: dict[str, list[str]] = {}
+    for path in paths:
+        folder, _, name = path.rpartition("/")
+        folders.setdefault(folder, []).append(name)
+    rows = []
+    for folder, names in folders.items():
+        more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
+        rows.append(
+            (len(names), in_line(f"  {folder + ': ' if folder else ''}{', '.join(names[:_NAMES_SHOWN])}{more}"))
+        )
+    return rows
+
+
+def nothing_scored(problems: Sequence[EvaluationProblem]) -> str:
+    """Return that nothing was scored, in a line."""
+    return f"nothing was scored: {counted(len(problems), 'problem')}"

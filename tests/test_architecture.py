@@ -323,8 +323,7 @@ WRITES = {
     "eldata.protocols.digests": "what a digest is made of",
     "eldata.reports.evaluation": "one value of a setting in a sentence",
     "eldata.sources.shards.index": "an index with one line per shard, and a sample's own JSON",
-    "eldata.sources.store.format": "attributes of an HDF5 store",
-    "eldata.sources.store.table": "a data set of an HDF5 store, without spaces: it is as long as there are frames",
+    "eldata.sources.store.format": "a data set of an HDF5 store, a line a frame",
     "capture.checklist": "what a digest is made of, and a script's data",
 }
 
@@ -438,7 +437,10 @@ def test_banned_constructs_do_not_occur() -> None:
         "subprocess.run(text, shell=True)",
     ):
         assert len(banned_in(ast.parse(source))) == 1, source
-    assert {module: banned_in(tree) for module, tree in trees().items() if banned_in(tree)} == {}
+    found = {module: banned_in(tree) for module, tree in trees().items() if banned_in(tree)}
+    between = found.pop("eldata.base.processes")  # what a process and its parent say to each other
+    assert {kind.partition(":")[0] for _, kind in between} == {"pickle.load", "pickle.loads"}
+    assert found == {}
 
 
 # --- light commands -----------------------------------------------------------------------------------------------

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import threading
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
 _MULTIPLE_BYTES = 8  # so that it may be seen as numbers of any kind
-
-
-class Scratch:
-    """Memory of a thread that is used again and again; its address is asked for once."""
-
-    def __init__(self, size: int) -> None:
-        self.bytes = np.empty(size, np.uint8)
-        self.address = self.bytes.ctypes.data
-
-
 _OF_THREAD = threading.local()
 
 
-def scratch(use: str, size: int) -> Scratch:
-    """Return this thread's memory for a use, of so many bytes or more."""
-    held: Scratch | None = getattr(_OF_THREAD, use, None)
-    if held is None or held.bytes.size < size:
-        held = Scratch(size + -size % _MULTIPLE_BYTES)
+def scratch(use: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return an array in this thread's memory for a use, which the next one for that use overwrites."""
+    size = math.prod(shape) * dtype.itemsize
+    held: NDArray[np.uint8] | None = getattr(_OF_THREAD, use, None)
+    if held is None or held.size < size:
+        held = np.empty(size + -size % _MULTIPLE_BYTES, np.uint8)
         setattr(_OF_THREAD, use, held)
-    return held
+    return held[:size].view(dtype).reshape(shape)

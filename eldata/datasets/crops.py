@@ -143,9 +143,7 @@ class Crop:
         kind = _TURNED.get(part.dtype)
         if kind is None or self.orientation == _AS_IT_IS:
             return oriented(part, cfa, self.orientation)[: self.height, : self.width]
-        size = self.height * self.width
-        copy: NDArray[Any] = scratch("turned", size * kind.itemsize).bytes.view(kind)[:size]
-        copy = copy.reshape(self.height, self.width)
+        copy = scratch("turned", (self.height, self.width), kind)
         copy_oriented(part, cfa, self.orientation, copy)
         return copy
 

@@ -9,7 +9,7 @@ from eldata.datasets.base import PairCropping, PairOptions, SourcePairs
 from eldata.datasets.choices import Representation, understood
 from eldata.datasets.dn_batches import DnPairs
 from eldata.manifest.pairs import Choice
-from eldata.sources.store.frames import StoreFrames
+from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
     from pathlib import Path

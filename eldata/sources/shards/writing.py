@@ -22,7 +22,7 @@ from eldata.sources.pairs import checked_ratio
 from eldata.sources.shards.index import FORMAT, INDEX, VERSION, Facts, Shard, ShardIndex, Side, index_text, key_of
 from eldata.sources.shards.members import END, to_bytes
 from eldata.sources.shards.tiles import grid, whole
-from eldata.sources.store.frames import StoreFrames
+from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -57,7 +57,7 @@ class _Planned(NamedTuple):
 
     def content(self, number: int) -> bytes:
         """Return the sample's part of a shard."""
-        noisy, reference = (frame.mosaic[self.tile.slices] for frame in self.frames)
+        noisy, reference = (frame.read(*self.tile.slices).copy() for frame in self.frames)
         return to_bytes(key_of(number), self.facts, noisy, reference)
 
 

@@ -317,8 +317,8 @@ def test_reports_compute_nothing() -> None:
 PARSERS = {"json.load", "json.loads", "tomllib.load", "tomllib.loads", "csv.reader", "csv.DictReader"}
 READER = "eldata.base.fields"
 WRITES = {
-    "eldata.base.fields": "a value in a sentence",
     "eldata.base.files": "the one writer of JSON files",
+    "eldata.base.visible": "a value in a sentence",
     "eldata.evaluation.comparison": "one value of a setting in a sentence",
     "eldata.protocols.digests": "what a digest is made of",
     "eldata.reports.evaluation": "one value of a setting in a sentence",

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from eldata.base.arguments import named_object
 from eldata.base.files import sha256_of
-from eldata.base.naming import named_object
 from eldata.baselines.consistency import checked_window
 from eldata.baselines.exported import TakenInput, load_exported
 from eldata.baselines.prediction_folder import ANSWERS, answer_of

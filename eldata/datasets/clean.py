@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from eldata.base.memory import scratch
 from eldata.base.numbers import checked_number
-from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import sequence_of
 from eldata.noise.exposures import check_normalised

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from eldata.base.scratch import scratch
+from eldata.base.memory import scratch
 from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented, turned_levels
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.cfa import PackedArea, cfa_from, pack, packed_area, packed_shape, packing_sites

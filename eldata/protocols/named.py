@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.fields import Fields, TextFile, names_of, shown
+from eldata.base.fields import Fields, TextFile, names_of
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError, ManifestError, did_you_mean
 from eldata.protocols.digests import scoring
 from eldata.protocols.kinds import IMAGES

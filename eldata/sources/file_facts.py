@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.fields import fraction_of
+from eldata.base.numbers import fraction_of
 from eldata.errors import ArgumentError
 from eldata.records import D65, ExactFloat, Exposure, Sensor, exact_fraction, exact_number
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from eldata.base.files import inside
+from eldata.base.memory import scratch
 from eldata.base.png import read_rgb16
-from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.patterns import is_png
 from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels

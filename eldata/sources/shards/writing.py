@@ -13,9 +13,9 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata import __version__
+from eldata.base.arguments import keywords
 from eldata.base.fields import TextFile
 from eldata.base.files import atomic_write, check_same_work, remove_leftovers, sha256_of, write_json, write_text
-from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.pairs import Choice
 from eldata.sources.pairs import checked_ratio

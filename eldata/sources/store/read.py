@@ -17,8 +17,7 @@ import h5py
 import numpy as np
 
 from eldata.base.files import file_problem
-from eldata.base.garbage import no_search_for_cycles
-from eldata.base.scratch import scratch
+from eldata.base.memory import no_search_for_cycles, scratch
 from eldata.errors import DatasetError, EldataError
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.pairs import select_pairs

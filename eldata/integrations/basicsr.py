@@ -18,7 +18,7 @@ from eldata.base.seeds import item_generator
 from eldata.datasets.base import OpenedPair, PairDataset, PairItem, SourcePairs
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import Part, ReadItems
-from eldata.datasets.packed_store import PackedStore
+from eldata.datasets.packed import PackedStore
 from eldata.datasets.registry import dataset_class, dataset_names, open_dataset
 from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean
 from eldata.integrations.colours import balance_multipliers, matrix_to_srgb
@@ -135,7 +135,7 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
     ArgumentError
         If a key is unknown (the message has the nearest one), or asks for what this dataset does not do.
     EldataError
-        As :class:`~eldata.datasets.base.PairDataset` and :class:`~eldata.datasets.packed_store.PackedStore` do.
+        As :class:`~eldata.datasets.base.PairDataset` and :class:`~eldata.datasets.packed.PackedStore` do.
 
     Notes
     -----

@@ -15,8 +15,7 @@ from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.published import COLUMNS, load_published, published_rows
 from eldata.evaluation.published.comparison import comparison_table
 from eldata.evaluation.results import EvaluationResult
-from eldata.evaluation.scores import UnitScore
-from eldata.evaluation.table import TableRow
+from eldata.evaluation.scores import TableRow, UnitScore
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.protocols import PROTOCOLS

@@ -334,13 +334,18 @@ def test_noise_that_just_reaches_0_is_taken(tree: FrameTree) -> None:
     assert problems_of(tree.frames(isos=[1600])) == []
 
 
-@pytest.mark.parametrize("count", [0, 1, 3])
+@pytest.mark.parametrize("count", [1, 2, 3])
 def test_too_few_bias_frames(count: int, tree: FrameTree) -> None:
     for path in tree.files("bias", 100)[count:]:
         path.unlink()
     problem = only(problems_of(tree.frames(isos=[100])))
     assert problem.path == "DemoGamma, ISO 100"
     assert f"{count} bias frame{'s' * (count != 1)}, and 4 are needed" in problem.found
+
+
+def test_no_bias_frames(tree: FrameTree) -> None:
+    shutil.rmtree(tree.camera / "bias" / "ISO100")
+    assert "0 bias frames" in only(problems_of(tree.frames(isos=[100]))).found
 
 
 def test_copies_of_one_frame(tree: FrameTree) -> None:

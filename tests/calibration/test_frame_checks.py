@@ -343,8 +343,12 @@ def test_too_few_bias_frames(count: int, tree: FrameTree) -> None:
     assert f"{count} bias frame{'s' * (count != 1)}, and 4 are needed" in problem.found
 
 
-def test_no_bias_frames(tree: FrameTree) -> None:
+def test_neither_bias_frames_nor_pairs(tree: FrameTree) -> None:
+    """With pairs of flats, K alone is measured."""
     shutil.rmtree(tree.camera / "bias" / "ISO100")
+    assert problems_of(tree.frames(isos=[100])) == []
+    for path in tree.files("flat", 100)[::2]:
+        path.unlink()
     assert "0 bias frames" in only(problems_of(tree.frames(isos=[100]))).found
 
 

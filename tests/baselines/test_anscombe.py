@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from eldata.baselines.anscombe import stabilised, unstabilised
-from eldata.baselines.signal_noise import SignalNoise
+from eldata.baselines.classical import SignalNoise, stabilised, unstabilised
 
 VALUES = 400_000
 

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from eldata.baselines.classical import BASELINES
-from eldata.baselines.signal_noise import SignalNoise, noise_of_parameters
+from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_parameters
 from eldata.demo.scenes import scene_radiance
 from eldata.errors import ArgumentError, EldataError
 from eldata.noise.profile import CameraProfile

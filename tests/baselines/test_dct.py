@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from eldata.baselines.dct import dct_thresholded
-from eldata.baselines.signal_noise import SignalNoise, noise_of_image
+from eldata.baselines.classical import SignalNoise, dct_thresholded, noise_of_image
 from eldata.demo.camera import CAMERAS, SimulatedCamera
 from eldata.demo.scenes import scene_radiance
 from eldata.raw.cfa import pack

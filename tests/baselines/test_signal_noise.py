@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from eldata.baselines.signal_noise import SignalNoise, noise_of_image, noise_of_parameters
+from eldata.baselines.classical import SignalNoise, noise_of_image, noise_of_parameters
 from eldata.demo.scenes import scene_radiance
 from eldata.errors import DatasetError
 from eldata.noise.parameters import NoiseParameters

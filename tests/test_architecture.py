@@ -438,7 +438,10 @@ def test_banned_constructs_do_not_occur() -> None:
         "subprocess.run(text, shell=True)",
     ):
         assert len(banned_in(ast.parse(source))) == 1, source
-    assert {module: banned_in(tree) for module, tree in trees().items() if banned_in(tree)} == {}
+    found = {module: banned_in(tree) for module, tree in trees().items() if banned_in(tree)}
+    between = found.pop("eldata.base.processes")  # what a process and its parent say to each other
+    assert {kind.partition(":")[0] for _, kind in between} == {"pickle.load", "pickle.loads"}
+    assert found == {}
 
 
 # --- light commands -----------------------------------------------------------------------------------------------

@@ -13,8 +13,8 @@ from eldata.base.files import inside
 from eldata.base.png import rgb_frame
 from eldata.baselines.exported import checked_window
 from eldata.errors import DatasetError
+from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame
 from eldata.evaluation.pairs import amplified_by, iso_of, reference_of
-from eldata.evaluation.references import less_shading, levels_dn, normalised_frame
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.raw.reading import exposure_ratio, read_header, read_raw
 

@@ -34,14 +34,8 @@ from eldata.calibration.audit.telegraph import TelegraphGroups
 from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.core.findings import Finding, with_accepted
-from eldata.calibration.core.photon_transfer import (
-    FlatFrames,
-    FlatPairs,
-    PhotonTransfer,
-    photon_transfer,
-    spatial_photon_transfer,
-)
-from eldata.calibration.core.single_frame import single_frame_plot
+from eldata.calibration.core.photon_transfer import FlatPairs, PhotonTransfer, photon_transfer
+from eldata.calibration.core.single_frame import FlatFrames, single_frame_plot, spatial_photon_transfer
 from eldata.calibration.core.spectra import power_spectrum
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
@@ -71,8 +65,8 @@ def calibrate_iso(
     *,
     done: Callable[[], object] = lambda: None,
     structure: bool = False,
-) -> IsoCalibration:
-    """Measure the noise at one ISO.
+) -> IsoGain:
+    """Measure what there are frames for at one ISO: the noise, or of flats alone K, from the recorded black level.
 
     Parameters
     ----------
@@ -95,39 +89,8 @@ def calibrate_iso(
         cannot use them. Every problem found is in it. Flats without a line are not an error: K is withheld.
     """
     with _unusable(frames, chosen):
-        return _calibrated(FrameReader(frames, workers, done), chosen, structure)
-
-
-def calibrate_flats(
-    frames: CalibrationFrames,
-    chosen: IsoFrames,
-    workers: Workers = IN_THIS_PROCESS,
-    *,
-    done: Callable[[], object] = lambda: None,
-) -> IsoGain:
-    """Measure K at an ISO that has flats alone: as :func:`calibrate_iso`, from the recorded black level.
-
-    Raises
-    ------
-    FramesError
-        If frames differ in size, CFA or levels, or cannot be read.
-    """
-    with _unusable(frames, chosen):
         reader = FrameReader(frames, workers, done)
-        of_flats = _flats(reader, chosen, None)
-        found = of_flats.on(
-            IsoGain(
-                iso=float(chosen.iso),
-                sensor=reader.sensor,
-                flat_frames=0,
-                transfer=None,
-                spatial=None,
-                remarks=("there are no bias frames, so K is all that is known",),
-                stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
-            )
-        )
-        of_copies = reader.copies.remarks
-        return replace(found, remarks=(*of_copies, *found.remarks, *of_flats.remarks, *transfer_remarks(found)))
+        return _calibrated(reader, chosen, structure) if chosen.bias or not chosen.pairs else _gain(reader, chosen)
 
 
 def bias_pattern(
@@ -253,6 +216,22 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
 def _lossy(reader: FrameReader, records: Sequence[FrameRecord]) -> str | None:
     """Return what loses data in the first of some files."""
     return next((lossy_compression(reader.frames.path(record)) for record in records[:1]), None)
+
+
+def _gain(reader: FrameReader, chosen: IsoFrames) -> IsoGain:
+    of_flats = _flats(reader, chosen, None)
+    found = of_flats.on(
+        IsoGain(
+            iso=float(chosen.iso),
+            sensor=reader.sensor,
+            flat_frames=0,
+            transfer=None,
+            spatial=None,
+            remarks=("there are no bias frames, so K is all that is known",),
+            stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
+        )
+    )
+    return replace(found, remarks=(*reader.copies.remarks, *found.remarks, *of_flats.remarks, *transfer_remarks(found)))
 
 
 def _first_pass(

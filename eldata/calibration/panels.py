@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.calibration.core.findings import Figure, GivenFigure
-    from eldata.calibration.core.joint import FittedMode, LogLogEstimate
+    from eldata.calibration.joint import FittedMode, LogLogEstimate
     from eldata.noise.gain_modes import GainMode
     from eldata.plots.gains import Point
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
+    from eldata.metrics.registry import OF_FRAMES, ST_RRED
     from eldata.protocols.named import FAMILIES, PROTOCOLS
 
     parser = commands.add_parser(
@@ -44,7 +45,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "png (16 bit), dng: packed (C, h, w) or mosaic (H, W), float in [0, 1] or uint16 with 65535 = 1.0 (dng: "
             "raw DN). Under a protocol of sRGB it is a rendering: an RGB PNG of 8 or 16 bits. Of clips (drv) it is "
             "PREDS/CLIP/FRAME.EXT for five frames of each. Several folders are scored in one pass, each raw file "
-            "decoded once, and held against the first."
+            "decoded once, and held against the first. "
+            f"Scored are {', '.join(one.heading for one in OF_FRAMES.values())}, and {ST_RRED.heading} of clips."
         ),
     )
     source = parser.add_mutually_exclusive_group(required=True)

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import torch
 
+    from eldata.manifest.card import Subset
     from eldata.manifest.clips import Clip, ClipRecord, FrameRange
-    from eldata.manifest.subsets import Subset
     from eldata.records import FrameRecord, Sensor
     from eldata.sources.frames import Frame, FrameSource
 

@@ -19,8 +19,8 @@ from eldata.demo.scenes import scene_radiance
 from eldata.demo.sensor import BENCHMARK_SENSORS, Specimen
 from eldata.demo.tree import F_NUMBER, METERED_S
 from eldata.errors import ArgumentError
+from eldata.manifest.card import Subset
 from eldata.manifest.eld import NOISY_ISOS, EldCamera, eld_records
-from eldata.manifest.subsets import Subset
 from eldata.manifest.writing import save_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord

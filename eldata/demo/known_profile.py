@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from eldata.calibration.core.joint import fit_log_log
+from eldata.calibration.joint import fit_log_log
 from eldata.calibration.one_photograph.estimate import GAUSSIAN_SHAPE
 from eldata.noise.gain_modes import ProfileRow
 from eldata.noise.parameters import tukey_lambda_variance

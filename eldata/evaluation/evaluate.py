@@ -83,7 +83,7 @@ def evaluate(
     cameras
         Score the pairs of these cameras only; the result says so. Default: those of the protocol.
     subset
-        Name of a subset on the dataset's card (:mod:`eldata.manifest.subsets`). Default: the protocol's, else the first
+        Name of a subset on the dataset's card (:mod:`eldata.manifest.card`). Default: the protocol's, else the first
         on the card, if any.
     ids
         Score these clips instead of a subset; the result says so. Default: the subset's. Images have none.

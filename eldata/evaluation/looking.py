@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from eldata.errors import ArgumentError, PredictionError
-from eldata.evaluation.compared_frames import ComparedFrame, as_scored
+from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
 from eldata.evaluation.originals import Originals
 from eldata.evaluation.pairs import place_of, reference_of
 from eldata.evaluation.predictions import find_predictions
 from eldata.evaluation.reproduction import protocol_of
 from eldata.evaluation.scores import FrameScore
-from eldata.evaluation.shared_frames import NoisyInput, Reference, ScoringJob
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
 from eldata.evaluation.table import cameras_in_order, natural
 from eldata.isp.preview import brightening, preview
@@ -164,9 +163,9 @@ class ScoredImage:
             job = ScoringJob(Path.cwd(), originals, (protocol,), None, dark_shading=shading)
             compared = ComparedFrame(job, reference, self.pair, NoisyInput(job, reference, self.pair, frame.path), file)
             factor = 1.0 if math.isnan(frame.rescale) else frame.rescale
-            predictions.append(as_scored(compared.prediction(protocol)[1], protocol.rules, factor, np.float32))
+            predictions.append(as_scored(compared.prediction(protocol), protocol.rules, factor, np.float32))
             if protocol is first and amplified is None and first.pixels != "srgb":
-                amplified = compared.input(first)[1]
+                amplified = compared.input(first)
         sensor = reference.frame.sensor if first.pixels == "packed" else None
         return SeenImage(shown, amplified, tuple(predictions), reference.target(first), sensor)
 

@@ -26,9 +26,9 @@ from eldata.evaluation.layouts import (
     nearest_in_words,
     stem_of,
 )
+from eldata.evaluation.originals import normalised_frame
 from eldata.evaluation.pairs import place_of
 from eldata.evaluation.prediction_files import declared_array, read_array
-from eldata.evaluation.references import normalised_frame
 from eldata.evaluation.scores import EvaluationProblem
 from eldata.raw.cfa import pack, packed_shape
 from eldata.raw.levels import with_levels

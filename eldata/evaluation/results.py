@@ -18,10 +18,10 @@ from eldata.base.visible import in_line
 from eldata.evaluation.pairs import name_of
 from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, finite_values, json_object
 from eldata.evaluation.table import PaperTable, TableRow, paper_table, short_digest, table_of
+from eldata.evaluation.tasks import stated_figure
 from eldata.manifest.clips import ClipRecord
 from eldata.protocols.comparability import comparability
 from eldata.protocols.digests import CHOOSING, OF_INPUT
-from eldata.protocols.kinds import task_metric
 from eldata.protocols.protocol import NO_SHADING
 from eldata.records import PairRecord
 
@@ -339,7 +339,7 @@ class EvaluationResult:
 
         def draw(axes: Axes, theme: Theme) -> None:
             strips(axes, values, theme)
-            axes.set_ylabel(chosen.head)
+            axes.set_ylabel(chosen.heading)
 
         return drawn_into(ax, f"{self.dataset}, protocol {self.protocol.name}", draw)
 
@@ -396,10 +396,7 @@ class EvaluationResult:
 
 def kind_of(kind: Kind, provenance: Mapping[str, Any]) -> Kind:
     """Return a protocol's kind with what was asked for beyond it: a task."""
-    if "task" in provenance:
-        task = provenance["task"]
-        kind = kind.having(task_metric(task["label"], higher_is_better=task["higher_is_better"]))
-    return kind
+    return kind.having(stated_figure(provenance["task"])) if "task" in provenance else kind
 
 
 def write_scores(results: Sequence[EvaluationResult], path: Path | str, *, named: bool = False) -> None:

@@ -42,7 +42,7 @@ class TableRow(Valued):
 
     def texts(self, kind: Kind) -> tuple[str, ...]:
         """Return coverage and means as printed; ``-`` where nothing was scored."""
-        return self.coverage, *(m.text(self.values[m.name]) if self.scored else "-" for m in kind.metrics)
+        return self.coverage, *(m.format(self.values[m.name]) if self.scored else "-" for m in kind.metrics)
 
     def as_dict(self, kind: Kind) -> dict[str, Any]:
         """Return it as plain types."""

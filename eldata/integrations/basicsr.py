@@ -28,7 +28,7 @@ from eldata.raw.cfa import pack
 from eldata.raw.levels import FrameLevels, packed_black_level_dn
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -163,6 +163,9 @@ class EldataPairs(Dataset[BatchSample]):
 
     def __len__(self) -> int:
         return len(self.pairs)
+
+    def __iter__(self) -> Iterator[BatchSample]:
+        return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> BatchSample:
         """Read an item: in training of a place that torch's random numbers draw, else the whole frame or its middle."""

@@ -113,7 +113,9 @@ def described(protocol: Protocol) -> list[tuple[str, str]]:
         for field, (name, words) in FIELDS.items()
         if field in values and field not in skipped
     ]
-    return [("name", protocol.name), ("title", protocol.title), *rows]
+    told = {name for name, _ in rows}
+    metrics = [(figure.label, figure.meaning) for figure in protocol.kind.metrics if figure.label not in told]
+    return [("name", protocol.name), ("title", protocol.title), *rows, *metrics]
 
 
 HEADER = ("protocol", "dataset", "pairs", "region", "white", "scalar", "input clip", "SSIM", "space")

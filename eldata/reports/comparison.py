@@ -150,7 +150,7 @@ def _gains_table(comparison: Comparison, index: int) -> Table:
         looks = [""] * (LABELS + 1)  # and scenes
         for metric in comparison.kind.metrics:
             sign = group.gains[index][metric.name].interval.sign
-            looks += [_look(sign if metric.higher_is_better else -sign), "", ""]
+            looks += [_look(sign * metric.sign), "", ""]
         rows.append(
             (
                 *map(Cell, texts[:LABELS]),
@@ -170,7 +170,7 @@ def _contests_table(comparison: Comparison) -> Table:
         looks = ["", ""]
         for metric in kind.metrics:
             sign = contest.gains[metric.name].interval.sign
-            looks += [_look(sign if metric.higher_is_better else -sign), "", "", ""]
+            looks += [_look(sign * metric.sign), "", "", ""]
         rows.append(
             tuple(Cell("–" if text == "-" else signed(text), look) for text, look in zip(texts, looks, strict=True))
         )
@@ -295,7 +295,7 @@ def _looked_at(scores: Sequence[UnitScore], image: DrawnImage, comparison: Compa
         "facts": ", ".join(filter(None, facts)),
         "scores": {
             f"method-{index}": ", ".join(
-                f"{metric.text(score.values[metric.name])} {metric.unit or metric.label}" for metric in kind.metrics
+                f"{metric.format(score.values[metric.name])} {metric.unit or metric.label}" for metric in kind.metrics
             )
             for index, score in enumerate(scores, start=1)
         },

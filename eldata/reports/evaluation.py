@@ -39,12 +39,13 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
+    from eldata.base.figures import Figure
     from eldata.evaluation.looking import Column, Grouping
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
     from eldata.plots.axes import Theme
-    from eldata.protocols.kinds import Kind, Metric
+    from eldata.protocols.kinds import Kind
     from eldata.reports.figures import Plot
 
 EACH: Final = 4
@@ -220,8 +221,8 @@ def _cells(rows: Iterable[tuple[str, ...]]) -> tuple[tuple[Cell, ...], ...]:
     return tuple(tuple(Cell("–" if text == "-" else text) for text in row) for row in rows)
 
 
-def _interval_text(interval: Interval, metric: Metric) -> str:
-    return signed(f"{metric.text(interval.low)} to {metric.text(interval.high)}") if interval.is_known else "–"
+def _interval_text(interval: Interval, metric: Figure) -> str:
+    return signed(f"{metric.format(interval.low)} to {metric.format(interval.high)}") if interval.is_known else "–"
 
 
 def _protocols(results: Sequence[EvaluationResult]) -> Table:
@@ -242,7 +243,7 @@ def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
         cells += fact_cells(score, kind)
         for metric in kind.metrics:
             value = score.values[metric.name]
-            cells.append(number_cell(value, f"{value:.{metric.row_places}f}"))
+            cells.append(number_cell(value, metric.format_single(value)))
         rows.append((*cells, number_cell(score.rescale, f"{score.rescale:.3f}")))
     facts = () if kind.is_of_clips else FACTS
     header = (kind.unit, "camera", "scene", *facts, *kind.heads[1:], "rescaled by")
@@ -268,7 +269,7 @@ def _tiles(result: EvaluationResult) -> list[tuple[str, str, str]]:
     for metric in result.kind.metrics:
         interval = result.interval(result.whole, metric.name)
         note = f"{INTERVAL.split()[0]}: {_interval_text(interval, metric)}" if interval.is_known else TOO_FEW
-        tiles.append((metric.label, f"{metric.text(interval.mean)} {metric.unit}".rstrip(), note))
+        tiles.append((metric.label, f"{metric.format(interval.mean)} {metric.unit}".rstrip(), note))
     cameras = len({score.camera for score in result.scores})
     return [
         *tiles,
@@ -283,7 +284,7 @@ def _facts(image: ShownImage, result: EvaluationResult) -> str:
         *(
             f"{text} {metric.unit}" if metric.unit else f"{metric.label} {text}"
             for metric in result.kind.metrics
-            for text in [metric.text(score.values[metric.name])]
+            for text in [metric.format(score.values[metric.name])]
         ),
         *([f"rescaled by {score.rescale:.3f}"] if result.rescales else []),
         f"{score.camera}, {score.scene}",
@@ -316,7 +317,7 @@ def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool, scen
     return tuple(plots)
 
 
-def _strips_plot(metric: Metric, columns: Sequence[Column], by: Grouping, kind: Kind, note: str) -> Plot:
+def _strips_plot(metric: Figure, columns: Sequence[Column], by: Grouping, kind: Kind, note: str) -> Plot:
     """Draw the values of each group in a column."""
     scores = [score for column in columns for score in column.scores]
     groups = list(dict.fromkeys(column.group for column in columns))
@@ -324,10 +325,10 @@ def _strips_plot(metric: Metric, columns: Sequence[Column], by: Grouping, kind: 
 
     def draw(axes: Axes, theme: Theme) -> None:
         strips(axes, [column.to_draw(metric.name) for column in columns], theme)
-        axes.set_ylabel(metric.head)
+        axes.set_ylabel(metric.heading)
 
     alt = (
-        f"{metric.head} of {len(scores)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
+        f"{metric.heading} of {len(scores)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
         f"{min(values):.4g} to {max(values):.4g}."
     )
     name = f"{re.sub(r'[^a-z0-9]+', '-', metric.label.lower())}-{by}"

@@ -17,7 +17,7 @@ from eldata.base.files import inside
 from eldata.base.png import read_rgb16
 from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError
-from eldata.manifest.clip_checks import is_png
+from eldata.manifest.patterns import is_png
 from eldata.raw.cfa import pack
 from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
 from eldata.records import Exposure, RawHeader

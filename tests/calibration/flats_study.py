@@ -13,8 +13,8 @@ from scipy.special import erf
 
 from eldata.calibration.audit.flat_checks import flat_findings
 from eldata.calibration.core.findings import given
-from eldata.calibration.core.joint import gain_steps
 from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
+from eldata.calibration.joint import gain_steps
 from eldata.demo.body import Body, FixedFeatures, KnownNoise
 from eldata.errors import DatasetError
 from eldata.records import Sensor

@@ -12,7 +12,7 @@ import pytest
 
 from eldata.calibration import calibrate
 from eldata.calibration.camera import joined
-from eldata.calibration.core.joint import fit_log_log, gain_steps
+from eldata.calibration.joint import fit_log_log, gain_steps
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile
 from eldata.reports.calibration_joint import joint_plots

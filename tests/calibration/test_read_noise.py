@@ -7,8 +7,7 @@ import pytest
 from scipy import stats
 
 from eldata.calibration import ResidualHistogram, Residuals, ppcc, read_noise
-from eldata.calibration.core._kernels import tukey_lambda_tail
-from eldata.calibration.core._tukey_lambda import ResidualModel
+from eldata.calibration.core._tukey_lambda import ResidualModel, tukey_lambda_tail
 from eldata.calibration.core.row_noise import line_sums
 from eldata.errors import ArgumentError, DatasetError
 from tests.calibration.chain import calibrated, stacked

@@ -131,7 +131,7 @@ def test_every_protocol(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path:
 def test_each_prediction_is_read_once_for_all_protocols(
     drv: SmallDrv, predictions: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from eldata.evaluation import compared_frames
+    from eldata.evaluation import frames
     from eldata.evaluation.predictions import load_colours as genuine
 
     loaded = []
@@ -140,7 +140,7 @@ def test_each_prediction_is_read_once_for_all_protocols(
         loaded.append(path)
         return genuine(path, shape, pixels)
 
-    monkeypatch.setattr(compared_frames, "load_colours", load)
+    monkeypatch.setattr(frames, "load_colours", load)
     evaluate_all(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
     assert len(loaded) == len(set(loaded)) == 10
 

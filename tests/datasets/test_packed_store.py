@@ -20,8 +20,7 @@ from eldata.datasets.base import Sample
 from eldata.datasets.clean import CleanFrame
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError
-from eldata.manifest.card import save_card
-from eldata.manifest.subsets import Subset
+from eldata.manifest.card import Subset, save_card
 from eldata.raw import read_raw, write_dng
 from eldata.raw.levels import pack_normalised, with_levels
 from tests.datasets.methods import METHODS

@@ -15,9 +15,8 @@ from torch.utils.data import Subset as Some
 
 from eldata.datasets import PairDataset, dataset_class, dataset_names, open_dataset, registry
 from eldata.errors import ArgumentError, DatasetError
-from eldata.manifest.catalogue import Manifest, shipped_manifest, shipped_names
+from eldata.manifest.catalogue import ENTRY_POINTS, Manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import select_pairs
-from eldata.manifest.registered import ENTRY_POINTS
 from eldata.manifest.verify import verify
 from tests.datasets.methods import FORK
 from tests.drv_tree import build_drv_tree

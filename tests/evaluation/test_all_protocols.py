@@ -83,7 +83,7 @@ def test_all_does_not_depend_on_jobs(own: OwnSet, preds: Path) -> None:
 
 def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for the white level per channel, for which rawpy decodes once more."""
-    from eldata.evaluation import compared_frames
+    from eldata.evaluation import frames
     from eldata.raw import reading
 
     decoded, loaded = [], []
@@ -98,7 +98,7 @@ def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest
         return genuine_load(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(reading, "read_raw", read)
-    monkeypatch.setattr(compared_frames, "load_prediction", load)
+    monkeypatch.setattr(frames, "load_prediction", load)
     evaluate_all(preds, manifest=own.manifest, root=own.root)
     assert sorted(decoded) == ["s0/clean.dng", "s1/clean.dng"]
     assert len(loaded) == len(set(loaded)) == 4

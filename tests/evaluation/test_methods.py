@@ -24,7 +24,7 @@ from tests.evaluation.own_set import GBRG, OwnSet, build_own_set, mosaic_of
 
 if TYPE_CHECKING:
     from eldata.evaluation import EvaluationResult
-    from eldata.evaluation.compared_frames import ComparedFrame
+    from eldata.evaluation.frames import ComparedFrame
 
 SIZE = (60, 84)
 

@@ -311,5 +311,5 @@ def test_the_example_hands_renderings_to_torchmetrics_lpips(tmp_path: Path, monk
             assert (pixels.min() >= 0, pixels.max() <= 1) == (True, True)
         assert image.task == pytest.approx(np.abs(first - second).mean(), rel=1e-5)
     (metric,) = (metric for metric in found.kind.metrics if metric.name == "task")
-    assert (metric.label, metric.higher_is_better) == ("LPIPS", False)
+    assert (metric.label, metric.better) == ("LPIPS", "lower")
     assert found.provenance["task"]["version"].startswith("torchmetrics ")

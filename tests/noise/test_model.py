@@ -469,6 +469,7 @@ def test_any_number_of_photoelectrons(mean_e: float) -> None:
 
 # --- refusals -------------------------------------------------------------------------------------------------------
 
+NO_NUMBERS: tuple[Any, ...] = ("100", "a", [], np.ones(2), 1j)
 REFUSED: list[tuple[dict[str, Any], str]] = [
     *(({"clean": np.zeros(shape, np.float32)}, r"clean data \(\.\.\., C, h, w\)") for shape in ((), (4,), (4, 4))),
     ({"clean": torch.zeros(4, 4)}, r"clean data \(\.\.\., C, h, w\); found shape"),
@@ -482,11 +483,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ),
     ({"clean": torch.ones((4, 4, 4), dtype=torch.complex64)}, "^clean is torch.complex64; expected floating numbers"),
     *(({"clean": clean}, "clean") for clean in ([[[0.5]]], None, 0.5, "clean")),
-    *(
-        ({name: value}, rf"^{name}(:| must be)")
-        for name in ("ratio", "range_dn")
-        for value in ("100", "a", [], np.ones(2), 1j)
-    ),
+    *(({name: value}, rf"^{name}(:| must be)") for name in ("ratio", "range_dn") for value in NO_NUMBERS),
     *(
         ({name: value}, rf"^{name} must be finite and above 0; found")
         for name in ("ratio", "range_dn")
@@ -527,7 +524,7 @@ def test_what_a_model_refuses(given: dict[str, Any], said: str) -> None:
 def test_levels_of_a_converter_that_make_no_sense() -> None:
     for levels in (("a", 1.0), (0.0, None), (10.0, 5.0), (-1.0, 5.0)):
         with pytest.raises(ArgumentError, match=r"(black|white).level"):
-            Adc(*levels)  # type: ignore[arg-type]
+            Adc(*levels)
 
 
 @pytest.mark.parametrize("clean", [np.full((4, 4, 4), 3000, np.uint16), np.ones((4, 4, 4), np.int64)], ids=str)

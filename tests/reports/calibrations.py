@@ -11,8 +11,8 @@ from eldata.calibration.acceptance.reproduction import reproduction
 from eldata.calibration.camera import joined
 from eldata.calibration.core.bias_figures import BiasSums
 from eldata.calibration.core.defects import BiasStack, fixed_pattern
-from eldata.calibration.core.photon_transfer import FlatFrames, FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.core.single_frame import single_frame_plot
+from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
+from eldata.calibration.core.single_frame import FlatFrames, single_frame_plot, spatial_photon_transfer
 from eldata.calibration.core.spectra import power_spectrum
 from eldata.calibration.iso_results import IsoCalibration
 from eldata.records import Sensor

@@ -15,7 +15,7 @@ from eldata.cli.main import main
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import images_of, place_of_difference
-from eldata.evaluation.references import rendered_reference
+from eldata.evaluation.originals import rendered_reference
 from eldata.evaluation.reproduction import units_again
 from eldata.evaluation.saved import load_results
 from eldata.evaluation.statistics import holm

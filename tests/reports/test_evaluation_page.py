@@ -391,7 +391,7 @@ def test_the_input_as_a_baseline(tree: Tree, tmp_path: Path) -> None:
 
 def test_renderings_are_shown_as_they_are(tree: Tree, tmp_path: Path) -> None:
     """Under a protocol of sRGB: predictions that are the reference's rendering, a little darker."""
-    from eldata.evaluation.references import rendered_reference
+    from eldata.evaluation.originals import rendered_reference
 
     folder = tmp_path / "preds"
 

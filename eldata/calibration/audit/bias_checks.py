@@ -120,7 +120,7 @@ class Ripple:
     @classmethod
     def of(cls, shape: float, sigma_steps: float) -> Ripple:
         """Work it out for a Tukey-lambda distribution of this shape, and scale in steps of the values."""
-        from eldata.calibration.core._kernels import smoothed_tails
+        from eldata.calibration.core._tukey_lambda import smoothed_tails
 
         if not sigma_steps > _LEAST_SIGMA_STEPS:
             return cls(math.inf, math.inf, math.inf, math.inf)

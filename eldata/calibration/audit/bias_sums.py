@@ -165,7 +165,7 @@ class BiasAudit:
         self._first = None
 
     def _add_band(self, index: int, rows: slice, first: NDArray[np.uint16], second: NDArray[np.uint16]) -> None:
-        from eldata.calibration.core._kernels import add_sizes, standardised, variance_and_level
+        from eldata.calibration.audit._kernels import add_sizes, standardised, variance_and_level
 
         fixed, frames = self._fixed, self._fixed.frames
         total, defects, pattern = fixed.total_dn[rows], fixed.defects[rows], fixed.pattern

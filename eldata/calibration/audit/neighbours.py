@@ -94,7 +94,7 @@ class Neighbours:
 
     def add_difference(self, band: NDArray[np.int16]) -> None:
         """Add rows of the standardised difference of two frames; they start with the pattern's first."""
-        from eldata.calibration.core._kernels import lag_products
+        from eldata.calibration.audit._kernels import lag_products
 
         height, width = band.shape
         lag_products(band, self._lags, self._products)
@@ -106,7 +106,7 @@ class Neighbours:
 
     def add_frame(self, band: NDArray[np.int16]) -> None:
         """Add rows of one frame less its pixels' means, standardised: what a filter has done to outliers."""
-        from eldata.calibration.core._kernels import outlier_neighbours
+        from eldata.calibration.audit._kernels import outlier_neighbours
 
         outlier_neighbours(band, self._offsets, self._reach, AWAY, np.array(OUTLIERS) * UNITS, self._wins, self._powers)
         self._values += band.size

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.calibration.core._clipped_noise import ClippedNoise, laplace, normal, summed, variance
-from eldata.calibration.core._rounding import OffsetResponse
 from eldata.calibration.core._tukey_lambda import HIGHEST, LOWEST
 from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
+from eldata.calibration.core.row_noise import OffsetResponse
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.core._rounding import LevelFractions, OffsetResponse, Rounded
+    from eldata.calibration.core._rounding import LevelFractions, Rounded
     from eldata.calibration.core._tukey_lambda import ResidualModel
+    from eldata.calibration.core.row_noise import OffsetResponse
 
     Values: TypeAlias = NDArray[np.floating[Any]]
 

@@ -24,15 +24,17 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.core._kernels import product, smoothed_tails
+from eldata.base.compiled import kernel
+from eldata.calibration.core._tukey_lambda import smoothed_tails
+from eldata.calibration.core.row_noise import OffsetResponse, normal_nodes
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
-    from typing import Any, TypeAlias
+    from typing import TypeAlias
 
     from numpy.typing import NDArray
 
@@ -47,8 +49,6 @@ _NEGLIGIBLE = 1e-7  # amplitude of what rounding adds; a hundred million residua
 _PER_DN = 16  # values of the density of noise and rounding per DN
 _REACH = 25.0  # standard deviations at which that density ends; further out the independent model does
 _FRACTION_ERROR = 0.02, 0.5  # of expected waves, and of what takes the non-uniformity for normal
-_NODE_DN = 0.04  # spacing of row offsets: HARMONICS turns per DN are still resolved
-_NODES_REACH = 5.0
 _WIDE_DN = 1.0  # of row offsets: beyond, residuals depend on them by their fraction of a DN alone, and that is even
 _PHASES = 128  # of these
 _LEAST_BLUR_DN2 = 1e-5  # of row means, whose sum over waves would not end: 1/300 DN, where they are taken to 1/n DN
@@ -94,49 +94,6 @@ class LevelFractions:
         turns = np.exp(2j * math.pi * np.outer(np.arange(frames), harmonics) / frames)
         waves = self.remainders @ turns / np.maximum(self.pixels, 1)[..., None]
         return np.concatenate([waves.real, waves.imag], axis=2)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OffsetResponse:
-    """By how much the recorded values of a row move, on average over its pixels, when an offset moves what is recorded.
-
-    Attributes
-    ----------
-    offsets_dn
-        A grid of offsets, ascending.
-    seen_dn
-        (kinds of rows, offsets): the mean recorded values less those at offset 0.
-    shares
-        Of the kinds of rows.
-    relative_error
-        Standard error of the standard deviation that :meth:`sigma_dn` returns, by what is not known of the response.
-    """
-
-    offsets_dn: Values = field(repr=False)
-    seen_dn: Values = field(repr=False)
-    shares: Values = field(repr=False)
-    relative_error: float = 0.0
-
-    def seen(self, nodes: Values) -> Values:
-        """Return what is recorded, (kinds of rows, nodes)."""
-        return np.stack([np.interp(nodes, self.offsets_dn, of_kind) for of_kind in self.seen_dn])
-
-    def seen_variance_dn2(self, sigma_dn: float) -> float:
-        """Return the variance of what is recorded under normal offsets of this standard deviation."""
-        nodes, chances = normal_nodes(sigma_dn)
-        seen = self.seen(nodes)
-        return float(self.shares @ (seen**2 @ chances - (seen @ chances) ** 2))
-
-    def sigma_dn(self, seen_variance_dn2: float) -> float:
-        """Return the standard deviation of the normal offsets of which this variance is recorded."""
-        from scipy.optimize import brentq
-
-        if seen_variance_dn2 <= 0:
-            return 0.0
-        highest = float(self.offsets_dn[-1]) / _NODES_REACH
-        if self.seen_variance_dn2(highest) <= seen_variance_dn2:
-            return math.sqrt(seen_variance_dn2)
-        return float(brentq(lambda sigma: self.seen_variance_dn2(sigma) - seen_variance_dn2, 0.0, highest, xtol=1e-9))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -420,23 +377,22 @@ def _response(noise: _Noise, levels: Complex, rows: Values) -> OffsetResponse:
     return OffsetResponse(offsets, offsets + whole - wave[:, :1], shares)
 
 
-def normal_nodes(sigma: float) -> tuple[Values, Values]:
-    """Return nodes and weights of a normal distribution, fine enough for what turns HARMONICS times per DN."""
-    if sigma < 1e-4:
-        return np.zeros(1), np.ones(1)
-    count = 2 * math.ceil(max(_NODES_REACH * sigma / _NODE_DN, 12)) + 1
-    nodes = np.linspace(-_NODES_REACH, _NODES_REACH, count)
-    shares = np.exp(-0.5 * nodes**2)
-    return nodes * sigma, shares / shares.sum()
-
-
 def _even_nodes() -> tuple[Values, Values]:
     """Return nodes and weights of all fractions of a DN alike."""
     return np.arange(_PHASES) / _PHASES, np.full(_PHASES, 1 / _PHASES)
 
 
-def _product(left: Values | Complex, right: Complex) -> Complex:
-    """Return the matrix product without BLAS, whose threads would wait for one another at such sizes."""
-    result = np.empty((len(left), right.shape[1]), dtype=np.complex128)
-    product(left, right, result)
+@kernel
+def _product(left: NDArray[np.inexact[Any]], right: Complex) -> Complex:
+    """Return the matrix product of two small matrices, in this thread alone; entries of ``left`` near 0 cost nothing.
+
+    The threads of BLAS would wait for one another at such sizes.
+    """
+    result = np.zeros((left.shape[0], right.shape[1]), dtype=np.complex128)
+    for i in range(left.shape[0]):
+        for j in range(left.shape[1]):
+            factor = left[i, j]
+            if abs(factor) > 1e-15:
+                for k in range(right.shape[1]):
+                    result[i, k] += factor * right[j, k]
     return result

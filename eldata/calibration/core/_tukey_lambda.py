@@ -1,18 +1,18 @@
-"""The model behind the read noise estimate, and the probability-plot correlation on a histogram."""
+"""The Tukey-lambda distribution, the model of residuals, and the probability-plot correlation on a histogram."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.core._kernels import mixture_tails, smoothed_tails
+from eldata.base.compiled import kernel
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
-    from typing import Any, TypeAlias
+    from typing import TypeAlias
 
     from numpy.typing import NDArray
 
@@ -31,6 +31,86 @@ _TABLE = np.linspace(0.0, 9.0, 1201)  # arsinh(x / standard deviation): to 4000 
 _SIZE = 1 << 14  # cells of the distribution of the other frames' share
 _CELLS = 16  # of it, per standard deviation of one frame's share
 _MOST_FRAMES = 500  # with more, that share counts as normal
+
+
+@kernel
+def tukey_lambda_tail(x: Any, shape: float) -> Any:
+    """Return P(X > x) for scale 1: the v with ((1 - v)^l - v^l) / l = x, by Newton's method in ln((1 - v) / v).
+
+    It starts at the solution of (1 - exp(-l t)) / l = x and approaches from one side, as x(t) is convex or concave.
+    """
+    if x < 0.0:
+        return 1.0 - tukey_lambda_tail(-x, shape)
+    flat = abs(shape) < 1e-9
+    if flat:
+        return 1.0 / (1.0 + np.exp(x))
+    if shape * x >= 1.0:
+        return 0.0
+    t = -np.log1p(-shape * x) / shape
+    for _ in range(50):
+        v = 1.0 / (1.0 + np.exp(t))
+        power = (1.0 - v) ** shape
+        fall = np.exp(-shape * t)
+        value = -power * np.expm1(-shape * t) / shape
+        # dx/dt = v (1 - v) ((1 - v)^(l - 1) + v^(l - 1)), with v^l = power fall
+        slope = power * (v + (1.0 - v) * fall)
+        step = (x - value) / slope
+        t = max(t + step, 0.0)
+        if abs(step) < 1e-13 * (1.0 + t):
+            break
+    return 1.0 / (1.0 + np.exp(t))
+
+
+@kernel
+def smoothed_tails(
+    x: NDArray[np.floating[Any]],
+    shape: float,
+    scale: float,
+    nodes: NDArray[np.floating[Any]],
+    weights: NDArray[np.floating[Any]],
+) -> Any:
+    """Return P(scale X + U > x), U being the discrete distribution of nodes and weights."""
+    tails = np.zeros(x.size)
+    for i in range(x.size):
+        for j in range(nodes.size):
+            tails[i] += weights[j] * tukey_lambda_tail((x[i] - nodes[j]) / scale, shape)
+    return tails
+
+
+@kernel
+def tail_from_table(x: float, unit: float, step: float, table: NDArray[np.floating[Any]]) -> Any:
+    """Return a symmetric distribution's P(X > x) from ln P on a grid of even steps in arsinh(x / unit), by cubics."""
+    place = np.arcsinh(abs(x) / unit) / step
+    last = table.size - 3
+    i = min(max(int(place), 1), last)
+    f = min(place - i, 2.0)
+    a, b, c, d = table[i - 1], table[i], table[i + 1], table[i + 2]
+    value = (
+        -f * (f - 1.0) * (f - 2.0) / 6.0 * a
+        + (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0 * b
+        - (f + 1.0) * f * (f - 2.0) / 2.0 * c
+        + (f + 1.0) * f * (f - 1.0) / 6.0 * d
+    )
+    tail = np.exp(value)
+    return tail if x >= 0.0 else 1.0 - tail
+
+
+@kernel
+def mixture_tails(
+    edges: NDArray[np.floating[Any]],
+    own: float,
+    nodes: NDArray[np.floating[Any]],
+    weights: NDArray[np.floating[Any]],
+    unit: float,
+    step: float,
+    table: NDArray[np.floating[Any]],
+) -> Any:
+    """Return P(own X + Z > edge) for each edge, with X from its table and Z discrete: nodes and weights."""
+    tails = np.zeros(edges.size)
+    for i in range(edges.size):
+        for j in range(nodes.size):
+            tails[i] += weights[j] * tail_from_table((edges[i] - nodes[j]) / own, unit, step, table)
+    return tails
 
 
 class TailTable:

@@ -132,8 +132,6 @@ class BiasStack(FrameSums):
 
     def add(self, mosaic: NDArray[np.uint16]) -> None:
         """Add a bias frame."""
-        from eldata.calibration.core._kernels import add_to_stack
-
         if self.frames >= _MOST_FRAMES:
             raise ArgumentError(f"a stack takes {_MOST_FRAMES} frames at most")
         shape = self._check(mosaic).shape
@@ -144,7 +142,11 @@ class BiasStack(FrameSums):
             step = _STEP if mosaic.size > _SQUARED_PIXELS else 1
             self.squared_rows = np.flatnonzero(np.arange(shape[0]) // len(self.pattern) % step == 0)
             self.squares = np.zeros((len(self.squared_rows), shape[1]), dtype=np.int64)
-        add_to_stack(mosaic, self.total, self.lowest, self.highest, self.squared_rows, self.squares)
+        self.total += mosaic
+        np.minimum(self.lowest, mosaic, out=self.lowest)
+        np.maximum(self.highest, mosaic, out=self.highest)
+        wide = mosaic[self.squared_rows].astype(np.int64)
+        self.squares += np.multiply(wide, wide, out=wide)
 
     @property
     def scatter(self) -> NDArray[np.int64]:
@@ -173,7 +175,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     DatasetError
         If there are too few frames, or nearly all pixels never change.
     """
-    from eldata.calibration.core._kernels import block_moments, distances_from_median
+    from eldata.calibration.core._kernels import block_moments
 
     if not threshold > 0:
         raise ArgumentError(f"the threshold is a positive number of standard deviations; found {threshold}")
@@ -194,11 +196,10 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     def limit(channel: int) -> float:
         """Mark the channel's pixels that are off their neighbourhood's level, and return what counts as off."""
         nonlocal off_level
-        distances = []
-        for site in _sites(pattern, channel):
-            distance = np.empty(total[site].shape, dtype=np.int32)
-            distances_from_median(total[site], lowest[site], highest[site], _BLOCK, distance)
-            distances.append((site, distance))
+        distances = [
+            (site, _from_median(total[site].astype(np.int32) - lowest[site] - highest[site]))
+            for site in _sites(pattern, channel)
+        ]
         per_dn = 2 * (frames - 2)
         every = np.concatenate([distance.ravel() for _, distance in distances])
         spread = 1.4826 * float(np.median(every, overwrite_input=True)) / per_dn
@@ -281,6 +282,18 @@ def _sites(pattern: NDArray[np.int64], channel: int) -> Iterator[Site]:
     period = len(pattern)
     for y, x in np.argwhere(pattern == channel):
         yield slice(y, None, period), slice(x, None, period)
+
+
+def _from_median(values: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return twice the distance from the median of blocks; those over an edge are filled up as in a mirror."""
+    height, width = values.shape
+    padded = np.pad(values, ((0, -height % _BLOCK), (0, -width % _BLOCK)), mode="symmetric")
+    blocks = padded.reshape(len(padded) // _BLOCK, _BLOCK, -1, _BLOCK).swapaxes(1, 2)
+    ordered, half = blocks.reshape(*blocks.shape[:2], -1).copy(), _BLOCK**2 // 2
+    ordered.partition(half, axis=2)
+    twice = ordered[..., half] + ordered[..., :half].max(axis=2)
+    found: NDArray[np.int32] = np.abs(2 * blocks - twice[..., None, None]).swapaxes(1, 2).reshape(padded.shape)
+    return found[:height, :width]
 
 
 def _with_edges(levels: NDArray[np.float64], pixels: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import Cfa
 
 _LEVELS = 512  # from black to saturation
-_CLIPPED_SHARE = 0.01  # of a level's segments; more, and the level is left out
+CLIPPED_SHARE = 0.01  # of a level's segments; more, and the level is left out
 _MARGIN = 0.02  # of the range from black to white
 # A segment of n pixels, whose mean is SNR times its noise, knows the ratio of its two frames to sqrt(2 / n) / SNR. The
 # ratio's error adds 1 / (n SNR^2) of the variance: below 1e-4 from an SNR of 20 on. What a wrong ratio would leave of a
@@ -120,7 +120,7 @@ class PhotonTransfer:
     saturation: tuple[Saturation | None, ...] = ()
 
 
-class _Flats(FrameSums):
+class FlatSums(FrameSums):
     """Sums of flat frames; parameters as :class:`FlatPairs`."""
 
     def __init__(
@@ -133,8 +133,8 @@ class _Flats(FrameSums):
         margin: float = _MARGIN,
     ) -> None:
         super().__init__(cfa, defects)
-        self._black = checked_black_level(black_level_dn, self.channels)
-        self._limit = _saturation_dn(self._black, white_level_dn, margin)
+        self.black = checked_black_level(black_level_dn, self.channels)
+        self._limit = _saturation_dn(self.black, white_level_dn, margin)
         self._make_room()
 
     @property
@@ -146,7 +146,7 @@ class _Flats(FrameSums):
         """Set up what the frames are added to, if anything."""
 
 
-class FlatPairs(_Flats):
+class FlatPairs(FlatSums):
     """Accumulates pairs of equal flat frames, of any number of levels, for :func:`photon_transfer`.
 
     Parameters
@@ -160,7 +160,7 @@ class FlatPairs(_Flats):
     """
 
     def _make_room(self) -> None:
-        self._level_dn = (self._limit - float(self._black.min())) / _LEVELS
+        self._level_dn = (self._limit - float(self.black.min())) / _LEVELS
         self._segments = np.zeros((self.channels, _LEVELS, 3), dtype=np.int64)
         self._sums = np.zeros((self.channels, _LEVELS, 7))
         self._counts = np.zeros((self.channels, 65536), dtype=np.int64)
@@ -173,7 +173,7 @@ class FlatPairs(_Flats):
         ratio, so that what stays in the pixels cancels. Where a segment has an edge in it, as on a colour chart, it is
         left out: a camera that moves a tenth of a pixel would be seen there.
         """
-        from eldata.calibration.core._kernels import SEGMENT, pair_segments, segment_means
+        from eldata.calibration.core._flat_kernels import SEGMENT, pair_segments, segment_means
 
         self._check(first)
         defects = self._check(second)
@@ -188,7 +188,7 @@ class FlatPairs(_Flats):
             second,
             defects,
             self.pattern,
-            self._black,
+            self.black,
             self._limit,
             self._level_dn,
             means,
@@ -218,7 +218,7 @@ class FlatPairs(_Flats):
             a, b = np.concatenate(one), np.concatenate(two)
             if len(a) < 2:
                 continue
-            light = (a.mean() - self._black[channel], b.mean() - self._black[channel])
+            light = (a.mean() - self.black[channel], b.mean() - self.black[channel])
             if min(light) > 0 and (a - b).std() < 0.01 * min(light) * math.sqrt(len(a)):
                 ratios[channel] = light[0] / light[1]
         return ratios
@@ -241,7 +241,7 @@ class FlatPairs(_Flats):
         """Where each channel saturates below the white level; ``None`` where nothing shows."""
         if self._saturation is None:
             self._saturation = tuple(
-                saturation(self._counts[channel], self._black[channel], self._limit, *self._of(channel, chosen))
+                saturation(self._counts[channel], self.black[channel], self._limit, *self._of(channel, chosen))
                 for channel, chosen in enumerate(self._unclipped)
             )
         return self._saturation
@@ -260,7 +260,7 @@ class FlatPairs(_Flats):
     @property
     def _unclipped(self) -> NDArray[np.bool_]:
         whole, clipped, _ = np.moveaxis(self._segments, 2, 0)
-        unclipped: NDArray[np.bool_] = (self._sums[:, :, 0] > 0) & (clipped <= _CLIPPED_SHARE * (whole + clipped))
+        unclipped: NDArray[np.bool_] = (self._sums[:, :, 0] > 0) & (clipped <= CLIPPED_SHARE * (whole + clipped))
         return unclipped
 
     @property
@@ -322,7 +322,7 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     )
     correlation, error = flats.correlation
     return replace(
-        _joined(lines, flats.frames, flats.left_out),
+        join_lines(lines, flats.frames, flats.left_out),
         edges=flats.edges,
         correlation=correlation,
         correlation_error=error,
@@ -350,7 +350,7 @@ def _weighted_line(
     for _ in range(50):
         before = gain
         weight = freedom / expected2
-        gain, intercept, _ = _line(signal, variance, weight, 1 / weight)
+        gain, intercept, _ = straight_line(signal, variance, weight, 1 / weight)
         expected = np.maximum(gain * signal + intercept, 0.05 * spread)
         expected2 = 2 * expected**2 + 0.5 * max(gain, 0.0) ** 3 * np.maximum(signal, 0.0)
         if abs(gain - before) <= 1e-10 * abs(gain):
@@ -364,7 +364,7 @@ def _weighted_line(
     # by a few pixels would have less weight for it, and the line a bias.
     known = np.maximum(segments - 1, 1e-9) / expected2**2
     error2 = (expected2 + max(float(np.average(scatter - expected2, weights=known)), 0.0)) / freedom
-    gain, intercept, covariance = _line(signal, variance, weight, error2)
+    gain, intercept, covariance = straight_line(signal, variance, weight, error2)
     residuals = (variance - gain * signal - intercept) ** 2 / error2
     return PhotonTransferLine(
         gain_dn_per_e=gain,
@@ -378,7 +378,7 @@ def _weighted_line(
     )
 
 
-def _line(
+def straight_line(
     x: NDArray[np.float64], y: NDArray[np.float64], weight: NDArray[np.float64], error2: NDArray[np.float64]
 ) -> tuple[float, float, tuple[float, float]]:
     """Return slope and intercept with these weights, and the variances of both if y has these."""
@@ -391,7 +391,8 @@ def _line(
     return slope, intercept, (float(of_slope**2 @ error2), float(of_intercept**2 @ error2))
 
 
-def _joined(lines: tuple[PhotonTransferLine, ...], frames: int, left_out: float) -> PhotonTransfer:
+def join_lines(lines: tuple[PhotonTransferLine, ...], frames: int, left_out: float) -> PhotonTransfer:
+    """Return K of all channels together."""
     # One slope with an intercept per channel is the inverse-variance mean of the channels' slopes.
     gains = np.array([line.gain_dn_per_e for line in lines])
     weights = np.array([line.gain_error for line in lines]) ** -2.0
@@ -414,72 +415,3 @@ def _saturation_dn(black: NDArray[np.float64], white_level_dn: float, margin: fl
     if not 0 <= margin < 1:
         raise ArgumentError(f"the margin is a share of the range, from 0 to below 1; found {margin}")
     return float(white_level_dn - margin * (white_level_dn - black.max()))
-
-
-# --- the published method -------------------------------------------------------------------------------------
-
-
-class FlatFrames(_Flats):
-    """Accumulates single flat frames for :func:`spatial_photon_transfer`; parameters as :class:`FlatPairs`."""
-
-    def _make_room(self) -> None:
-        self.points: list[list[tuple[float, float]]] = [[] for _ in self._black]
-        """Median over black and variance of each frame that is neither clipped nor saturated, by channel."""
-
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
-        """Add a flat frame."""
-        from eldata.calibration.core._kernels import channel_histograms
-
-        counts = np.zeros((1, self.channels, 65536), dtype=np.int64)
-        channel_histograms(mosaic, self._check(mosaic), self.pattern, counts)
-        values = np.arange(65536)  # integers: exact, and no BLAS, whose threads would wait in vain
-        for channel, histogram in enumerate(counts[0]):
-            total = int(histogram.sum())
-            bad = int(histogram[0]) + int(histogram[math.ceil(self._limit) :].sum())
-            if total < 2 or bad > _CLIPPED_SHARE * 0.01 * total:
-                continue
-            median = float(np.searchsorted(np.cumsum(histogram), total / 2))
-            first, second = int(histogram @ values), int(histogram @ values**2)
-            variance = (second - first * first / total) / (total - 1)
-            self.points[channel].append((median - float(self._black[channel]), variance))
-
-
-def spatial_photon_transfer(flats: FlatFrames) -> PhotonTransfer:
-    """Estimate K as published: ordinary least squares of each frame's variance over its median.
-
-    For comparison only: PRNU of p adds ``(p signal)^2``, and shading more. The standard errors come from the scatter
-    around the line and allow for neither.
-
-    Raises
-    ------
-    DatasetError
-        If a channel has fewer than three usable frames.
-    """
-    return _joined(
-        tuple(_plain_line(points, channel) for channel, points in enumerate(flats.points)),
-        flats.frames,
-        1 - sum(map(len, flats.points)) / max(1, flats.frames * len(flats.points)),
-    )
-
-
-def _plain_line(points: Sequence[tuple[float, float]], channel: int) -> PhotonTransferLine:
-    table: NDArray[Any] = np.array(points, dtype=np.float64).reshape(-1, 2)
-    signal, variance = table[:, 0], table[:, 1]
-    if len(signal) < 3 or not np.ptp(signal) > 0:
-        raise DatasetError(
-            f"channel {channel} has {counted(len(signal), 'usable flat frame')} and the spatial method needs three of "
-            "different brightness: take flats at four exposures or more, from a tenth to nine tenths of the range"
-        )
-    even = np.ones(len(signal))
-    slope, intercept, scales = _line(signal, variance, even, even)
-    scatter = float(((variance - slope * signal - intercept) ** 2).sum()) / (len(signal) - 2)
-    return PhotonTransferLine(
-        gain_dn_per_e=slope,
-        gain_error=max(math.sqrt(scatter * scales[0]), 1e-300),
-        intercept_dn2=intercept,
-        intercept_error=math.sqrt(scatter * scales[1]),
-        chi2_per_dof=math.nan,
-        signal_dn=signal,
-        variance_dn2=variance,
-        variance_error_dn2=np.full(len(signal), math.sqrt(scatter)),
-    )

@@ -27,11 +27,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.core._residual_fit import ResidualFit, ResidualHistogram
-    from eldata.calibration.core._rounding import OffsetResponse
     from eldata.calibration.core._tukey_lambda import ResidualModel
     from eldata.calibration.core.defects import PatternSummary
     from eldata.calibration.core.findings import Figure
-    from eldata.calibration.core.row_noise import ColourBias
+    from eldata.calibration.core.row_noise import ColourBias, OffsetResponse
 
 _TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
 _MOST_ERROR = 0.15  # of lambda, and of sigma_TL as a share: beyond, neither figure nor error means anything

@@ -60,9 +60,7 @@ class Residuals:
         self._squares += np.bincount(self._group, left, minlength=len(self._squares))
         self._offset_squares += float(of_offsets.sum())
         offsets = np.rint(row[:, None] + level[fixed.pattern[phases]]).astype(np.int64)
-        residual_histogram(
-            mosaic, fixed.total_dn, fixed.defects, fixed.frames, offsets, self._step, len(self._counts), self._counts
-        )
+        residual_histogram(mosaic, fixed.total_dn, fixed.defects, fixed.frames, offsets, self._step, self._counts)
         self._added += 1
 
     def histogram(self) -> ResidualHistogram:
@@ -104,13 +102,15 @@ class Residuals:
         return ReadFigures(read, probability_plot(residuals, read), bias, residuals=residuals)
 
     def _fractions(self, row_pixels: float) -> LevelFractions:
-        from eldata.calibration.core._kernels import remainder_counts
+        from eldata.calibration.core._kernels import channel_histograms
         from eldata.calibration.core._rounding import LevelFractions
 
         fixed, frames = self._fixed, self._fixed.frames
         channels = len(fixed.level_dn)
         remainders = np.zeros((len(self._counts), channels, frames), dtype=np.int64)
-        remainder_counts(fixed.total_dn, fixed.defects, fixed.pattern, remainders)
+        of_pixels = np.empty(fixed.total_dn.shape, dtype=np.uint16)
+        np.remainder(fixed.total_dn, frames, out=of_pixels, casting="unsafe")
+        channel_histograms(of_pixels, fixed.defects, fixed.pattern, remainders)
         residuals = float(self._pixels.sum()) * frames
         pixel_variance = float(self._squares.sum()) / residuals / frames**2 / ((1 - 1 / frames) * (1 - 1 / row_pixels))
         offset_variance = self._offset_squares / residuals / frames**2 - pixel_variance * (1 - 1 / frames) / row_pixels

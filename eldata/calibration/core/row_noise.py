@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,13 +31,59 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.core._rounding import OffsetResponse
     from eldata.calibration.core.defects import FixedPattern
 
+    Values: TypeAlias = NDArray[np.floating[Any]]
     LineSums: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+
+_NODE_DN = 0.04  # spacing of row offsets: what turns a dozen times per DN is still resolved
+_NODES_REACH = 5.0
 
 SHAPIRO_VALUES = 5000
 """The Shapiro-Wilk test's p is accurate up to this many values; more are thinned evenly."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OffsetResponse:
+    """By how much the recorded values of a row move, on average over its pixels, when an offset moves what is recorded.
+
+    Attributes
+    ----------
+    offsets_dn
+        A grid of offsets, ascending.
+    seen_dn
+        (kinds of rows, offsets): the mean recorded values less those at offset 0.
+    shares
+        Of the kinds of rows.
+    relative_error
+        Standard error of the standard deviation that :meth:`sigma_dn` returns, by what is not known of the response.
+    """
+
+    offsets_dn: Values = field(repr=False)
+    seen_dn: Values = field(repr=False)
+    shares: Values = field(repr=False)
+    relative_error: float = 0.0
+
+    def seen(self, nodes: Values) -> Values:
+        """Return what is recorded, (kinds of rows, nodes)."""
+        return np.stack([np.interp(nodes, self.offsets_dn, of_kind) for of_kind in self.seen_dn])
+
+    def seen_variance_dn2(self, sigma_dn: float) -> float:
+        """Return the variance of what is recorded under normal offsets of this standard deviation."""
+        nodes, chances = normal_nodes(sigma_dn)
+        seen = self.seen(nodes)
+        return float(self.shares @ (seen**2 @ chances - (seen @ chances) ** 2))
+
+    def sigma_dn(self, seen_variance_dn2: float) -> float:
+        """Return the standard deviation of the normal offsets of which this variance is recorded."""
+        from scipy.optimize import brentq
+
+        if seen_variance_dn2 <= 0:
+            return 0.0
+        highest = float(self.offsets_dn[-1]) / _NODES_REACH
+        if self.seen_variance_dn2(highest) <= seen_variance_dn2:
+            return math.sqrt(seen_variance_dn2)
+        return float(brentq(lambda sigma: self.seen_variance_dn2(sigma) - seen_variance_dn2, 0.0, highest, xtol=1e-9))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -357,3 +403,13 @@ def colour_bias(means: LineMeans, black_level_dn: Sequence[float]) -> ColourBias
         frame_bias_dn=bias,
         frames=frames,
     )
+
+
+def normal_nodes(sigma: float) -> tuple[Values, Values]:
+    """Return nodes and weights of a normal distribution, fine enough for what turns a dozen times per DN."""
+    if sigma < 1e-4:
+        return np.zeros(1), np.ones(1)
+    count = 2 * math.ceil(max(_NODES_REACH * sigma / _NODE_DN, 12)) + 1
+    nodes = np.linspace(-_NODES_REACH, _NODES_REACH, count)
+    shares = np.exp(-0.5 * nodes**2)
+    return nodes * sigma, shares / shares.sum()

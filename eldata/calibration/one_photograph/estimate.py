@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from eldata.base.tables import one_line
-from eldata.calibration.mode_fits import NO_NOISE_DN
+from eldata.calibration.joint import NO_NOISE_DN
 from eldata.errors import DatasetError, check_choice
 from eldata.noise.gain_modes import LogLogFit, ProfileRow
 from eldata.noise.parameters import tukey_lambda_variance

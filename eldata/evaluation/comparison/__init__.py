@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from eldata.base import figures
     from eldata.evaluation.results import EvaluationResult
     from eldata.plots.axes import Theme
-    from eldata.protocols.kinds import Kind, Metric
+    from eldata.protocols.kinds import Kind
 
 # What of the provenance decides neither which images are scored nor against what.
 _NOT_DECIDING = (
@@ -214,7 +215,7 @@ class Comparison:
 
         def draw(axes: Axes, theme: Theme) -> None:
             mean_gains(axes, [group.name for group in self.groups], gains, theme)
-            axes.set_xlabel(f"difference of {chosen.head}")
+            axes.set_xlabel(f"difference of {chosen.heading}")
 
         named = others[0].name if len(others) == 1 else f"{len(others)} methods"
         return drawn_into(ax, f"{named} against {first.name}", draw)
@@ -222,7 +223,7 @@ class Comparison:
     def __repr__(self) -> str:
         psnr = self.kind.metric("psnr_db")
         texts = [
-            f"{method.name} {psnr.text(means[psnr.name])}"
+            f"{method.name} {psnr.format(means[psnr.name])}"
             for method, means in zip(self.methods, self.whole.means, strict=True)
         ]
         warned = f"; {counted(len(self.warnings), 'warning')}" if self.warnings else ""
@@ -232,7 +233,7 @@ class Comparison:
         metrics = self.kind.metrics
         heads = [f"{method.name} {metric.unit or metric.label}" for method in self.methods for metric in metrics]
         texts = [
-            [str(group.images), *(metric.text(means[metric.name]) for means in group.means for metric in metrics)]
+            [str(group.images), *(metric.format(means[metric.name]) for means in group.means for metric in metrics)]
             for group in self.groups
         ]
         groups = [(group.camera, group.ratio) for group in self.groups]
@@ -305,7 +306,7 @@ def compare(methods: Sequence[Method]) -> Comparison:
 
 
 def _contests(
-    methods: Sequence[Method], images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[Metric]
+    methods: Sequence[Method], images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[figures.Figure]
 ) -> tuple[Contest, ...]:
     places = clusters_of((scores[0] for scores in images), scenes_shared=methods[0].result.scenes_shared)
     values = [
@@ -336,7 +337,7 @@ def _common_kind(methods: Sequence[Method]) -> Kind:
 
 
 def _groups(
-    images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[Metric], result: EvaluationResult
+    images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[figures.Figure], result: EvaluationResult
 ) -> tuple[Group, ...]:
     names = [metric.name for metric in metrics]
     groups = []

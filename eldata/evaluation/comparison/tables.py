@@ -32,7 +32,7 @@ def means_table(comparison: Comparison, times: str = "x") -> PaperTable:
 def gains_table(comparison: Comparison, index: int, times: str = "x") -> PaperTable:
     """Return differences to the first method by group, of the method of this index among the others."""
     kind = comparison.kind
-    heads = ["scenes", *(head for metric in kind.metrics for head in (metric.head, f"{LEVEL:.0%} interval", "p"))]
+    heads = ["scenes", *(head for metric in kind.metrics for head in (metric.heading, f"{LEVEL:.0%} interval", "p"))]
     texts = [[str(group.scenes), *_gain_texts(group.gains[index], kind)] for group in comparison.groups]
     return _by_group(comparison, heads, texts, times)
 
@@ -40,7 +40,7 @@ def gains_table(comparison: Comparison, index: int, times: str = "x") -> PaperTa
 def contests_table(comparison: Comparison) -> PaperTable:
     """Return each method against each other on all common images, with p-values corrected for their number."""
     kind = comparison.kind
-    heads = (head for metric in kind.metrics for head in (metric.head, f"{LEVEL:.0%} interval", "p", "p (Holm)"))
+    heads = (head for metric in kind.metrics for head in (metric.heading, f"{LEVEL:.0%} interval", "p", "p (Holm)"))
     rows = []
     for contest in comparison.contests:
         texts = _gain_texts(contest.gains, kind)
@@ -71,9 +71,9 @@ def _mean_texts(group: Group, kind: Kind) -> list[str]:
     columns = []
     for metric in kind.metrics:
         values = [means[metric.name] for means in group.means]
-        texts = [metric.text(value) if not math.isnan(value) else "-" for value in values]
+        texts = [metric.format(value) for value in values]
         known = [value for value in values if not math.isnan(value)]
-        best = metric.text((max if metric.higher_is_better else min)(known)) if known else ""
+        best = metric.format((max if metric.sign > 0 else min)(known)) if known else ""
         columns.append([Strong(text) if text == best else text for text in texts])
     return [text for each in zip(*columns, strict=True) for text in each]
 
@@ -82,11 +82,11 @@ def _gain_texts(gain: dict[str, Difference], kind: Kind) -> list[str]:
     """Return difference, interval and p-value of each metric as printed."""
     cells = []
     for metric in kind.metrics:
-        difference, places = gain[metric.name], metric.gain_places
+        difference = gain[metric.name]
         interval = difference.interval
-        reach = f"{signed_text(interval.low, places)} to {signed_text(interval.high, places)}"
+        reach = f"{metric.format_difference(interval.low)} to {metric.format_difference(interval.high)}"
         cells += [
-            signed_text(interval.mean, places),
+            metric.format_difference(interval.mean),
             reach if interval.is_known else "-",
             _p_text(difference.p_value),
         ]

@@ -18,7 +18,7 @@ from eldata.base.files import check_same_work, inside
 from eldata.base.png import read_rgb16
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import EldataError
-from eldata.manifest.clip_checks import is_png
+from eldata.manifest.patterns import is_png
 from eldata.sources.store.format import (
     FORMAT,
     VERSION,

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from eldata.base.files import sha256_of
 from eldata.errors import ArgumentError, FileError, check_choice
-from eldata.manifest.clip_checks import is_png
+from eldata.manifest.patterns import is_png
 from eldata.sources.file_facts import exposure_data, exposure_of, more_of_sensor, parsed, sensor_data, sensor_of
 
 if TYPE_CHECKING:

@@ -29,8 +29,8 @@ from torch import distributed
 from torch.utils.data import ConcatDataset, Dataset
 
 from eldata import ELDDataset, PackedStore, StreamedPairs, SyntheticClips, SyntheticPairs
+from eldata.base.arguments import named_object
 from eldata.base.files import atomic_write
-from eldata.base.naming import named_object
 from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
 from eldata.datasets import (
     DarkFrames,

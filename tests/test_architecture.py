@@ -317,14 +317,13 @@ def test_reports_compute_nothing() -> None:
 PARSERS = {"json.load", "json.loads", "tomllib.load", "tomllib.loads", "csv.reader", "csv.DictReader"}
 READER = "eldata.base.fields"
 WRITES = {
-    "eldata.base.fields": "a value in a sentence",
     "eldata.base.files": "the one writer of JSON files",
+    "eldata.base.visible": "a value in a sentence",
     "eldata.evaluation.comparison": "one value of a setting in a sentence",
     "eldata.protocols.digests": "what a digest is made of",
     "eldata.reports.evaluation": "one value of a setting in a sentence",
     "eldata.sources.shards.index": "an index with one line per shard, and a sample's own JSON",
-    "eldata.sources.store.format": "attributes of an HDF5 store",
-    "eldata.sources.store.table": "a data set of an HDF5 store, without spaces: it is as long as there are frames",
+    "eldata.sources.store.format": "a data set of an HDF5 store, a line a frame",
     "capture.checklist": "what a digest is made of, and a script's data",
 }
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from eldata.base.numbers import counted
 from eldata.calibration.core.figures import SCALES, SIGMA_ROW
-from eldata.calibration.core.findings import Finding
+from eldata.calibration.core.findings import STEP
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.gain_modes import GainMode, LogLogFit, modes_problem
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.core.figures import DarkFigure
+    from eldata.calibration.core.findings import Finding
     from eldata.calibration.iso_results import IsoCalibration
 
 
@@ -175,7 +176,7 @@ class GainStep:
                 "than the camera's: state the modes (--mode ISO), or calibrate the ISOs on either side by themselves "
                 "(--iso)"
             )
-        return Finding("a step in a joint fit", (), "remark", largest.statistic, largest.threshold, seen + outcome)
+        return STEP.seen(largest.statistic, largest.threshold, seen + outcome)
 
 
 def gain_steps(points: Mapping[str, Sequence[tuple[float, float]]]) -> tuple[GainStep, ...]:

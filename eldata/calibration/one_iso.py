@@ -22,18 +22,16 @@ from eldata.calibration.audit.frame_checks import (
     ADVISED_BIAS_FRAMES,
     FrameFigures,
     PairLevels,
-    code_step,
-    missing_codes,
     unequal_pair,
     uneven_light,
 )
 from eldata.calibration.audit.frames import FrameReader, FramesError
-from eldata.calibration.audit.response_pattern import ResponsePattern
-from eldata.calibration.audit.structure import measured_structure
+from eldata.calibration.audit.steps import BiasSeen, code_step, missing_codes
+from eldata.calibration.audit.structure import ResponsePattern, measured_structure
 from eldata.calibration.audit.telegraph import TelegraphGroups
 from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.core.findings import Finding, with_accepted
+from eldata.calibration.core.findings import TRANSFER, with_accepted
 from eldata.calibration.core.photon_transfer import FlatPairs, PhotonTransfer, photon_transfer
 from eldata.calibration.core.single_frame import FlatFrames, single_frame_plot, spatial_photon_transfer
 from eldata.calibration.core.spectra import power_spectrum
@@ -49,6 +47,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.audit.frames import IsoFrames
+    from eldata.calibration.core.findings import Finding
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, Sensor
 
@@ -188,16 +187,8 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
         stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
     )
     # Dark current is told by K, which the flats tell.
-    of_audit = bias_findings(
-        seen,
-        dark.bias,
-        dark.rows,
-        dark.read,
-        step=step,
-        gaps=gaps,
-        is_clipped=is_clipped,
-        gain_dn_per_e=of_flats.on(dark).gain_dn_per_e,
-    )
+    gain = of_flats.on(dark).gain_dn_per_e
+    of_audit = bias_findings(BiasSeen(seen, dark.bias, dark.rows, dark.read, step, gaps, is_clipped, gain))
     of_bias = with_accepted((*dark.findings, *of_audit), chosen.accept)
     if structure:
         jumps = None if jumping is None or found.residuals is None else (jumping, found.residuals)
@@ -341,7 +332,7 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None, s
 
 def _no_line(why: str) -> Finding:
     """Return that there is no photon transfer line; the read noise is measured all the same."""
-    return Finding("photon transfer", ("gain",), "withheld", math.nan, math.nan, why)
+    return TRANSFER.seen(math.nan, math.nan, why).of("withheld", TRANSFER.figures)
 
 
 def _pairs(reader: FrameReader, pairs: Sequence[FlatPair]) -> Iterator[tuple[FlatPair, RawFrame, RawFrame]]:

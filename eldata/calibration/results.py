@@ -11,15 +11,16 @@ from eldata.base.tables import text_table, with_error
 from eldata.base.visible import in_line
 from eldata.calibration.core.figures import COLUMNS, GAIN, SCALES, SIGMA_GAUSS, SIGMA_ROW, SIGMA_TL
 from eldata.calibration.core.findings import named
+from eldata.calibration.drawing import calibration_figure, scale_panels
 from eldata.calibration.iso_results import usual_gain_per_iso
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from eldata.calibration.core.figures import DarkFigure
     from eldata.calibration.core.findings import GivenFigure
+    from eldata.calibration.drawing import ScalePanel
     from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
     from eldata.calibration.joint import FittedMode, LogLogEstimate
-    from eldata.calibration.panels import ScalePanel
     from eldata.manifest.verify_report import Problem
     from eldata.noise.profile import CameraProfile
     from eldata.plots.axes import Drawing
@@ -118,18 +119,7 @@ class Calibration:
     @property
     def scale_panels(self) -> tuple[ScalePanel, ...]:
         """The scales over K that can be drawn: of the read noise by either model, and of the row noise."""
-        from eldata.calibration.panels import scale_panel
-
-        found = (
-            scale_panel(
-                figure.label.removeprefix("sigma_"),
-                figure.basis or "read noise",
-                [(one, one.estimate(figure)) for one in self.modes],
-                [(one.gain_dn_per_e, figure.given(one)) for one in self.isos],
-            )
-            for figure in SCALES
-        )
-        return tuple(panel for panel in found if panel is not None)
+        return scale_panels(self.modes, self.isos)
 
     def plot(self, iso: float | None = None) -> Drawing:
         """Draw photon transfer at one ISO, K over the ISO, and the scales of the noise over K.
@@ -149,11 +139,7 @@ class Calibration:
         ArgumentError
             If there is no photon transfer at the ISO, or nothing to draw at all.
         """
-        from eldata.calibration.drawing import calibration_figure
-
-        transfers = {one.iso: (one.channels, one.transfer) for one in self.all_isos if one.transfer is not None}
-        gains = [(one.iso, one.gain.value, one.gain.error) for one in self.all_isos if one.gain is not None]
-        return calibration_figure(self.camera, transfers, iso, gains, self.usual_gain_per_iso, self.scale_panels)
+        return calibration_figure(self.camera, self.all_isos, self.scale_panels, iso)
 
     def __repr__(self) -> str:
         isos = ", ".join(f"{one.iso:g}" for one in self.all_isos)

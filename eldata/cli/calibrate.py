@@ -7,9 +7,8 @@ from argparse import ArgumentTypeError
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of, whole_number
-from eldata.base.fields import number_of, whole_of
 from eldata.base.files import write_json
-from eldata.base.numbers import counted
+from eldata.base.numbers import counted, number_of, whole_of
 from eldata.base.outputs import PROFILE, FileKind, add_output, json_kind, page_kind
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of, whole_number
+from eldata.base.console import OK, PROBLEMS, add_examples, add_shared, chosen_workers, each_of, whole_number
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.outputs import add_output, page_kind
-from eldata.base.parsing import add_examples
 from eldata.cli.baseline import add_another_camera
 
 if TYPE_CHECKING:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, each_of, whole_number
+from eldata.base.console import OK, PROBLEMS, add_examples, add_shared, each_of, whole_number
 from eldata.base.files import write_json
 from eldata.base.outputs import PROFILE, FileKind, add_output, page_kind
-from eldata.base.parsing import add_examples
 
 if TYPE_CHECKING:
     import argparse

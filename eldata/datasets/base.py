@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, get_args
 
@@ -215,8 +216,10 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
 
     def _check_pairs(self) -> None:
         """Refuse what is not a pair: a source that reads parts knows all but the pixels. One of each kind is opened."""
-        kind_of = getattr(self.source, "kind_of", lambda path: path)
         kinds = set()
+        numbers: dict[object, int] = {}
+        # Of a reference once; by number, for to look at the hash of fractions takes longer than all else here.
+        kind_of = cache(lambda path: numbers.setdefault(_kind_of(self.source.frame(path)), len(numbers)))
         for record in self.records:
             own = record.camera, record.ratio, record.flags, record.measured_ratio
             kind = kind_of(record.reference), kind_of(record.path), own
@@ -380,6 +383,12 @@ def _manifest(manifest: Path | str) -> Manifest:
     if isinstance(manifest, str) and "/" not in manifest and not manifest.endswith(".csv"):
         return known_manifest(manifest)
     return load_manifest(manifest)
+
+
+def _kind_of(frame: Frame) -> tuple[object, ...]:
+    """Return what decides with which others a frame makes a pair: all but its colours."""
+    exposure = frame.exposure
+    return frame.shape, frame.cfa, frame.black_level_dn, frame.white_level_dn, exposure.iso, exposure.exposure_s
 
 
 def _packed_noisy(path: Path, record: PairRecord, target: Frame) -> Frame:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypedDict, get_args
 
-from eldata.base.keywords import keywords
+from eldata.base.arguments import keywords
 from eldata.errors import ArgumentError, check_choice
 from eldata.manifest.pairs import Choice
 from eldata.noise.dark_shading import DarkShading

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from eldata.base.scratch import scratch
+from eldata.base.memory import scratch
 from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented, turned_levels
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.cfa import PackedArea, cfa_from, pack, packed_area, packed_shape, packing_sites
@@ -143,9 +143,7 @@ class Crop:
         kind = _TURNED.get(part.dtype)
         if kind is None or self.orientation == _AS_IT_IS:
             return oriented(part, cfa, self.orientation)[: self.height, : self.width]
-        size = self.height * self.width
-        copy: NDArray[Any] = scratch("turned", size * kind.itemsize).bytes.view(kind)[:size]
-        copy = copy.reshape(self.height, self.width)
+        copy = scratch("turned", (self.height, self.width), kind)
         copy_oriented(part, cfa, self.orientation, copy)
         return copy
 

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset
 
-from eldata.base.keywords import keywords
+from eldata.base.arguments import keywords
 from eldata.base.main_guard import require_main_guard
 from eldata.base.numbers import checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence

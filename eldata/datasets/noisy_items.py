@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import numpy as np
 
-from eldata.base.keywords import keywords
+from eldata.base.arguments import keywords
 from eldata.datasets.batches import threads_here
 from eldata.datasets.dark_frames import GAIN_SPREAD, DarkFrames
 from eldata.datasets.draws import NoiseChoice

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from eldata.datasets.clips import ClipSample, ClipWindows, PairedClips, Sample, UnpairedClips, UnpairedClipSample
 from eldata.errors import DatasetError
-from eldata.sources.store.frames import StoreFrames
+from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Unpack
 
-from eldata.base.garbage import no_search_for_cycles
+from eldata.base.memory import no_search_for_cycles
 from eldata.datasets.base import PairCropping, PairOptions, SourcePairs
 from eldata.datasets.choices import Representation, understood
 from eldata.datasets.dn_batches import DnPairs
 from eldata.manifest.pairs import Choice
-from eldata.sources.store.frames import StoreFrames
+from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
     from pathlib import Path

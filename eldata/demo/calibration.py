@@ -13,7 +13,7 @@ from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.camera import calibrate
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
-from eldata.demo.folder import prepare_folder
+from eldata.demo.tree import prepare_folder
 from eldata.errors import EldataError
 from eldata.reports.calibration import calibration_page
 

@@ -20,9 +20,9 @@ from functools import partial
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
-from eldata.base.fields import shown
 from eldata.base.files import file_problem, path_problem
 from eldata.base.isolation import Limits, guarded_file, isolation
+from eldata.base.visible import shown
 from eldata.download.members import BY_HAND, Member
 from eldata.errors import ArchiveError, DownloadError, EldataError
 

@@ -1,21 +1,18 @@
-"""Fetching large archives through pooch, over connections that break.
+"""Fetching large archives, over connections that break.
 
-Pooch decides whether an archive has to be fetched, checks its hash and gives it its name. By itself it would start a
-broken download over and delete what has arrived, so the downloader that it calls is ours: what has arrived is kept in
-``<name>.part`` and goes on by range requests, in this run or the next. ``<name>.part.json`` beside it holds what makes
-the bytes one file: the address, the total size, and the server's mark for this version (a strong ETag, else
-Last-Modified). Without such a mark, or when the server's file has changed, fetching starts over: two versions are never
-spliced.
+Pooch's registry says what there is to fetch and which hash it has, and pooch checks that. Its own fetching would start
+a broken download over and delete what has arrived, so the fetching is ours: what has arrived is kept in ``<name>.part``
+and goes on by range requests, in this run or the next. ``<name>.part.json`` beside it holds what makes the bytes one
+file: the address, the total size, and the server's mark for this version (a strong ETag, else Last-Modified). Without
+such a mark, or when the server's file has changed, fetching starts over: two versions are never spliced.
 """
 
 from __future__ import annotations
 
-import logging
 import os
 import re
-import tempfile
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from http import HTTPStatus
 from pathlib import Path
@@ -23,8 +20,7 @@ from typing import IO, TYPE_CHECKING, Any, NoReturn
 
 from eldata import __version__
 from eldata.base.fields import TextFile
-from eldata.base.files import check_posix, sha256_of, try_lock, write_json
-from eldata.base.logs import quiet
+from eldata.base.files import check_posix, try_lock, write_json
 from eldata.download.archives import HEAD_BYTES, archive_format, looks_like
 from eldata.download.card_downloads import check_room, progress_bar, size_text
 from eldata.errors import DownloadError
@@ -67,7 +63,7 @@ class _Broken(Exception):  # noqa: N818 # not an error yet: another try may succ
 
 @dataclass(frozen=True, slots=True)
 class Fetcher:
-    """Fetches archives over https, as pooch's downloader.
+    """Fetches archives over https.
 
     Attributes
     ----------
@@ -96,36 +92,32 @@ class Fetcher:
             If it cannot be fetched: the server refuses, sends something else, or cannot be reached; the disk is full;
             or the file is not the expected one. The message says what is kept and how to go on.
         """
-        from pooch import get_logger
+        from pooch.hashes import file_hash, hash_matches
 
-        target = Path(archives.path, name)
-        there = target.exists()
-        if there and size_bytes is not None and (found_bytes := target.stat().st_size) != size_bytes:
-            raise DownloadError(f"{target}: expected {size_bytes} bytes, found {found_bytes}; {_MOVE_AWAY}")
-        fetched = False
-        with ExitStack() as held, quiet(logging.WARNING, get_logger()):  # which says on stderr what it fetches
+        target, known, address = Path(archives.path, name), archives.registry[name], archives.get_url(name)
 
-            def downloader(address: str, temporary: str, _: Pooch) -> None:
-                nonlocal fetched
-                Path(temporary).unlink()  # pooch made it, empty; a killed run would leave it behind
-                partial = held.enter_context(open_partial(target))  # until pooch has given it its name
+        def found(path: Path) -> str:
+            algorithm = known.rpartition(":")[0] or "sha256"
+            return f"expected {known}, found {algorithm}:{file_hash(path, algorithm)}"
+
+        try:
+            if target.exists():
+                if size_bytes is not None and (found_bytes := target.stat().st_size) != size_bytes:
+                    raise DownloadError(f"{target}: expected {size_bytes} bytes, found {found_bytes}; {_MOVE_AWAY}")
+                if not hash_matches(target, known):
+                    raise DownloadError(f"{target}: {found(target)}; {_MOVE_AWAY}")
+                return target
+            with suppress(FileExistsError):  # not of a folder: what is opened in it says so
+                target.parent.mkdir(parents=True)
+            with open_partial(target) as partial:
                 self._complete(address, partial, size_bytes)
-                partial.hand_over(Path(temporary))
-                fetched = True
-
-            try:
-                archives.fetch(name, downloader=downloader)
-                _discard(target)
-            except OSError as error:
-                raise DownloadError(f"cannot keep {target}: {error.strerror or error}") from error
-            except ValueError as error:  # pooch's, of another hash
-                if there:
-                    wrong = f"expected {archives.registry[name]}, found {sha256_of(target)}"
-                    raise DownloadError(f"{target}: {wrong}; {_MOVE_AWAY}") from error
-                if not fetched:
-                    raise
-                _discard(target)  # going on from it would fail again
-                raise DownloadError(f"{archives.get_url(name)}: {error} Look at the homepage.") from error
+                if not hash_matches(partial.path, known):
+                    wrong = found(partial.path)
+                    partial.discard()  # going on from it would fail again
+                    raise DownloadError(f"{address}: {wrong}; the publisher has changed it: look at the homepage")
+                partial.keep(target)
+        except OSError as error:
+            raise DownloadError(f"cannot keep {target}: {error.strerror or error}") from error
         return target
 
     def _complete(self, address: str, partial: Partial, size_bytes: int | None) -> None:
@@ -315,7 +307,7 @@ class Version:
 
 
 class Partial:
-    """An unfinished download: ``<name>.part``, which :func:`open_partial` opens, and which file it belongs to."""
+    """An unfinished download: ``<name>.part``, which :func:`open_partial` opens, and what it belongs to."""
 
     def __init__(self, target: Path, file: IO[bytes]) -> None:
         self.path, self._note = _paths(target)
@@ -355,22 +347,16 @@ class Partial:
                 "and the same command goes on"
             ) from error
 
-    def hand_over(self, temporary: Path) -> None:
-        """Give the whole file pooch's temporary name as well as its own.
+    def keep(self, target: Path) -> None:
+        """Give the whole file its name."""
+        os.fsync(self._file.fileno())
+        self.path.rename(target)
+        self._note.unlink(missing_ok=True)
 
-        Pooch deletes what bears its name if Ctrl-C comes while it checks the hash; ours stays until the hash is right.
-        """
-        try:
-            os.fsync(self._file.fileno())
-            for other in temporary.parent.glob(f"{tempfile.gettempprefix()}*"):  # of a run killed during that check
-                if other.exists() and other.samefile(self.path):
-                    other.unlink()
-            try:
-                temporary.hardlink_to(self.path)
-            except OSError:  # exFAT and others have no links
-                self.path.rename(temporary)
-        except OSError as error:
-            raise DownloadError(f"cannot write {self.path}: {error.strerror}") from error
+    def discard(self) -> None:
+        """Remove what has arrived."""
+        self.path.unlink()
+        self._note.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -392,13 +378,6 @@ def open_partial(target: Path) -> Iterator[Partial]:
         if not try_lock(path, file):
             raise DownloadError(f"{path}: another process is fetching it; wait for that one")
         yield Partial(target, file)
-
-
-def _discard(target: Path) -> None:
-    """Remove what :class:`Partial` keeps beside a file."""
-    for path in _paths(target):
-        if path.exists():  # not missing_ok: a read-only disk refuses even that
-            path.unlink()
 
 
 def _paths(target: Path) -> tuple[Path, Path]:

@@ -16,8 +16,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.fields import shown
 from eldata.base.files import check_posix, inside, try_lock
+from eldata.base.visible import shown
 from eldata.download.card_downloads import check_room, progress_bar
 from eldata.download.members import BY_HAND, NewFile, disk_named
 from eldata.errors import ArchiveError, DownloadError, ManifestError

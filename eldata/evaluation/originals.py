@@ -114,9 +114,9 @@ def _stored_frame(store: Path, held: StoredFrame) -> RawFrame:
     from eldata.sources.store.build import pixels_digest
     from eldata.sources.store.format import StoreError
 
-    place, (height, width) = store / held.path, held.shape
+    place = store / held.path
     try:
-        mosaic = _reader(store).read(held.key, range(height), range(width))
+        mosaic = _reader(store).read(held.key, slice(None), slice(None)).copy()
     except StoreError as error:
         raise RawFileError(place, f"cannot be read from the store: {error.reason}") from error
     if pixels_digest(mosaic) != held.sha256:

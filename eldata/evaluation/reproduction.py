@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.fields import shown
 from eldata.base.numbers import counted
 from eldata.base.tables import text_table
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 from eldata.evaluation.evaluate import perform
 from eldata.evaluation.planning import plan_scoring, require_folder

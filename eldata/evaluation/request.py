@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
 
+from eldata.base.arguments import keywords
 from eldata.base.fields import TextFile
-from eldata.base.keywords import keywords
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.tasks import Task

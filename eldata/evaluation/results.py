@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.fields import csv_text
 from eldata.base.files import write_json, write_text
 from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
-from eldata.base.tables import latex_table, markdown_table, markdown_text, text_table, wrapped
+from eldata.base.tables import csv_text, latex_table, markdown_table, markdown_text, text_table, wrapped
 from eldata.base.visible import in_line
 from eldata.evaluation.pairs import name_of
 from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, finite_values, json_object

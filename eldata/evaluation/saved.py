@@ -6,7 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any, Final
 
 from eldata import __version__
-from eldata.base.fields import TextFile, shown
+from eldata.base.fields import TextFile
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError, FileError
 from eldata.evaluation.diagnosis import Suspicion
 from eldata.evaluation.results import EvaluationResult, kind_of

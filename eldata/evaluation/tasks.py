@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from eldata.base.arguments import is_tensor, named_object
 from eldata.base.figures import Figure
 from eldata.base.files import sha256_of
-from eldata.base.naming import named_object
-from eldata.base.tensors import is_tensor
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, FileError, check_choice
 

@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
-from eldata.base.fields import Fields, TextFile, names_of, shown
+from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import json_text, path_problem, write_text
-from eldata.base.visible import has_unseen
+from eldata.base.visible import has_unseen, shown
 from eldata.errors import ArgumentError, ManifestError, did_you_mean
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from bisect import bisect
 from operator import attrgetter
 from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
+from eldata.base.arguments import keywords
 from eldata.base.fields import names_of
-from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, did_you_mean
 from eldata.manifest.card import find_subset
 from eldata.records import PairRecord, from_columns

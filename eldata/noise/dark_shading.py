@@ -28,9 +28,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.fields import shown
 from eldata.base.files import atomic_write, json_text
 from eldata.base.numbers import checked_number
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError, DatasetError, ShadingError
 from eldata.noise.shading_content import (
     ADVICE,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from eldata.base.arguments import is_tensor
 from eldata.base.numbers import checked_number
-from eldata.base.tensors import is_tensor
 from eldata.errors import ArgumentError
 from eldata.noise.mosaic import channel_bias_dn, first_place, pack_whole, whole_shape
 from eldata.noise.parameters import tukey_lambda_variance

@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from eldata.base.fields import Fields, TextFile, names_of, shown
+from eldata.base.fields import Fields, TextFile, names_of
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 from eldata.protocols.kinds import IMAGES
 from eldata.protocols.named import FAMILIES, PROTOCOLS

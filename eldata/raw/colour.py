@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.base.fields import fraction_of
+from eldata.base.numbers import fraction_of
 from eldata.errors import ArgumentError
 from eldata.raw.tiff import RATIONAL, nearest_fraction
 

@@ -86,7 +86,7 @@ def comparison_page(comparison: Comparison, drawn: DrawnImages | None = None) ->
         note=statistics_note(comparison),
         means=_means_table(comparison),
         sections=[_section(comparison, index) for index in range(len(others))],
-        contests=_contests_table(comparison) if comparison.contests else None,
+        contests=_differences_table(comparison) if comparison.contests else None,
         contests_note=contests_note(comparison),
         looking=None if drawn is None else _looking(comparison, drawn),
         facets=_facets(comparison),
@@ -136,45 +136,31 @@ def _section(comparison: Comparison, index: int) -> dict[str, Any]:
         "title": f"{other.name} against {first.name}",
         "id": f"gain-{index + 1}",
         "verdict": _verdict(comparison.whole.gains[index]["psnr_db"], first.name, other.name),
-        "table": _gains_table(comparison, index),
+        "table": _differences_table(comparison, index),
         "plots": gain_plots(comparison, index),
         "wins": _extremes_table(wins, comparison),
         "losses": _extremes_table(losses, comparison),
     }
 
 
-def _gains_table(comparison: Comparison, index: int) -> Table:
-    gains = gains_table(comparison, index, "×")
+def _differences_table(comparison: Comparison, index: int | None = None) -> Table:
+    """Return the differences of the method of this index among all but the first; without one, each against each."""
+    kind = comparison.kind
+    if index is None:
+        table, gains, labels, each = contests_table(comparison), [one.gains for one in comparison.contests], 2, 4
+    else:  # with the number of scenes after the labels
+        table, gains = gains_table(comparison, index, "×"), [group.gains[index] for group in comparison.groups]
+        labels, each = LABELS + 1, 3
     rows = []
-    for group, texts in zip(comparison.groups, gains.rows, strict=True):
-        looks = [""] * (LABELS + 1)  # and scenes
-        for metric in comparison.kind.metrics:
-            sign = group.gains[index][metric.name].interval.sign
-            looks += [_look(sign * metric.sign), "", ""]
-        rows.append(
-            (
-                *map(Cell, texts[:LABELS]),
-                *(
-                    Cell("–" if text == "-" else signed(text), look)
-                    for text, look in zip(texts[LABELS:], looks[LABELS:], strict=True)
-                ),
-            )
+    for of, texts in zip(gains, table.rows, strict=True):
+        looks = [""] * (len(texts) - labels)
+        for at, metric in enumerate(kind.metrics):
+            looks[each * at] = _look(of[metric.name].interval.sign * metric.sign)
+        cells = (
+            Cell("–" if text == "-" else signed(text), look) for text, look in zip(texts[labels:], looks, strict=True)
         )
-    return Table(gains.header, tuple(rows), rules=gains.rules)
-
-
-def _contests_table(comparison: Comparison) -> Table:
-    contests, kind = contests_table(comparison), comparison.kind
-    rows = []
-    for contest, texts in zip(comparison.contests, contests.rows, strict=True):
-        looks = ["", ""]
-        for metric in kind.metrics:
-            sign = contest.gains[metric.name].interval.sign
-            looks += [_look(sign * metric.sign), "", "", ""]
-        rows.append(
-            tuple(Cell("–" if text == "-" else signed(text), look) for text, look in zip(texts, looks, strict=True))
-        )
-    return Table(contests.header, tuple(rows), left=contests.left)
+        rows.append((*map(Cell, texts[:labels]), *cells))
+    return Table(table.header, tuple(rows), table.left, table.rules)
 
 
 def _look(sign: float) -> str:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from eldata.calibration.acceptance.verdicts import Diagnostics, Quantiles, TheoryCheck
+    from eldata.calibration.acceptance.verdicts import Diagnostics, TheoryCheck
     from eldata.noise.gain_modes import LogLogFit
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
@@ -94,7 +94,7 @@ def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
     of_rows, read = f"{len(diagnostics.profile.rows)} calibration rows", _read_letters(diagnostics)
     fit = (
         "over the gain: the profile's line with its bands of 1 and 2 standard deviations, and where "
-        f"{diagnostics.draws.gain_dn_per_e.size} sampled parameters fall."
+        f"{len(diagnostics.draws)} sampled parameters fall."
     )
     biases = "Mean of a bias frame in R, G1, B and G2, found and expected. " + _worst(diagnostics.colour_bias)
     below = 2.6  # of the heights, with deviations in standard errors below
@@ -113,9 +113,9 @@ def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
             None,
         ),
     ]
-    if diagnostics.quantiles is not None:
+    if diagnostics.quantiles_dn is not None:
         alt = "Probability plot of the read noise alone against its model. " + _worst(diagnostics.read)
-        wanted.insert(4, ("read-noise", alt, partial(_draw_read_noise, diagnostics.quantiles), below))
+        wanted.insert(4, ("read-noise", alt, partial(_draw_read_noise, diagnostics.quantiles_dn), below))
     return tuple(
         draw_plot("profile", kind, alt, partial(draw, diagnostics), ratio=ratio, words={"read": read})
         for kind, alt, draw, ratio in wanted
@@ -227,11 +227,14 @@ def _draw_row_means(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
     )
 
 
-def _draw_read_noise(quantiles: Quantiles, diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
+def _draw_read_noise(
+    quantiles_dn: NDArray[np.float64], diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme
+) -> None:
     _draw_deviations(below, diagnostics.read, [item.expected for item in diagnostics.read], theme)
-    ends = quantiles.expected_dn[[0, -1]]
+    expected, found = quantiles_dn
+    ends = expected[[0, -1]]
     main.plot(ends, ends, color=theme.theory, label="closed form")
-    main.plot(quantiles.expected_dn, quantiles.found_dn, "o", markersize=3, color=theme.found, label="simulated")
+    main.plot(expected, found, "o", markersize=3, color=theme.found, label="simulated")
     main.set_ylabel("found quantile [DN]")
     main.legend(loc="upper left")
     family = {"G": "Gaussian", "TL": "Tukey-lambda"}[_read_letters(diagnostics)]
@@ -243,19 +246,18 @@ def _draw_read_fit(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
     field = {"G": "sigma_gauss_dn", "TL": "sigma_tl_dn"}[name]
     components = diagnostics.model.components
     fits = [read_fit(mode, components) for mode in diagnostics.profile.gain_modes]
-    _draw_fit(axes, diagnostics, fits, diagnostics.draws.sigma_read_dn, field, name, theme)
+    _draw_fit(axes, diagnostics, fits, field, name, theme)
 
 
 def _draw_row_fit(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
     fits = [mode.row_fit for mode in diagnostics.profile.gain_modes]
-    _draw_fit(axes, diagnostics, fits, diagnostics.draws.sigma_row_dn, "sigma_row_dn", "row", theme)
+    _draw_fit(axes, diagnostics, fits, "sigma_row_dn", "row", theme)
 
 
 def _draw_fit(
     axes: Axes,
     diagnostics: Diagnostics,
     fits: Sequence[LogLogFit],
-    scales: NDArray[np.float64],
     field: str,
     name: str,
     theme: Theme,
@@ -266,7 +268,8 @@ def _draw_fit(
         [(fit, *mode.gain_range_dn_per_e) for fit, mode in zip(fits, diagnostics.profile.gain_modes, strict=True)],
         theme,
     )
-    gains = diagnostics.draws.gain_dn_per_e
+    gains = [draw.gain_dn_per_e for draw in diagnostics.draws]
+    scales = [getattr(draw, field) for draw in diagnostics.draws]
     axes.plot(gains, scales, "o", markersize=2.5, alpha=0.75, color=theme.found, label="sampled")
     measured = [
         (row.gain_dn_per_e, scale)

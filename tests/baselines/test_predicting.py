@@ -27,7 +27,7 @@ from eldata.cli.baseline import NAMES
 from eldata.cli.main import main
 from eldata.datasets.eld import ELDDataset
 from eldata.demo.camera import CAMERAS
-from eldata.demo.known_profile import known_profile
+from eldata.demo.evaluation import known_profile
 from eldata.errors import ArgumentError, EldataError, FileError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.request import SETTINGS

@@ -19,13 +19,12 @@ from eldata.calibration import FramesError
 from eldata.calibration.audit.frame_checks import (
     FrameFigures,
     PairLevels,
-    code_step,
-    missing_codes,
     odd_bias_frames,
     unequal_pair,
     uneven_light,
 )
 from eldata.calibration.audit.frames import Copies, sorted_frames, unlike, unlike_most
+from eldata.calibration.audit.steps import code_step, missing_codes
 from eldata.calibration.one_iso import decodings
 from eldata.datasets.calibration_frames import FlatPair
 from eldata.manifest.table import load_records, save_records

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.base.console import run
-from eldata.base.parsing import Parser
+from eldata.base.console import Parser, run
 from eldata.calibration.acceptance import theory as diagnostics
 from eldata.cli import profile as command
 from eldata.noise.profile import CameraProfile
@@ -24,7 +23,7 @@ MADE = """
 import sys
 from eldata.cli import profile
 from eldata.base.console import run
-from eldata.base.parsing import Parser
+from eldata.base.console import Parser
 parser = Parser(prog="eldata")
 profile.add_parser(parser.add_subparsers())
 code = run(parser, sys.argv[1:])

@@ -168,7 +168,7 @@ def test_the_diagnostics_hold_each_draw_against_its_own_mode() -> None:
     assert [one.verdict for one in sampled] == ["ok"] * 5
     bent = dataclasses.replace(TWO, modes=(LOW, dataclasses.replace(HIGH, tukey_lambda_fit=LOW.tukey_lambda_fit)))
     draws = diagnose(bent, found.parameters, spec="G*+R").draws
-    assert not np.array_equal(draws.sigma_read_dn, found.draws.sigma_read_dn)
+    assert not np.array_equal([one.sigma_tl_dn for one in draws], [one.sigma_tl_dn for one in found.draws])
 
 
 LINE = LogLogFit(1.0, 0.0, 0.1)

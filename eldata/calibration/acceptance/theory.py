@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,16 +30,17 @@ from eldata.calibration.acceptance.verdicts import (
     CHANNELS,
     SIGNALS_E,
     Diagnostics,
-    Draws,
-    Quantiles,
     TheoryCheck,
     read_fit,
+    read_sigma_dn,
 )
 from eldata.errors import ArgumentError
 from eldata.noise.model import NoiseModel
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
 
     from eldata.noise.components import Components
@@ -127,27 +129,26 @@ def diagnose(
     ArgumentError
         If the spec or the seed is unusable.
     """
-    model = NoiseModel(spec)
-    theory = _Theory.of(model, parameters)
-    actual = parameters if simulated is None else simulated
-    mean, variance = _over_signal(theory, actual, seed)
-    bias, rows, row_means = _bias_frame(theory, actual, seed)
-    read, quantiles = _read_noise(theory, actual, seed)
-    draws = _sampled(profile, model.components, seed)
+    one = _Examined(NoiseModel(spec), parameters, parameters if simulated is None else simulated, seed)
+    mean, variance = _over_signal(one)
+    bias, rows, row_means = _bias_frame(one)
+    read, quantiles = _read_noise(one)
+    rng = _generator(seed, 5)
+    draws = tuple(profile.sample(rng) for _ in range(DRAWS))
     return Diagnostics(
         profile=profile,
         parameters=parameters,
-        spec=model.components.spec,
+        spec=one.parts.spec,
         seed=seed,
         mean=mean,
         variance=variance,
         colour_bias=bias,
         rows=rows,
         read=read,
-        parts=(*_row_noise(theory, actual, seed), *_quantisation(theory, actual, seed)),
-        fits=_against_fits(profile, model.components, draws),
+        parts=tuple(_other_parts(one)),
+        fits=tuple(_against_fits(profile, one.parts, draws)),
         row_means_dn=row_means,
-        quantiles=quantiles,
+        quantiles_dn=quantiles,
         draws=draws,
     )
 
@@ -156,24 +157,21 @@ def diagnose(
 
 
 @dataclass(frozen=True, slots=True)
-class _Theory:
-    """The closed forms at fixed parameters, with the moments that their standard errors need."""
+class _Examined:
+    """The closed forms at fixed parameters, with the moments that their standard errors need; and frames made."""
 
     model: NoiseModel
     parameters: NoiseParameters
-    row_variance: float
-    read_fourth_cumulant: float
+    actual: NoiseParameters
+    seed: int
 
-    @classmethod
-    def of(cls, model: NoiseModel, parameters: NoiseParameters) -> _Theory:
-        fourth = 0.0
-        if model.components.read == "tukey-lambda" and parameters.sigma_tl_dn > 0:
-            fourth = (
-                tukey_lambda_kurtosis(parameters.tukey_lambda)
-                * (parameters.sigma_tl_dn**2 * tukey_lambda_variance(parameters.tukey_lambda)) ** 2
-            )
-        row = parameters.sigma_row_dn**2 if model.components.row else 0.0
-        return cls(model, parameters, row, fourth)
+    @property
+    def parts(self) -> Components:
+        return self.model.components
+
+    @property
+    def row_variance(self) -> float:
+        return self.parameters.sigma_row_dn**2 if self.parts.row else 0.0
 
     def mean(self, signal_e: float, channel: int) -> float:
         return self.model.expected_mean_dn(signal_e, self.parameters, channel)
@@ -186,14 +184,23 @@ class _Theory:
 
     def fourth_cumulant(self, signal_e: float) -> float:
         """Of the pixel noise: Poisson K^4 I, uniform -1/120, Gaussian 0."""
-        parts = self.model.components
-        shot = self.parameters.gain_dn_per_e**4 * signal_e if parts.shot == "poisson" else 0.0
-        return shot + self.read_fourth_cumulant + (-1 / 120 if parts.quantisation else 0.0)
+        p = self.parameters
+        shot = p.gain_dn_per_e**4 * signal_e if self.parts.shot == "poisson" else 0.0
+        read = 0.0
+        if self.parts.read == "tukey-lambda" and p.sigma_tl_dn > 0:
+            variance = p.sigma_tl_dn**2 * tukey_lambda_variance(p.tukey_lambda)
+            read = tukey_lambda_kurtosis(p.tukey_lambda) * variance**2
+        return shot + read + (-1 / 120 if self.parts.quantisation else 0.0)
 
     def rounding(self, signal_e: float) -> float:
         """How far rounding alone may move a mean."""
         largest = max(abs(self.mean(signal_e, channel)) for channel in range(4))
         return _ROUNDING * (largest + math.sqrt(self.variance(signal_e)))
+
+    def frame(self, signal_e: float, size: tuple[int, int], stream: int, spec: str = "") -> NDArray[np.float64]:
+        """Return a packed Bayer flat in DN above black, of these components if they are others than the model's."""
+        model = NoiseModel(spec) if spec else self.model
+        return _frame(model, self.actual, signal_e, size, _generator(self.seed, stream))
 
 
 def tukey_lambda_kurtosis(tukey_lambda: float) -> float:
@@ -239,42 +246,38 @@ def _frame(
     return noisy.astype(np.float64) * (_RANGE_DN / _RATIO)
 
 
-def _over_signal(
-    theory: _Theory, actual: NoiseParameters, seed: int
-) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCheck, ...]]:
+def _over_signal(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCheck, ...]]:
     """Mean and variance of flats. Rows are the independent units: 2 h of them, of 2 w pixels each."""
     height, width = _FLAT
-    count, n, r = 2 * height, 2 * width, theory.row_variance
+    count, n, r = 2 * height, 2 * width, one.row_variance
     means, variances = [], []
     for index, signal in enumerate(SIGNALS_E):
-        frame = _frame(theory.model, actual, signal, _FLAT, _generator(seed, 100 + index))
-        v, rounding = theory.pixel_variance(signal), theory.rounding(signal)
+        frame = one.frame(signal, _FLAT, 100 + index)
+        v, rounding = one.pixel_variance(signal), one.rounding(signal)
         centred = frame - frame.mean(axis=(1, 2), keepdims=True)
         # Subtracting the sample's own mean loses that mean's variance, known from the spread of the rows.
         lost = float(centred.mean(axis=2).var(axis=1, ddof=1).mean()) / height
         label, found = f"at {signal:g} e-", float(frame.mean())
-        expected = sum(theory.mean(signal, channel) for channel in range(4)) / 4
+        expected = sum(one.mean(signal, channel) for channel in range(4)) / 4
         error = math.hypot(math.sqrt((v / n + r) / count), rounding)
         means.append(TheoryCheck("mean over signal", label, "DN", expected, found, error))
         found = float((centred**2).mean()) + lost
-        fourth = theory.fourth_cumulant(signal)
+        fourth = one.fourth_cumulant(signal)
         spread = _finite(((fourth + 2 * v * v + 4 * r * v) / n + 2 * r * r) / count + rounding**4)
-        variances.append(TheoryCheck("variance over signal", label, "DN^2", theory.variance(signal), found, spread))
+        variances.append(TheoryCheck("variance over signal", label, "DN^2", one.variance(signal), found, spread))
     return tuple(means), tuple(variances)
 
 
-def _bias_frame(
-    theory: _Theory, actual: NoiseParameters, seed: int
-) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCheck, ...], NDArray[np.float64]]:
+def _bias_frame(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCheck, ...], NDArray[np.float64]]:
     """Channel means and row means of a bias frame."""
     height, width = _BIAS
-    frame = _frame(theory.model, actual, 0.0, _BIAS, _generator(seed, 1))
-    v, r, rounding = theory.pixel_variance(0.0), theory.row_variance, theory.rounding(0.0)
+    frame = one.frame(0.0, _BIAS, 1)
+    v, r, rounding = one.pixel_variance(0.0), one.row_variance, one.rounding(0.0)
     by_channel = frame.mean(axis=2)  # (4, h)
     error = math.hypot(math.sqrt((v / width + r) / height), rounding)
     check = "bias frame, mean by channel"
     bias = tuple(
-        TheoryCheck(check, name, "DN", theory.mean(0.0, channel), float(by_channel[channel].mean()), error)
+        TheoryCheck(check, name, "DN", one.mean(0.0, channel), float(by_channel[channel].mean()), error)
         for channel, name in enumerate(CHANNELS)
     )
     centred = by_channel - by_channel.mean(axis=1, keepdims=True)
@@ -283,7 +286,7 @@ def _bias_frame(
     row_means = np.sort(np.concatenate([(red + green) / 2, (blue + second_green) / 2]))
     n, count = 2 * width, row_means.size
     expected = r + v / n
-    spread = 0.0 if expected == 0 else (2 * expected**2 + theory.fourth_cumulant(0.0) / n**3) / (4 * expected * count)
+    spread = 0.0 if expected == 0 else (2 * expected**2 + one.fourth_cumulant(0.0) / n**3) / (4 * expected * count)
     q = v / width
     shared = float(red @ green + blue @ second_green) / (count - 2)
     apart = float(red @ blue + green @ second_green) / (count - 2)
@@ -299,15 +302,12 @@ def _bias_frame(
     return bias, rows, row_means
 
 
-def _read_noise(
-    theory: _Theory, actual: NoiseParameters, seed: int
-) -> tuple[tuple[TheoryCheck, ...], Quantiles | None]:
-    """Quantiles of the read noise alone."""
-    read, parameters = theory.model.components.read, theory.parameters
+def _read_noise(one: _Examined) -> tuple[tuple[TheoryCheck, ...], NDArray[np.float64] | None]:
+    """Quantiles of the read noise alone, and expected and found ones on a grid."""
+    read, parameters = one.parts.read, one.parameters
     if read == "none":
         return (), None
-    alone = NoiseModel("G*" if read == "tukey-lambda" else "G")
-    values = np.sort(_frame(alone, actual, 0.0, _READ, _generator(seed, 2)), axis=None)
+    values = np.sort(one.frame(0.0, _READ, 2, "G*" if read == "tukey-lambda" else "G"), axis=None)
 
     def expected_and_slope(levels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if read == "tukey-lambda":
@@ -319,26 +319,19 @@ def _read_noise(
     comparisons = _quantile_comparisons("read noise alone", values, _READ_LEVELS, *expected_and_slope(_READ_LEVELS))
     logits = np.linspace(math.log(1e-4 / (1 - 1e-4)), -math.log(1e-4 / (1 - 1e-4)), 241)
     grid = 1 / (1 + np.exp(-logits))
-    return comparisons, Quantiles(grid, expected_and_slope(grid)[0], np.quantile(values, grid))
+    return comparisons, np.stack([expected_and_slope(grid)[0], np.quantile(values, grid)])
 
 
-def _row_noise(theory: _Theory, actual: NoiseParameters, seed: int) -> tuple[TheoryCheck, ...]:
-    """Quantiles of the row noise alone: of one pixel per row."""
-    if not theory.model.components.row:
-        return ()
-    frame = _frame(NoiseModel("R"), actual, 0.0, _ROW, _generator(seed, 3))
-    values = np.sort(frame[[0, 2]], axis=None)  # R and B: every mosaic row once
-    expected, slope = _gaussian_quantiles(_PART_LEVELS, theory.parameters.sigma_row_dn)
-    return _quantile_comparisons("row noise alone", values, _PART_LEVELS, expected, slope)
-
-
-def _quantisation(theory: _Theory, actual: NoiseParameters, seed: int) -> tuple[TheoryCheck, ...]:
-    """Quantiles of the quantisation noise alone: uniform over one DN."""
-    if not theory.model.components.quantisation:
-        return ()
-    values = np.sort(_frame(NoiseModel("U"), actual, 0.0, _QUANTISATION, _generator(seed, 4)), axis=None)
-    slope = np.ones_like(_PART_LEVELS)
-    return _quantile_comparisons("quantisation alone", values, _PART_LEVELS, _PART_LEVELS - 0.5, slope)
+def _other_parts(one: _Examined) -> Iterator[TheoryCheck]:
+    """Quantiles of the row noise alone, of one pixel per row, and of quantisation alone, uniform over one DN."""
+    if one.parts.row:
+        values = np.sort(one.frame(0.0, _ROW, 3, "R")[[0, 2]], axis=None)  # R and B: every mosaic row once
+        expected = _gaussian_quantiles(_PART_LEVELS, one.parameters.sigma_row_dn)
+        yield from _quantile_comparisons("row noise alone", values, _PART_LEVELS, *expected)
+    if one.parts.quantisation:
+        values = np.sort(one.frame(0.0, _QUANTISATION, 4, "U"), axis=None)
+        uniform = _PART_LEVELS - 0.5, np.ones_like(_PART_LEVELS)
+        yield from _quantile_comparisons("quantisation alone", values, _PART_LEVELS, *uniform)
 
 
 def _gaussian_quantiles(levels: NDArray[np.float64], sigma: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -373,50 +366,38 @@ def _quantile_comparisons(
 # --- the profile's fits -------------------------------------------------------------------------------------------
 
 
-def _sampled(profile: CameraProfile, components: Components, seed: int) -> Draws:
-    rng = _generator(seed, 5)
-    drawn = [profile.sample(rng) for _ in range(DRAWS)]
-    gaussian = components.read == "gaussian"
-    return Draws(
-        np.array([p.gain_dn_per_e for p in drawn]),
-        np.array([p.sigma_gauss_dn if gaussian else p.sigma_tl_dn for p in drawn]),
-        np.array([p.sigma_row_dn for p in drawn]),
-    )
-
-
-def _against_fits(profile: CameraProfile, components: Components, draws: Draws) -> tuple[TheoryCheck, ...]:
+def _against_fits(
+    profile: CameraProfile, components: Components, draws: Sequence[NoiseParameters]
+) -> Iterator[TheoryCheck]:
     """Which shares of the draws lie within 1 and 2 sigma of the lines, and where their gains lie."""
-    comparisons = []
-    modes = [profile.mode_at(float(gain)) for gain in draws.gain_dn_per_e]
+    gains = [draw.gain_dn_per_e for draw in draws]
+    modes = [profile.mode_at(gain) for gain in gains]
     width = sum(mode.log_width for mode in profile.gain_modes)
     if width > 0:
         # How far along the ranges of all modes, one after the other: the gaps between them have no draws.
-        before = {
-            mode: sum(one.log_width for one in profile.gain_modes[:at]) for at, mode in enumerate(profile.gain_modes)
-        }
+        ends = accumulate((mode.log_width for mode in profile.gain_modes), initial=0.0)
+        before = dict(zip(profile.gain_modes, ends, strict=False))
         along = [
-            before[mode] + math.log(gain / mode.gain_range_dn_per_e[0])
-            for mode, gain in zip(modes, draws.gain_dn_per_e, strict=True)
+            before[mode] + math.log(gain / mode.gain_range_dn_per_e[0]) for mode, gain in zip(modes, gains, strict=True)
         ]
-        place = float(np.mean(along)) / width
-        error = math.sqrt(1 / 12 / DRAWS)
-        comparisons.append(TheoryCheck("sampled parameters", "ln K, mean place in its range", "1", 0.5, place, error))
-    read_name = "sigma_G" if components.read == "gaussian" else "sigma_TL"
+        place, error = float(np.mean(along)) / width, math.sqrt(1 / 12 / DRAWS)
+        yield TheoryCheck("sampled parameters", "ln K, mean place in its range", "1", 0.5, place, error)
     for name, fits, scales in (
-        (read_name, [read_fit(mode, components) for mode in modes], draws.sigma_read_dn),
-        ("sigma_row", [mode.row_fit for mode in modes], draws.sigma_row_dn),
+        (
+            "sigma_G" if components.read == "gaussian" else "sigma_TL",
+            [read_fit(mode, components) for mode in modes],
+            [read_sigma_dn(draw, components) for draw in draws],
+        ),
+        ("sigma_row", [mode.row_fit for mode in modes], [draw.sigma_row_dn for draw in draws]),
     ):
         residuals = np.array(
             [
                 abs(math.log(scale) - fit.slope * math.log(gain) - fit.intercept) / fit.sigma
-                for fit, gain, scale in zip(fits, draws.gain_dn_per_e, scales, strict=True)
+                for fit, gain, scale in zip(fits, gains, scales, strict=True)
                 if fit.sigma > 0  # else every draw lies on the line
             ]
         )
-        if not residuals.size:
-            continue
-        for sigmas in (1, 2):
+        for sigmas in (1, 2) if residuals.size else ():
             share, found = math.erf(sigmas / math.sqrt(2)), float((residuals <= sigmas).mean())
             symbol, error = f"{name}, share within {sigmas} sigma", math.sqrt(share * (1 - share) / residuals.size)
-            comparisons.append(TheoryCheck("sampled parameters", symbol, "1", share, found, error))
-    return tuple(comparisons)
+            yield TheoryCheck("sampled parameters", symbol, "1", share, found, error)

@@ -108,22 +108,9 @@ def read_fit(mode: GainMode, components: Components) -> LogLogFit:
     return mode.gauss_fit if components.read == "gaussian" else mode.tukey_lambda_fit
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Draws:
-    """Parameters as sampled from the profile, one entry per draw; scales in DN."""
-
-    gain_dn_per_e: NDArray[np.float64]
-    sigma_read_dn: NDArray[np.float64]
-    sigma_row_dn: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Quantiles:
-    """Quantiles of the dark read noise on a grid, for the probability plot."""
-
-    levels: NDArray[np.float64]
-    expected_dn: NDArray[np.float64]
-    found_dn: NDArray[np.float64]
+def read_sigma_dn(parameters: NoiseParameters, components: Components) -> float:
+    """Return the scale of the read noise that a model uses."""
+    return parameters.sigma_gauss_dn if components.read == "gaussian" else parameters.sigma_tl_dn
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -146,10 +133,10 @@ class Diagnostics:
         Sampled parameters against the profile's fits.
     row_means_dn
         Sorted row means of the bias frame, each less its channels' mean.
-    quantiles
-        Of the read noise; ``None`` if the model has none.
+    quantiles_dn
+        (2, n) of the read noise alone, expected and found; ``None`` if the model has none.
     draws
-        What ``fits`` is about.
+        Parameters as sampled from the profile, which ``fits`` is about.
     """
 
     profile: CameraProfile
@@ -164,8 +151,8 @@ class Diagnostics:
     parts: tuple[TheoryCheck, ...]
     fits: tuple[TheoryCheck, ...]
     row_means_dn: NDArray[np.float64]
-    quantiles: Quantiles | None
-    draws: Draws
+    quantiles_dn: NDArray[np.float64] | None
+    draws: tuple[NoiseParameters, ...]
 
     @property
     def model(self) -> NoiseModel:

@@ -7,189 +7,73 @@ does not meet one; thresholds follow from that and from the number of blocks, pi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.audit.neighbours import OUTLIERS
-from eldata.calibration.core.findings import Finding
+from eldata.calibration.audit.bias_sums import OUTLIERS
+from eldata.calibration.audit.row_waves import row_waves
+from eldata.calibration.audit.steps import OF_LIGHTER_TAILS, BiasSeen, Ripple, coarse_values
+from eldata.calibration.core.findings import (
+    CHANCE,
+    CORRELATED,
+    DARK_SIGNAL,
+    FILTERED,
+    LIGHT,
+    LOPSIDED,
+    UNLIKE,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit.bias_sums import BiasStatistics
-    from eldata.calibration.audit.neighbours import NeighbourStatistics
-    from eldata.calibration.core.findings import Figure
-    from eldata.calibration.core.read_noise import ReadNoise
-    from eldata.calibration.core.row_noise import ColourBias, LineNoise, RowNoise
-
-CHANCE = 1e-5
-"""That a check speaks without a reason."""
-
-MOST_ALLOWED = 0.05
-"""A figure that may be off by more than this share is not given; below, its errors allow for it."""
+    from eldata.calibration.audit.bias_sums import BiasStatistics, NeighbourStatistics
+    from eldata.calibration.core.findings import Figure, Finding
+    from eldata.calibration.core.row_noise import ColourBias
 
 _LOW_SHARE = 0.05  # of the blocks, the darkest: taken for those without light
 _MOST_OF_BIAS_DN = 0.5  # that light may add to the colour bias; in loud noise this share of its standard deviation
 _MOST_OF_BIAS = 0.2
 _LEAST_EATEN = 0.52  # wins of outliers' own neighbours; one half without a filter, a little more with correlation
 _OF_EATEN = 0.35  # measured: shifts of sigma_G are up to a third where every pixel above its neighbours is removed
-_OF_LIGHTER_TAILS = 2.0  # what is added to the noise makes its tails lighter: sigma_TL goes up by twice sigma_G's share
 _OF_SKEWNESS = 0.5  # measured: shifts of lambda and both sigmas are up to the skewness
 _MOSTLY = 0.5
 _OF_UNLIKENESS = 2.0  # measured: shifts of lambda and both sigmas are 0.3 to 4 times the unlikeness
 _LEAST_STAYING = 0.02  # of the levels' variance: what stays from frame to frame is not known better
 _EXPONENTIAL = 2.0  # skewness of a dark signal over the pixels
 _SURELY = 2.0  # standard errors
-GAPS = 0.02
-"""Share of DN values that never occur, from which on it is told."""
-
-_LEAST_SIGMA_STEPS = 0.1  # below, all is lost in rounding
-_MANY_STEPS = 5  # above, a ripple is below one in a million
 _FAINT_RIPPLE = 1e-3  # of sizes: the sum of sizes of a pixel then tells nothing of rounding
 
-_SLOW, _FAST = 1 / 8, 1 / 4  # cycles per row
-LEAST_WAVES = 8
-"""Over a frame; fewer, and a wave is not told from drift."""
-LEAKED = 0.02
-"""Share of the ground that a wave may leak to a frequency."""
-_PERIODS = 6  # of the rows' composition: a multiple of Bayer's and X-Trans' own
-_NEAR = 15  # frequencies on each side, whose median is a wave's ground
+
+def bias_findings(seen: BiasSeen) -> tuple[Finding, ...]:
+    """Return what the bias frames' noise says against what the estimates take for granted."""
+    checks = (noisy_levels, correlated, filtered_outliers, coarse_values, row_waves)
+    return tuple(finding for check in checks for finding in check(seen))
 
 
-def bias_findings(
-    statistics: BiasStatistics,
-    bias: ColourBias,
-    rows: RowNoise,
-    read: ReadNoise,
-    *,
-    step: int = 1,
-    gaps: float = 0.0,
-    is_clipped: bool = False,
-    gain_dn_per_e: float | None = None,
-) -> tuple[Finding, ...]:
-    """Return what the bias frames' noise says against what the estimates take for granted.
-
-    Parameters
-    ----------
-    statistics
-        What :class:`~eldata.calibration.audit.bias_sums.BiasAudit` has summed up.
-    bias, rows, read
-        The figures from the same frames, with their errors: a finding that matters less is a remark.
-    step, gaps
-        What :func:`~eldata.calibration.audit.frame_checks.code_step` and
-        :func:`~eldata.calibration.audit.frame_checks.missing_codes` say of a frame.
-    is_clipped
-        Whether values end at 0. The clip makes noise smaller where the level is lower, and goes for one side alone, so
-        that neither tells of light, unlike pixels or lopsided noise.
-    gain_dn_per_e
-        K, if it is known: dark current makes the variance grow by it with each DN, and two levels by what they like.
-    """
-    ripple = Ripple.of(read.tukey_lambda, read.sigma_tl_dn / (step if step > 1 else 1 / (1 - gaps)))
-    of_whole: tuple[Finding, ...] = ()
-    if not is_clipped:
-        lit = tuple(light(statistics, bias, read, ripple))
-        unlike = unlike_pixels(statistics, bias, read, ripple, gain_dn_per_e=gain_dn_per_e, is_lit=bool(lit))
-        of_whole = (*lit, *unlike)
-    return (
-        *of_whole,
-        *correlated(statistics, rows, read, ripple),
-        *filtered_outliers(statistics, read, ripple, is_clipped=is_clipped),
-        *coarse_values(step, gaps, read),
-        *row_waves(rows),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Ripple:
-    """What rounding does to noise: how far its figures ripple as the mean goes from one step of the values to the next.
-
-    Peak to peak: ``mean`` (of the values less the true one, in their standard deviations), ``variance`` and ``size``
-    (the mean distance of two values) as shares of their means, and ``skewness``. They fall off exponentially with the
-    noise: at 1 DN all are below a thousandth.
-    """
-
-    mean: float
-    variance: float
-    size: float
-    skewness: float
-
-    @classmethod
-    def of(cls, shape: float, sigma_steps: float) -> Ripple:
-        """Work it out for a Tukey-lambda distribution of this shape, and scale in steps of the values."""
-        from eldata.calibration.core._tukey_lambda import smoothed_tails
-
-        if not sigma_steps > _LEAST_SIGMA_STEPS:
-            return cls(math.inf, math.inf, math.inf, math.inf)
-        if sigma_steps > _MANY_STEPS:
-            return cls(0.0, 0.0, 0.0, 0.0)
-        values = np.arange(-math.ceil(20 + 30 * sigma_steps), math.ceil(20 + 30 * sigma_steps) + 1)
-        figures = []
-        for mean in np.arange(16) / 16:
-            edges = np.append(values - 0.5, values[-1] + 0.5) - mean
-            chances = -np.diff(smoothed_tails(edges, shape, sigma_steps, np.zeros(1), np.ones(1)))
-            level = float(chances @ values)
-            variance = float(chances @ (values - level) ** 2)
-            distances = np.abs(np.arange(2 * values[0], 2 * values[-1] + 1))
-            cubes = np.clip((values - level) / math.sqrt(max(variance, 1e-12)), -8, 8) ** 3
-            figures.append(
-                (level - mean, variance, float(np.convolve(chances, chances[::-1]) @ distances), float(chances @ cubes))
-            )
-        table = np.array(figures)
-        typical, ripple = table.mean(axis=0), np.ptp(table, axis=0)
-        mean, variance, size = ripple[:3] / (math.sqrt(typical[1]), typical[1], typical[2])
-        return cls(float(mean), float(variance), float(size), float(ripple[3]))
-
-
-def judged(seen: Finding, shares: Mapping[Figure, tuple[float, float]]) -> Iterator[Finding]:
-    """Yield what follows from what was seen, given by what share it may put each figure off, and its relative error."""
-    withheld = [figure for figure, (share, _) in shares.items() if share > MOST_ALLOWED]
-    wider = {figure: share for figure, (share, error) in shares.items() if error < share <= MOST_ALLOWED}
-    if withheld:
-        yield replace(
-            seen, figures=tuple(withheld), effect="withheld", allowance=max(shares[one][0] for one in withheld)
-        )
-    if wider:
-        yield replace(seen, figures=tuple(wider), effect="wider", allowance=max(wider.values()))
-    if not withheld and not wider:
-        yield seen
-
-
-def allowed(seen: Finding, share: float, read: ReadNoise) -> Finding:
-    """Return the finding of read noise that the model does not know. It is never withheld.
-
-    The figures are those of the distribution of the family that is most like it; the errors say how far off that may
-    be.
-    """
-    if share <= _read_error(read):
-        return seen
-    return replace(seen, figures=("read noise",), effect="wider", allowance=share)
+def noisy_levels(seen: BiasSeen) -> Iterator[Finding]:
+    """Yield what goes with the level: light, dark current, pixels that jump. A clip hides all of them."""
+    if not seen.is_clipped:
+        lit = tuple(light(seen))
+        yield from lit
+        yield from unlike_pixels(seen, is_lit=bool(lit))
 
 
 def over_black(seen: Finding, level_dn: float, bias: ColourBias, sigma_dn: float) -> Iterator[Finding]:
     """Yield what light of a mean level means for the colour bias, which it adds to, where the noise has this sigma."""
     if level_dn > max(_MOST_OF_BIAS_DN, _MOST_OF_BIAS * sigma_dn):
-        yield replace(seen, figures=("colour bias",), effect="withheld", allowance=level_dn)
+        yield seen.of("withheld", ("colour bias",), level_dn)
     elif level_dn > min(bias.standard_error_dn):
-        yield replace(seen, figures=("colour bias",), effect="wider", allowance=level_dn)
-
-
-def _read_error(read: ReadNoise) -> float:
-    """Return the smallest relative error among the figures of the read noise."""
-    return min(
-        read.tukey_lambda_error,
-        read.sigma_tl_error_dn / read.sigma_tl_dn,
-        read.sigma_gauss_error_dn / read.sigma_gauss_dn,
-    )
+        yield seen.of("wider", ("colour bias",), level_dn)
 
 
 # --- light --------------------------------------------------------------------------------------------------------
 
 
-def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple: Ripple) -> Iterator[Finding]:
+def light(seen: BiasSeen) -> Iterator[Finding]:
     """Yield a finding if the variance of blocks grows with their level, as that of light and dark current does.
 
     Shading without light has no such slope. Least squares over the blocks; their variances are means of thousands of
@@ -198,6 +82,7 @@ def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple:
     """
     from scipy.special import stdtrit
 
+    statistics = seen.statistics
     level, variance = statistics.level_dn, statistics.variance.ravel()
     y, x = np.meshgrid(np.linspace(-1, 1, level.shape[0]), np.linspace(-1, 1, level.shape[1]), indexing="ij")
     # Pixels that are both brighter and noisier than others of their block, and noise that goes further up than down,
@@ -208,7 +93,7 @@ def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple:
     smooth = np.stack([part.ravel() for part in (np.ones_like(x), x, y, x * y, x**2, y**2)], axis=1)
     found = max(
         (
-            _slope(level.ravel(), variance, max(float(of_pixels.sum()), 0.0), beside, ripple)
+            _slope(level.ravel(), variance, max(float(of_pixels.sum()), 0.0), beside, seen.ripple)
             for beside in (flat, smooth)
         ),
         key=lambda one: one[0],
@@ -223,9 +108,8 @@ def light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple:
         f"({slope * statistics.sigma_dn**2:.2g} DN^2 for each DN), which adds {share:.1%} or more to the read noise; "
         "cap the lens, cover the viewfinder, and take them in the dark at the shortest exposure"
     )
-    seen = Finding("light", (), "remark", statistic, threshold, text)
-    yield from judged(seen, {"read noise": (share, _read_error(read))})
-    yield from over_black(seen, over_dark, bias, statistics.sigma_dn)
+    yield from LIGHT.judged(statistic, threshold, text, {"read noise": (share, seen.read_error)})
+    yield from over_black(LIGHT.seen(statistic, threshold, text), over_dark, seen.bias, statistics.sigma_dn)
 
 
 def _slope(
@@ -254,15 +138,7 @@ def _slope(
 # --- pixels of their own kind -------------------------------------------------------------------------------------
 
 
-def unlike_pixels(
-    statistics: BiasStatistics,
-    bias: ColourBias,
-    read: ReadNoise,
-    ripple: Ripple,
-    *,
-    gain_dn_per_e: float | None = None,
-    is_lit: bool = False,
-) -> Iterator[Finding]:
+def unlike_pixels(seen: BiasSeen, *, is_lit: bool) -> Iterator[Finding]:
     """Yield a finding if some pixels are noisier than others: by dark current of their own, or by telegraph noise.
 
     Two tests, both of sums over blocks whose mean is 0 if all pixels of a block have the same noise, and so with a
@@ -276,6 +152,7 @@ def unlike_pixels(
     """
     from scipy.special import ndtri, pdtrc, stdtrit
 
+    statistics, ripple, gain_dn_per_e = seen.statistics, seen.ripple, seen.gain_dn_per_e
     threshold = float(stdtrit(statistics.unlikeness.size - 1, 1 - CHANCE / 4))
     by_size = _student(statistics.unlikeness, ripple.size**2 / 4)
     unlikeness = max(float(statistics.unlikeness.mean()), 0.0)
@@ -308,9 +185,10 @@ def unlike_pixels(
         )
         if gain_dn_per_e is None:
             text += "; where K is known, from flats or --gain, it is told from pixels that jump between levels"
-        seen = Finding("dark signal", (), "remark", by_level, threshold, text)
-        yield from judged(seen, {"read noise": (_OF_LIGHTER_TAILS * signal.mean, _read_error(read))})
-        yield from over_black(seen, signal.level_dn, bias, statistics.sigma_dn)
+        shares: dict[Figure, tuple[float, float]] = {"read noise": (OF_LIGHTER_TAILS * signal.mean, seen.read_error)}
+        yield from DARK_SIGNAL.judged(by_level, threshold, text, shares)
+        of_level = DARK_SIGNAL.seen(by_level, threshold, text)
+        yield from over_black(of_level, signal.level_dn, seen.bias, statistics.sigma_dn)
         return
     if by_size <= threshold and not few and whole is None:
         return
@@ -324,7 +202,7 @@ def unlike_pixels(
         key=lambda one: one[0] / one[1],
     )
     share = max(_OF_UNLIKENESS * unlikeness, 0.0 if whole is None else whole.mean)
-    yield allowed(Finding("unlike pixels", (), "remark", statistic, limit, text), share, read)
+    yield from UNLIKE.judged(statistic, limit, text, {"read noise": (share, seen.read_error)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -401,14 +279,14 @@ def _student(scores: NDArray[np.float64], by_rounding: float) -> float:
 # --- filters ------------------------------------------------------------------------------------------------------
 
 
-def correlated(statistics: BiasStatistics, rows: RowNoise, read: ReadNoise, ripple: Ripple) -> Iterator[Finding]:
+def correlated(seen: BiasSeen) -> Iterator[Finding]:
     """Yield a finding if neighbouring pixels share noise in the bias frames.
 
     Beside what a filter takes from the pixels, the mean of a row's pixels scatters by more, or less, than that of as
     many independent ones, which the row noise is measured against.
     """
-    near = statistics.neighbours
-    statistic, threshold = _largest(near, ripple)
+    near, rows = seen.statistics.neighbours, seen.rows
+    statistic, threshold = _largest(near, seen.ripple)
     if statistic <= threshold:
         return
     share = abs(math.sqrt(1 + 2 * _sum_of(near)) - 1)
@@ -417,11 +295,11 @@ def correlated(statistics: BiasStatistics, rows: RowNoise, read: ReadNoise, ripp
     of_rows = math.hypot(share, of_pixels / (2 * max(line.variance_dn2, 1e-12)))
     error = line.sigma_error_dn / max(line.sigma_dn, 1e-12)
     shares: dict[Figure, tuple[float, float]] = {
-        "read noise": (share, _read_error(read)),
+        "read noise": (share, seen.read_error),
         "row noise": (of_rows, error),
     }
     text = _SHARED.format(largest=near.correlation[np.abs(near.correlation).argmax()])
-    yield from judged(Finding("correlated noise", (), "remark", statistic, threshold, text), shares)
+    yield from CORRELATED.judged(statistic, threshold, text, shares)
 
 
 _SHARED = (
@@ -458,9 +336,7 @@ def _sum_of(near: NeighbourStatistics, chosen: NDArray[np.bool_] | bool = True) 
     return max(float(near.correlation[seen].sum()), -0.49)
 
 
-def filtered_outliers(
-    statistics: BiasStatistics, read: ReadNoise, ripple: Ripple, *, is_clipped: bool = False
-) -> Iterator[Finding]:
+def filtered_outliers(seen: BiasSeen) -> Iterator[Finding]:
     """Yield a finding if outliers do not stand alone, or the noise goes further to one side of the pixels' means.
 
     Independent neighbours of an outlier are like those of any other pixel: which of the two goes further is a fair
@@ -468,7 +344,7 @@ def filtered_outliers(
     """
     from scipy.special import bdtrc, ndtri
 
-    near = statistics.neighbours
+    near = seen.statistics.neighbours
     sides = np.concatenate([near.outlier_wins, near.outlier_wins.sum(axis=0, keepdims=True)])
     tests = sides[..., 0].size + 2
     threshold = -float(ndtri(CHANCE / tests))
@@ -486,11 +362,11 @@ def filtered_outliers(
             f"goes along in {wins:.0%} of cases, 50% by chance): the camera removes single bright pixels (a "
             "star-eater), and with them the tails of the noise; switch such filters off or use another raw mode"
         )
-        yield Finding("filtered outliers", ("read noise",), "withheld", statistic, threshold, text, _OF_EATEN)
+        yield from FILTERED.judged(statistic, threshold, text, {"read noise": (_OF_EATEN, 0.0)})
         return
-    if is_clipped:
+    if seen.is_clipped:
         return
-    excess = (abs(near.skewness) - ripple.skewness / 2) / near.skewness_error
+    excess = (abs(near.skewness) - seen.ripple.skewness / 2) / near.skewness_error
     if excess > threshold:
         side = "above" if near.skewness > 0 else "below"
         text = (
@@ -498,135 +374,5 @@ def filtered_outliers(
             "other side, where the model has as much on both; random telegraph noise and filters against single bright "
             "pixels do this"
         )
-        seen = Finding("lopsided noise", (), "remark", excess, threshold, text)
-        yield allowed(seen, _OF_SKEWNESS * abs(near.skewness), read)
-
-
-# --- values ---------------------------------------------------------------------------------------------------------
-
-
-def coarse_values(step: int, gaps: float, read: ReadNoise) -> Iterator[Finding]:
-    """Yield a finding if the values step by more than a DN: by ``step`` everywhere, or leave a share of gaps.
-
-    Rounding to steps of s adds ``(s^2 - 1) / 12`` more to the variance than the model's rounding to whole DN.
-    """
-    if step == 1 and gaps <= GAPS:
-        return
-    size = step if step > 1 else 1 / (1 - gaps)
-    added = (size**2 - 1) / 12
-    text = (
-        f"the values step by {step} DN: fewer bits than the file has room for, or multiplied after conversion"
-        if step > 1
-        else f"{gaps:.0%} of the DN values between others never occur in a bias frame: the camera multiplies after "
-        "conversion at this ISO, or compresses with loss"
-    )
-    text += (
-        f"; rounding adds {added:.2g} DN^2 more than the model's; use a raw mode with all bits, or leave this ISO out"
-    )
-    share = _OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
-    seen = Finding("coarse values", (), "remark", size, 1 / (1 - GAPS), text)
-    yield from judged(seen, {"read noise": (share, _read_error(read))})
-
-
-# --- rows ---------------------------------------------------------------------------------------------------------
-
-
-def row_waves(rows: RowNoise) -> Iterator[Finding]:
-    """Yield findings if the rows' offsets hold a wave or drift slowly, where the model draws each row by itself."""
-    line, shape = rows.rows, rows.frames - 1
-    error = line.sigma_error_dn / max(line.sigma_dn, 1e-12)
-    frequency, power, ground, threshold = standing_out(line, shape)
-    is_wave = (power > threshold * ground) & (frequency > LEAST_WAVES / line.deviations_dn.shape[1])
-    yield from _slow_drift(line, shape, error, frequency[is_wave], (power / ground)[is_wave])
-    if is_wave.any():
-        variance = float((power - ground)[is_wave].sum()) / power.size
-        highest = int(np.where(is_wave, power / ground, 0.0).argmax())
-        text = (
-            f"bands in the rows, one every {1 / frequency[highest]:.3g} rows, of {math.sqrt(2 * variance):.2g} DN "
-            "amplitude; the model draws row by row; look for interference (another charger, lamp or card)"
-        )
-        statistic = float(power[highest] / ground[highest])
-        share = _share_of_sigma(variance, line)
-        yield from judged(Finding("banding", (), "remark", statistic, threshold, text), {"row noise": (share, error)})
-
-
-def standing_out(
-    line: LineNoise, shape: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-    """Return frequencies, the power under a Hann window, its ground, and the ratio of the two that makes a wave.
-
-    An ordinate of white noise, averaged over n frames whose mean is taken off, follows a Gamma distribution of shape
-    n - 1. The ground is the median of its neighbours, of a relative error of 1.25 / sqrt(m shape); four of them.
-    """
-    from scipy.special import gammainccinv, gammaincinv
-
-    lines = line.deviations_dn.shape[1]
-    window = np.hanning(lines + 1)[:-1]
-    frequency, power = periodogram(line, window * math.sqrt(lines / float(window @ window)), blurred_over=2.5)
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(power, _NEAR, mode="reflect"), 2 * _NEAR + 1)
-    ground = np.median(windows, axis=1) * shape / float(gammaincinv(shape, 0.5))
-    threshold = float(gammainccinv(shape, CHANCE / power.size)) / shape
-    return frequency, power, ground, threshold * (1 + 5 / math.sqrt((2 * _NEAR + 1) * shape))
-
-
-def _slow_drift(
-    line: LineNoise, shape: int, error: float, waves: NDArray[np.float64], heights: NDArray[np.float64]
-) -> Iterator[Finding]:
-    """Yield a finding if slow waves over the rows have more power than fast ones.
-
-    The sum of the periodogram over its fast part's mean, each ordinate weighted by 1/f: the sharpest test for 1/f. Of
-    white noise it is a weighted sum of Gamma variables, whose upper quantile comes from that of chi^2 with the same
-    three moments (Imhof). What waves leak to, as the inverse square of the distance, is left out. How much of the row
-    noise it is says a fit of the periodogram by white noise, 1/f and 1/f^2.
-    """
-    from scipy.optimize import nnls
-    from scipy.special import chdtri
-
-    lines = line.deviations_dn.shape[1]
-    frequency, power = periodogram(line, np.ones(lines), blurred_over=0.5)
-    distance = np.maximum(np.abs(frequency[:, None] - waves) * lines, 0.5)
-    left = (heights / (math.pi * distance) ** 2).sum(axis=1) < LEAKED
-    slow, fast = left & (frequency < _SLOW), left & (frequency > _FAST)
-    if slow.sum() < LEAST_WAVES or fast.sum() < LEAST_WAVES:
-        return
-    ground = float(power[fast].mean())
-    weights = 1 / (frequency[slow] * lines)
-    statistic = float(weights @ power[slow]) / ground
-    mean, second, third = weights.sum(), (weights**2).sum() / shape, (weights**3).sum() / shape**2
-    second += mean**2 / (shape * int(fast.sum()))  # the ground's own error
-    freedom = 2 * second**3 / third**2
-    limit = float(mean + (chdtri(freedom, CHANCE) - freedom) * math.sqrt(second / (2 * freedom)))
-    if statistic <= limit:
-        return
-    parts = np.stack([frequency**0, 1 / frequency, frequency**-2.0], axis=1)
-    scale = np.maximum(ground, np.convolve(power, np.ones(7) / 7, mode="same"))  # an ordinate scatters by itself
-    amounts, _ = nnls((parts / scale[:, None])[left], (power / scale)[left])
-    variance = float((parts[:, 1:] @ amounts[1:]).sum()) / power.size
-    text = (
-        f"black drifts slowly down the frame: slow waves over the rows have {statistic / mean:.1f} times the power of "
-        "fast ones; the model draws row by row, so simulated frames show less of them"
-    )
-    share = _share_of_sigma(variance, line)
-    seen = Finding("slow row drift", (), "remark", statistic / mean, limit / mean, text)
-    yield from judged(seen, {"row noise": (share, error)})
-
-
-def periodogram(
-    line: LineNoise, window: NDArray[np.float64], blurred_over: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return frequencies, cycles per line, and power, DN^2: white noise of variance s^2 gives s^2 throughout.
-
-    Taking off the channels' means empties the multiples of a half, for X-Trans of a sixth; these are left out, and what
-    the window blurs them over.
-    """
-    frames, lines = line.deviations_dn.shape
-    power = (np.abs(np.fft.rfft(line.deviations_dn * window, axis=1)) ** 2).mean(axis=0) / lines * frames / (frames - 1)
-    frequency = np.fft.rfftfreq(lines)
-    places = frequency * _PERIODS
-    kept = np.abs(places - np.rint(places)) > blurred_over * _PERIODS / lines
-    return frequency[kept], power[kept]
-
-
-def _share_of_sigma(variance_dn2: float, line: LineNoise) -> float:
-    """Return which share of a line noise's sigma comes from this part of its variance."""
-    return 1 - math.sqrt(max(1 - max(variance_dn2, 0.0) / max(line.variance_dn2, 1e-12), 0.0))
+        share = _OF_SKEWNESS * abs(near.skewness)
+        yield from LOPSIDED.judged(excess, threshold, text, {"read noise": (share, seen.read_error)})

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.core.findings import Finding
+from eldata.calibration.core.findings import BENT, CHANNELS_GAINS, EDGES, FLATS_CORRELATED, SATURATION
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from eldata.calibration.core.findings import Effect
+    from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.photon_transfer import PhotonTransfer, PhotonTransferLine
     from eldata.calibration.core.saturation import Saturation
 
@@ -24,7 +24,6 @@ _LEAST_LOSS = 0.002  # of K: below it a correlation is not worth a word
 # Share of the measurements. Patches of 1000 pixels, six to a row of 24 megapixels, have edges in a tenth of its pieces.
 # A wall has one in 100,000 by chance, and none for light that falls off smoothly.
 _MOST_EDGES = 0.1
-_TOO_WIDE = 0.1  # of K: beyond it, no error says how wrong K may be
 
 
 def flat_findings(transfer: PhotonTransfer) -> tuple[Finding, ...]:
@@ -36,10 +35,7 @@ def flat_findings(transfer: PhotonTransfer) -> tuple[Finding, ...]:
 def edge_findings(transfer: PhotonTransfer) -> Iterator[Finding]:
     """Yield a remark if the flats show a scene with edges: the variance within a frame is then the scene's own."""
     if transfer.edges > _MOST_EDGES:
-        yield Finding(
-            "edges in flats",
-            (),
-            "remark",
+        yield EDGES.seen(
             transfer.edges,
             _MOST_EDGES,
             f"{transfer.edges:.0%} of the flats' area have edges in or near them, as on a colour chart, and were left "
@@ -66,10 +62,7 @@ def saturation_findings(saturation: Sequence[Saturation | None], left_out: float
     channels = "" if len(found) == len(saturation) else f" in {len(found)} of {len(saturation)} channels"
     how = "values pile up there" if all(one.is_sharp for one in found) else "their variance falls from there on"
     worst = max(found, key=lambda one: one.statistic / one.threshold)
-    yield Finding(
-        "saturation",
-        (),
-        "remark",
+    yield SATURATION.seen(
         worst.statistic,
         worst.threshold,
         f"the flats saturate at {where}{channels}, below the recorded white level: {how}. What lies near it and above "
@@ -88,15 +81,12 @@ def _correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
         why = "the frames were smoothed or resampled, or the picture moved between the two of a pair"
     else:
         why = "the frames were sharpened"
-    yield Finding(
-        "correlation in flats",
-        ("gain",),
-        _effect(allowance),
+    yield from FLATS_CORRELATED.judged(
         abs(found),
         threshold,
         f"in the differences of flats, neighbours of one colour are correlated by {found:+.3f} (a raw file: 0): {why}; "
         "shoot on a tripod, with noise reduction and lens corrections off",
-        allowance=allowance,
+        {"gain": (allowance, 0.0)},
     )
 
 
@@ -123,14 +113,11 @@ def _curvature(transfer: PhotonTransfer) -> Iterator[Finding]:
         why = "slower than the signal, as where a sensor is not linear or a file was compressed with loss"
     else:
         why = "faster than the signal, as where something moved between the two frames of a pair"
-    yield Finding(
-        "bent photon transfer",
-        ("gain",),
-        _effect(allowance),
+    yield from BENT.judged(
         statistic,
         threshold,
         f"the variance of the flats grows {why}: without light its slope is {bend:+.1%} off K",
-        allowance=allowance,
+        {"gain": (allowance, 0.0)},
     )
 
 
@@ -165,19 +152,12 @@ def _agreement(transfer: PhotonTransfer) -> Iterator[Finding]:
     if not (statistic > threshold and allowance > transfer.gain_error / transfer.gain_dn_per_e):
         return
     listed = ", ".join(f"{gain:.4g}" for gain in gains)
-    yield Finding(
-        "channels' gains",
-        ("gain",),
-        _effect(allowance),
+    yield from CHANNELS_GAINS.judged(
         statistic,
         threshold,
         f"K differs between the channels: {listed} DN/e-; does the camera scale colours in its raw files?",
-        allowance=allowance,
+        {"gain": (allowance, 0.0)},
     )
-
-
-def _effect(allowance: float) -> Effect:
-    return "wider" if allowance <= _TOO_WIDE else "withheld"
 
 
 def _normal_quantile(chance: float) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.core.findings import Finding
+from eldata.calibration.core.findings import UNEVEN
 from eldata.manifest.verify_report import Problem
 
 if TYPE_CHECKING:
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.calibration.core.findings import Finding
     from eldata.datasets.calibration_frames import FlatPair
     from eldata.records import FrameRecord, RawFrame
 
@@ -26,10 +27,6 @@ _CLIPPED_SHARE = 0.01  # of pixels at 0 DN
 # equal exposures is worth a word, and beyond the second limit it is doubtful that nothing else has changed.
 _PAIR_DIFFERENCE = 0.05
 _UNLIKE_PAIR = 0.25
-_CENTRAL = (0.05, 0.95)
-_FEW = 30  # occurrences per code, below which a gap may be chance
-_COARSEST = 64  # DN: the largest step that is looked for
-_STRAY = 1e-3  # of the differences: pixels that the camera has made up
 
 
 def problem_of(record: FrameRecord, field: str, expected: str, found: str, advice: str) -> Problem:
@@ -138,52 +135,9 @@ def uneven_light(used: Sequence[PairLevels]) -> Iterator[Finding]:
     uneven = [levels for levels in used if levels.difference > _PAIR_DIFFERENCE]
     if uneven:
         worst = max(uneven, key=lambda levels: levels.difference)
-        yield Finding(
-            "pairs of unequal brightness",
-            (),
-            "remark",
+        yield UNEVEN.seen(
             worst.difference,
             _PAIR_DIFFERENCE,
             f"{len(uneven)} of {len(used)} pairs of flats differ in light by up to {worst.difference:.0%}: {worst}; "
             "they were scaled to each other, so K holds, but a constant light and a mechanical shutter are better",
         )
-
-
-def missing_codes(mosaic: NDArray[np.uint16], pattern: NDArray[np.int64]) -> float:
-    """Return the largest share, of any CFA site, of DN values that never occur though their neighbours do.
-
-    A plain converter gives 0. Lossy compression by a curve leaves gaps in bright frames; multiplication after the
-    conversion (the highest ISOs of some cameras, white balance) leaves them everywhere.
-    """
-    worst = 0.0
-    period = len(pattern)
-    for row in range(min(period, 2)):
-        for column in range(min(period, 2)):
-            counts = np.bincount(mosaic[row :: 2 * period, column::period].ravel())
-            below = np.cumsum(counts)
-            low, high = (int(np.searchsorted(below, share * int(below[-1]))) for share in _CENTRAL)
-            inner = counts[low : high + 1]
-            if inner.size < 8 or int(inner.sum()) < _FEW * inner.size:
-                continue  # too few values, or too few of each, to tell a gap from chance
-            worst = max(worst, float(np.count_nonzero(inner == 0)) / inner.size)
-    return worst
-
-
-def code_step(mosaic: NDArray[np.uint16], pattern: NDArray[np.int64]) -> int:
-    """Return by how many DN the values of a bias frame step: 1, or 4 where 12 bits are stored as 14.
-
-    Pixels of one column and CFA site, one period apart, differ by noise; all but one in a thousand of the differences
-    are multiples of the step. Where fewer than a thousand differ, it is not known, and 1.
-    """
-    period = 2 * len(pattern)
-    step = max(1, mosaic.shape[0] * mosaic.shape[1] // 2_000_000)
-    block = mosaic[:, : mosaic.shape[1] // step].astype(np.int32)
-    counts = np.bincount(np.abs(block[period:] - block[:-period]).ravel())
-    counts[0] = 0
-    changed = int(counts.sum())
-    if changed < 1000:
-        return 1
-    multiples = (int(counts[::size].sum()) for size in range(_COARSEST, 0, -1))
-    return next(
-        size for size, kept in zip(range(_COARSEST, 0, -1), multiples, strict=True) if kept >= (1 - _STRAY) * changed
-    )

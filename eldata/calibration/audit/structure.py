@@ -2,10 +2,10 @@
 
 Column noise and the rows' spectrum come from the line means that the calibration has anyway
 (:mod:`eldata.calibration.core.row_noise`), telegraph pixels from the second pass over the bias frames
-(:mod:`eldata.calibration.audit.telegraph`), PRNU from pairs of flats
-(:mod:`eldata.calibration.audit.response_pattern`). A figure that is not told from nothing is given as 0, a spectrum
-that is not told from a white one as white: the chance that one is given without a reason is that of the audit, 1 in
-100,000 (:data:`~eldata.calibration.audit.bias_checks.CHANCE`).
+(:mod:`eldata.calibration.audit.telegraph`), PRNU, each pixel's own response to light, from what the two flats of a pair
+have in common. A figure that is not told from nothing is given as 0, a spectrum that is not told from a white one as
+white: the chance that one is given without a reason is that of the audit, 1 in 100,000
+(:data:`~eldata.calibration.core.findings.CHANCE`).
 """
 
 from __future__ import annotations
@@ -17,24 +17,31 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.tables import with_error
-from eldata.calibration.audit.bias_checks import CHANCE, LEAKED, LEAST_WAVES, Ripple, periodogram, standing_out
-from eldata.calibration.core.findings import withheld
-from eldata.noise.structure import NoiseStructure, RowSpectrum, RowWave, TelegraphPixels
+from eldata.calibration.audit.bias_sums import BLOCK, spread_bands
+from eldata.calibration.audit.row_waves import row_spectrum
+from eldata.calibration.audit.steps import Ripple
+from eldata.calibration.core.findings import BANDING, CHANCE, DARK_SIGNAL, LIGHT, ROW_DRIFT, UNLIKE, withheld
+from eldata.noise.structure import NoiseStructure, RowSpectrum, TelegraphPixels
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from numpy.typing import NDArray
+
     from eldata.calibration.audit.telegraph import TelegraphGroups
     from eldata.calibration.core._residual_fit import ResidualHistogram
+    from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.read_noise import ReadNoise
-    from eldata.calibration.core.row_noise import LineNoise, RowNoise
+    from eldata.calibration.core.row_noise import RowNoise
 
-_BANDING = ("banding", "slow row drift")  # findings by which rows are not white
-_UNLIKE = "unlike pixels"
-_NOT_JUMPING = ("light", "dark signal")  # findings of pixels that are noisier for another reason
-_HANN_NOISE = 1.5  # equivalent noise bandwidth of the window, in frequencies
-_HANN_LOBE = 2  # frequencies on each side of a wave's own
+_BANDING = (BANDING.name, ROW_DRIFT.name)  # findings by which rows are not white
+_NOT_JUMPING = (LIGHT.name, DARK_SIGNAL.name)  # findings of pixels that are noisier for another reason
+_MOST_PIXELS = 1 << 20  # and of a flat for PRNU
+_REACH = 8.0
+_BY_SECOND = 1.5  # variance of a pixel less the mean of two others, over that of a pixel
+_SATURATED = 1e-4  # share of pixels from which on a pair is left out
+_FEWEST_BLOCKS = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +138,7 @@ def measured_structure(
     telegraph: tuple[TelegraphPixels | None, tuple[float, float, float]] = None, (math.nan,) * 3
     if jumping is not None and seen.isdisjoint(_NOT_JUMPING):
         groups, residuals = jumping
-        found, errors = groups.pixels(Ripple.of(read.tukey_lambda, read.sigma_tl_dn), is_seen=_UNLIKE in seen)
+        found, errors = groups.pixels(Ripple.of(read.tukey_lambda, read.sigma_tl_dn), is_seen=UNLIKE.name in seen)
         telegraph = None if found is None else groups.with_others(found, read, residuals), errors
     return MeasuredStructure(
         None if is_withheld else columns.sigma_dn if is_seen else 0.0,
@@ -144,74 +151,6 @@ def measured_structure(
     )
 
 
-# --- rows ---------------------------------------------------------------------------------------------------------
-
-
-def row_spectrum(
-    line: LineNoise, frames: int, *, is_banded: bool
-) -> tuple[RowSpectrum, tuple[float, ...], tuple[float, ...]]:
-    """Return the spectrum of the rows' offsets, in octaves, and the errors of its powers and of its waves' amplitudes.
-
-    The pixels' own noise has the same power at every frequency, and is taken off. An ordinate averaged over n frames,
-    whose mean is taken off, follows a Gamma distribution of shape n - 1: a band of m has a relative error of
-    1 / sqrt(m (n - 1)). Rounding hides or enlarges offsets: all powers are scaled as sigma_row is.
-    """
-    lines, shape = line.deviations_dn.shape[1], frames - 1
-    scale = line.sigma_dn**2 / line.variance_dn2 if line.variance_dn2 > 0 else 1.0
-    lowest = 0.5 / lines
-    if not is_banded:
-        error = 2 * line.sigma_dn * line.sigma_error_dn
-        return RowSpectrum((lowest, 0.5), (line.sigma_dn**2,)), (error,), ()
-    waves, wave_errors = _waves(line, shape, scale)
-    frequency, power = periodogram(line, np.ones(lines), blurred_over=0.5)
-    of_pixels = float((line.deviations_dn**2).sum()) / line.deviations_dn.size * frames / shape - line.variance_dn2
-    kept = np.ones(frequency.size, dtype=np.bool_)
-    for wave in waves:
-        # The power that a wave leaks to, without a window, falls with the square of the distance.
-        height = lines * wave.amplitude_dn**2 / 4 / scale
-        distance = np.maximum(np.abs(frequency - wave.frequency_per_row) * lines, 0.5)
-        kept &= height / (math.pi * distance) ** 2 < LEAKED * np.median(power)
-    edges, powers, errors = [lowest], list[float](), list[float]()
-    upper = 1.5 / lines
-    while edges[-1] < 0.5:
-        upper = 0.5 if 2 * upper > 0.5 else upper
-        chosen = kept & (frequency > edges[-1]) & (frequency <= upper)
-        if chosen.any():
-            mean = float(power[chosen].mean())
-            powers.append(scale * max(mean - of_pixels, 0.0))
-            errors.append(scale * mean / math.sqrt(shape * int(chosen.sum())))
-            edges.append(upper)
-        elif upper == 0.5:
-            edges[-1] = 0.5
-        upper = 2 * upper
-    if not powers:  # a wave at every frequency that is left
-        return RowSpectrum((lowest, 0.5), (0.0,), waves), (0.0,), wave_errors
-    return RowSpectrum(tuple(edges), tuple(powers), waves), tuple(errors), wave_errors
-
-
-def _waves(line: LineNoise, shape: int, scale: float) -> tuple[tuple[RowWave, ...], tuple[float, ...]]:
-    """Return the waves that stand out under a Hann window, and the errors of their amplitudes.
-
-    A wave's power is that of the frequencies around its own, over the ground; its amplitude in one frame of N rows over
-    white noise of power g scatters by sqrt(2 g / N), under the window by sqrt(1.5) of it. With the pixels' own means
-    goes what the mean of the n frames holds of a wave of free phase: of its square an exponential share, of mean and
-    scatter 1 / n.
-    """
-    lines = line.deviations_dn.shape[1]
-    frequency, power, ground, threshold = standing_out(line, shape)
-    places = np.flatnonzero((power > threshold * ground) & (frequency > LEAST_WAVES / lines))
-    waves, errors = [], []
-    for group in np.split(places, np.flatnonzero(np.diff(places) > _HANN_LOBE) + 1) if places.size else []:
-        around = slice(max(int(group[0]) - _HANN_LOBE, 0), int(group[-1]) + _HANN_LOBE + 1)
-        excess = (power - ground)[around]
-        variance = float(excess.sum()) * 2 / lines
-        middle = float(np.maximum(excess, 0) @ frequency[around] / np.maximum(excess, 0).sum())
-        waves.append(RowWave(middle, math.sqrt(scale * 2 * max(variance, 0.0))))
-        by_ground = scale * 2 * _HANN_NOISE * float(ground[around].mean()) / (lines * (shape + 1))
-        errors.append(math.hypot(math.sqrt(by_ground), waves[-1].amplitude_dn / (2 * shape)))
-    return tuple(waves), tuple(errors)
-
-
 def pooled_prnu(found: Sequence[MeasuredStructure]) -> float | None:
     """Return the PRNU of all ISOs together, weighed by their errors; ``None`` where no flats show it."""
     known = [(one.prnu, one.prnu_error) for one in found if one.prnu is not None]
@@ -220,3 +159,85 @@ def pooled_prnu(found: Sequence[MeasuredStructure]) -> float | None:
         return 0.0 if known else None
     values, errors = np.array(seen).T
     return float(np.average(values, weights=errors**-2.0))
+
+
+class ResponsePattern:
+    """Accumulates pairs of flats for PRNU: what the two frames of a pair have in common, pixel by pixel.
+
+    Of each pixel the mean of the next two of its site to the left and to the right is taken off, and with it light that
+    changes straight over them, and what a row has in common. The products of two frames have the pattern's variance,
+    ``3/2 (prnu^2 signal^2 + v / n)``: the mean of n bias frames, with noise of variance v, was taken off both.
+
+    Parameters
+    ----------
+    fixed
+        Of the bias frames.
+    limit_dn
+        From which value on a pixel counts as saturated.
+    """
+
+    def __init__(self, fixed: FixedPattern, limit_dn: float) -> None:
+        self._fixed, self._limit = fixed, limit_dn
+        self._places = spread_bands(fixed.total_dn.shape, _MOST_PIXELS)
+        self._sums = np.zeros((2, 0))
+
+    def add(self, first: NDArray[np.uint16], second: NDArray[np.uint16]) -> None:
+        """Add a pair of equal flats; one that saturates is left out.
+
+        Its weight is the inverse of the square of what its noise adds to prnu^2.
+        """
+        sums, noise = [], []
+        for rows in self._places:
+            flats = first[rows], second[rows]
+            if max(float(np.mean(flat >= self._limit)) for flat in flats) > _SATURATED:
+                return
+            found, spread = self._of_band(rows, *flats)
+            sums.append(found)
+            noise.append(spread)
+        pair = np.concatenate(sums, axis=1)
+        signal2 = float(pair[1].sum()) / max(float(pair[2].sum()), 1.0)
+        if signal2 > 0:
+            weight = signal2 / float(np.mean(noise)) ** 2
+            self._sums = weight * pair[:2] + (self._sums if self._sums.size else 0.0)
+
+    def _of_band(
+        self, rows: slice, first: NDArray[np.uint16], second: NDArray[np.uint16]
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return, by block of columns, the products over the noise's share, the signals' products, how many; noise."""
+        fixed, pattern = self._fixed, self._fixed.pattern
+        period, blocks = len(pattern), first.shape[1] // BLOCK
+        sums, noise = np.zeros((3, blocks)), []
+        mean = fixed.total_dn[rows].astype(np.float32) / np.float32(fixed.frames)
+        for (y, x), channel in np.ndenumerate(pattern):
+            site = slice(y, None, period), slice(x, blocks * BLOCK, period)
+            a, b = (flat[site] - mean[site] for flat in (first, second))
+            sound = ~fixed.defects[rows][site]
+            sound = sound[:, 1:-1] & sound[:, :-2] & sound[:, 2:]
+            high = [plane[:, 1:-1] - (plane[:, :-2] + plane[:, 2:]) / 2 for plane in (a, b)]
+            for plane in high:
+                low, top = np.quantile(plane, (0.159, 0.841))
+                sound &= np.abs(plane) < _REACH * max(float(top - low) / 2, 0.5)
+            dark = _BY_SECOND * fixed.temporal_variance_dn2[channel] / fixed.frames
+            columns = np.arange(1, a.shape[1] - 1) * period // BLOCK
+            for number, values in enumerate((high[0] * high[1] - dark, a[:, 1:-1] * b[:, 1:-1], np.ones_like(high[0]))):
+                sums[number] += np.bincount(columns, (values * sound).sum(axis=0, dtype=np.float64), blocks)
+            noise.append(float(np.mean((high[0] - high[1]) ** 2)) / 2)
+        return sums, float(np.mean(noise))
+
+    def prnu(self) -> tuple[float | None, float]:
+        """Return the PRNU and its standard error, by the scatter of blocks; 0 where it is not told from nothing.
+
+        The blocks' sums are those of all pairs: what a pattern of finitely many pixels adds to the error is in it.
+        """
+        from scipy.special import stdtrit
+
+        products, signals = self._sums
+        if products.size < _FEWEST_BLOCKS or not signals.sum() > 0:
+            return None, math.nan
+        blocks, total = products.size, _BY_SECOND * float(signals.sum())
+        square = float(products.sum()) / total
+        left = products - square * _BY_SECOND * signals
+        error = math.sqrt(float(left @ left) * blocks / (blocks - 1)) / total
+        if square <= float(stdtrit(blocks - 1, 1 - CHANCE)) * error:
+            return 0.0, math.sqrt(error)
+        return math.sqrt(square), error / (2 * math.sqrt(square))

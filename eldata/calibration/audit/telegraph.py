@@ -8,21 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.audit.bias_checks import CHANCE
+from eldata.calibration.audit.bias_sums import BLOCK, spread_bands
+from eldata.calibration.core.findings import CHANCE
 from eldata.noise.structure import TelegraphPixels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit.bias_checks import Ripple
+    from eldata.calibration.audit.steps import Ripple
     from eldata.calibration.core._residual_fit import ResidualHistogram
     from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.core.read_noise import ReadNoise
 
     Plane = NDArray[np.float32]
-
-BLOCK = 48
-"""Pixels a side of the blocks by whose scatter errors are told, as of the audit: whole periods of every CFA."""
 
 _GROUPS = 3  # of bias frames, whose variances know nothing of each other
 _MOST_PIXELS = 1 << 19  # of a frame are looked at for telegraph pixels
@@ -233,13 +231,6 @@ def other_pixels(histogram: ResidualHistogram, jumping: TelegraphPixels) -> Resi
     shares = counts.sum(axis=1) / counts.sum()
     counts[:, 1:-1] = (counts[:, 1:-1] - shares[:, None] * jumped) / (1 - jumping.share)
     return replace(histogram, counts=counts, squares_dn2=None)
-
-
-def spread_bands(shape: tuple[int, ...], most: int) -> list[slice]:
-    """Return bands of 48 rows, whole periods of the CFA, evenly spread over a frame."""
-    rows, width = shape[0] // BLOCK, shape[1]
-    step = max(1, math.ceil(rows * BLOCK * width / most))
-    return [slice(place * BLOCK, (place + 1) * BLOCK) for place in range(0, rows, step)]
 
 
 def _by_block(plane: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ import numpy as np
 from eldata.calibration.core._clipped_fit import ClippedEquations
 from eldata.calibration.core._clipped_noise import ClippedStatistics
 from eldata.calibration.core._frames import channels_of, groups_of_rows
-from eldata.calibration.core.findings import Finding
+from eldata.calibration.core.findings import BEHIND_CLIP, CLIPPED
 from eldata.calibration.core.read_noise import ReadFigures
 from eldata.calibration.core.row_noise import ColourBias, check_same_frames
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from eldata.calibration.core._clipped_fit import ClippedFit
     from eldata.calibration.core.defects import FixedPattern
+    from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.row_noise import LineMeans, LineSums
 
     Values: TypeAlias = NDArray[np.float64]
@@ -119,21 +120,15 @@ def _findings(fit: ClippedFit, zeros: float, bias: ColourBias) -> Iterator[Findi
     """Yield what the clip leaves of the figures."""
     read = fit.read
     if zeros > MOST_ZEROS:
-        yield Finding(
-            "clipped black",
-            ("read noise", "row noise", "colour bias"),
-            "withheld",
+        yield CLIPPED.seen(
             zeros,
             MOST_ZEROS,
             f"{zeros:.0%} of the values of a channel are 0, so that only a tail of the noise is recorded: neither its "
             "shape nor the level that it belongs to is known from that; use raw files that keep the black level, or "
             "state this camera's noise from another source",
-        )
+        ).of("withheld", CLIPPED.figures)
         return
-    yield Finding(
-        "clipped black",
-        (),
-        "remark",
+    yield CLIPPED.seen(
         zeros,
         0.0,
         f"the camera clips at black: {zeros:.1%} of the values are 0. The noise is fitted to what lies above, taken "
@@ -145,24 +140,16 @@ def _findings(fit: ClippedFit, zeros: float, bias: ColourBias) -> Iterator[Findi
     shape, scale, level = float(allowed[0]), float(allowed[1]), float(allowed[2:].max())
     errors = max(shape / read.tukey_lambda_error, scale * read.sigma_tl_dn / read.sigma_tl_error_dn)
     if errors > 1:
-        yield Finding(
-            "pattern behind the clip",
-            ("read noise",),
-            "wider",
+        yield BEHIND_CLIP.seen(
             errors,
             1.0,
             "the pixels' own levels, which cannot be taken off below the clip, are not small beside the noise, and "
             f"were taken to be normal: if their distribution is another, lambda is off by some {shape:.2g} and "
             f"sigma_TL by {scale:.1%}",
-            allowance=max(shape, scale),
-        )
+        ).of("wider", ("read noise",), max(shape, scale))
     if level > min(bias.standard_error_dn):
-        yield Finding(
-            "pattern behind the clip",
-            ("colour bias",),
-            "wider",
+        yield BEHIND_CLIP.seen(
             level,
             min(bias.standard_error_dn),
             f"the level below the clip follows from the same distribution: it may be off by {level:.2g} DN",
-            allowance=level,
-        )
+        ).of("wider", ("colour bias",), level)

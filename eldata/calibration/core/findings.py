@@ -10,7 +10,7 @@ from eldata.base.tables import with_error
 from eldata.errors import ArgumentError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping
 
 Figure = Literal["gain", "read noise", "row noise", "colour bias"]
 """What a calibration measures at one ISO. Read noise is lambda, sigma_TL and sigma_G."""
@@ -30,23 +30,8 @@ def named(figures: Collection[Figure]) -> str:
 
 Effect = Literal["withheld", "wider", "remark"]
 
-ACCEPTABLE: Final = (
-    *("light", "dark signal", "correlated noise", "filtered outliers", "coarse values", "banding", "slow row drift"),
-    *("bent photon transfer", "channels' gains", "correlation in flats"),
-)
-"""Checks that know how far off a figure may be that they withhold: it can be accepted with that for its error."""
-
-
-def checked_acceptance(accept: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of checks to be accepted; :class:`ArgumentError` if one of them is not a check that can be."""
-    names = (accept,) if isinstance(accept, str) else tuple(accept)
-    for name in names:
-        if name not in ACCEPTABLE:
-            raise ArgumentError(
-                f"{name!r} is not a check whose withheld figures can be accepted; known are "
-                f"{', '.join(map(repr, ACCEPTABLE))}{did_you_mean(str(name), ACCEPTABLE)}"
-            )
-    return names
+CHANCE: Final = 1e-5
+"""That a check of bias frames speaks without a reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +67,10 @@ class Finding:
     allowance: float = 0.0
     is_accepted: bool = False
 
+    def of(self, effect: Effect, figures: tuple[Figure, ...], allowance: float = 0.0) -> Finding:
+        """Return it with what becomes of figures."""
+        return replace(self, effect=effect, figures=figures, allowance=allowance)
+
     @property
     def is_acceptable(self) -> bool:
         """Whether withheld figures can be given with a larger error: not if they may be off by all of themselves."""
@@ -106,6 +95,107 @@ class Finding:
         elif self.effect == "wider":
             fate = f"errors made larger: {named(self.figures)}"
         return f"{self.text} ({fate})"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What is looked at in the frames, and what of the figures rests on it.
+
+    Attributes
+    ----------
+    name
+        As docs/calibration.md lists it.
+    assumes
+        What holds where the check does not speak.
+    figures
+        What it withholds or gives with a larger error; empty: it only says what a person should know.
+    most_allowed
+        The share of a figure beyond which it is not given; up to it, its error allows for it. Infinite: it is never
+        withheld, since the figures are those of the distribution of the family that is most like the noise.
+    is_acceptable
+        Whether a person may have what it withholds all the same: it knows how far off the figure may be.
+    """
+
+    name: str
+    assumes: str
+    figures: tuple[Figure, ...] = ()
+    most_allowed: float = 0.05
+    is_acceptable: bool = False
+
+    def seen(self, statistic: float, threshold: float, text: str) -> Finding:
+        """Return a remark."""
+        return Finding(self.name, (), "remark", statistic, threshold, text)
+
+    def judged(
+        self, statistic: float, threshold: float, text: str, shares: Mapping[Figure, tuple[float, float]]
+    ) -> Iterator[Finding]:
+        """Yield what follows from what was seen, given by what share it may put each figure off, and its own error."""
+        seen = self.seen(statistic, threshold, text)
+        off = {figure: share for figure, (share, _) in shares.items() if share > self.most_allowed}
+        wider = {figure: share for figure, (share, error) in shares.items() if error < share <= self.most_allowed}
+        for effect, figures in (("withheld", off), ("wider", wider)):
+            if figures:
+                yield seen.of(effect, tuple(figures), max(figures.values()))  # type: ignore[arg-type] # the two words
+        if not off and not wider:
+            yield seen
+
+
+_READ: Final = ("read noise",)
+_READ_AND_BIAS: Final = ("read noise", "colour bias")
+_TOO_WIDE: Final = 0.1
+"""Of K: beyond it, no error says how wrong it may be."""
+
+LIGHT: Final = Check("light", "where bias frames are brighter, noise is not larger", _READ_AND_BIAS, is_acceptable=True)
+DARK_SIGNAL: Final = Check(
+    "dark signal", "a pixel's level tells nothing of its noise", _READ_AND_BIAS, is_acceptable=True
+)
+CORRELATED: Final = Check(
+    "correlated noise", "neighbouring pixels share no noise", ("read noise", "row noise"), is_acceptable=True
+)
+FILTERED: Final = Check("filtered outliers", "outliers have neighbours like those of others", _READ, is_acceptable=True)
+COARSE: Final = Check("coarse values", "every whole DN occurs", _READ, is_acceptable=True)
+BANDING: Final = Check("banding", "no frequency stands out of the rows' offsets", ("row noise",), is_acceptable=True)
+ROW_DRIFT: Final = Check("slow row drift", "the rows' offsets are white", ("row noise",), is_acceptable=True)
+BENT: Final = Check(
+    "bent photon transfer", "variance is a line of the signal", ("gain",), _TOO_WIDE, is_acceptable=True
+)
+CHANNELS_GAINS: Final = Check("channels' gains", "all channels have one K", ("gain",), _TOO_WIDE, is_acceptable=True)
+FLATS_CORRELATED: Final = Check(
+    "correlation in flats", "neighbouring pixels share no noise", ("gain",), _TOO_WIDE, is_acceptable=True
+)
+UNLIKE: Final = Check("unlike pixels", "all pixels have one noise", _READ, math.inf)
+LOPSIDED: Final = Check("lopsided noise", "noise goes as far to both sides", _READ, math.inf)
+EDGES: Final = Check("edges in flats", "flats show a smooth wall")
+SATURATION: Final = Check("saturation", "values go up to the recorded white level")
+UNEVEN: Final = Check("pairs of unequal brightness", "both flats of a pair have one light")
+TRANSFER: Final = Check("photon transfer", "flats have a line of variance over signal", ("gain",))
+SHAPE: Final = Check("shape of the read noise", "the fit tells the shape", ("read noise", "row noise"))
+FIT: Final = Check("fit of the read noise", "residuals follow the Tukey-lambda family", ("read noise", "row noise"))
+ROUNDING: Final = Check("rounding moves black", "the mean of rounded values is the level", ("colour bias",))
+CLIPPED: Final = Check("clipped black", "noise is recorded on both sides", ("read noise", "row noise", "colour bias"))
+BEHIND_CLIP: Final = Check("pattern behind the clip", "pixels' levels are normal", _READ_AND_BIAS)
+STEP: Final = Check("a step in a joint fit", "one line over K holds for all ISOs")
+
+CHECKS: Final = (
+    *(LIGHT, DARK_SIGNAL, CORRELATED, FILTERED, COARSE, BANDING, ROW_DRIFT, BENT, CHANNELS_GAINS, FLATS_CORRELATED),
+    *(UNLIKE, LOPSIDED, EDGES, SATURATION, UNEVEN, TRANSFER, SHAPE, FIT, ROUNDING, CLIPPED, BEHIND_CLIP, STEP),
+)
+"""Every one that there is."""
+
+ACCEPTABLE: Final = tuple(check.name for check in CHECKS if check.is_acceptable)
+"""Checks that know how far off a figure may be that they withhold: it can be accepted with that for its error."""
+
+
+def checked_acceptance(accept: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of checks to be accepted; :class:`ArgumentError` if one of them is not a check that can be."""
+    names = (accept,) if isinstance(accept, str) else tuple(accept)
+    for name in names:
+        if name not in ACCEPTABLE:
+            raise ArgumentError(
+                f"{name!r} is not a check whose withheld figures can be accepted; known are "
+                f"{', '.join(map(repr, ACCEPTABLE))}{did_you_mean(str(name), ACCEPTABLE)}"
+            )
+    return names
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.core.findings import Finding
+from eldata.calibration.core.findings import FIT, ROUNDING, SHAPE
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from eldata.calibration.core._residual_fit import ResidualFit, ResidualHistogram
     from eldata.calibration.core._tukey_lambda import ResidualModel
     from eldata.calibration.core.defects import PatternSummary
-    from eldata.calibration.core.findings import Figure
+    from eldata.calibration.core.findings import Figure, Finding
     from eldata.calibration.core.row_noise import ColourBias, OffsetResponse
 
 _TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
@@ -253,15 +253,12 @@ def read_noise_findings(read: ReadNoise, bias: ColourBias, pattern: PatternSumma
     figures: tuple[Figure, ...] = ("read noise",) if read.response is None else ("read noise", "row noise")
     if not read.converged or not error < _MOST_ERROR:
         found.append(
-            Finding(
-                "shape of the read noise",
-                figures,
-                "withheld",
+            SHAPE.seen(
                 error if read.converged else math.inf,
                 _MOST_ERROR,
                 "rounding to whole DN, or too few pixels, leave too little of the read noise to tell its shape: use a "
                 "raw mode of more bits, more frames, or the figures of a higher ISO",
-            )
+            ).of("withheld", figures)
         )
     elif misfit:
         text = (
@@ -270,21 +267,17 @@ def read_noise_findings(read: ReadNoise, bias: ColourBias, pattern: PatternSumma
             "random telegraph noise; look at its plots"
         )
         allowance = misfit * read.largest_error
-        found.append(Finding("fit of the read noise", figures, "wider", read.chi2_per_dof, limit, text, allowance))
+        found.append(FIT.seen(read.chi2_per_dof, limit, text).of("wider", figures, allowance))
     errors = [error for error in bias.standard_error_dn if math.isfinite(error)]
     shift = read.shift_dn * math.exp(-2 * (math.pi * min(pattern.dsnu_dn)) ** 2)
     if errors and shift > min(errors):
         found.append(
-            Finding(
-                "rounding moves black",
-                ("colour bias",),
-                "wider",
+            ROUNDING.seen(
                 shift,
                 min(errors),
                 f"the read noise is quiet and the pixels' levels hardly differ, so that rounding moves their mean by "
                 f"up to {shift:.2g} DN",
-                allowance=shift,
-            )
+            ).of("wider", ROUNDING.figures, shift)
         )
     return tuple(found)
 

@@ -180,36 +180,32 @@ def estimate_profile(image: RawFrame | Path | str, *, source: Source = "auto") -
     check_choice("source", source, get_args(Source))
     frame = read_raw(image) if isinstance(image, (Path, str)) else image
     frame.whole_dn("an estimate of noise")
-    problems: dict[str, str] = {}
     remarks: list[str] = []
-    stated = measured = line = None
-    if source != "pixels":
-        stated = _stated(frame, problems, remarks)
-    if source != "tag":
-        line = _line(frame, problems)
-        measured = None if line is None else _measured(frame, line)
+    stated, of_tag = (None, "") if source == "pixels" else _stated(frame, remarks)
+    line, of_pixels = (None, "") if source == "tag" else _line(frame)
+    measured = None if line is None else _measured(frame, line)
     if line is not None and line.channels_differ:
         slopes = ", ".join(f"{slope:.3g}" for slope in line.channel_slopes)
         remarks.append(
             f"K of the packed channels differs by more than chance ({slopes} DN/e-): one K does not fit all of them, "
             "as where a camera amplifies its colours differently; the error has their scatter"
         )
-    chosen: Literal["tag", "pixels"] | None = (
-        "tag" if stated is not None else "pixels" if measured is not None else None
-    )
+    problems: list[str] = []
+    chosen: Literal["tag", "pixels"] | None = None
     if stated is not None:
-        if "pixels" in problems:
-            remarks.append(f"the NoiseProfile could not be checked against the pixels: {problems['pixels']}")
-        problems.clear()
+        chosen = "tag"
+        if of_pixels:
+            remarks.append(f"the NoiseProfile could not be checked against the pixels: {of_pixels}")
         if measured is not None:
             remarks += _disagreements(stated, measured)
     elif measured is not None:
-        tag = problems.pop("tag", None)
-        if tag is not None and source == "auto" and tag != _NO_TAG:
-            remarks.append(tag)
-        problems.update(_not_shown(measured))
-    elif problems.get("tag") == _NO_TAG and source == "auto":
-        del problems["tag"]
+        chosen = "pixels"
+        if of_tag not in ("", _NO_TAG):
+            remarks.append(of_tag)
+        problems = _not_shown(measured)
+    else:
+        is_expected = source == "auto" and of_tag == _NO_TAG
+        problems = [problem for problem in ("" if is_expected else of_tag, of_pixels) if problem]
     figures = stated if stated is not None else measured
     made = None
     if figures is not None and chosen is not None and not problems:
@@ -222,7 +218,7 @@ def estimate_profile(image: RawFrame | Path | str, *, source: Source = "auto") -
         measured=measured,
         line=line,
         source=chosen,
-        problems=tuple(problems.values()),
+        problems=tuple(problems),
         remarks=tuple(remarks),
         profile=made,
     )
@@ -237,23 +233,22 @@ def _range_dn(frame: RawFrame) -> float:
     return frame.sensor.white_level_dn - max(frame.sensor.black_level_dn)
 
 
-def _stated(frame: RawFrame, problems: dict[str, str], remarks: list[str]) -> NoiseFigures | None:
+def _stated(frame: RawFrame, remarks: list[str]) -> tuple[NoiseFigures | None, str]:
+    """Return the figures of the file's NoiseProfile, or why there are none."""
     from eldata.raw.sensor_facts import dng_noise_profile
 
     numbers = dng_noise_profile(frame.path) if frame.path.is_file() else None
     if numbers is None:
-        problems["tag"] = _NO_TAG
-        return None
+        return None, _NO_TAG
     shown = ", ".join(f"{number:.4g}" for number in numbers[:8])
     if len(numbers) not in (2, 6):
-        problems["tag"] = f"its NoiseProfile has {len(numbers)} numbers ({shown}); expected 2, or 6 for three colours"
-        return None
+        return None, f"its NoiseProfile has {len(numbers)} numbers ({shown}); expected 2, or 6 for three colours"
     slopes, offsets = np.array(numbers[::2]), np.array(numbers[1::2])
     if not (slopes.min() > 0 and slopes.max() < 1 and offsets.min() >= 0 and offsets.max() < 1):
-        problems["tag"] = (
-            f"its NoiseProfile ({shown}) is not one of a camera: slopes lie between 0 and 1, offsets from 0 to 1"
+        return (
+            None,
+            f"its NoiseProfile ({shown}) is not one of a camera: slopes lie between 0 and 1, offsets from 0 to 1",
         )
-        return None
     if slopes.max() > 1.1 * slopes.min():
         remarks.append(
             "the NoiseProfile's slopes differ by colour, "
@@ -263,10 +258,11 @@ def _stated(frame: RawFrame, problems: dict[str, str], remarks: list[str]) -> No
     weights = np.array([1, 2, 1]) if len(slopes) == 3 else np.ones(1)
     span = _range_dn(frame)
     gain = float(np.average(slopes, weights=weights)) * span
-    return NoiseFigures(gain, float(np.average(offsets, weights=weights)) * span**2 - _ROUNDING_DN2)
+    return NoiseFigures(gain, float(np.average(offsets, weights=weights)) * span**2 - _ROUNDING_DN2), ""
 
 
-def _line(frame: RawFrame, problems: dict[str, str]) -> NoiseLine | None:
+def _line(frame: RawFrame) -> tuple[NoiseLine | None, str]:
+    """Return the line of the pixels' variance over their signal, or why there is none."""
     from eldata.calibration.one_photograph.noise_line import noise_line
 
     sensor = frame.sensor
@@ -274,10 +270,9 @@ def _line(frame: RawFrame, problems: dict[str, str]) -> NoiseLine | None:
     black = packed_black_level_dn(sensor.cfa, sensor.black_level_dn).reshape(-1, 1, 1)
     usable = (packed > 0) & (packed < sensor.white_level_dn)
     try:
-        return noise_line(packed.astype(np.float32) - black, usable)
+        return noise_line(packed.astype(np.float32) - black, usable), ""
     except DatasetError as error:
-        problems["pixels"] = str(error)
-        return None
+        return None, str(error)
 
 
 def _measured(frame: RawFrame, line: NoiseLine) -> NoiseFigures:
@@ -290,17 +285,17 @@ def _measured(frame: RawFrame, line: NoiseLine) -> NoiseFigures:
     )
 
 
-def _not_shown(figures: NoiseFigures) -> dict[str, str]:
+def _not_shown(figures: NoiseFigures) -> list[str]:
     """Return what the pixels do not show: a figure that is not above 0 by two standard errors."""
-    problems = {}
+    problems = []
     error, scatter = figures.gain_error or 0.0, figures.variance_error or 0.0
     if not figures.gain_dn_per_e > _SHOWN * error:
-        problems["gain"] = (
+        problems.append(
             f"K, {figures.gain_dn_per_e:.2g} +- {error:.2g} DN/e-, is not above 0 by {_SHOWN:g} standard errors: the "
             "photograph has too little light to show it; take a brighter one, or one with bright smooth parts"
         )
     if not figures.variance_dn2 > _SHOWN * scatter:
-        problems["read"] = (
+        problems.append(
             f"the read noise's variance, {figures.variance_dn2:.2g} +- {scatter:.2g} DN^2, is not above 0 by "
             f"{_SHOWN:g} standard errors: the photograph has no dark smooth parts to show it; take one with "
             "deep shadows, or darker"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict, dataclass, replace
-from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from itertools import combinations, product
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
@@ -17,7 +17,7 @@ from eldata.evaluation.statistics import LEVEL, RESAMPLES, SEED, Difference, clu
 from eldata.evaluation.table import factor_text, grouped_table, groups_of, short_digest
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Hashable, Iterable, Mapping, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from eldata.evaluation.results import EvaluationResult
     from eldata.plots.axes import Theme
     from eldata.protocols.kinds import Kind
+
+Images: TypeAlias = "Sequence[tuple[UnitScore, ...]]"
+"""Of each image the score by each method."""
 
 # What of the provenance decides neither which images are scored nor against what.
 _NOT_DECIDING = (
@@ -300,31 +303,8 @@ def compare(methods: Sequence[Method]) -> Comparison:
         methods=tuple(methods),
         images=images,
         groups=_groups(images, kind.metrics, methods[0].result),
-        warnings=(*_warnings(methods), *_image_warnings(methods, images), *_coverage_warnings(methods, len(common))),
+        warnings=_warnings(methods, images),
         contests=_contests(methods, images, kind.metrics) if len(methods) > 2 else (),
-    )
-
-
-def _contests(
-    methods: Sequence[Method], images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[figures.Figure]
-) -> tuple[Contest, ...]:
-    places = clusters_of((scores[0] for scores in images), scenes_shared=methods[0].result.scenes_shared)
-    values = [
-        {metric.name: [score.values[metric.name] for score in of] for metric in metrics}
-        for of in zip(*images, strict=True)
-    ]
-    pairs = list(combinations(range(len(methods)), 2))
-    gains = [
-        {
-            metric.name: paired_difference(values[first][metric.name], values[other][metric.name], places)
-            for metric in metrics
-        }
-        for first, other in pairs
-    ]
-    corrected = iter(holm([difference.p_value for of in gains for difference in of.values()]))
-    return tuple(
-        Contest(methods[first].name, methods[other].name, of, {name: next(corrected) for name in of})
-        for (first, other), of in zip(pairs, gains, strict=True)
     )
 
 
@@ -336,9 +316,7 @@ def _common_kind(methods: Sequence[Method]) -> Kind:
     return replace(first, metrics=shared, values=tuple(name for name in first.values if name not in left_out))
 
 
-def _groups(
-    images: Sequence[tuple[UnitScore, ...]], metrics: Sequence[figures.Figure], result: EvaluationResult
-) -> tuple[Group, ...]:
+def _groups(images: Images, metrics: Sequence[figures.Figure], result: EvaluationResult) -> tuple[Group, ...]:
     names = [metric.name for metric in metrics]
     groups = []
     for camera, ratio in groups_of([(scores[0].camera, scores[0].ratio) for scores in images], result.dataset):
@@ -346,52 +324,88 @@ def _groups(
             scores for scores in images if camera in (None, scores[0].camera) and ratio in (None, scores[0].ratio)
         ]
         places = clusters_of((scores[0] for scores in members), scenes_shared=result.scenes_shared)
-        of_methods = tuple(zip(*members, strict=True))
-        values = [{name: [score.values[name] for score in scores] for name in names} for scores in of_methods]
+        first, *others = zip(*members, strict=True)
         groups.append(
             Group(
                 camera,
                 ratio,
                 images=len(members),
                 scenes=len(set(places)),
-                means=tuple(means(scores, names) for scores in of_methods),
-                gains=tuple(
-                    {name: paired_difference(values[0][name], other[name], places) for name in names}
-                    for other in values[1:]
-                ),
+                means=tuple(means(scores, names) for scores in (first, *others)),
+                gains=tuple(_differences(first, other, names, places) for other in others),
             )
         )
     return tuple(groups)
 
 
+def _contests(methods: Sequence[Method], images: Images, metrics: Sequence[figures.Figure]) -> tuple[Contest, ...]:
+    names = [metric.name for metric in metrics]
+    places = clusters_of((scores[0] for scores in images), scenes_shared=methods[0].result.scenes_shared)
+    pairs = list(combinations(zip((method.name for method in methods), zip(*images, strict=True), strict=True), 2))
+    gains = [_differences(first, other, names, places) for (_, first), (_, other) in pairs]
+    corrected = iter(holm([difference.p_value for of in gains for difference in of.values()]))
+    return tuple(
+        Contest(first, other, of, {name: next(corrected) for name in of})
+        for ((first, _), (other, _)), of in zip(pairs, gains, strict=True)
+    )
+
+
+def _differences(
+    first: Sequence[UnitScore], other: Sequence[UnitScore], names: Iterable[str], places: Sequence[Hashable]
+) -> dict[str, Difference]:
+    """Return how much the other's scores are above the first's, by the name of the value."""
+    return {
+        name: paired_difference(
+            [score.values[name] for score in first], [score.values[name] for score in other], places
+        )
+        for name in names
+    }
+
+
 # --- warnings -----------------------------------------------------------------------------------------------------
 
 
-def _warnings(methods: Sequence[Method]) -> list[str]:
-    first = methods[0]
+def _warnings(methods: Sequence[Method], images: Images) -> tuple[str, ...]:
+    first, *others = methods
+    kind, common = first.result.kind, len(images)
     found = []
-    for other in methods[1:]:
-        a, b = first.result, other.result
-        fields = [f"protocol: {words}" for words in a.scored_unlike(b)]
-        fields += _differing(a.provenance, b.provenance, ignored=_CHOOSING if a.chosen == b.chosen else ())
-        fields += _differing_tasks(a.provenance, b.provenance)
+    for other in others:
+        a, b = first.result.provenance, other.result.provenance
+        fields = [f"protocol: {words}" for words in first.result.scored_unlike(other.result)]
+        fields += _differing(a, b, ignored=_CHOOSING if first.result.chosen == other.result.chosen else ())
+        if a.get("task") is not None and b.get("task") is not None:
+            fields += [f"task {words}" for words in _differing(a["task"], b["task"])]
         found += [f"{first.name} and {other.name} may not compare: {field}" for field in fields]
-    return found
+    # The same image may be said to be another: of another manifest.
+    for (index, other), field in product(enumerate(others, start=1), ("camera", "scene", "iso", "ratio")):
+        off = [scores for scores in images if getattr(scores[0], field) != getattr(scores[index], field)]
+        if off:
+            was, now = (getattr(off[0][which], field) for which in (0, index))
+            found.append(
+                f"{first.name} and {other.name} may not compare: {field} of {len(off)} {kind.units} differs, such "
+                f"as {off[0][0].path}: {was} and {now}; the groups below are the first's"
+            )
+    found += [
+        f"{method.name} has scores of {method.result.scored} {kind.units}, of which {common} are common to all "
+        "and count"
+        for method in methods
+        if method.result.scored > common
+    ]
+    found += [
+        f"{method.name} is incomplete: {method.result.scored} of {method.result.expected} {kind.counted} were scored"
+        for method in methods
+        if method.result.scored < method.result.expected
+    ]
+    return tuple(found)
 
 
-def _differing(first: Mapping[str, Any], second: Mapping[str, Any], ignored: Sequence[str]) -> list[str]:
+def _differing(first: Mapping[str, Any], second: Mapping[str, Any], ignored: Sequence[str] = ()) -> list[str]:
     return [
         f"{name.replace('_', ' ')}: {_value(first, name)} against {_value(second, name)}"
         for name in dict.fromkeys((*first, *second))
         if name not in (*_NOT_DECIDING, *ignored)
         and ((name in first) != (name in second) or first.get(name) != second.get(name))
     ]
-
-
-def _differing_tasks(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
-    """Return in what two tasks differ; nothing if a result has none."""
-    a, b = first.get("task"), second.get("task")
-    return [] if a is None or b is None else [f"task {words}" for words in _differing(a, b, ignored=())]
 
 
 def _value(fields: Mapping[str, Any], name: str) -> str:
@@ -402,33 +416,3 @@ def _value(fields: Mapping[str, Any], name: str) -> str:
         return short_digest(value)
     text = json.dumps(value, ensure_ascii=False)
     return text if len(text) <= 80 else f"{text[:77]}..."
-
-
-def _image_warnings(methods: Sequence[Method], images: Sequence[tuple[UnitScore, ...]]) -> list[str]:
-    """Return where the same image is said to be another: of another manifest."""
-    units = methods[0].result.kind.units
-    found = []
-    for index, method in enumerate(methods[1:], start=1):
-        for field in ("camera", "scene", "iso", "ratio"):
-            off = [scores for scores in images if getattr(scores[0], field) != getattr(scores[index], field)]
-            if off:
-                was, now = (getattr(off[0][which], field) for which in (0, index))
-                found.append(
-                    f"{methods[0].name} and {method.name} may not compare: {field} of {len(off)} {units} differs, such "
-                    f"as {off[0][0].path}: {was} and {now}; the groups below are the first's"
-                )
-    return found
-
-
-def _coverage_warnings(methods: Sequence[Method], common: int) -> list[str]:
-    kind = methods[0].result.kind
-    counting = f"{kind.units}, of which {common} are common to all and count"
-    return [
-        f"{method.name} has scores of {method.result.scored} {counting}"
-        for method in methods
-        if method.result.scored > common
-    ] + [
-        f"{method.name} is incomplete: {method.result.scored} of {method.result.expected} {kind.counted} were scored"
-        for method in methods
-        if method.result.scored < method.result.expected
-    ]

@@ -106,58 +106,56 @@ def _p_text(p_value: float) -> str:
 
 
 def format_comparison(comparison: Comparison, form: Format) -> str:
-    """Return the tables: means of every method, then each method's differences to the first."""
+    """Return the tables: means of every method, each method's differences to the first, and each against each."""
     first, *others = comparison.methods
-    means = means_table(comparison)
-    gains = {other.name: gains_table(comparison, index) for index, other in enumerate(others)}
-    titles = {name: f"{name} minus {first.name}" for name in gains}
-    summary, note = summary_of(comparison), statistics_note(comparison)
-    # Of three methods or more. No method has an empty name.
-    contests = {"": contests_table(comparison)} if comparison.contests else {}
-    notes = [contests_note(comparison)] if contests else []
-    titles |= {"": "Each against each"} if contests else {}
+    summary, note, means = summary_of(comparison), statistics_note(comparison), means_table(comparison)
+    notes = [note]
+    # What a label of LaTeX ends with, title and cells.
+    tables = [
+        (other.name, f"{other.name} minus {first.name}", gains_table(comparison, index))
+        for index, other in enumerate(others)
+    ]
+    if comparison.contests:
+        tables.append(("contests", "Each against each", contests_table(comparison)))
+        notes.append(contests_note(comparison))
     if form == "markdown":
         blocks = [markdown_text(summary), markdown_table(means.header, means.rows)]
-        for name, table in (gains | contests).items():
-            blocks += [markdown_text(f"{titles[name]}:"), markdown_table(table.header, table.rows)]
-        remarks = [note, *notes, *(f"Warning: {text}" for text in comparison.warnings)]
+        for _, title, table in tables:
+            blocks += [markdown_text(f"{title}:"), markdown_table(table.header, table.rows)]
+        remarks = [*notes, *(f"Warning: {text}" for text in comparison.warnings)]
         return "\n\n".join([*blocks, *map(markdown_text, remarks)])
     if form == "latex":
-        label = f"tab:{first.result.dataset}-{first.result.protocol.name}"
-        metrics = [metric.label for metric in comparison.kind.metrics]
-        spans = [("", LABELS), *((method.name, len(metrics)) for method in comparison.methods)]
-        tables = [
-            latex_table(
-                (*means.header[:LABELS], *metrics * len(comparison.methods)),
-                means.rows,
-                caption=f"{summary}. PSNR in dB.",
-                label=f"{label}-methods",
-                spans=spans,
-                rules=means.rules,
-            )
-        ]
-        for name, table in gains.items():
-            caption = f"{titles[name]}: {summary}. {note}"
-            tables.append(
-                latex_table(table.header, table.rows, caption=caption, label=f"{label}-{name}", rules=table.rules)
-            )
-        for table in contests.values():
-            caption = f"Each against each: {summary}. {note} {notes[0]}"
-            tables.append(latex_table(table.header, table.rows, caption=caption, label=f"{label}-contests"))
-        return "\n\n".join(tables)
-    lines = [summary, "", text_table(*_marked(means)), "* best of its row", ""]
-    for name, table in (gains | contests).items():
-        lines += [titles[name], "", text_table(table.header, table.rows), ""]
-    return "\n".join([*lines, *(line for text in (note, *notes) for line in wrapped(text, ""))])
-
-
-def _marked(means: PaperTable) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return header and rows of plain text, the best of each row with a star, the others with a space in its place."""
-    header, *rows = (
+        return "\n\n".join(_latex_tables(comparison, means, tables, notes))
+    cells = (
         (*row[:LABELS], *(f"{cell}*" if isinstance(cell, Strong) else f"{cell} " for cell in row[LABELS:]))
         for row in (means.header, *means.rows)
     )
-    return header, rows
+    lines = [summary, "", text_table(next(cells), list(cells)), "* best of its row", ""]
+    for _, title, table in tables:
+        lines += [title, "", text_table(table.header, table.rows), ""]
+    return "\n".join([*lines, *(line for text in notes for line in wrapped(text, ""))])
+
+
+def _latex_tables(
+    comparison: Comparison, means: PaperTable, tables: Sequence[tuple[str, str, PaperTable]], notes: Sequence[str]
+) -> list[str]:
+    summary, result = summary_of(comparison), comparison.methods[0].result
+    label = f"tab:{result.dataset}-{result.protocol.name}"
+    metrics = [metric.label for metric in comparison.kind.metrics]
+    found = [
+        latex_table(
+            (*means.header[:LABELS], *metrics * len(comparison.methods)),
+            means.rows,
+            caption=f"{summary}. PSNR in dB.",
+            label=f"{label}-methods",
+            spans=[("", LABELS), *((method.name, len(metrics)) for method in comparison.methods)],
+            rules=means.rules,
+        )
+    ]
+    for name, title, table in tables:
+        caption = f"{title}: {summary}. {' '.join(notes if table.left == (0, 1) else notes[:1])}"
+        found.append(latex_table(table.header, table.rows, caption=caption, label=f"{label}-{name}", rules=table.rules))
+    return found
 
 
 def summary_of(comparison: Comparison) -> str:

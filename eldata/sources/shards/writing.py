@@ -13,16 +13,16 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata import __version__
+from eldata.base.arguments import keywords
 from eldata.base.fields import TextFile
 from eldata.base.files import atomic_write, check_same_work, remove_leftovers, sha256_of, write_json, write_text
-from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.pairs import Choice
 from eldata.sources.pairs import checked_ratio
 from eldata.sources.shards.index import FORMAT, INDEX, VERSION, Facts, Shard, ShardIndex, Side, index_text, key_of
 from eldata.sources.shards.members import END, to_bytes
 from eldata.sources.shards.tiles import grid, whole
-from eldata.sources.store.frames import StoreFrames
+from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -57,7 +57,7 @@ class _Planned(NamedTuple):
 
     def content(self, number: int) -> bytes:
         """Return the sample's part of a shard."""
-        noisy, reference = (frame.mosaic[self.tile.slices] for frame in self.frames)
+        noisy, reference = (frame.read(*self.tile.slices).copy() for frame in self.frames)
         return to_bytes(key_of(number), self.facts, noisy, reference)
 
 

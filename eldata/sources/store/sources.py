@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Unpack
 
-from eldata.base.keywords import keywords
+from eldata.base.arguments import keywords
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import card_text
 from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest

@@ -22,8 +22,7 @@ from eldata.manifest.pairs import Choice, select_pairs
 from eldata.protocols.choosing import default_protocol
 from eldata.raw.cfa import packed_area, packed_shape, unpack
 from eldata.records import Exposure, Records
-from eldata.sources.frames import Files, Frame
-from eldata.sources.pairs import checked_ratio, stated_ratio
+from eldata.sources.frames import Files, Frame, checked_ratio, stated_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -330,7 +329,7 @@ class PairDataset(SourcePairs):
     -----
     Frames of different cameras differ in size: with more than one camera use ``batch_size=1``, or crops. The files are
     decoded again on each access, in DataLoader workers under fork as under spawn: random crops are read far faster from
-    a store (:class:`~eldata.datasets.packed_store.PackedStore`).
+    a store (:class:`~eldata.datasets.packed.PackedStore`).
     """
 
     def __init__(self, root: Path | str | None, manifest: Path | str, **options: Unpack[PairOptions]) -> None:

@@ -50,7 +50,7 @@ class CleanSource(Protocol):
 
 
 class ClipSource(Protocol):
-    """What :class:`~eldata.datasets.synthetic_clips.SyntheticClips` draws from: for each clip, its frames in order."""
+    """What :class:`~eldata.datasets.synthetic.SyntheticClips` draws from: for each clip, its frames in order."""
 
     def __len__(self) -> int:
         """Return the number of clips."""
@@ -371,7 +371,7 @@ class ArrayClips(SomeClips[Arrays]):
 
 
 class StoredClips(SomeClips[SomeFrames]):
-    """Clean clips of a store, for :class:`~eldata.datasets.synthetic_clips.SyntheticClips`: only the crops are read.
+    """Clean clips of a store, for :class:`~eldata.datasets.synthetic.SyntheticClips`: only the crops are read.
 
     The store is of a folder of clean raws (``eldata pack FOLDER``); each folder in it that holds raws is a clip, as in
     :class:`RawClips`, and items are the same.

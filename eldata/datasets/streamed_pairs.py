@@ -22,8 +22,7 @@ from eldata.datasets.items import SharedNumber
 from eldata.datasets.ranks import Rank, current_rank
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import packed_shape
-from eldata.sources.frames import Frame
-from eldata.sources.pairs import stated_ratio
+from eldata.sources.frames import Frame, stated_ratio
 from eldata.sources.shards import splitting
 from eldata.sources.shards.reading import read_samples
 from eldata.sources.shards.remote import Folder
@@ -66,7 +65,7 @@ class _Crops(PairItems):
 class StreamedPairs(IterableDataset[Sample]):
     """Pairs from shards that ``eldata shard`` wrote: yields :class:`~eldata.datasets.base.Sample`.
 
-    Values are those of :class:`~eldata.datasets.packed_store.PackedStore` at the same place, bit for bit. Each item
+    Values are those of :class:`~eldata.datasets.packed.PackedStore` at the same place, bit for bit. Each item
     depends on (seed, epoch, its number) alone; which items come when also on the number of ranks and workers. Give it
     to :func:`~eldata.datasets.loading.training_loader` or :func:`~eldata.datasets.loading.evaluation_loader`. In a
     DataLoader of your own it is shuffled, and each item comes exactly once over all ranks and workers.

@@ -18,7 +18,7 @@ from torch.utils.data import Dataset
 from eldata.base.seeds import item_generator
 from eldata.datasets.base import PairDataset, PairItem, SourcePairs
 from eldata.datasets.crops import Crop
-from eldata.datasets.packed_store import PackedStore
+from eldata.datasets.packed import PackedStore
 from eldata.datasets.registry import dataset_class, dataset_names, open_dataset
 from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean
 from eldata.integrations.exports.frames import balance_multipliers, matrix_to_srgb
@@ -127,7 +127,7 @@ class EldataPairs(Dataset[BatchSample]):
     ArgumentError
         If a key is unknown (the message has the nearest one), or asks for what this dataset does not do.
     EldataError
-        As :class:`~eldata.datasets.base.PairDataset` and :class:`~eldata.datasets.packed_store.PackedStore` do.
+        As :class:`~eldata.datasets.base.PairDataset` and :class:`~eldata.datasets.packed.PackedStore` do.
 
     Notes
     -----

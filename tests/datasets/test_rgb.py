@@ -10,7 +10,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clean import Arrays, RawFiles, StoredFrames
-from eldata.datasets.packed_store import PackedStore
+from eldata.datasets.packed import PackedStore
 from eldata.datasets.rgb import (
     OneSensor,
     PairSensors,

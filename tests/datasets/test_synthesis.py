@@ -17,7 +17,7 @@ from eldata.base.files import try_lock
 from eldata.cli.main import main
 from eldata.datasets import synthesis
 from eldata.datasets.base import PairDataset
-from eldata.datasets.packed_store import PackedStore
+from eldata.datasets.packed import PackedStore
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.datasets.synthesis_journal import NAME
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError

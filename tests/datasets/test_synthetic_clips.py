@@ -16,7 +16,7 @@ from torch.utils.data import DataLoader, default_collate
 
 from eldata.datasets.clean import ArrayClips, RawClips
 from eldata.datasets.crops import Crop
-from eldata.datasets.synthetic_clips import SyntheticClips, SyntheticClipSample
+from eldata.datasets.synthetic import SyntheticClips, SyntheticClipSample
 from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import NoiseModel, NoiseParameters
 from eldata.raw import write_dng

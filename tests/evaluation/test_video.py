@@ -14,7 +14,7 @@ import pytest
 import rawpy
 
 from eldata.cli.main import main
-from eldata.datasets.drv import DRVDataset, DRVRawDataset
+from eldata.datasets.drv import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
 from eldata.evaluation import EvaluationResult, evaluate, load_results, save_clip_prediction
 from eldata.evaluation.comparison import Method, compare
@@ -125,7 +125,7 @@ def test_raw_scores_are_those_of_the_published_code(phases: tuple[str, str], tmp
     for clip, sensor in sensors.items():
         write_raw_clip(tmp_path / "DRV", clip, 12, sensor=sensor)
     manifest = scan_raw(tmp_path / "DRV").save(tmp_path / "drv-raw.csv")
-    dataset = DRVRawDataset(tmp_path / "DRV", split="test", frames="evaluation")
+    dataset = DRVDataset(tmp_path / "DRV", form="raw", split="test", frames="evaluation")
     stills, frames = {}, {}
     for record in dataset.records:
         with rawpy.imread(str(tmp_path / f"DRV/long/{record.scene}/DSC00001.ARW")) as raw:

@@ -1,4 +1,4 @@
-"""Pairs of a store: random crops, equal to the bit to those of the raw files."""
+"""Pairs and clips of a store: random crops, equal to the bit to those of the files."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Unpack
 from eldata.base.memory import no_search_for_cycles
 from eldata.datasets.base import PairCropping, PairOptions, SourcePairs
 from eldata.datasets.choices import Representation, understood
+from eldata.datasets.clips import ClipWindows
 from eldata.datasets.dn_batches import DnPairs
+from eldata.errors import DatasetError
 from eldata.manifest.pairs import Choice
 from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from eldata.datasets.clips import WindowOptions
 
 
 class PackedStore(SourcePairs):
@@ -79,3 +83,49 @@ class PackedStore(SourcePairs):
 
     def _place(self) -> str:
         return str(self.source.path)
+
+
+class PackedClips(ClipWindows):
+    """Windows of clips of a store: ``dataset[i]`` is a :class:`~eldata.datasets.clips.ClipSample`.
+
+    The clips are those that have a reference, or with ``dynamic`` those that have none, such as DRV's dynamic ones.
+    Each item is a window of consecutive frames and their one reference, all cut at the same random place and turned the
+    same way. The values are those of :class:`~eldata.datasets.drv.DRVDataset` on the files, bit for bit. Item i of
+    epoch e depends on (seed, e, i) alone, as in :class:`PackedStore`.
+
+    Parameters
+    ----------
+    path
+        The store, as ``eldata pack drv`` or ``eldata pack drv-raw`` makes it.
+    dynamic, options
+        As for :class:`~eldata.datasets.clips.ClipWindows`; by default ``crop=512`` and ``augment=True``.
+
+    Raises
+    ------
+    StoreError
+        If the file is not a store, truncated, not complete, or of another version.
+    DatasetError
+        If the store holds no clip of this kind; if frames of a clip differ in size, CFA or exposure, or are exposed
+        more than their reference.
+    ArgumentError
+        If a value is unknown (the message lists the known ones) or out of its range.
+    """
+
+    def __init__(self, path: Path | str, *, dynamic: bool = False, **options: Unpack[WindowOptions]) -> None:
+        options.setdefault("crop", 512)
+        options.setdefault("augment", True)
+        source = StoreFrames(path)
+        if source.store.manifest is None:
+            raise DatasetError(
+                f"{source.path}: holds clean frames, not clips; read it with StoredFrames or StoredClips"
+            )
+        noisy = [row for row in source.store.manifest.records if row.role == "noisy"]
+        if any(row.ratio is not None for row in noisy):
+            raise DatasetError(f"{source.path}: holds pairs, not clips; read it with PackedStore")
+        scenes = {row.scene for row in noisy if (row.reference is None) == dynamic}
+        if not scenes:
+            what = "without" if dynamic else "with"
+            raise DatasetError(f"{source.path}: holds no clip {what} a reference; read it with dynamic={not dynamic}")
+        rows = [row for row in source.store.manifest.records if row.scene in scenes]
+        subsets = source.store.manifest.card.subsets
+        super().__init__(source, rows, subsets, source.path, dynamic=dynamic, **options)

@@ -214,12 +214,17 @@ def add_isolation(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_workers_and_isolation(parser: argparse.ArgumentParser) -> None:
+    add_workers(parser)
+    add_isolation(parser)
+
+
 _SHARED = {
     "root": add_root,
     "cameras": add_cameras,
     "isos": add_camera_and_isos,
     "jobs": add_jobs,
-    "workers": add_workers,
+    "workers": _add_workers_and_isolation,
     "isolation": add_isolation,
 }
 
@@ -234,6 +239,7 @@ def add_shared(
 ) -> None:
     """Finish a subcommand: add these options and ``--debug``, and say what :func:`run` is to call.
 
+    ``"workers"`` are of work on strangers' files, and bring ``--isolate``; ``"isolation"`` is for commands without.
     ``example`` is what its help ends with: one or several commands, as somebody would type them.
     ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument. ``json`` adds ``--json``:
     the fields of what it writes, or its kind.

@@ -10,6 +10,7 @@ from .camera import calibrate as calibrate
 from .core._residual_fit import ResidualHistogram as ResidualHistogram
 from .core.bias_figures import BiasFigures as BiasFigures
 from .core.bias_figures import BiasSums as BiasSums
+from .core.bias_figures import Residuals as Residuals
 from .core.defects import BiasStack as BiasStack
 from .core.defects import FixedPattern as FixedPattern
 from .core.defects import PatternSummary as PatternSummary
@@ -25,7 +26,6 @@ from .core.read_noise import ReadNoise as ReadNoise
 from .core.read_noise import ppcc as ppcc
 from .core.read_noise import probability_plot as probability_plot
 from .core.read_noise import read_noise as read_noise
-from .core.residuals import Residuals as Residuals
 from .core.row_noise import ColourBias as ColourBias
 from .core.row_noise import LineMeans as LineMeans
 from .core.row_noise import LineNoise as LineNoise

@@ -114,7 +114,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "isos",
         "root",
         "workers",
-        "isolation",
         json=json_kind("camera isos gains", "camera problems"),
         example="eldata calibrate data/calibration --camera MyCamera -o mycamera.json --html report.html",
     )

@@ -73,7 +73,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         run_check,
         "isos",
         "workers",
-        "isolation",
         json="camera isos limit_standard_errors model",
         example="eldata noise check mycamera.json --frames data/held-out --camera MyCamera --html check.html",
     )

@@ -20,7 +20,7 @@ from eldata.datasets.items import CroppedItems, Cropping, Part, ReadItems
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import Manifest, data_root, known_manifest, known_names, load_manifest
 from eldata.manifest.pairs import Choice, select_pairs
-from eldata.protocols.choosing import default_protocol
+from eldata.protocols.named import default_protocol
 from eldata.raw.cfa import packed_area, packed_shape, unpack
 from eldata.records import Exposure, Records
 from eldata.sources.frames import Files, Frame, checked_ratio, stated_ratio

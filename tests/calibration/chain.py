@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from eldata.calibration import (
     BiasStack,
@@ -54,10 +54,10 @@ def calibrated(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Calibrat
 
 
 def transferred(
-    body: Body, levels: Sequence[float], defects: NDArray[np.bool_] | None = None, drift: float = 0.0
+    body: Body, levels: Sequence[float], defects: NDArray[np.bool_] | None = None, **options: Any
 ) -> PhotonTransfer:
     camera = body.camera
     flats = FlatPairs(camera.cfa, [camera.black] * len(camera.bias), camera.white, defects=defects)
-    for first, second in body.flat_pairs(levels, drift=drift):
+    for first, second in body.flat_pairs(levels, **options):
         flats.add(first, second)
     return photon_transfer(flats)

@@ -196,10 +196,12 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     def limit(channel: int) -> float:
         """Mark the channel's pixels that are off their neighbourhood's level, and return what counts as off."""
         nonlocal off_level
-        distances = [
-            (site, _from_median(total[site].astype(np.int32) - lowest[site] - highest[site]))
-            for site in _sites(pattern, channel)
-        ]
+        distances = []
+        for site in _sites(pattern, channel):
+            trimmed = total[site].astype(np.int32)
+            trimmed -= lowest[site]
+            trimmed -= highest[site]
+            distances.append((site, _from_median(trimmed)))
         per_dn = 2 * (frames - 2)
         every = np.concatenate([distance.ravel() for _, distance in distances])
         spread = 1.4826 * float(np.median(every, overwrite_input=True)) / per_dn
@@ -285,15 +287,21 @@ def _sites(pattern: NDArray[np.int64], channel: int) -> Iterator[Site]:
 
 
 def _from_median(values: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return twice the distance from the median of blocks; those over an edge are filled up as in a mirror."""
+    """Return twice the distance from the median of blocks, in place of the values.
+
+    Blocks over an edge are filled up as in a mirror.
+    """
     height, width = values.shape
-    padded = np.pad(values, ((0, -height % _BLOCK), (0, -width % _BLOCK)), mode="symmetric")
+    over = -height % _BLOCK, -width % _BLOCK
+    padded = np.pad(values, ((0, over[0]), (0, over[1])), mode="symmetric") if any(over) else values
     blocks = padded.reshape(len(padded) // _BLOCK, _BLOCK, -1, _BLOCK).swapaxes(1, 2)
-    ordered, half = blocks.reshape(*blocks.shape[:2], -1).copy(), _BLOCK**2 // 2
+    ordered, half = blocks.copy(order="C").reshape(*blocks.shape[:2], -1), _BLOCK**2 // 2
     ordered.partition(half, axis=2)
     twice = ordered[..., half] + ordered[..., :half].max(axis=2)
-    found: NDArray[np.int32] = np.abs(2 * blocks - twice[..., None, None]).swapaxes(1, 2).reshape(padded.shape)
-    return found[:height, :width]
+    blocks *= 2
+    blocks -= twice[..., None, None]
+    np.abs(blocks, out=blocks)
+    return padded[:height, :width]
 
 
 def _with_edges(levels: NDArray[np.float64], pixels: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -70,7 +70,7 @@ def single_frame_plot(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> Single
     sigma = math.sqrt(float(np.mean(fixed.temporal_variance_dn2)) + max(fixed.summary.dsnu_dn) ** 2)
     step = max(1, round(_UNITS * sigma / _CELLS_PER_SIGMA)) | 1  # odd: cell 0 is symmetric
     of_group = np.zeros((1, 2 * _HALF + 1), dtype=np.int64)
-    nothing = np.zeros(mosaic.shape, dtype=np.uint32)
+    nothing = np.broadcast_to(np.uint32(0), mosaic.shape)
     residual_histogram(mosaic, nothing, fixed.defects, _UNITS, offsets, step, of_group)
     counts = of_group[0]
     filled = np.flatnonzero(counts)

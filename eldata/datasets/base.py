@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, g
 
 import numpy as np
 
+from eldata.base.arguments import spell_keywords
 from eldata.base.files import file_problem, inside
 from eldata.base.npy import NpyError, read_npy
 from eldata.base.tables import frame_of
@@ -332,6 +333,7 @@ class PairDataset(SourcePairs):
     a store (:class:`~eldata.datasets.packed.PackedStore`).
     """
 
+    @spell_keywords(PairOptions)
     def __init__(self, root: Path | str | None, manifest: Path | str, **options: Unpack[PairOptions]) -> None:
         choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
         loaded = _manifest(manifest)

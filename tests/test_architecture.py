@@ -272,10 +272,11 @@ SHOWN = (
         "eldata.base",
         "eldata.plots",
         "eldata.calibration.acceptance.verdicts",
+        "eldata.calibration.audit.structure",  # declares its figures
         "eldata.reports",
     ),
     # Words of results and protocols; what of a result is chosen, grouped and decoded to be looked at.
-    *("eldata.evaluation.table", "eldata.evaluation.comparison.tables", "eldata.evaluation.looking"),
+    *("eldata.evaluation.scores", "eldata.evaluation.comparison.tables", "eldata.evaluation.looking"),
     *("eldata.protocols.kinds", "eldata.protocols.words"),
 )
 LIBRARIES = {"numpy", "matplotlib", "jinja2", "PIL"}

@@ -22,7 +22,7 @@ from eldata.manifest.card import load_card
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.table import COLUMNS, load_records
 from eldata.noise.profile import CameraProfile
-from eldata.protocols.custom import load_protocol
+from eldata.protocols.named import load_protocol
 from eldata.records import Exposure, PairRecord, Sensor
 from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts, parse_index
 from eldata.sources.store.format import PackedFile, StoredFrame, facts_line, frames_in

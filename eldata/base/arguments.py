@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+
+Function = TypeVar("Function", bound="Callable[..., Any]")
 
 
 def keywords(owner: str, given: Mapping[str, Any], *kinds: type) -> list[Any]:
@@ -38,6 +41,30 @@ def keywords(owner: str, given: Mapping[str, Any], *kinds: type) -> list[Any]:
             every = ", ".join(name for names in known for name in names)
             raise TypeError(f"{owner} got an unexpected keyword argument {name!r}; known are {every}")
     return [{name: given[name] for name in names if name in given} for names in known]
+
+
+def spell_keywords(kind: type) -> Callable[[Function], Function]:
+    """Return a decorator by which an editor and ``help()`` show each of a function's keyword arguments.
+
+    The function takes them as ``**options: Unpack[kind]``, a TypedDict; one that is left out has the default that its
+    documentation says, which the signature shows as ``...``.
+    """
+
+    def spell(function: Function) -> Function:
+        signature = inspect.signature(function)
+        *named, others = signature.parameters.values()
+        types = {name: getattr(of, "__forward_arg__", of) for name, of in kind.__annotations__.items()}
+        spelt = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=..., annotation=of)
+            for name, of in types.items()
+            if name not in signature.parameters
+        ]
+        if others.kind is not inspect.Parameter.VAR_KEYWORD:
+            raise TypeError(f"{function.__qualname__} takes no other keyword arguments")
+        function.__signature__ = signature.replace(parameters=[*named, *spelt])  # type: ignore[attr-defined]
+        return function
+
+    return spell
 
 
 def named_object(place: str) -> Any:

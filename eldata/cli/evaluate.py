@@ -279,7 +279,7 @@ def _with_pictures(comparison: Comparison, arguments: argparse.Namespace) -> str
 
 
 def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, arguments: argparse.Namespace) -> None:
-    from eldata.evaluation.results import problem_lines
+    from eldata.evaluation.scores import problem_lines
 
     form: Format = arguments.format if result.scored else "text"
     if form != "text":

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, g
 
 import numpy as np
 
+from eldata.base.arguments import spell_keywords
 from eldata.base.files import file_problem, inside
 from eldata.base.npy import NpyError, read_npy
 from eldata.base.tables import frame_of
@@ -19,7 +20,7 @@ from eldata.datasets.items import CroppedItems, Cropping, Part, ReadItems
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import Manifest, data_root, known_manifest, known_names, load_manifest
 from eldata.manifest.pairs import Choice, select_pairs
-from eldata.protocols.choosing import default_protocol
+from eldata.protocols.named import default_protocol
 from eldata.raw.cfa import packed_area, packed_shape, unpack
 from eldata.records import Exposure, Records
 from eldata.sources.frames import Files, Frame, checked_ratio, stated_ratio
@@ -332,6 +333,7 @@ class PairDataset(SourcePairs):
     a store (:class:`~eldata.datasets.packed.PackedStore`).
     """
 
+    @spell_keywords(PairOptions)
     def __init__(self, root: Path | str | None, manifest: Path | str, **options: Unpack[PairOptions]) -> None:
         choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
         loaded = _manifest(manifest)

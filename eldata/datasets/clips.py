@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
+from eldata.base.arguments import spell_keywords
 from eldata.datasets.choices import Options, Representation, chosen_shading, shading_text, understood
 from eldata.datasets.crops import Crop, Region
 from eldata.datasets.items import CroppedItems, Cropping, Part
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
     from eldata.manifest.clips import Clip, ClipRecord, FrameRange
     from eldata.records import FrameRecord, Sensor
     from eldata.sources.frames import Frame, FrameSource
-
-# A source, the rows of its clips, the subsets of their card, and the place for messages.
-ListedClips = tuple["FrameSource", "Sequence[FrameRecord]", "Sequence[Subset]", "Path"]
 
 
 class _Facts(TypedDict):
@@ -148,6 +146,7 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
 
     source: FrameSource
 
+    @spell_keywords(WindowOptions)
     def __init__(
         self,
         source: FrameSource,

@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack, get_args
 
+from eldata.base.arguments import spell_keywords
 from eldata.datasets.base import no_folder
-from eldata.datasets.clips import ClipWindows
+from eldata.datasets.clips import ClipWindows, WindowOptions
 from eldata.errors import check_choice
 from eldata.manifest.catalogue import data_root, load_manifest, shipped_manifest
 from eldata.manifest.drv import DYNAMIC, scan_raw
 from eldata.sources.frames import Files
 
 if TYPE_CHECKING:
-    from eldata.datasets.clips import WindowOptions
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.drv import Scan
 
@@ -78,6 +78,7 @@ class DRVDataset(ClipWindows):
     (49, torch.Size([5, 3, 918, 1374]), torch.Size([3, 918, 1374]))
     """
 
+    @spell_keywords(WindowOptions)
     def __init__(
         self,
         root: Path | str | None = None,

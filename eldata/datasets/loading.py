@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset
 
-from eldata.base.arguments import keywords
+from eldata.base.arguments import keywords, spell_keywords
 from eldata.base.main_guard import require_main_guard
 from eldata.base.numbers import checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
@@ -97,6 +97,7 @@ class LoaderOptions(TypedDict, total=False):
     rank: Rank | None
 
 
+@spell_keywords(LoaderOptions)
 def training_loader(
     dataset: Dataset[Any],
     batch_size: int,
@@ -133,6 +134,7 @@ def training_loader(
     return _Loader(dataset, batch_size, options, is_training=True)
 
 
+@spell_keywords(LoaderOptions)
 def evaluation_loader(
     dataset: Dataset[Any],
     batch_size: int = 1,

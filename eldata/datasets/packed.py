@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Unpack
 
+from eldata.base.arguments import spell_keywords
 from eldata.base.memory import no_search_for_cycles
 from eldata.datasets.base import PairCropping, PairOptions, SourcePairs
 from eldata.datasets.choices import Representation, understood
-from eldata.datasets.clips import ClipWindows
+from eldata.datasets.clips import ClipWindows, WindowOptions
 from eldata.datasets.dn_batches import DnPairs
 from eldata.errors import DatasetError
 from eldata.manifest.pairs import Choice
@@ -15,8 +16,6 @@ from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from eldata.datasets.clips import WindowOptions
 
 
 class PackedStore(SourcePairs):
@@ -59,6 +58,7 @@ class PackedStore(SourcePairs):
 
     source: StoreFrames
 
+    @spell_keywords(PairOptions)
     def __init__(self, path: Path | str, **options: Unpack[PairOptions]) -> None:
         choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
         with no_search_for_cycles():
@@ -111,6 +111,7 @@ class PackedClips(ClipWindows):
         If a value is unknown (the message lists the known ones) or out of its range.
     """
 
+    @spell_keywords(WindowOptions)
     def __init__(self, path: Path | str, *, dynamic: bool = False, **options: Unpack[WindowOptions]) -> None:
         options.setdefault("crop", 512)
         options.setdefault("augment", True)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
 
+from eldata.base.arguments import spell_keywords
 from eldata.base.seeds import checked_epoch, checked_seed, item_generator, purpose_sequence
 from eldata.datasets.augmentation import Orientation
 from eldata.datasets.base import OpenedPair, PairItem, PairItems, Sample
@@ -108,6 +109,7 @@ class StreamedPairs(IterableDataset[Sample]):
         If an option is unknown or out of its range, or fsspec cannot open the address.
     """
 
+    @spell_keywords(StreamOptions)
     def __init__(
         self,
         address: str,

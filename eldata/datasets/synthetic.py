@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack
 
+from eldata.base.arguments import spell_keywords
 from eldata.datasets.base import SIDES
 from eldata.datasets.crops import Crop
 from eldata.datasets.draws import NoiseFacts
@@ -77,6 +78,7 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
     True
     """
 
+    @spell_keywords(NoiseOptions)
     def __init__(
         self,
         source: CleanSource,
@@ -163,6 +165,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
     torch.Size([5, 4, 64, 64])
     """
 
+    @spell_keywords(NoiseOptions)
     def __init__(
         self,
         source: ClipSource,

@@ -10,10 +10,10 @@ from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
 from eldata.base.tables import text_table, wrapped
 from eldata.base.visible import in_line
-from eldata.evaluation.results import nothing_scored, problem_lines, write_scores
-from eldata.evaluation.scores import json_object, mean
-from eldata.protocols.comparability import comparability
+from eldata.evaluation.results import write_scores
+from eldata.evaluation.scores import json_object, mean, nothing_scored, problem_lines
 from eldata.protocols.digests import CHOOSING, OF_INPUT
+from eldata.protocols.words import comparability
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from eldata.base.figures import Figure
     from eldata.base.tables import Format
     from eldata.evaluation.results import EvaluationResult
-    from eldata.evaluation.scores import EvaluationProblem
-    from eldata.evaluation.table import TableRow
+    from eldata.evaluation.scores import EvaluationProblem, TableRow
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,6 +86,11 @@ def read_once(read: Callable[[], Value]) -> Callable[[], Value]:
     return ask
 
 
+def _first_equal(frame: RawFrame, levels: Levels) -> Levels:
+    """Return the first choice of levels that comes to the same on a frame, so that equal ones are computed once."""
+    return next(one for one in get_args(Levels) if levels_dn(frame, one) == levels_dn(frame, levels))
+
+
 class Reference:
     """A reference, decoded once, as each protocol takes it."""
 
@@ -117,7 +122,9 @@ class Reference:
             return self._rendered()
         if protocol.pixels == "rgb":
             return self._rgb()
-        return cast("NDArray[Any]", self._normalised(protocol.levels, protocol.reference_clip))
+        return cast(
+            "NDArray[Any]", self._normalised(_first_equal(self.frame, protocol.levels), protocol.reference_clip)
+        )
 
 
 class NoisyInput:
@@ -139,7 +146,9 @@ class NoisyInput:
         if protocol.pixels == "rgb":  # amplified by its authors
             return self._rgb()
         ratio = self._ratio(protocol.amplification)
-        return cast("NDArray[Any]", self._normalised(protocol.levels, protocol.input_clip, ratio))
+        return cast(
+            "NDArray[Any]", self._normalised(_first_equal(self.frame, protocol.levels), protocol.input_clip, ratio)
+        )
 
     @property
     def frame(self) -> RawFrame:
@@ -215,7 +224,9 @@ class ComparedFrame:
         if protocol.pixels != "packed":
             return self._colours()
         self._check_shading()
-        return cast("NDArray[Any]", self._dng_normalised(protocol.levels)) if self._is_dng else self._raw()
+        if self._is_dng:
+            return cast("NDArray[Any]", self._dng_normalised(_first_equal(self._dng(), protocol.levels)))
+        return self._raw()
 
     def input(self, protocol: Protocol) -> NDArray[Any]:
         """Return the amplified noisy input as a protocol has it."""
@@ -346,7 +357,7 @@ def _rendered(
     prediction: NDArray[Any], target: NDArray[Any], sensor: Sensor, rules: ScoringRules, factor: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return a packed raw prediction, rescaled in raw, and its reference in sRGB, (3, h, w) of the codes of 8 bits."""
-    from eldata.isp.srgb_pairs import render_pair_for_scoring
+    from eldata.isp.rendering import render_pair_for_scoring
 
     treated = as_scored(prediction, rules, factor, np.float64)
     first, second = render_pair_for_scoring(treated, target, sensor)

@@ -13,13 +13,12 @@ import numpy as np
 
 from eldata.errors import ArgumentError, PredictionError
 from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
+from eldata.evaluation.layouts import find_predictions
 from eldata.evaluation.originals import Originals
 from eldata.evaluation.pairs import place_of, reference_of
-from eldata.evaluation.predictions import find_predictions
 from eldata.evaluation.reproduction import protocol_of
-from eldata.evaluation.scores import FrameScore
+from eldata.evaluation.scores import FrameScore, cameras_in_order, natural
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
-from eldata.evaluation.table import cameras_in_order, natural
 from eldata.isp.preview import brightening, preview
 from eldata.protocols.protocol import NO_SHADING, Protocol
 

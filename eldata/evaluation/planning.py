@@ -18,9 +18,9 @@ from eldata.manifest.pairs import select_pairs
 from eldata.manifest.patterns import expand, is_png
 from eldata.manifest.verify import check_files
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.protocols.choosing import default_protocol
-from eldata.protocols.clips import OWN_SEQUENCES, ClipProtocol
 from eldata.protocols.kinds import IMAGES
+from eldata.protocols.named import default_protocol
+from eldata.protocols.protocol import OWN_SEQUENCES, ClipProtocol
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -13,12 +13,12 @@ from eldata.errors import ArgumentError
 from eldata.evaluation.evaluate import perform
 from eldata.evaluation.planning import plan_scoring, require_folder
 from eldata.evaluation.request import EvaluationOptions, make_request
-from eldata.evaluation.results import THE_INPUT, EvaluationResult, nothing_scored, problem_lines
+from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.saved import load_results
+from eldata.evaluation.scores import nothing_scored, problem_lines
 from eldata.evaluation.tasks import Task
 from eldata.manifest.catalogue import known_names
-from eldata.protocols.clips import ClipProtocol
-from eldata.protocols.protocol import NO_SHADING, Protocol
+from eldata.protocols.protocol import NO_SHADING, ClipProtocol, Protocol
 
 if TYPE_CHECKING:
     from eldata.base.workers import AnyWorkers

@@ -13,10 +13,9 @@ from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.tasks import Task
 from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest, shipped_names
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.protocols.choosing import default_protocol, get_protocol, protocols_for
-from eldata.protocols.clips import OWN_SEQUENCES
 from eldata.protocols.kinds import IMAGES, Kind
-from eldata.protocols.protocol import NO_SHADING
+from eldata.protocols.named import default_protocol, get_protocol, protocols_for
+from eldata.protocols.protocol import NO_SHADING, OWN_SEQUENCES
 
 if TYPE_CHECKING:
     from collections.abc import Collection

@@ -15,13 +15,25 @@ from eldata.base.numbers import counted
 from eldata.base.tables import csv_text, latex_table, markdown_table, markdown_text, text_table, wrapped
 from eldata.base.visible import in_line
 from eldata.evaluation.pairs import name_of
-from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, finite_values, json_object
-from eldata.evaluation.table import PaperTable, TableRow, paper_table, short_digest, table_of
+from eldata.evaluation.scores import (
+    EvaluationProblem,
+    PaperTable,
+    TableRow,
+    UnitScore,
+    csv_number,
+    finite_values,
+    json_object,
+    nothing_scored,
+    paper_table,
+    problem_lines,
+    short_digest,
+    table_of,
+)
 from eldata.evaluation.tasks import stated_figure
 from eldata.manifest.clips import ClipRecord
-from eldata.protocols.comparability import comparability
 from eldata.protocols.digests import CHOOSING, OF_INPUT
 from eldata.protocols.protocol import NO_SHADING
+from eldata.protocols.words import comparability
 from eldata.records import PairRecord
 
 if TYPE_CHECKING:
@@ -43,10 +55,6 @@ if TYPE_CHECKING:
 
 THE_INPUT = "none: the input itself"
 """In the provenance in place of the folder of predictions."""
-
-_LINES_SHOWN = 20  # of problems
-_ALIKE = 3  # of one reason stand together
-_NAMES_SHOWN = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +271,7 @@ class EvaluationResult:
         return self.laid_out(self.kind.heads, [row.texts(self.kind) for row in self.table])
 
     def laid_out(self, names: Sequence[str], texts: Sequence[Sequence[str]], times: str = "x") -> PaperTable:
-        """Return texts for each row of the table laid out by :func:`~eldata.evaluation.table.paper_table`."""
+        """Return texts for each row of the table laid out by :func:`~eldata.evaluation.scores.paper_table`."""
         one_camera = self.provenance.get("cameras", "all") == "all"
         return paper_table(self.table, names, texts, one_camera=one_camera, times=times)
 
@@ -407,44 +415,3 @@ def write_scores(results: Sequence[EvaluationResult], path: Path | str, *, named
         for row in (score.row(result.kind) for score in result.scores)
     )
     write_text(path, csv_text((*(("protocol",) if named else ()), *columns), rows))
-
-
-def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
-    """Return problems as lines of text, the first of many; those that are alike stand together, by folder."""
-    alike: dict[str, list[str]] = {}
-    for problem in problems:
-        alike.setdefault(problem.reason, []).append(problem.path)
-    lines: list[str] = []
-    shown = 0
-    for reason, paths in alike.items():
-        if len(paths) < _ALIKE:
-            rows = [(1, str(EvaluationProblem(path, reason))) for path in paths]
-        else:
-            lines += [in_line(f"{len(paths)} alike: {reason}")] if len(lines) < _LINES_SHOWN else []
-            rows = _by_folder(paths)
-        for count, row in rows[: max(_LINES_SHOWN - len(lines), 0)]:
-            lines.append(row)
-            shown += count
-    if shown < len(problems):
-        lines.append(f"... and {len(problems) - shown} more (--json FILE lists all)")
-    return lines
-
-
-def _by_folder(paths: Sequence[str]) -> list[tuple[int, str]]:
-    """Return a line for each folder that files are in, the first of many by name, and how many they are."""
-    folders: dict[str, list[str]] = {}
-    for path in paths:
-        folder, _, name = path.rpartition("/")
-        folders.setdefault(folder, []).append(name)
-    rows = []
-    for folder, names in folders.items():
-        more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
-        rows.append(
-            (len(names), in_line(f"  {folder + ': ' if folder else ''}{', '.join(names[:_NAMES_SHOWN])}{more}"))
-        )
-    return rows
-
-
-def nothing_scored(problems: Sequence[EvaluationProblem]) -> str:
-    """Return that nothing was scored, in a line."""
-    return f"nothing was scored: {counted(len(problems), 'problem')}"

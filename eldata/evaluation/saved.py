@@ -11,8 +11,7 @@ from eldata.base.visible import shown
 from eldata.errors import ArgumentError, FileError
 from eldata.evaluation.diagnosis import Suspicion
 from eldata.evaluation.results import EvaluationResult, kind_of
-from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore
-from eldata.evaluation.table import TableRow
+from eldata.evaluation.scores import EvaluationProblem, FrameScore, TableRow, UnitScore
 from eldata.protocols.kinds import CLIPS, IMAGES, Kind
 from eldata.protocols.protocol import StatedProtocol
 

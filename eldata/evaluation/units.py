@@ -24,7 +24,7 @@ from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, Scori
 from eldata.evaluation.pairs import Pair, files_of, frames_of, iso_of, place_of, ratio_of, reference_of
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
 from eldata.manifest.clips import ClipRecord
-from eldata.protocols.clips import ClipProtocol
+from eldata.protocols.protocol import ClipProtocol
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -137,15 +137,10 @@ class Exposures:
         channels: int,
         *,
         range_dn: float | Sequence[float],
-        adc: Adc | None = None,
-        limits: tuple[float, float] = (-math.inf, math.inf),
         dark: DarkCrops | None = None,
-        dithers: bool = False,
-        shading_dn: NDArray[np.float32] | None = None,
-        sensor_seed: int = 0,
-        place: tuple[int, int] = (0, 0),
+        **others: Any,
     ) -> Exposures:
-        """Take the parameters that the components need, one of each per image."""
+        """Take the parameters that the components need, one of each per image, and the other fields as they are."""
 
         def array(values: list[float], on: bool = True) -> NDArray[np.float64]:
             return np.array(values, dtype=np.float64) * on
@@ -168,14 +163,9 @@ class Exposures:
             ),
             sigma_row_dn=array([p.sigma_row_dn for p in drawn], components.row),
             bias_dn=np.array(bias, dtype=np.float64).reshape(len(drawn), channels),
-            adc=adc,
-            limits=limits,
             dark=dark,
-            dithers=dithers,
-            shading_dn=shading_dn,
             structure=structure,
-            sensor_seed=sensor_seed,
-            place=place,
+            **others,
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from eldata.base.numbers import counted
 from eldata.reports.calibration_iso import (
@@ -47,19 +47,11 @@ def calibration_page(calibration: Calibration) -> str:
         withheld=_where([one.withheld_and_widened[0] for one in calibration.all_isos], calibration),
         widened=_where([one.withheld_and_widened[1] for one in calibration.all_isos], calibration),
         remarks=_remarks(calibration),
-        tables=[table for table in _tables(calibration) if table.rows],
+        tables=_tables(calibration),
         joint=joint_plots(calibration),
         sections=_sections(calibration),
         made_from=_made_from(calibration),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Table:
-    name: str
-    caption: str
-    header: tuple[str, ...]
-    rows: list[tuple[str, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,15 +66,21 @@ class _Group:
     effect: Effect = "remark"
 
 
-def _tables(calibration: Calibration) -> tuple[_Table, ...]:
-    return (
-        _Table("figures", "Figures, value ± standard error", *calibration.table()),
-        _Table("gains", "K alone, from flats without bias frames", *calibration.gain_table()),
-        _Table("colour-bias", "Colour bias over the recorded black level [DN]", *calibration.bias_table()),
-        _Table("structure", "What the noise of pixels has in common", *calibration.structure_table()),
-        _Table("fits", "Lines of ln σ over ln K", _FIT_HEADER, calibration.fit_table()),
-        _Table("reproduction", "A bias frame kept out, against simulated ones", *calibration.reproduction_table()),
-    )
+def _tables(calibration: Calibration) -> list[dict[str, Any]]:
+    """Return name, caption, header and rows of each table that has any."""
+    found = {
+        "figures": ("Figures, value ± standard error", *calibration.table()),
+        "gains": ("K alone, from flats without bias frames", *calibration.gain_table()),
+        "colour-bias": ("Colour bias over the recorded black level [DN]", *calibration.bias_table()),
+        "structure": ("What the noise of pixels has in common", *calibration.structure_table()),
+        "fits": ("Lines of ln σ over ln K", _FIT_HEADER, calibration.fit_table()),
+        "reproduction": ("A bias frame kept out, against simulated ones", *calibration.reproduction_table()),
+    }
+    return [
+        {"name": name, "caption": caption, "header": header, "rows": rows}
+        for name, (caption, header, rows) in found.items()
+        if rows
+    ]
 
 
 # --- verdict ------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from eldata.base.numbers import counted
+from eldata.calibration.audit.structure import COLUMN, DUTY, JUMP, PRNU, SHARE
 from eldata.plots.axes import MARKERS, bars, legend_above
 from eldata.plots.gains import bar, gain_over_iso, iso_axis, scale_over_gain
 from eldata.reports.calibration_iso import GAUSSIAN_LAMBDA
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from eldata.calibration.audit.structure import MeasuredStructure
+    from eldata.calibration.audit.structure import MeasuredStructure, StructureFigure
     from eldata.calibration.core.findings import GivenFigure
     from eldata.calibration.drawing import ScalePanel
     from eldata.calibration.iso_results import IsoGain
@@ -168,8 +169,8 @@ _NONE, _MISSING = "none seen", "not measured"
 def structure_numbers(structure: MeasuredStructure, withheld: frozenset[str]) -> tuple[tuple[str, str], ...]:
     """Return the figures of one ISO by name, with their errors; ``withheld``: which kinds of its figures are."""
     of_rows = "withheld" if "row noise" in withheld else _MISSING
-    spectrum, jumping, prnu = structure.row_spectrum, structure.telegraph, structure.prnu
-    numbers = [("C: σ column", _or_none(structure.sigma_column_dn, structure.sigma_column_error_dn, "DN", of_rows))]
+    spectrum, jumping = structure.row_spectrum, structure.telegraph
+    numbers = [("C: σ column", _told(COLUMN, structure, of_rows))]
     if spectrum is None:
         numbers.append(("W: rows", of_rows))
     else:
@@ -182,44 +183,41 @@ def structure_numbers(structure: MeasuredStructure, withheld: frozenset[str]) ->
                 for wave, error in zip(spectrum.waves, structure.wave_errors_dn, strict=True)
             ),
         ]
-    share = None if jumping is None else 1e6 * jumping.share
-    numbers.append(("T: telegraph pixels", _or_none(share, 1e6 * structure.share_error, "ppm")))
+    numbers.append(("T: telegraph pixels", _told(SHARE, structure)))
     if jumping is not None and jumping.share:
         numbers += [
-            ("They jump by", measured(jumping.amplitude_dn, structure.amplitude_error_dn, "DN")),
-            ("Share of frames at the upper level", measured(jumping.duty, structure.duty_error)),
+            ("They jump by", _told(JUMP, structure)),
+            ("Share of frames at the upper level", _told(DUTY, structure)),
             ("λ of the others, less that of all", digits(jumping.tukey_lambda_shift, 2)),
             ("σ TL of the others, over that of all", digits(jumping.sigma_tl_ratio)),
         ]
-    numbers.append(("F: PRNU", _or_none(None if prnu is None else 100 * prnu, 100 * structure.prnu_error, "%")))
+    numbers.append(("F: PRNU", _told(PRNU, structure)))
     return tuple(numbers)
 
 
-def _or_none(value: float | None, error: float, unit: str, missing: str = _MISSING) -> str:
-    if value is None:
-        return missing
+def _told(figure: StructureFigure, structure: MeasuredStructure, missing: str = _MISSING) -> str:
+    found = figure.of(structure)
+    return missing if found is None else _or_none(*found, figure.unit)
+
+
+def _or_none(value: float, error: float, unit: str) -> str:
     return measured(value, error, unit) if value else _NONE
 
 
 def _structure_plots(calibration: Calibration) -> list[Plot]:
     """Draw what was found over the ISOs: telegraph pixels, and the two patterns that have one figure."""
     known = [(one.iso, one.structure) for one in calibration.isos if one.structure is not None]
-    jumping = [(iso, found, found.telegraph) for iso, found in known if found.telegraph is not None]
-    shares = [(iso, 1e6 * pixels.share, 1e6 * found.share_error) for iso, found, pixels in jumping]
-    jumps = [(iso, pixels.amplitude_dn, found.amplitude_error_dn) for iso, found, pixels in jumping if pixels.share]
-    columns = [
-        (iso, found.sigma_column_dn, found.sigma_column_error_dn)
-        for iso, found in known
-        if found.sigma_column_dn is not None
-    ]
-    responses = [(iso, 100 * found.prnu, 100 * found.prnu_error) for iso, found in known if found.prnu is not None]
+    columns, shares, jumps, responses = (
+        [(iso, *found) for iso, one in known if (found := figure.of(one)) is not None]
+        for figure in (COLUMN, SHARE, JUMP, PRNU)
+    )
     plots = []
     if shares:
-        plots.append(_plot_two_over_isos("telegraph", (shares, jumps), ("telegraph [ppm]", "jump [DN]")))
+        plots.append(_plot_two_over_isos("telegraph", (shares, jumps), (SHARE.page_heading, JUMP.page_heading)))
     if columns or responses:
         profile = calibration.made_profile
         pooled = None if profile is None else next((one.prnu for one in profile.structure), None)
-        level, labels = None if pooled is None else 100 * pooled, ("σ column [DN]", "PRNU [%]")
+        level, labels = None if pooled is None else 100 * pooled, (COLUMN.page_heading, PRNU.page_heading)
         plots.append(_plot_two_over_isos("patterns", (columns, responses), labels, level))
     return plots
 

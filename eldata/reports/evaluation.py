@@ -25,7 +25,7 @@ from eldata.evaluation.looking import (
     scores_in_order,
     worst_and_best_images,
 )
-from eldata.evaluation.table import factor_text, short_digest
+from eldata.evaluation.scores import factor_text, short_digest
 from eldata.plots.axes import number
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, strips

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.acceptance.verdicts import Diagnostics, TheoryCheck
-    from eldata.noise.gain_modes import LogLogFit
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 
@@ -103,8 +102,8 @@ def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
         ("variance", _over_signal_alt("Variance of D", diagnostics.variance), _draw_variance, below),
         ("colour-bias", biases, _draw_colour_bias, below),
         ("row-means", f"Normal probability plot of the row means. {_worst(diagnostics.rows)}", _draw_row_means, None),
-        ("read-fit", f"σ {read} {fit}", _draw_read_fit, None),
-        ("row-fit", f"σ row {fit}", _draw_row_fit, None),
+        ("read-fit", f"σ {read} {fit}", partial(_draw_fit, "read"), None),
+        ("row-fit", f"σ row {fit}", partial(_draw_fit, "row"), None),
         ("lambda-rows", f"Lambda of the profile's {of_rows} by ISO.", _draw_lambda_rows, None),
         (
             "bias-rows",
@@ -241,35 +240,17 @@ def _draw_read_noise(
     below.set_xlabel(f"{family} quantile [DN]")
 
 
-def _draw_read_fit(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
-    name = _read_letters(diagnostics)
-    field = {"G": "sigma_gauss_dn", "TL": "sigma_tl_dn"}[name]
-    components = diagnostics.model.components
-    fits = [read_fit(mode, components) for mode in diagnostics.profile.gain_modes]
-    _draw_fit(axes, diagnostics, fits, field, name, theme)
-
-
-def _draw_row_fit(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
-    fits = [mode.row_fit for mode in diagnostics.profile.gain_modes]
-    _draw_fit(axes, diagnostics, fits, "sigma_row_dn", "row", theme)
-
-
-def _draw_fit(
-    axes: Axes,
-    diagnostics: Diagnostics,
-    fits: Sequence[LogLogFit],
-    field: str,
-    name: str,
-    theme: Theme,
-) -> None:
+def _draw_fit(which: str, diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
     """Draw a log-log fit by gain mode with its bands, the draws, the measured rows and the draw that is examined."""
-    fit_bands(
-        axes,
-        [(fit, *mode.gain_range_dn_per_e) for fit, mode in zip(fits, diagnostics.profile.gain_modes, strict=True)],
-        theme,
-    )
-    gains = [draw.gain_dn_per_e for draw in diagnostics.draws]
-    scales = [getattr(draw, field) for draw in diagnostics.draws]
+    modes, draws, read = diagnostics.profile.gain_modes, diagnostics.draws, _read_letters(diagnostics)
+    if which == "row":
+        name, field, fits = "row", "sigma_row_dn", [mode.row_fit for mode in modes]
+    else:
+        name, field = read, {"G": "sigma_gauss_dn", "TL": "sigma_tl_dn"}[read]
+        fits = [read_fit(mode, diagnostics.model.components) for mode in modes]
+    lines = [(fit, *mode.gain_range_dn_per_e) for fit, mode in zip(fits, modes, strict=True)]
+    fit_bands(axes, lines, theme)
+    gains, scales = [draw.gain_dn_per_e for draw in draws], [getattr(draw, field) for draw in draws]
     axes.plot(gains, scales, "o", markersize=2.5, alpha=0.75, color=theme.found, label="sampled")
     measured = [
         (row.gain_dn_per_e, scale)

@@ -21,10 +21,11 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from eldata.base.files import wait_for_lock, write_json
 from eldata.baselines import FastDVDnet, NetworkDenoiser, Training, UNet, clip_error, load_network, save_network
-from eldata.baselines.consistency import consistent_error
-from eldata.baselines.predicting import BaselineDenoiser, mirrored_window, write_predictions
+from eldata.baselines.noisy_frames import mirrored_window
+from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.baselines.prediction_folder import begun
 from eldata.baselines.tiling import tiled
+from eldata.baselines.training import consistent_error
 from eldata.baselines.unet import draw_weights
 from eldata.cli.main import main
 from eldata.datasets import ArrayClips, SyntheticClips, training_loader
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.baselines.predicting import NoisyFrame
+    from eldata.baselines.noisy_frames import NoisyFrame
 
 ROOT = Path(__file__).parents[2]
 MORTAL = """

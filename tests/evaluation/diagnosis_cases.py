@@ -19,8 +19,7 @@ from scipy import ndimage
 from skimage.restoration import denoise_bilateral, denoise_nl_means, denoise_tv_chambolle
 
 from eldata.base.tables import markdown_table
-from eldata.baselines.classical import BASELINES
-from eldata.baselines.signal_noise import SignalNoise
+from eldata.baselines.classical import BASELINES, SignalNoise
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch, suspicions_of

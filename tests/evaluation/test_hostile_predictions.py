@@ -22,7 +22,8 @@ from eldata.base.isolation import isolation
 from eldata.base.npy import NpyError, read_npy_header
 from eldata.base.png import read_png
 from eldata.errors import EldataError, PredictionError
-from eldata.evaluation.predictions import find_predictions, load_colours, load_prediction, prediction_space
+from eldata.evaluation.layouts import find_predictions
+from eldata.evaluation.predictions import load_colours, load_prediction, prediction_space
 from tests.evaluation import awkward_predictions
 from tests.evaluation import hostile_predictions as hostile
 from tests.evaluation.awkward_predictions import AWKWARD

@@ -161,7 +161,7 @@ def _parameters(path: Path) -> object:
 
 
 def _protocol(path: Path) -> object:
-    from eldata.protocols.custom import load_protocol
+    from eldata.protocols.named import load_protocol
 
     return load_protocol(path)
 

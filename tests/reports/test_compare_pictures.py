@@ -18,8 +18,8 @@ from eldata.evaluation.looking import images_of, place_of_difference
 from eldata.evaluation.originals import rendered_reference
 from eldata.evaluation.reproduction import units_again
 from eldata.evaluation.saved import load_results
+from eldata.evaluation.scores import cameras_in_order, natural
 from eldata.evaluation.statistics import holm
-from eldata.evaluation.table import cameras_in_order, natural
 from eldata.reports import pictures
 from eldata.reports.comparison import write_comparison_page
 from tests.capture.checklist_browser import Browser, Page

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from eldata.base.tables import with_error
+from eldata.base.figures import NOT_KNOWN, Figure
 from eldata.calibration.audit.bias_sums import BLOCK, spread_bands
 from eldata.calibration.audit.row_waves import row_spectrum
 from eldata.calibration.audit.steps import Ripple
@@ -24,7 +24,7 @@ from eldata.calibration.core.findings import BANDING, CHANCE, DARK_SIGNAL, LIGHT
 from eldata.noise.structure import NoiseStructure, RowSpectrum, TelegraphPixels
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -81,31 +81,77 @@ class MeasuredStructure:
         """Return the figures as a profile holds them, with the PRNU of all ISOs together."""
         return NoiseStructure(gain_dn_per_e, iso, self.sigma_column_dn, self.row_spectrum, self.telegraph, prnu)
 
+    @property
+    def rows(self) -> str:
+        """What the rows' offsets are like, in a word or two; "-" where row noise is withheld."""
+        spectrum = self.row_spectrum
+        if spectrum is None:
+            return NOT_KNOWN
+        kind = "white" if len(spectrum.power_dn2) == 1 and not spectrum.waves else "banded"
+        return kind + "".join(f", 1/{1 / wave.frequency_per_row:.3g}" for wave in spectrum.waves)
+
     def cells(self) -> tuple[str, ...]:
         """Return the figures with their errors, as tables show them."""
-        spectrum, jumping = self.row_spectrum, self.telegraph
-        columns = rows = share = amplitude = duty = "-"
-        if self.sigma_column_dn is not None:
-            columns = with_error(self.sigma_column_dn, self.sigma_column_error_dn) if self.sigma_column_dn else "0"
-        if spectrum is not None:
-            rows = "white" if len(spectrum.power_dn2) == 1 and not spectrum.waves else "banded"
-            rows += "".join(f", 1/{1 / wave.frequency_per_row:.3g}" for wave in spectrum.waves)
-        if jumping is not None:
-            share = with_error(1e6 * jumping.share, 1e6 * self.share_error) if jumping.share else "0"
-        if jumping is not None and jumping.share:
-            amplitude = with_error(jumping.amplitude_dn, self.amplitude_error_dn)
-            duty = with_error(jumping.duty, self.duty_error)
-        return (
-            columns,
-            rows,
-            share,
-            amplitude,
-            duty,
-            "-" if self.prnu is None else with_error(100 * self.prnu, 100 * self.prnu_error),
-        )
+        first, *others = (figure.cell(self) for figure in STRUCTURE)
+        return (first, self.rows, *others)
 
 
-HEADER = ("sigma_column [DN]", "rows", "telegraph [ppm]", "jump [DN]", "duty", "PRNU [%]")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StructureFigure(Figure):
+    """A figure of what the noise of pixels has in common.
+
+    Attributes
+    ----------
+    of
+        Value and standard error, in the figure's unit; ``None``: it was not looked for, or there is none.
+    nothing
+        How tables show that it is not told from nothing; empty: as a value with its error.
+    """
+
+    of: Callable[[MeasuredStructure], tuple[float, float] | None]
+    nothing: str = "0"
+
+    def cell(self, structure: MeasuredStructure) -> str:
+        """Return the figure as tables show it."""
+        found = self.of(structure)
+        if found is None:
+            return NOT_KNOWN
+        return self.nothing if self.nothing and not found[0] else self.format(*found)
+
+
+def _column(one: MeasuredStructure) -> tuple[float, float] | None:
+    return None if one.sigma_column_dn is None else (one.sigma_column_dn, one.sigma_column_error_dn)
+
+
+def _share(one: MeasuredStructure) -> tuple[float, float] | None:
+    return None if one.telegraph is None else (1e6 * one.telegraph.share, 1e6 * one.share_error)
+
+
+def _jump(one: MeasuredStructure) -> tuple[float, float] | None:
+    return (one.telegraph.amplitude_dn, one.amplitude_error_dn) if one.telegraph and one.telegraph.share else None
+
+
+def _duty(one: MeasuredStructure) -> tuple[float, float] | None:
+    return (one.telegraph.duty, one.duty_error) if one.telegraph and one.telegraph.share else None
+
+
+def _prnu(one: MeasuredStructure) -> tuple[float, float] | None:
+    return None if one.prnu is None else (100 * one.prnu, 100 * one.prnu_error)
+
+
+STRUCTURE: Final = (
+    StructureFigure(
+        name="sigma_column_dn", label="sigma_column", symbol="σ column", unit="DN", meaning="column noise", of=_column
+    ),
+    StructureFigure(name="telegraph_share", label="telegraph", unit="ppm", meaning="pixels that jump", of=_share),
+    StructureFigure(name="amplitude_dn", label="jump", unit="DN", meaning="how far they jump", of=_jump),
+    StructureFigure(name="duty", label="duty", meaning="share of frames at the upper level", of=_duty),
+    StructureFigure(name="prnu", label="PRNU", unit="%", meaning="pixels' own response to light", of=_prnu, nothing=""),
+)
+"""Figures of components C, T and F; that of W is a spectrum (:attr:`MeasuredStructure.rows`)."""
+
+COLUMN, SHARE, JUMP, DUTY, PRNU = STRUCTURE
+HEADER: Final = (COLUMN.heading, "rows", *(figure.heading for figure in STRUCTURE[1:]))
 
 
 def measured_structure(

@@ -12,9 +12,8 @@ from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation.scores import UnitScore, json_object, means
+from eldata.evaluation.scores import UnitScore, factor_text, grouped_table, groups_of, json_object, means, short_digest
 from eldata.evaluation.statistics import LEVEL, RESAMPLES, SEED, Difference, clusters_of, holm, paired_difference
-from eldata.evaluation.table import factor_text, grouped_table, groups_of, short_digest
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence

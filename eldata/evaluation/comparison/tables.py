@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from eldata.base.numbers import counted
 from eldata.base.tables import Strong, latex_table, markdown_table, markdown_text, text_table, wrapped
+from eldata.evaluation.scores import PaperTable, grouped_table, short_digest
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, over_scenes
-from eldata.evaluation.table import PaperTable, grouped_table, short_digest
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

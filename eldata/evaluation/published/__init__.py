@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from eldata.base.fields import Fields, TextFile, TextRow, names_of
 from eldata.base.visible import shown
 from eldata.errors import ManifestError
-from eldata.evaluation.table import factor_text
+from eldata.evaluation.scores import factor_text
 from eldata.manifest.catalogue import shipped_folder
 
 if TYPE_CHECKING:

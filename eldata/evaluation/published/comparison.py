@@ -10,7 +10,7 @@ from eldata.base.tables import text_table, wrapped
 from eldata.errors import ArgumentError
 from eldata.evaluation.published import NOISY_INPUT, factors_text, load_published, shipped_published
 from eldata.evaluation.saved import saved_result
-from eldata.evaluation.table import TableRow
+from eldata.evaluation.scores import TableRow
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.pairs import select_pairs
 from eldata.protocols.kinds import IMAGES

@@ -21,7 +21,7 @@ from eldata.base.memory import no_search_for_cycles, scratch
 from eldata.errors import DatasetError, EldataError
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.pairs import select_pairs
-from eldata.protocols.choosing import default_protocol
+from eldata.protocols.named import default_protocol
 from eldata.records import FrameRecord, Records
 from eldata.sources.frames import Frame, part_shape
 from eldata.sources.store.format import (

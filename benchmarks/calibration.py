@@ -30,6 +30,7 @@ from eldata.calibration import (
     read_noise,
     row_noise,
 )
+from eldata.calibration.core.row_noise import line_sums
 from eldata.datasets import CalibrationFrames
 from eldata.demo.body import tukey_lambda_values
 from eldata.demo.calibration_frames import DEMO_GAMMA, make_calibration_frames
@@ -149,9 +150,10 @@ def _naive_routes(frames: CalibrationFrames, rounds: int) -> list[Row]:
         return row_noise(means)
 
     def read() -> ReadNoise:
-        residuals = Residuals(fixed())
+        stays = fixed()
+        residuals = Residuals(stays)
         for frame in bias:
-            residuals.add(frame)
+            residuals.add(frame, line_sums(frame, stays))
         return read_noise(residuals.histogram())
 
     known = fixed()

@@ -14,12 +14,12 @@ from eldata.manifest.card import CameraCard, Card, card_text
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.table import table_text
 from eldata.raw.cfa import bayer_cfa
-from eldata.records import Exposure, FrameRecord, PairRecord, RawFrame, Sensor
+from eldata.records import Exposure, FrameRecord, PairRecord, Sensor
 from eldata.sources.shards.index import INDEX, Facts, Shard, ShardIndex, Side, index_text, key_of
 from eldata.sources.shards.members import to_bytes
 from eldata.sources.shards.writing import _written
-from eldata.sources.store.build import _begin, _header, finish, pixels_digest
-from eldata.sources.store.format import PackedFile, frame_attributes
+from eldata.sources.store.build import FactsWriter, _begin, _header, finish, pixels_digest, write_frame
+from eldata.sources.store.format import PackedFile, StoredFrame, frame_key
 from eldata.sources.store.sources import Source
 
 if TYPE_CHECKING:
@@ -61,14 +61,13 @@ def write_small_store(path: Path, frames: int) -> Path:
     generator = np.random.default_rng(0)
     with h5py.File(path, "w", libver="earliest") as store:
         _begin(store, source, _header(source, "none"))
+        facts = FactsWriter(store)
         for number, record in enumerate(manifest.records):
             mosaic = _pixels(generator)
-            frame = RawFrame(path, mosaic, _sensor(number), _LONG if record.role == "reference" else _SHORT)
-            digest = pixels_digest(mosaic)
-            made = store["frames"].create_dataset(f"{number:06d}", data=mosaic, chunks=mosaic.shape)
-            made.attrs.update(
-                frame_attributes(record.path, record.role, frame, digest, PackedFile(3000, digest, "none"))
-            )
+            exposure, digest = _LONG if record.role == "reference" else _SHORT, pixels_digest(mosaic)
+            packed = PackedFile(3000, digest, "none")
+            stated = record.role, _sensor(number), exposure, digest, packed
+            write_frame(store, mosaic, StoredFrame(frame_key(number), record.path, *stated), facts, "none")
         finish(store)
     return path
 

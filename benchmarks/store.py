@@ -135,7 +135,7 @@ def _clips(folder: Path, rounds: int) -> list[Row]:
     import imagecodecs
 
     from eldata.datasets import DRVDataset
-    from eldata.datasets.packed_clips import PackedClips
+    from eldata.datasets.packed import PackedClips
 
     rgb = np.random.default_rng(0).gamma(4.0, 3000.0, (_RGB_FRAMES + 1, *_RGB_SIZE, 3)).clip(0, 65535).astype(np.uint16)
     drv = folder / "DRV"

@@ -10,7 +10,7 @@ import torch
 from torch.utils.data import Dataset
 
 from eldata.raw import pack
-from eldata.raw.cfa import pack_normalised
+from eldata.raw.levels import pack_normalised
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -16,7 +16,7 @@ from eldata import StreamedPairs
 from eldata.datasets import PackedStore
 from eldata.datasets.loading import training_loader
 from eldata.datasets.ranks import Rank
-from eldata.raw.cfa import pack_normalised
+from eldata.raw.levels import pack_normalised
 from eldata.sources.shards import verify_shards, write_shards
 from eldata.sources.shards.index import parse_facts
 from eldata.sources.store import build_store, source_of_dataset

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 from capture.capture_errors import CameraError, naming
 from capture.exact import ExactNumber, as_exact
 from capture.shutter import Shutter, ShutterTime, borders, shutter_as_dict, shutter_from
-from eldata.base.fields import Fields, TextFile, shown
+from eldata.base.fields import Fields, TextFile
 from eldata.base.files import write_json
-from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.base.visible import shown
+from eldata.raw.files import RAW_EXTENSIONS
 
 if TYPE_CHECKING:
     from pathlib import Path

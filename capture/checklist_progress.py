@@ -30,7 +30,8 @@ from capture.checklist_content import ChecklistRow, every_item, rows
 from capture.exact import parse_seconds
 from capture.plan import CALIBRATION
 from capture.scene_plan import sequence_name
-from eldata.base.fields import Fields, TextFile, shown
+from eldata.base.fields import Fields, TextFile
+from eldata.base.visible import shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final
 
-from eldata.base.fields import shown
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 
 # Bounded: a mistyped key must not ask for products of thousands of digits.

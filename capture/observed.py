@@ -15,7 +15,7 @@ from eldata.base.files import sha256_of
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.errors import RawFileError
 from eldata.manifest.table import number_text
-from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.raw.files import RAW_EXTENSIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

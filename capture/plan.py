@@ -19,9 +19,10 @@ from capture.exact import parse_seconds
 from capture.protocol import COUNTS, CaptureProtocol
 from capture.scene_plan import ScenePlan, moments_of, plan_scene, sequence_name
 from capture.shots import Duration, Shot, check_isos, duration_of
-from eldata.base.fields import Fields, TextFile, shown
+from eldata.base.fields import Fields, TextFile
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
+from eldata.base.visible import shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -33,7 +33,7 @@ from eldata.base.fields import TextFile
 from eldata.base.files import write_json
 from eldata.base.tables import markdown_table
 from eldata.baselines import BaselineDenoiser, Training, UNet, absolute_error, reference_network, write_predictions
-from eldata.baselines.reference import blank_reference, save_weights
+from eldata.baselines.unet import blank_reference, save_weights
 from eldata.calibration import check_noise
 from eldata.datasets import DarkFrames, Noise2Noise, RawFiles, training_loader
 from eldata.datasets.loading import set_epoch
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from eldata.baselines import NoisyFrame
-    from eldata.raw.cfa import Clip
+    from eldata.raw.levels import Clip
 
 ISOS, RATIOS = (800, 1600, 3200), (100.0, 200.0)
 BATCH, CROP, EPOCH = 8, 64, 250  # crops in packed pixels; steps between checkpoints

@@ -29,8 +29,8 @@ from torch import distributed
 from torch.utils.data import ConcatDataset, Dataset
 
 from eldata import ELDDataset, PackedStore, StreamedPairs, SyntheticClips, SyntheticPairs
+from eldata.base.arguments import named_object
 from eldata.base.files import atomic_write
-from eldata.base.naming import named_object
 from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
 from eldata.datasets import (
     DarkFrames,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from eldata.datasets import CleanSource
-    from eldata.raw.cfa import Clip
+    from eldata.raw.levels import Clip
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -26,8 +26,7 @@ from train_denoiser import Stills, add_shared, curves_in, keep, noise_of, start_
 from eldata import DRVDataset, SyntheticClips
 from eldata.baselines import FastDVDnet, Training, UNet, clip_error
 from eldata.datasets import RawClips, RawFiles, StoredClips, StoredFrames, describe, training_loader
-from eldata.datasets.drv import DRVRawDataset
-from eldata.datasets.packed_clips import PackedClips
+from eldata.datasets.packed import PackedClips
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -81,7 +80,8 @@ def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:
     crops = {"crop": options.crop, "seed": options.seed, "clip": options.clip}
     if options.clips:
         place = Path(options.clips)
-        kind: Any = PackedClips if place.is_file() else DRVDataset if options.rgb else DRVRawDataset
+        kind: Any = partial(DRVDataset, form="preprocessed" if options.rgb else "raw")
+        kind = PackedClips if place.is_file() else kind
         windows: dict[str, Any] = {"window": frames, "crops_per_window": options.crops_per_clip}
         windows |= {"split": options.split, "ids": options.ids}
         real: Dataset[Any] = kind(place, levels=options.levels, augment=True, **crops, **windows)

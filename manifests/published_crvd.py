@@ -13,8 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from fractions import Fraction
 
-from eldata.manifest.card import CameraCard, Card, Download
-from eldata.manifest.subsets import Subset
+from eldata.manifest.card import CameraCard, Card, Download, Subset
 from eldata.records import FrameRecord
 
 CAMERA = "IMX385"

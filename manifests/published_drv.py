@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from eldata.base.fields import TextFile, csv_text
+from eldata.base.fields import TextFile
 from eldata.base.files import write_text
+from eldata.base.tables import csv_text
 from eldata.errors import ManifestError
-from eldata.manifest.card import CameraCard, Card, Download
+from eldata.manifest.card import CameraCard, Card, Download, Subset
 from eldata.manifest.drv import DYNAMIC
-from eldata.manifest.subsets import Subset
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:

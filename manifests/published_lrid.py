@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from eldata.base.fields import TextFile, csv_text
+from eldata.base.fields import TextFile
 from eldata.base.files import write_text
+from eldata.base.tables import csv_text
 from eldata.errors import ManifestError
 from eldata.manifest.card import CameraCard, Card, Download
 from eldata.records import FrameRecord

@@ -6,8 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from eldata.manifest.card import CameraCard, Card, Download
-from eldata.manifest.subsets import Subset
+from eldata.manifest.card import CameraCard, Card, Download, Subset
 from manifests.sid_scenes import SID_CAMERAS, SidScene, sid_records
 
 if TYPE_CHECKING:

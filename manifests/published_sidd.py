@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.fields import TextFile
 from eldata.errors import ManifestError
-from eldata.manifest.card import CameraCard, Card, Download
-from eldata.manifest.subsets import Subset
+from eldata.manifest.card import CameraCard, Card, Download, Subset
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:

@@ -22,10 +22,10 @@ from eldata.manifest.card import load_card
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.table import COLUMNS, load_records
 from eldata.noise.profile import CameraProfile
-from eldata.protocols.custom import load_protocol
+from eldata.protocols.named import load_protocol
 from eldata.records import Exposure, PairRecord, Sensor
 from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts, parse_index
-from eldata.sources.store.format import stored
+from eldata.sources.store.format import PackedFile, StoredFrame, facts_line, frames_in
 from manifests.sid_scenes import SHORT_EXPOSURES, load_scenes
 
 if TYPE_CHECKING:
@@ -117,16 +117,9 @@ SENSOR = Sensor("make", "model", ((0, 1), (3, 2)), (0.0,) * 4, 16383.0, 4, 4)
 
 
 def read_store(path: Path, text: str) -> None:
-    exposure = {"iso": "100", "exposure_s": text, "f_number": None}
-    file = {"size_bytes": 1, "sha256": "x", "decoder": "x"}
-    attributes = {
-        "path": "a",
-        "role": "bias",
-        "sha256": "x",
-        "exposure": json.dumps(exposure),
-        "file": json.dumps(file),
-    }
-    stored("0", attributes | {"sensor": json.dumps(asdict(SENSOR))}, ())
+    frame = StoredFrame("000000", "a", "bias", SENSOR, Exposure(Fraction(100)), "x", PackedFile(1, "x", "x"))
+    data = json.loads(facts_line(frame, {}))
+    frames_in(json.dumps(changed(data, (5, "exposure_s"), text)).encode())
 
 
 def read_facts(path: Path, text: str) -> None:

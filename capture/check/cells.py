@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from eldata.raw.cfa import packed_black_level_dn, packing_sites
+from eldata.raw.cfa import packing_sites
+from eldata.raw.levels import packed_black_level_dn
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

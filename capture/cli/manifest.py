@@ -304,7 +304,7 @@ def _is_card(path: Path, card: Card) -> bool:
 def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
     if place is not None:
         return
-    from eldata.raw.extensions import RAW_EXTENSIONS
+    from eldata.raw.files import RAW_EXTENSIONS
 
     listed = {(dataset.folder / row.record.path).resolve() for row in dataset.rows}
     beside = [

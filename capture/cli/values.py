@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from capture.apertures import LEAST_F_NUMBER, MOST_F_NUMBER
 from capture.exact import parse_seconds
 from capture.protocol import COUNTS
-from eldata.base.fields import shown
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:

@@ -15,159 +15,37 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import os
-import re
-import reprlib
-import sys
 import tomllib
 from collections import Counter
 from dataclasses import dataclass, fields, replace
-from fractions import Fraction
-from functools import cache, lru_cache
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
 from eldata.base.files import is_named_pipe
-from eldata.base.visible import has_unseen
+from eldata.base.numbers import (
+    LARGEST_WHOLE,
+    checked_json_number,
+    checked_json_whole,
+    fraction_of,
+    number_of,
+    place_of_constant,
+    short_whole,
+    whole_of,
+)
+from eldata.base.tables import text_of_cell
+from eldata.base.visible import NOTHING, has_unseen, named_field, shown
 from eldata.errors import ArgumentError, EldataError, FileError, nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from fractions import Fraction
 
 Value = TypeVar("Value")
-Number = TypeVar("Number", int, float, Fraction)
 
-LARGEST_WHOLE: Final = 2**63 - 1
 LARGEST_FILE_BYTES: Final = 256 << 20
-# In a whole number, and in either part of a fraction. The time that longer ones cost grows with their square.
-_MOST_DIGITS: Final = 40
-_LARGEST_FLOAT: Final = sys.float_info.max
-_LONGEST_SHOWN: Final = 80
 _ROWS_AT_ONCE: Final = 1024
-_WHOLE: Final = re.compile(rf"[0-9]{{1,{_MOST_DIGITS}}}")
-_DECIMAL: Final = re.compile(r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?")
-
-
-# --- numbers in text ----------------------------------------------------------------------------------------------
-
-
-def fraction_of(text: object, *, above: int | None = None, digits: int = 18) -> Fraction:
-    """Return the exact number that a text such as ``800``, ``0.005`` or ``1/30`` names.
-
-    Parameters
-    ----------
-    text
-        Without sign, exponent or spaces.
-    above
-        What the number must be above.
-    digits
-        How many digits each part may have: ``Fraction("1e16000000")`` would compute for minutes.
-
-    Raises
-    ------
-    ArgumentError
-        If it is anything else; the message says what was expected and found.
-    """
-    value = _fraction(text, digits) if isinstance(text, str) and len(text) <= 4 * digits + 3 else None
-    return _checked(value, text, "a number", " as text, such as 800, 0.005 or 1/30", above=above)
-
-
-@lru_cache(maxsize=4096)  # the rows of a table share most of their numbers
-def _fraction(text: str, digits: int) -> Fraction | None:
-    found = _fraction_form(digits).fullmatch(text)
-    if found is None:
-        return None
-    whole, tenths, divisor = found["whole"], found["tenths"] or "", int(found["divisor"] or 1)
-    return Fraction(int(whole + tenths), 10 ** len(tenths) * divisor) if divisor else None
-
-
-@cache
-def _fraction_form(digits: int) -> re.Pattern[str]:
-    some = f"[0-9]{{1,{digits}}}"
-    return re.compile(rf"(?P<whole>{some})(?:\.(?P<tenths>{some}))?(?:/(?P<divisor>{some}))?")
-
-
-def whole_of(text: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
-    """Return the whole number that a text of decimal digits names.
-
-    Raises
-    ------
-    ArgumentError
-        If it is anything else or out of range; the message says what was expected and found.
-    """
-    value = int(text) if isinstance(text, str) and _WHOLE.fullmatch(text) else None
-    return _checked(value, text, "a whole number", at_least=at_least, at_most=at_most)
-
-
-def number_of(text: object, *, at_least: float | None = None, above: float | None = None) -> float:
-    """Return the finite number that a text such as ``0.5`` or ``1e-05`` names.
-
-    Raises
-    ------
-    ArgumentError
-        If it is anything else or out of range; the message says what was expected and found.
-    """
-    value = float(text) if isinstance(text, str) and _DECIMAL.fullmatch(text) else None
-    return _checked(_finite(value), text, "a finite number", at_least=at_least, above=above)
-
-
-def _finite(value: float | None) -> float | None:
-    # Compared, not converted: Python has whole numbers that no float can hold.
-    return float(value) if value is not None and -_LARGEST_FLOAT <= value <= _LARGEST_FLOAT else None
-
-
-def _checked(
-    value: Number | None,
-    found: object,
-    kind: str,
-    example: str = "",
-    *,
-    at_least: float | None = None,
-    above: float | None = None,
-    at_most: float | None = None,
-) -> Number:
-    """Return the value that was read from what was found, if one could be (not ``None``) and it is in its range."""
-    if (
-        value is not None
-        and (at_least is None or value >= at_least)
-        and (above is None or value > above)
-        and (at_most is None or value <= at_most)
-    ):
-        return value
-    if above is not None:
-        kind = f"{kind} above {above}"
-    elif at_most not in (None, LARGEST_WHOLE):
-        kind = f"{kind} from {at_least} to {at_most}"
-    elif at_least is not None:
-        kind = f"{kind} of {at_least} or more"
-    raise ArgumentError(f"expected {kind}{example}, found {shown(found)}")
-
-
-# --- what messages show -------------------------------------------------------------------------------------------
-
-
-_MISSING: Final = object()  # stands for a field that is not there
-_REPR: Final = reprlib.Repr()
-_REPR.maxlevel, _REPR.maxlist, _REPR.maxdict = 2, 6, 4
-
-
-def shown(found: object, longest: int = _LONGEST_SHOWN) -> str:
-    """Return a value as a message shows it: on one line, and short."""
-    if found is _MISSING:
-        return "nothing"
-    if found is None or isinstance(found, bool):
-        return json.dumps(found)
-    try:
-        text = repr(found[:longest]) if isinstance(found, str) else _REPR.repr(found)
-    except ValueError:  # Python refuses to write out the largest whole numbers
-        return "a number of thousands of digits"
-    return text if len(text) <= longest else f"{text[: longest - 3]}..."
-
-
-def _named(name: str) -> str:
-    return name if name.isprintable() and len(name) <= _LONGEST_SHOWN else shown(name)
 
 
 def names_of(record: type) -> tuple[str, ...]:
@@ -267,7 +145,7 @@ class TextFile:
             return float(name)
 
         try:
-            data = json.loads(text, object_pairs_hook=_once, parse_int=_short_whole, parse_constant=constant)
+            data = json.loads(text, object_pairs_hook=_once, parse_int=short_whole, parse_constant=constant)
         except json.JSONDecodeError as error:
             raise self.problem(f"is not JSON, or not whole ({error.msg} in line {error.lineno})") from error
         except RecursionError:
@@ -276,7 +154,7 @@ class TextFile:
             raise self.problem(f"is not JSON that can be read: {error}") from error
         if constants:
             reason = f"expected a finite number, found {constants[0]}, which JSON does not have"
-            raise self.problem(reason, _place_of_constant(data))
+            raise self.problem(reason, place_of_constant(data))
         return self.fields(data)
 
     def toml(self) -> Fields:
@@ -316,11 +194,7 @@ class TextFile:
         file.text("CSV")  # before the first row is judged
         reader = _csv_reader(file.content)
         try:
-            header: list[str] = next(reader, [])
-            if header not in ([*columns], [*columns, *also]):
-                found = shown(",".join(header), longest=400)
-                more = f", or these and {','.join(also)}" if also else ""
-                raise self.problem(f"expected the columns {','.join(columns)}{more}; found {found}", "line 1")
+            header = self._header(reader, columns, also)
             absent = dict.fromkeys((*columns, *also)[len(header) :], "")
             for cells in reader:
                 if len(cells) != len(header):
@@ -331,49 +205,33 @@ class TextFile:
         except csv.Error as error:
             raise self.problem(f"is not CSV ({error})", f"line {reader.line_num}") from error
 
+    def _header(self, reader: Any, columns: Sequence[str], also: Sequence[str]) -> list[str]:
+        header: list[str] = next(reader, [])
+        if header not in ([*columns], [*columns, *also]):
+            found = shown(",".join(header), longest=400)
+            more = f", or these and {','.join(also)}" if also else ""
+            raise self.problem(f"expected the columns {','.join(columns)}{more}; found {found}", "line 1")
+        return header
+
     def columns(self, columns: Sequence[str], also: Sequence[str] = ()) -> Iterator[list[tuple[str, ...]]]:
         """Yield the columns of some rows at a time, of a file such as :meth:`rows` reads; for millions of rows.
 
-        What is wrong with the file raises a ``ValueError`` that does not say where: read it by :meth:`rows` then, which
+        What is wrong with a row raises a ``ValueError`` that does not say where: read it by :meth:`rows` then, which
         does.
         """
         file = self.loaded()
         reader = _csv_reader(file.content)
         quoted = _may_have_quoted_cells(file.content)
         try:
-            header: list[str] = next(reader, [])
-            if header not in ([*columns], [*columns, *also]):
-                raise ValueError(columns)
-            absent = len(columns) + len(also) - len(header)
+            absent = len(columns) + len(also) - len(self._header(reader, columns, also))
             while rows := list(islice(reader, _ROWS_AT_ONCE)):
                 found = list(zip(*rows, strict=True))
-                if len(found) != len(header):
+                if len(found) + absent != len(columns) + len(also):
                     raise ValueError(columns)
                 cells_of = [tuple(map(text_of_cell, cells)) for cells in found] if quoted else found
                 yield cells_of + [("",) * len(rows)] * absent
         except csv.Error as error:
             raise ValueError(columns) from error
-
-
-# --- cells of CSV files -------------------------------------------------------------------------------------------
-
-
-# What makes a spreadsheet take a cell for a formula (OWASP, "CSV Injection"), after any apostrophes.
-_FORMULA: Final = re.compile(r"'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
-
-
-def cell_of_text(text: str) -> str:
-    """Return a text as a cell that no spreadsheet runs as a formula: an apostrophe goes before such a one.
-
-    :func:`text_of_cell` undoes it: one apostrophe is taken from any cell in which apostrophes stand before such a sign.
-    Texts that begin with an apostrophe and go on otherwise stay as they are.
-    """
-    return f"'{text}" if _FORMULA.match(text) else text
-
-
-def text_of_cell(cell: str) -> str:
-    """Return the text that :func:`cell_of_text` made a cell of; a formula that nobody quoted is that text."""
-    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 
 
 def _csv_reader(content: str | bytes | None) -> Any:
@@ -387,41 +245,13 @@ def _may_have_quoted_cells(content: str | bytes | None) -> bool:
     return ("'" in content) if isinstance(content, str) else b"'" in (content or b"")
 
 
-def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a CSV file: texts by :func:`cell_of_text`, numbers as they are, ``None`` as an empty cell."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([cell_of_text(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
-    return text.getvalue()
-
-
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return a JSON object; refuse one with a name twice, which the grammar allows."""
     data = dict(pairs)
     if len(data) < len(pairs):
         twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
-        raise ValueError(f"an object has the field {_named(twice)} twice")
+        raise ValueError(f"an object has the field {named_field(twice)} twice")
     return data
-
-
-def _short_whole(text: str) -> float:
-    """Return a whole number; as a float if only a number field could hold it, infinite if not even that could."""
-    return int(text) if len(text) <= _MOST_DIGITS else float(text)
-
-
-def _place_of_constant(data: Any) -> str:
-    """Return a field that is not a finite number, as messages call it."""
-    waiting: list[tuple[str, Any]] = [("", data)]
-    while waiting:
-        name, value = waiting.pop()
-        if isinstance(value, float) and not math.isfinite(value):
-            return f"field {name}" if name else ""
-        if isinstance(value, dict):
-            waiting += [(f"{name}.{_named(key)}" if name else _named(key), inner) for key, inner in value.items()]
-        elif isinstance(value, list):
-            waiting += [(f"{name}[{index}]", inner) for index, inner in enumerate(value)]
-    return ""
 
 
 # --- fields -------------------------------------------------------------------------------------------------------
@@ -459,7 +289,7 @@ class Fields:
         return f"field {self._full(name)}"
 
     def _full(self, name: str) -> str:
-        return f"{self.place}.{_named(name)}" if self.place else _named(name)
+        return f"{self.place}.{named_field(name)}" if self.place else named_field(name)
 
     # --- which fields there are ---------------------------------------------------------------------------------------
 
@@ -489,7 +319,7 @@ class Fields:
 
     def schema(self, number: int, program: str = "eldata", *, also: tuple[int, ...] = ()) -> int:
         """Return the schema number; refuse a file of another one than those known."""
-        found = self.data.get("schema", _MISSING)
+        found = self.data.get("schema", NOTHING)
         known = (number, *also)
         if type(found) is not int or found not in known:
             listed = " or ".join(map(str, known))
@@ -500,7 +330,7 @@ class Fields:
 
     def inside(self, name: str) -> Fields:
         """Return an object."""
-        found = self.data.get(name, _MISSING)
+        found = self.data.get(name, NOTHING)
         if not isinstance(found, dict):
             raise self.wrong(name, "an object", found)
         return Fields(self.file, found, self._full(name))
@@ -532,7 +362,7 @@ class Fields:
         missing_ok
             Whether a missing list counts as empty.
         """
-        found = self.data.get(name, [] if missing_ok else _MISSING)
+        found = self.data.get(name, [] if missing_ok else NOTHING)
         if not isinstance(found, list) or len(found) < fewest or (count is not None and len(found) != count):
             raise self.wrong(name, expected, found)
         inner = Fields(self.file, {f"{name}[{index}]": item for index, item in enumerate(found)}, self.place)
@@ -556,7 +386,7 @@ class Fields:
 
     def text(self, name: str, *, empty: bool = False, longest: int | None = None, unseen: bool = False) -> str:
         """Return a text; one that is blank only if ``empty``, with characters that do not show only if ``unseen``."""
-        found = self.data.get(name, _MISSING)
+        found = self.data.get(name, NOTHING)
         if not isinstance(found, str) or not (empty or found.strip()):
             raise self.wrong(name, "a text", found)
         if longest is not None and len(found) > longest:
@@ -567,7 +397,7 @@ class Fields:
 
     def choice(self, name: str, known: Collection[Value]) -> Value:
         """Return a value that is one of those known."""
-        found = self.data.get(name, _MISSING)
+        found = self.data.get(name, NOTHING)
         for value in known:
             if found == value and type(found) is type(value):
                 return value
@@ -576,18 +406,18 @@ class Fields:
 
     def flag(self, name: str) -> bool:
         """Return true or false."""
-        found = self.data.get(name, _MISSING)
+        found = self.data.get(name, NOTHING)
         if not isinstance(found, bool):
             raise self.wrong(name, "true or false", found)
         return found
 
     def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
         """Return a whole number."""
-        return self.parsed(name, _whole, at_least=at_least, at_most=at_most)
+        return self.parsed(name, checked_json_whole, at_least=at_least, at_most=at_most)
 
     def number(self, name: str, *, at_least: float | None = None, above: float | None = None) -> float:
         """Return a finite number."""
-        return self.parsed(name, _number, at_least=at_least, above=above)
+        return self.parsed(name, checked_json_number, at_least=at_least, above=above)
 
     def fraction(self, name: str, *, above: int | None = None, digits: int = 18) -> Fraction:
         """Return an exact number that is given as text."""
@@ -596,19 +426,9 @@ class Fields:
     def parsed(self, name: str, parse: Callable[..., Value], **options: Any) -> Value:
         """Return ``parse(value, **options)``, whose :class:`~eldata.errors.ArgumentError` says what is wrong."""
         try:
-            return parse(self.data.get(name, _MISSING), **options)
+            return parse(self.data.get(name, NOTHING), **options)
         except ArgumentError as error:
             raise self.problem(name, str(error)) from None
-
-
-def _whole(found: object, at_least: int, at_most: int) -> int:
-    value = found if isinstance(found, int) and not isinstance(found, bool) else None
-    return _checked(value, found, "a whole number", at_least=at_least, at_most=at_most)
-
-
-def _number(found: object, at_least: float | None, above: float | None) -> float:
-    value = found if isinstance(found, (int, float)) and not isinstance(found, bool) else None
-    return _checked(_finite(value), found, "a finite number", at_least=at_least, above=above)
 
 
 @dataclass(frozen=True, slots=True)

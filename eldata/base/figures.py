@@ -47,6 +47,8 @@ class Figure:
         Which of two values is the better one.
     needs
         What it is computed from, in words, such as ``flat-field frames``.
+    computed_by
+        The function that does it, ``module:name``, so that a declaration imports nothing; empty: it is not told.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Figure:
     single_decimals: int | None = None
     better: Better = "neither"
     needs: tuple[str, ...] = ()
+    computed_by: str = ""
 
     def __post_init__(self) -> None:
         for name, default in (
@@ -104,6 +107,13 @@ class Figure:
     def format_single(self, value: float | None) -> str:
         """Return one value among many, such as one image's, as :meth:`format` does a mean."""
         return self._written(value, self.single_decimals)
+
+    def format_difference(self, value: float | None) -> str:
+        """Return a difference of two values with its sign."""
+        decimals = self.difference_decimals
+        if value is None or math.isnan(value) or decimals is None:
+            return self._written(value, decimals)
+        return f"{value:+.{decimals}f}"
 
     def _written(self, value: float | None, decimals: int | None, error: float = math.nan) -> str:
         if value is None:

@@ -1,71 +1,54 @@
-"""Arrays in the .npy format of strangers: what the header declares is looked at before anything is loaded.
+"""Arrays of strangers in numpy's two formats, .npy and .npz, read by numpy once their headers are agreed to.
 
-numpy's own reader evaluates the header as Python, makes any type that it names, and reserves what it declares. Here the
-header is matched against the three fields that it may have, values are numbers, and memory is reserved once the caller
-has agreed to shape and type and the file is known to hold that many bytes.
+numpy reserves what a header declares, and makes any type that it names. So the header is read first and handed to a
+check, values must be numbers, and the file must hold as many bytes as it declares. Nothing is unpickled. Of a .npz no
+more is decompressed than a member declares, and its checksum is compared.
 """
 
 from __future__ import annotations
 
+import io
 import math
-import re
+import struct
+import zipfile
+import zlib
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
-_MAGIC = b"\x93NUMPY"
-_LENGTH_BYTES = {(1, 0): 2, (2, 0): 4, (3, 0): 4}
 _MOST_HEADER_BYTES = 4096  # numpy pads that of plain numbers to 118 bytes
 _MOST_DIMENSIONS = 32
-_PIECE_BYTES = 1 << 20  # a member of an archive is decompressed in such pieces
-
-_FIELD = re.compile(
-    r"""\s*(?P<quote>['"])(?P<name>descr|fortran_order|shape)(?P=quote)\s*:\s*
-        (?: '(?P<single>[ -~]{0,64}?)' | "(?P<double>[ -~]{0,64}?)" | (?P<records>\[[ -~]*\])
-          | (?P<flag>True|False) | \((?P<sides>[\d\s,L]*)\) )
-        \s*(?:,|$)""",
-    re.VERBOSE,
-)
-_NUMBERS = re.compile(r"[<>=|]?(?:b1|[iu][1248]|f[248]|c8|c16)")
+_LARGEST_READ = 1 << 20
+_LONGEST_NAME = 64  # of a type
+# What zipfile raises of damaged and hostile archives. A RuntimeError is how it refuses members that are encrypted, and,
+# as the NotImplementedError derived from it, patched data and versions of the format that it does not know.
+_DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OverflowError, UnicodeDecodeError, RuntimeError)
 
 
 class NpyError(ValueError):
-    """A file is not in the .npy format, not whole, or holds something else than numbers."""
+    """A file is not in numpy's format, not whole, or holds something else than numbers."""
 
 
 @dataclass(frozen=True, slots=True)
 class NpyHeader:
-    """What a .npy file declares.
+    """What a .npy file declares: sides, whether the first index runs fastest, type of values in its byte order."""
 
-    Attributes
-    ----------
-    descr
-        The type of its values as the file names it, such as ``<f4``; printable ASCII.
-    fortran_order
-        Whether the first index runs fastest.
-    shape
-        Its sides.
-    """
-
-    descr: str
-    fortran_order: bool
     shape: tuple[int, ...]
+    fortran_order: bool
+    dtype: np.dtype[Any]
 
     @property
-    def dtype(self) -> np.dtype[Any] | None:
-        """The type of its values, in the file's byte order; ``None`` if they are not numbers."""
-        return np.dtype(self.descr) if _NUMBERS.fullmatch(self.descr) else None
-
-    @property
-    def values(self) -> str:
-        """The type in words, whatever its byte order: ``float32``; of other things what the file calls them."""
-        return self.descr if self.dtype is None else str(self.dtype.newbyteorder("="))
+    def kind(self) -> str:
+        """The type in words, whatever its byte order: ``float32``; shortened, where it is not of numbers."""
+        return str(self.dtype.newbyteorder("="))[:_LONGEST_NAME]
 
     @property
     def value_bytes(self) -> int:
@@ -76,56 +59,38 @@ class NpyHeader:
         NpyError
             If they are not numbers.
         """
-        if self.dtype is None:
-            raise NpyError(f"holds values of type {self.descr}, not numbers")
+        if self.dtype.kind not in "biufc":
+            raise NpyError(f"holds values of type {self.kind}, not numbers")
         return math.prod(self.shape) * self.dtype.itemsize
 
 
 def read_npy_header(file: IO[bytes]) -> NpyHeader:
-    """Read the header of a .npy file, versions 1 to 3; the values follow.
+    """Read the header of a .npy file, versions 1 and 2; the values follow.
 
     Raises
     ------
     NpyError
-        If there is none.
+        If there is none, or one of more than 4 kB.
     """
-    magic = file.read(8)
-    if magic[:6] != _MAGIC or len(magic) < 8:
-        raise NpyError("does not begin as a .npy file does")
-    version = magic[6], magic[7]
-    if version not in _LENGTH_BYTES:
-        raise NpyError(f"is of version {version[0]}.{version[1]} of the .npy format; known are 1.0, 2.0 and 3.0")
-    length = int.from_bytes(file.read(_LENGTH_BYTES[version]), "little")
-    if length > _MOST_HEADER_BYTES:
-        raise NpyError(f"has a header of {length} bytes; expected up to {_MOST_HEADER_BYTES}")
-    header = file.read(length)
-    if len(header) < length:
-        raise NpyError("ends within its header")
-    return _parsed(header.decode("latin1").strip())
-
-
-def _parsed(text: str) -> NpyHeader:
-    fields: dict[str, re.Match[str]] = {}
-    at, end = 1, len(text) - 1
-    while text[at:end].strip():
-        field = _FIELD.match(text, at, end)
-        if field is None or field["name"] in fields:
-            break
-        fields[field["name"]] = field
-        at = field.end()
-    kinds = {name: field.lastgroup for name, field in fields.items()}
-    if not (text.startswith("{") and text.endswith("}")) or text[at:end].strip() or len(fields) != 3:
-        raise NpyError("has a header without descr, fortran_order and shape, or with more")
-    if kinds["descr"] not in ("single", "double", "records") or (kinds["fortran_order"], kinds["shape"]) != (
-        "flag",
-        "sides",
-    ):
-        raise NpyError("has a header whose descr, fortran_order or shape is something else")
-    sides = [side.strip().removesuffix("L") for side in fields["shape"]["sides"].split(",") if side.strip()]
-    if len(sides) > _MOST_DIMENSIONS or not all(re.fullmatch(r"[0-9]{1,18}", side) for side in sides):
+    try:
+        header = NpyHeader(*_header_reader(file)(file, max_header_size=_MOST_HEADER_BYTES))
+    except (NpyError, OSError, *_DAMAGE):
+        raise
+    except Exception as error:  # of whatever the header's literal and type lead to
+        raise NpyError(f"is not a .npy file of numbers ({_first_line(error)})") from error
+    if len(header.shape) > _MOST_DIMENSIONS or not all(0 <= side < 1 << 60 for side in header.shape):
         raise NpyError("has a header whose shape is not one of an array")
-    descr = next(text for text in fields["descr"].group("single", "double", "records") if text is not None)
-    return NpyHeader(descr, fields["fortran_order"]["flag"] == "True", tuple(map(int, sides)))
+    return header
+
+
+def _header_reader(file: IO[bytes]) -> Callable[..., Any]:
+    version = np.lib.format.read_magic(file)
+    if version == (1, 0):
+        return np.lib.format.read_array_header_1_0
+    if version == (2, 0):
+        return np.lib.format.read_array_header_2_0
+    # 3.0 is for names of fields in other scripts.
+    raise NpyError(f"is of version {version[0]}.{version[1]} of the .npy format; known are 1.0 and 2.0")
 
 
 def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None]) -> NDArray[Any]:
@@ -134,7 +99,7 @@ def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None]) -> 
     Parameters
     ----------
     file
-        At the beginning of the .npy file.
+        At the beginning of the .npy file; it can seek.
     size
         How many bytes that has.
     check
@@ -158,12 +123,93 @@ def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None]) -> 
     held = size - (file.tell() - start)
     if held < header.value_bytes:
         raise NpyError(f"declares {header.value_bytes} bytes of values and has {held}: truncated?")
-    flat: NDArray[Any] = np.empty(math.prod(header.shape), header.dtype)
-    rest = flat.view(np.uint8).data
-    while len(rest):
-        piece = file.read(min(len(rest), _PIECE_BYTES))
-        if not piece:
-            raise NpyError(f"ends {len(rest)} bytes before its last value: truncated?")
-        rest[: len(piece)] = piece
-        rest = rest[len(piece) :]
-    return flat.reshape(header.shape[::-1]).T if header.fortran_order else flat.reshape(header.shape)
+    file.seek(start)
+    try:
+        array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False, max_header_size=_MOST_HEADER_BYTES)
+    except ValueError as error:
+        raise NpyError(f"ends before its last value: truncated? ({_first_line(error)})") from error
+    return array
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]
+
+
+# --- npz --------------------------------------------------------------------------------------------------------------
+
+
+class NpzArchive:
+    """An open .npz file.
+
+    Attributes
+    ----------
+    names
+        Of its members, in their order, without ``.npy``.
+    """
+
+    def __init__(self, archive: zipfile.ZipFile) -> None:
+        self._archive = archive
+        self._members = archive.infolist()
+        self.names = [member.filename.removesuffix(".npy") for member in self._members]
+
+    def read(self, name: str, check: Callable[[NpyHeader], None]) -> NDArray[Any]:
+        """Return an array, in the file's byte order and order of values; ``check`` as of :func:`read_npy`.
+
+        Raises
+        ------
+        NpyError
+            If there is no such member, or it is damaged.
+        """
+        if name not in self.names:
+            raise NpyError(f"holds no array {name}")
+        member = self._members[self.names.index(name)]
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise NpyError(f"compressed by method {member.compress_type}; expected numpy's savez_compressed")
+        with _damage_named(), self._archive.open(member) as content:
+            array = read_npy(content, member.file_size, check)
+            if content.read(1):  # at the end zipfile compares the checksum
+                raise NpyError("the member goes on after its array")
+            if content.tell() != member.file_size:
+                raise NpyError(f"a member of {content.tell()} bytes that declares {member.file_size}")
+        return array
+
+
+@contextmanager
+def opened_npz(path: Path) -> Iterator[NpzArchive]:
+    """Open a .npz file.
+
+    Raises
+    ------
+    NpyError
+        If it is not a whole archive.
+    OSError
+        If it cannot be read.
+    """
+    if not zipfile.is_zipfile(path):
+        raise NpyError("is not a whole npz archive")
+    with _SmallReads(path.open("rb", buffering=0)) as file:
+        with _damage_named():
+            archive = zipfile.ZipFile(file)
+        with archive:
+            yield NpzArchive(archive)
+
+
+@contextmanager
+def _damage_named() -> Iterator[None]:
+    try:
+        yield
+    except _DAMAGE as error:
+        raise NpyError(_first_line(error)) from error
+
+
+class _SmallReads(io.BufferedReader):
+    """A file of which no large part is read at once, such as an endless list of members."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is None or size < 0:
+            at = self.tell()
+            size = self.seek(0, io.SEEK_END) - at
+            self.seek(at)
+        if size > _LARGEST_READ:
+            raise zipfile.BadZipFile(f"its list of members takes {size} bytes")
+        return super().read(size)

@@ -1,12 +1,26 @@
-"""Numbers that a caller gave: checked where they come in, and named in what is said about them; and counts in words."""
+"""Numbers of callers, of text and of JSON: bounded before they are parsed, and named in what is said about them."""
 
 from __future__ import annotations
 
 import math
+import re
+import sys
+from fractions import Fraction
+from functools import cache, lru_cache
 from operator import index
-from typing import Any
+from typing import Any, Final, TypeVar
 
+from eldata.base.visible import named_field, shown
 from eldata.errors import ArgumentError
+
+Number = TypeVar("Number", int, float, Fraction)
+
+LARGEST_WHOLE: Final = 2**63 - 1
+# In a whole number, and in either part of a fraction. The time that longer ones cost grows with their square.
+_MOST_DIGITS: Final = 40
+_LARGEST_FLOAT: Final = sys.float_info.max
+_WHOLE: Final = re.compile(rf"[0-9]{{1,{_MOST_DIGITS}}}")
+_DECIMAL: Final = re.compile(r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?")
 
 
 def checked_number(name: str, value: Any, *, above: float = -math.inf) -> float:
@@ -53,3 +67,131 @@ def checked_whole(name: str, value: Any, *, at_least: int = 0, bits: int | None 
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun, as ``1 pair`` or ``2 pairs``; the noun is one whose plural ends in s alone."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+# --- numbers in text, and in JSON -----------------------------------------------------------------------------------
+
+
+def fraction_of(text: object, *, above: int | None = None, digits: int = 18) -> Fraction:
+    """Return the exact number that a text such as ``800``, ``0.005`` or ``1/30`` names.
+
+    Parameters
+    ----------
+    text
+        Without sign, exponent or spaces.
+    above
+        What the number must be above.
+    digits
+        How many digits each part may have: ``Fraction("1e16000000")`` would compute for minutes.
+
+    Raises
+    ------
+    ArgumentError
+        If it is anything else; the message says what was expected and found.
+    """
+    value = _fraction(text, digits) if isinstance(text, str) and len(text) <= 4 * digits + 3 else None
+    return _checked(value, text, "a number", " as text, such as 800, 0.005 or 1/30", above=above)
+
+
+@lru_cache(maxsize=4096)  # the rows of a table share most of their numbers
+def _fraction(text: str, digits: int) -> Fraction | None:
+    found = _fraction_form(digits).fullmatch(text)
+    if found is None:
+        return None
+    whole, tenths, divisor = found["whole"], found["tenths"] or "", int(found["divisor"] or 1)
+    return Fraction(int(whole + tenths), 10 ** len(tenths) * divisor) if divisor else None
+
+
+@cache
+def _fraction_form(digits: int) -> re.Pattern[str]:
+    some = f"[0-9]{{1,{digits}}}"
+    return re.compile(rf"(?P<whole>{some})(?:\.(?P<tenths>{some}))?(?:/(?P<divisor>{some}))?")
+
+
+def whole_of(text: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
+    """Return the whole number that a text of decimal digits names.
+
+    Raises
+    ------
+    ArgumentError
+        If it is anything else or out of range; the message says what was expected and found.
+    """
+    value = int(text) if isinstance(text, str) and _WHOLE.fullmatch(text) else None
+    return _checked(value, text, "a whole number", at_least=at_least, at_most=at_most)
+
+
+def number_of(text: object, *, at_least: float | None = None, above: float | None = None) -> float:
+    """Return the finite number that a text such as ``0.5`` or ``1e-05`` names.
+
+    Raises
+    ------
+    ArgumentError
+        If it is anything else or out of range; the message says what was expected and found.
+    """
+    value = float(text) if isinstance(text, str) and _DECIMAL.fullmatch(text) else None
+    return _checked(_finite(value), text, "a finite number", at_least=at_least, above=above)
+
+
+def _finite(value: float | None) -> float | None:
+    # Compared, not converted: Python has whole numbers that no float can hold.
+    return float(value) if value is not None and -_LARGEST_FLOAT <= value <= _LARGEST_FLOAT else None
+
+
+def _checked(
+    value: Number | None,
+    found: object,
+    kind: str,
+    example: str = "",
+    *,
+    at_least: float | None = None,
+    above: float | None = None,
+    at_most: float | None = None,
+) -> Number:
+    """Return the value that was read from what was found, if one could be (not ``None``) and it is in its range."""
+    if (
+        value is not None
+        and (at_least is None or value >= at_least)
+        and (above is None or value > above)
+        and (at_most is None or value <= at_most)
+    ):
+        return value
+    if above is not None:
+        kind = f"{kind} above {above}"
+    elif at_most not in (None, LARGEST_WHOLE):
+        kind = f"{kind} from {at_least} to {at_most}"
+    elif at_least is not None:
+        kind = f"{kind} of {at_least} or more"
+    raise ArgumentError(f"expected {kind}{example}, found {shown(found)}")
+
+
+def checked_json_whole(found: object, at_least: int, at_most: int) -> int:
+    """Return a whole number of a JSON file, as :func:`whole_of` does one of a text."""
+    value = found if isinstance(found, int) and not isinstance(found, bool) else None
+    return _checked(value, found, "a whole number", at_least=at_least, at_most=at_most)
+
+
+def checked_json_number(found: object, at_least: float | None, above: float | None) -> float:
+    """Return a finite number of a JSON file, as :func:`number_of` does one of a text."""
+    value = found if isinstance(found, (int, float)) and not isinstance(found, bool) else None
+    return _checked(_finite(value), found, "a finite number", at_least=at_least, above=above)
+
+
+def short_whole(text: str) -> float:
+    """Return a whole number; as a float if only a number field could hold it, infinite if not even that could."""
+    return int(text) if len(text) <= _MOST_DIGITS else float(text)
+
+
+def place_of_constant(data: Any) -> str:
+    """Return a field that is not a finite number, as messages call it."""
+    waiting: list[tuple[str, Any]] = [("", data)]
+    while waiting:
+        name, value = waiting.pop()
+        if isinstance(value, float) and not math.isfinite(value):
+            return f"field {name}" if name else ""
+        if isinstance(value, dict):
+            waiting += [
+                (f"{name}.{named_field(key)}" if name else named_field(key), inner) for key, inner in value.items()
+            ]
+        elif isinstance(value, list):
+            waiting += [(f"{name}[{index}]", inner) for index, inner in enumerate(value)]
+    return ""

@@ -1,7 +1,9 @@
-"""Tables: aligned plain text, Markdown and LaTeX, from the same header and rows of texts."""
+"""Tables: aligned plain text, Markdown, LaTeX and CSV, from the same header and rows of texts."""
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 import re
 import textwrap
@@ -216,6 +218,36 @@ def _latex_spans(spans: Sequence[tuple[str, int]]) -> list[str]:
 def one_line(text: str) -> str:
     """Return text without line ends and other control characters."""
     return " ".join("".join(character if character.isprintable() else " " for character in text).split())
+
+
+# --- CSV ------------------------------------------------------------------------------------------------------------
+
+
+# What makes a spreadsheet take a cell for a formula (OWASP, "CSV Injection"), after any apostrophes.
+_FORMULA: Final = re.compile(r"'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+
+
+def cell_of_text(text: str) -> str:
+    """Return a text as a cell that no spreadsheet runs as a formula: an apostrophe goes before such a one.
+
+    :func:`text_of_cell` undoes it: one apostrophe is taken from any cell in which apostrophes stand before such a sign.
+    Texts that begin with an apostrophe and go on otherwise stay as they are.
+    """
+    return f"'{text}" if _FORMULA.match(text) else text
+
+
+def text_of_cell(cell: str) -> str:
+    """Return the text that :func:`cell_of_text` made a cell of; a formula that nobody quoted is that text."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a CSV file: texts by :func:`cell_of_text`, numbers as they are, ``None`` as an empty cell."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([cell_of_text(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
+    return text.getvalue()
 
 
 # --- records ------------------------------------------------------------------------------------------------------

@@ -7,7 +7,9 @@ direction of writing makes ``gpj.exe`` of ``exe.jpg``, and a byte that is not UT
 from __future__ import annotations
 
 import io
+import json
 import re
+import reprlib
 import sys
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import TYPE_CHECKING, Any, Final, TextIO
@@ -42,6 +44,32 @@ def _number(found: re.Match[str]) -> str:
     character = found[0]
     code = ord(character)
     return _SHORT.get(character) or (f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}")
+
+
+_LONGEST_SHOWN: Final = 80
+NOTHING: Final = object()
+"""Stands for a field that is not there."""
+
+_REPR: Final = reprlib.Repr()
+_REPR.maxlevel, _REPR.maxlist, _REPR.maxdict = 2, 6, 4
+
+
+def shown(found: object, longest: int = _LONGEST_SHOWN) -> str:
+    """Return a value as a message shows it: on one line, and short."""
+    if found is NOTHING:
+        return "nothing"
+    if found is None or isinstance(found, bool):
+        return json.dumps(found)
+    try:
+        text = repr(found[:longest]) if isinstance(found, str) else _REPR.repr(found)
+    except ValueError:  # Python refuses to write out the largest whole numbers
+        return "a number of thousands of digits"
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
+
+
+def named_field(name: str) -> str:
+    """Return a field's name as a message shows it."""
+    return name if name.isprintable() and len(name) <= _LONGEST_SHOWN else shown(name)
 
 
 @contextmanager

@@ -8,8 +8,6 @@ do not pile up; else 64.
 
 from __future__ import annotations
 
-import copy
-import errno
 import os
 import socket
 import sys
@@ -21,22 +19,19 @@ from concurrent.futures import (
     CancelledError,
     Executor,
     Future,
-    ProcessPoolExecutor,
     ThreadPoolExecutor,
     wait,
 )
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, TypeVar
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from tqdm import tqdm
 
-from eldata.base.files import current_folder
 from eldata.base.isolation import isolating, set_isolation
-from eldata.base.lifeline import Lifeline, begin, interruptible
-from eldata.base.main_guard import require_main_guard
+from eldata.base.processes import LostError, Processes, portable
 from eldata.base.stopping import raise_if_told
 from eldata.errors import ArgumentError, EldataError, FileError
 
@@ -46,8 +41,6 @@ if TYPE_CHECKING:
 
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
-Returned = TypeVar("Returned")
-Given = ParamSpec("Given")
 
 _PER_WORKER = 4  # units in flight: enough to keep every worker busy, few enough to hold in memory
 _UNSTATED_WORKERS = 16  # assumed for an executor that does not say how many it has
@@ -135,7 +128,7 @@ class Workers:
         Raises
         ------
         EldataError
-        X
+        What a unit of work raised, in its turn; or that no worker can be started.
         """
         return _results(self.attempt(work, units, label=label, unit=unit))
 
@@ -168,13 +161,13 @@ class Workers:
             unit's turn.
         """
         if self.executor is not None:
-            yield from _results(_in_order(work, units, _Lent(self.executor, per_worker=2, most=_MOST_LARGE)))
+            yield from _results(_in_order(work, units, _Pool(self.executor, per_worker=2, most=_MOST_LARGE)))
         elif self.jobs == 1:
             yield from map(work, units)
         else:
             pool = ThreadPoolExecutor(self.jobs)
             try:
-                yield from _results(_in_order(work, units, _Lent(pool, per_worker=1)))
+                yield from _results(_in_order(work, units, _Pool(pool, per_worker=1)))
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
 
@@ -251,12 +244,7 @@ def _run_unit(
     except Exception as raised:  # noqa: BLE001 # whatever it is, it is the unit's
         raise_if_told()
         error = blamed(raised)
-        host, process = _here()
-        if (host, process) == caller:
-            return Failed(unit, error)
-        # A traceback does not travel.
-        error.add_note(f"on {host}, process {process}:\n{traceback.format_exc()}")
-        return Failed(unit, _transportable(error))
+        return Failed(unit, error if _here() == caller else portable(error))
 
 
 class BrokenInstallationError(EldataError):
@@ -281,15 +269,6 @@ def _here() -> tuple[str, int]:
     return socket.gethostname(), os.getpid()
 
 
-def _transportable(error: Exception) -> Exception:
-    """Return an error that can be copied from its arguments, else one that says the same."""
-    try:
-        copy.copy(error)
-    except Exception:  # noqa: BLE001 # its class may do anything
-        return EldataError(f"unexpected {type(error).__name__}: {error}")
-    return error
-
-
 def _results(outcomes: Generator[Result | Failed[Any], None, None]) -> Iterator[Result]:
     """Yield results; the first failure is raised and ends the others."""
     with closing(outcomes):
@@ -303,42 +282,19 @@ def _results(outcomes: Generator[Result | Failed[Any], None, None]) -> Iterator[
 # --- all units --------------------------------------------------------------------------------------------------------
 
 
-class _Pool(Protocol):
-    """Where units run."""
-
-    def window(self) -> int:
-        """Return how many units may be in flight."""
-
-    def submit(self, call: Callable[[], Any]) -> Future[Any]:
-        """Start a unit."""
-
-    def is_loss(self, error: BaseException) -> bool:
-        """Whether a future's error means that the unit's worker was lost, and the unit may be run again."""
-
-    def drop(self, future: Future[Any]) -> None:
-        """Forget a unit whose result nobody wants any more."""
-
-    def renew(self) -> None:
-        """Replace lost workers, if that is up to us."""
-
-    def loss(self, name: str) -> str:
-        """Return the sentence about a unit that was lost twice."""
-
-
 def _outcomes(
     work: Callable[[Unit], Result], units: Sequence[Unit], workers: Workers
 ) -> Iterator[Result | Failed[Unit]]:
     if workers.executor is not None:
-        yield from _in_order(work, units, _Lent(workers.executor, per_worker=_PER_WORKER))
+        yield from _in_order(work, units, _Pool(workers.executor, per_worker=_PER_WORKER))
     elif workers.jobs > 1 and len(units) > 1:
-        require_main_guard()
-        own = _Own(min(workers.jobs, len(units)))
+        processes = Processes("one job (--jobs 1, workers=1) needs none")
+        threads = ThreadPoolExecutor(min(workers.jobs, len(units)))  # each waits for a process
         try:
-            yield from _in_order(work, units, own)
-            own.end()
-        except BaseException:  # an error, Ctrl-C, or a consumer that has enough
-            own.abandon()
-            raise
+            yield from _in_order(work, units, _Pool(threads, per_worker=_PER_WORKER, processes=processes))
+        finally:  # at the end, after an error or Ctrl-C, or for a consumer that has enough
+            processes.end()
+            threads.shutdown(wait=True, cancel_futures=True)
     else:
         for unit in units:
             yield _run_unit(work, unit, _here())
@@ -349,27 +305,24 @@ def _in_order(
 ) -> Generator[Result | Failed[Unit], None, None]:
     left = iter(units)
     waiting: deque[tuple[Unit, Future[Any]]] = deque()
-    more = True
     try:
         while True:
-            room = pool.window() - len(waiting) if more else 0
-            for _ in range(room):
-                try:
-                    unit = next(left)
-                except StopIteration:
-                    more = False
-                    break
+            for unit in islice(left, max(0, pool.window() - len(waiting))):  # a cluster may shrink
                 waiting.append((unit, pool.submit(_call(work, unit))))
             if not waiting:
                 return
             unit, future = waiting[0]
             error = _error_of(future)
+            if error is not None and pool.is_loss(error):
+                # Only a unit that runs alone shows whether it was the one that ended the worker.
+                wait([other for _, other in waiting])
+                future = pool.submit(_call(work, unit))
+                waiting[0] = unit, future
+                error = _error_of(future)
             if error is None:
                 found = future.result().pop()
             elif pool.is_loss(error):
-                # Only a unit that runs alone shows whether it was the one that ended the worker.
-                wait([other for _, other in waiting])
-                found = _alone(unit, _call(work, unit), pool)
+                found = Failed(unit, EldataError(pool.loss(_unit_name(unit))))
             else:
                 raise _unrunnable(unit, error) from error
             waiting.popleft()
@@ -378,23 +331,7 @@ def _in_order(
             del found
     finally:
         for _, future in waiting:
-            pool.drop(future)
-
-
-def _alone(unit: Unit, call: Callable[[], Any], pool: _Pool) -> Any:
-    pool.renew()
-    future = pool.submit(call)
-    try:
-        error = _error_of(future)
-    except BaseException:  # Ctrl-C
-        pool.drop(future)
-        raise
-    if error is None:
-        return future.result().pop()
-    if not pool.is_loss(error):
-        raise _unrunnable(unit, error) from error
-    pool.renew()
-    return Failed(unit, EldataError(pool.loss(_unit_name(unit))))
+            future.cancel()
 
 
 def _error_of(future: Future[Any]) -> BaseException | None:
@@ -412,6 +349,8 @@ def _unit_name(unit: object) -> str:
 def _unrunnable(unit: object, error: BaseException) -> EldataError:
     """Return what is wrong if not the unit's work failed, but the attempt to run it."""
     name = _unit_name(unit)
+    if isinstance(error, EldataError):  # a process of our own cannot be started
+        return error
     if isinstance(error, CancelledError):
         return EldataError(f"the work on {name} was cancelled; was the executor shut down, or its scheduler restarted?")
     if isinstance(error, BrokenExecutor):
@@ -425,11 +364,13 @@ def _unrunnable(unit: object, error: BaseException) -> EldataError:
     )
 
 
-class _Lent:
-    """The caller's executor."""
+class _Pool:
+    """An executor: the caller's, threads, or threads of which each waits for one of some processes."""
 
-    def __init__(self, executor: Executor, *, per_worker: int, most: int = sys.maxsize) -> None:
-        self._executor, self._per_worker, self._most = executor, per_worker, most
+    def __init__(
+        self, executor: Executor, *, per_worker: int, most: int = sys.maxsize, processes: Processes | None = None
+    ) -> None:
+        self._executor, self._per_worker, self._most, self._processes = executor, per_worker, most, processes
         client = _dask_client(executor)
         if client is not None:
             from eldata.base.clusters import check_cluster
@@ -438,6 +379,7 @@ class _Lent:
         self._window = self._asked = 0
 
     def window(self) -> int:
+        """Return how many units may be in flight."""
         if self._asked <= 0:  # now and then: a cluster may grow
             workers = slots_of(self._executor) or _UNSTATED_WORKERS
             self._window = min(self._per_worker * workers, self._most) + 1
@@ -446,8 +388,9 @@ class _Lent:
         return self._window
 
     def submit(self, call: Callable[[], Any]) -> Future[Any]:
+        """Start a unit."""
         try:
-            return self._executor.submit(call)
+            return self._executor.submit(call if self._processes is None else partial(self._processes.run, call))
         except BrokenExecutor as error:
             broken: Future[Any] = Future()
             broken.set_exception(error)  # broken by an earlier unit, which is reported first
@@ -456,113 +399,20 @@ class _Lent:
             raise ArgumentError(f"the executor takes no work: {error}") from error
 
     def is_loss(self, error: BaseException) -> bool:
+        """Return whether a future's error means that the unit's worker was lost, and the unit may be run again."""
         # Dask runs a lost worker's units again by itself; this is its error for one that lost several workers. It
         # blames every unit on the worker, the innocent ones too.
         scheduler = sys.modules.get("distributed.scheduler")
-        return scheduler is not None and isinstance(error, scheduler.KilledWorker)
-
-    def drop(self, future: Future[Any]) -> None:
-        future.cancel()
-
-    def renew(self) -> None:
-        """Do nothing: its workers are the caller's."""
+        return isinstance(error, LostError) or (scheduler is not None and isinstance(error, scheduler.KilledWorker))
 
     def loss(self, name: str) -> str:
+        """Return the sentence about a unit that was lost twice."""
+        if self._processes is not None:
+            return (
+                f"{name}: a worker process died at it twice, the second time with nothing else beside it; lack of "
+                "memory? try fewer --jobs"
+            )
         return (
             f"{name}: the workers that ran it died again and again, in the end with nothing else beside it; lack of "
             "memory? their logs may tell"
         )
-
-
-@contextmanager
-def _starting() -> Iterator[None]:
-    """Say what to do if the system refuses to start a process, or what processes have in common.
-
-    Raises
-    ------
-    EldataError
-        If it does.
-    """
-    try:
-        yield
-    except OSError as error:
-        advice = "are /dev/shm and the temporary folder there, with room, and may you write to them?"
-        if error.errno in (errno.EMFILE, errno.ENFILE):
-            advice = "let more files be open at a time (ulimit -n)"
-        elif current_folder() is None:
-            advice = "the current folder was removed: change to another one"
-        raise EldataError(
-            f"worker processes cannot be started ({error.strerror or error}): {advice}; one job "
-            "(--jobs 1, workers=1) needs none"
-        ) from error
-
-
-class _Own:
-    """Processes of our own."""
-
-    def __init__(self, jobs: int) -> None:
-        self._jobs = jobs
-        with _starting():
-            self._lifeline = Lifeline()
-            try:
-                self._pool = self._new()
-            except BaseException:  # Ctrl-C too: nobody else would close its sockets
-                self._lifeline.cut()
-                raise
-
-    def _new(self) -> ProcessPoolExecutor:
-        line = self._lifeline
-        return ProcessPoolExecutor(self._jobs, mp_context=line.context, initializer=begin, initargs=line.arguments)
-
-    def window(self) -> int:
-        return _PER_WORKER * self._jobs + 1
-
-    def submit(self, unit: Callable[[], Any]) -> Future[Any]:
-        try:
-            return self._start(unit)
-        except BrokenProcessPool:
-            self.renew()
-            return self._start(unit)
-
-    def _start(self, unit: Callable[[], Any]) -> Future[Any]:
-        with _starting():
-            return self._pool.submit(interruptible, unit)
-
-    def is_loss(self, error: BaseException) -> bool:
-        return isinstance(error, BrokenProcessPool)
-
-    def renew(self) -> None:
-        """Start new processes, unless the present ones are alive."""
-        try:
-            self._start(os.getpid).result()
-        except BrokenProcessPool:
-            self._pool.shutdown(wait=True)
-            self._pool = self._new()
-        else:
-            return
-        try:
-            self._start(os.getpid).result()
-        except BrokenProcessPool as error:
-            raise EldataError(
-                "worker processes die as soon as they start; lack of memory? try fewer --jobs. (A script that uses "
-                "workers > 1 needs the guard if __name__ == '__main__'.)"
-            ) from error
-
-    def loss(self, name: str) -> str:
-        return (
-            f"{name}: a worker process died at it twice, the second time with nothing else beside it; lack of memory? "
-            "try fewer --jobs"
-        )
-
-    def drop(self, future: Future[Any]) -> None:
-        """Do nothing: :meth:`abandon` does, in the one thread where that cannot meet the loss of a worker."""
-
-    def end(self) -> None:
-        """End processes that have nothing to do."""
-        self._pool.shutdown(wait=True)
-        self._lifeline.cut()
-
-    def abandon(self) -> None:
-        """End the processes in the middle of their work: nobody wants the results."""
-        self._lifeline.cut()
-        self._pool.shutdown(wait=True, cancel_futures=True)

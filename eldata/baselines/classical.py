@@ -1,21 +1,27 @@
 """Denoisers without training: the rows that papers compare networks with.
 
-Each takes a packed frame, normalised and amplified, negative values kept, and the line of its noise
-(:mod:`eldata.baselines.signal_noise`), and returns its estimate of the signal.
+Each takes a packed frame, normalised and amplified, negative values kept, and the line of its noise, and returns its
+estimate of the signal.
+
+The line says how the noise grows with the signal: ``variance = offset + slope * signal``. Shot noise of a gain K makes
+the slope, whatever does not depend on light the offset. Both are in units of the packed, normalised and amplified
+frame: with ratio r and white - black of w DN, slope ``K r / w`` and offset ``(sigma r / w)^2``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import version
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.fft import dct, dctn, idctn
+from scipy.interpolate import PchipInterpolator
+from scipy.stats import poisson
 
-from eldata.baselines.anscombe import stabilised, unstabilised
-from eldata.baselines.dct import dct_thresholded, decorrelation
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
@@ -23,9 +29,207 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.baselines.signal_noise import SignalNoise
+    from eldata.noise.parameters import NoiseParameters
 
     Values = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class SignalNoise:
+    """Variance of the noise over the signal.
+
+    Attributes
+    ----------
+    slope
+        Variance per unit of signal, 0 or more.
+    offset
+        Variance without light, above 0.
+    """
+
+    slope: float
+    offset: float
+
+    def variance(self, signal: Values) -> Values:
+        """Return the variance where the expected signal is this; below 0 it is that of no light."""
+        return np.asarray(self.offset + self.slope * np.maximum(signal, 0.0))
+
+
+def noise_of_parameters(parameters: NoiseParameters, *, ratio: float, range_dn: float) -> SignalNoise:
+    """Return what a camera's figures make: shot noise, read and row noise, rounding.
+
+    Parameters
+    ----------
+    parameters
+        Such as ``CameraProfile.measured(iso)``.
+    ratio
+        What the frame was multiplied by.
+    range_dn
+        White less black level.
+    """
+    scale = ratio / range_dn
+    gauss, row = float(parameters.sigma_gauss_dn), float(parameters.sigma_row_dn)
+    return SignalNoise(float(parameters.gain_dn_per_e) * scale, (gauss**2 + row**2 + 1 / 12) * scale**2)
+
+
+def noise_of_image(image: Values) -> SignalNoise:
+    """Estimate it from a frame itself (:func:`eldata.calibration.one_photograph.noise_line`), without row noise.
+
+    Parameters
+    ----------
+    image
+        (C, h, w), negative values kept.
+
+    Raises
+    ------
+    DatasetError
+        If the frame does not tell its noise: too small, textured all over, smoothed, or without noise.
+    """
+    from eldata.calibration.one_photograph.noise_line import noise_line
+
+    found = noise_line(image)
+    # A line fitted to bright parts alone may cross 0 before black.
+    return SignalNoise(max(found.slope, 0.0), max(found.offset, found.least_variance / 4))
+
+
+# --- stabilising ------------------------------------------------------------------------------------------------------
+
+# The generalised Anscombe transformation, after M. Makitalo and A. Foi, "Optimal inversion of the generalized Anscombe
+# transformation for Poisson-Gaussian noise", IEEE Transactions on Image Processing 22 (2013). For z = a p + n with p of
+# Poisson(y / a) and n normal of standard deviation s, f(z) = 2 / a sqrt(max(a z + 3/8 a^2 + s^2, 0)) has a standard
+# deviation of about 1. The exact unbiased inverse is the y whose E[f(z)] is the denoised value; inverting f itself
+# would make dark parts too dark. The expectation is worked out as the definition has it, a sum over Poisson counts and
+# an integral over the normal part, and beyond _LARGEST counts by the paper's closed form.
+
+_LARGEST = 200.0  # counts
+_NODES = 801
+_REACH = 8.0  # standard deviations
+_POINTS = 400
+
+
+def stabilised(image: Values, line: SignalNoise) -> Values:
+    """Return the transform of an image: noise of standard deviation 1 wherever its signal is.
+
+    Parameters
+    ----------
+    image
+        Of any shape; negative values kept.
+    line
+        Of its noise.
+    """
+    if line.slope == 0:
+        return np.asarray(image / np.sqrt(line.offset))
+    counts, sigma = image / line.slope, np.sqrt(line.offset) / line.slope
+    return np.asarray(2 * np.sqrt(np.maximum(counts + (3 / 8 + sigma**2), 0.0)))
+
+
+def unstabilised(values: Values, line: SignalNoise) -> Values:
+    """Return the signals whose stabilised values have these means: the exact unbiased inverse; 0 or more."""
+    if line.slope == 0:
+        return np.asarray(values * np.sqrt(line.offset))
+    sigma = float(np.sqrt(line.offset) / line.slope)
+    signals, expected = _table(sigma)
+    inside = np.clip(values, expected[0], expected[-1])
+    counts = PchipInterpolator(expected, signals)(inside)
+    beyond = values > expected[-1]
+    if beyond.any():
+        d = values[beyond].astype(np.float64)
+        root = np.sqrt(3 / 2)
+        counts[beyond] = d**2 / 4 + root / (4 * d) - 11 / (8 * d**2) + 5 * root / (8 * d**3) - 1 / 8 - sigma**2
+    return np.asarray(counts * line.slope)
+
+
+@lru_cache(maxsize=16)
+def _table(sigma: float) -> tuple[Values, Values]:
+    """Return expected counts, ascending from 0, and E[f] of each, for a = 1."""
+    signals = np.concatenate([[0.0], np.geomspace(1e-3, _LARGEST, _POINTS)])
+    # f has a kink where it becomes 0, at which quadratures of higher order would be no better than this even grid.
+    nodes = np.linspace(-_REACH, _REACH, _NODES)
+    weights = np.exp(-0.5 * nodes**2)
+    weights /= weights.sum()
+    expected = np.empty_like(signals)
+    for place, signal in enumerate(signals):
+        low, high = (float(poisson.ppf(share, signal)) for share in (1e-12, 1 - 1e-12)) if signal else (0.0, 0.0)
+        counts = np.arange(max(low, 0.0), high + 1)
+        chance = poisson.pmf(counts, signal)
+        inner = np.maximum(counts[:, None] + sigma * nodes + (3 / 8 + sigma**2), 0.0)
+        expected[place] = (chance / chance.sum()) @ (2 * np.sqrt(inner) @ weights)
+    return signals, expected
+
+
+# --- thresholding -----------------------------------------------------------------------------------------------------
+
+# Sliding-window DCT thresholding (G. Yu and G. Sapiro, "DCT image denoising", IPOL 2011): each channel is cut into
+# overlapping 8x8 windows; DCT coefficients below a threshold go to zero, and the windows are averaged back. The
+# threshold follows the noise of the window's brightness.
+
+_SIZE = 8
+_STEP = 2
+_THRESHOLD = 2.7
+
+# Orthonormal, from R, G1, B, G2: brightness and three differences.
+_BAYER = np.array(
+    [
+        [0.5, 0.5, 0.5, 0.5],
+        [0.5, -0.5, 0.5, -0.5],
+        [0.5**0.5, 0, -(0.5**0.5), 0],
+        [0, 0.5**0.5, 0, -(0.5**0.5)],
+    ]
+)
+
+
+def decorrelation(channels: int) -> Values:
+    """Return an orthonormal matrix whose first row is brightness: white noise stays white."""
+    if channels == len(_BAYER):
+        return _BAYER
+    return np.asarray(dct(np.eye(channels), axis=0, norm="ortho"))
+
+
+def dct_thresholded(image: Values, line: SignalNoise) -> NDArray[np.float32]:
+    """Return a denoised copy.
+
+    Parameters
+    ----------
+    image
+        (C, h, w), normalised and amplified, negative values kept.
+    line
+        Of its noise.
+    """
+    matrix = decorrelation(len(image))
+    channels = np.tensordot(matrix, image.astype(np.float32), axes=1).astype(np.float32)
+    padded = np.pad(channels, ((0, 0), (_SIZE, _SIZE), (_SIZE, _SIZE)), mode="reflect")
+    # Brightness decides the noise of all channels: they are sums of the same pixels.
+    brightness = _windows(padded[0]).mean(axis=(-2, -1)) / np.float32(len(image) ** 0.5)
+    sigma = np.sqrt(line.variance(brightness)).astype(np.float32)
+    result = np.stack([_threshold(channel, sigma) for channel in padded])
+    result = result[:, _SIZE:-_SIZE, _SIZE:-_SIZE]
+    return np.tensordot(matrix.T, result, axes=1).astype(np.float32)
+
+
+def _windows(channel: NDArray[np.float32]) -> NDArray[np.float32]:
+    view = np.lib.stride_tricks.sliding_window_view(channel, (_SIZE, _SIZE))
+    return np.ascontiguousarray(view[::_STEP, ::_STEP])
+
+
+def _threshold(channel: NDArray[np.float32], sigma: NDArray[np.float32]) -> NDArray[np.float32]:
+    coefficients = dctn(_windows(channel), axes=(-2, -1), norm="ortho")
+    keep = np.abs(coefficients) > _THRESHOLD * sigma[..., None, None]
+    keep[..., 0, 0] = True
+    coefficients *= keep
+    # Windows with fewer kept coefficients are smoother, so they weigh more.
+    weight = (1.0 / keep.sum(axis=(-2, -1))).astype(np.float32)
+    estimate = idctn(coefficients, axes=(-2, -1), norm="ortho") * weight[..., None, None]
+    total = np.zeros(channel.shape, np.float32)
+    weights = np.full(channel.shape, 1e-12, np.float32)
+    rows, columns = weight.shape
+    for y in range(_SIZE):
+        for x in range(_SIZE):
+            place = (slice(y, y + _STEP * rows, _STEP), slice(x, x + _STEP * columns, _STEP))
+            total[place] += estimate[..., y, x]
+            weights[place] += weight
+    return total / weights
+
+
+# --- the baselines ----------------------------------------------------------------------------------------------------
 
 _GAUSSIAN_PX = 2.0
 

@@ -1,42 +1,22 @@
-"""Files of ``torch.export``, written, and loaded without a pickle.
-
-``torch.export.load`` unpickles whatever of an archive its lists of weights and constants call pickled, its example
-inputs too, and loads compiled libraries (torch 2.13, ``torch/export/pt2_archive/_package.py``). Networks need none of
-it. So only archives are loaded whose members are plain tensors and descriptions, and torch is held to
-``weights_only`` for the rest.
-"""
+"""Files of ``torch.export``: networks with what they take, written and loaded."""
 
 from __future__ import annotations
 
 import copy
-import io
-import os
-import re
-import zipfile
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.fields import TextFile, names_of
 from eldata.base.files import atomic_write, json_text
-from eldata.baselines.consistency import checked_window
-from eldata.errors import EldataError, FileError, check_choice
-from eldata.raw.cfa import CLIP_RANGES
+from eldata.base.numbers import checked_whole
+from eldata.errors import ArgumentError, EldataError, FileError, check_choice
+from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
-    from eldata.raw.cfa import Clip
+    from eldata.raw.levels import Clip
 
-# Below the archive's own folder. torch looks members up without regard to case.
-_PLAIN = re.compile(
-    r"(?:archive_format|archive_version|version|byteorder|\.data/(?:version|serialization_id)|\.format_version"
-    r"|\.storage_alignment|models/model\.json|data/sample_inputs/model\.pt|extra/.*"
-    r"|data/weights/(?:weight_\d+|model_weights_config\.json)"
-    r"|data/constants/(?:tensor_\d+|model_constants_config\.json))"
-)
-_FORCED = "TORCH_FORCE_WEIGHTS_ONLY_LOAD"
 _RECORD = "eldata.json"  # among the archive's extra files
 _SCHEMA = 1
 _MOST_FRAMES = 99
@@ -106,8 +86,7 @@ def save_network(
     try:
         exported = torch.export.export(alone, (example,), dynamic_shapes=(sides,))
     except Exception as error:  # torch.export raises what its parts raise
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        raise EldataError(f"torch.export cannot follow {type(network).__name__}: {reason}") from error
+        raise EldataError(f"torch.export cannot follow {type(network).__name__}: {first_line(error)}") from error
     record = {"schema": _SCHEMA, **asdict(TakenInput(window, multiple, clip))}
     with atomic_write(path) as file:
         torch.export.save(exported, file, extra_files={_RECORD: json_text(record)})
@@ -119,30 +98,15 @@ def load_exported(path: Path) -> tuple[Any, TakenInput]:
     Raises
     ------
     FileError
-        If it is not one, or holds what only a pickle or a compiled library tells.
+        If it is not one.
     """
     import torch
 
-    try:
-        content = path.read_bytes()  # once: what is looked at is what is loaded
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            names = [name.partition("/")[2] for name in archive.namelist()]
-    except (OSError, zipfile.BadZipFile) as error:
-        raise FileError(path, f"is not an archive of torch.export: {error}") from error
-    others = sorted({name for name in names if not _PLAIN.fullmatch(name.lower())})
-    if others:
-        raise FileError(
-            path,
-            f"holds {', '.join(others[:3])}, which a network does not need and which torch.export may unpickle or run. "
-            "Export the network alone: torch.export.save(torch.export.export(network, ...), file)",
-        )
     extra = {_RECORD: ""}
     try:
-        with _weights_only():
-            module = torch.export.load(io.BytesIO(content), extra_files=extra).module()
+        module = torch.export.load(path, extra_files=extra).module()
     except Exception as error:  # torch.export raises what its parts raise
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        raise FileError(path, f"cannot be loaded by torch.export, without pickles: {reason}") from error
+        raise FileError(path, f"cannot be loaded by torch.export: {first_line(error)}") from error
     return module, _taken(path, extra[_RECORD]) if extra[_RECORD] else TakenInput()
 
 
@@ -157,15 +121,13 @@ def _taken(path: Path, content: str | bytes) -> TakenInput:
     return TakenInput(window, multiple, record.optional("clip", record.choice, known=tuple(CLIP_RANGES)))
 
 
-@contextmanager
-def _weights_only() -> Iterator[None]:
-    """Hold every ``torch.load`` in the block to ``weights_only``, whatever it is asked for."""
-    before = os.environ.get(_FORCED)
-    os.environ[_FORCED] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[_FORCED]
-        else:
-            os.environ[_FORCED] = before
+def checked_window(window: int) -> int:
+    """Return a number of frames of which the middle one is predicted; raise :class:`ArgumentError` unless it is odd."""
+    if checked_whole("window", window, at_least=1) % 2 == 0:
+        raise ArgumentError(f"the middle frame of a window is predicted, so their number is odd; found {window}")
+    return window
+
+
+def first_line(error: BaseException) -> str:
+    """Return the beginning of what an error says, or what it is."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]

@@ -1,8 +1,6 @@
 """Networks from files, as denoisers: TorchScript, torch.export, ONNX, or Python code of one's own.
 
-A model is code, and the user's own. No pickle is loaded all the same: weights come by
-``torch.load(weights_only=True)`` or safetensors, programs by ``torch.jit.load``, :mod:`eldata.baselines.exported`, or
-ONNX Runtime.
+A model is code, and the user's own. Weights are data: they come by ``torch.load(weights_only=True)`` or safetensors.
 """
 
 from __future__ import annotations
@@ -18,10 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from eldata.base.arguments import named_object
 from eldata.base.files import sha256_of
-from eldata.base.naming import named_object
-from eldata.baselines.consistency import checked_window
-from eldata.baselines.exported import TakenInput, load_exported
+from eldata.baselines.exported import TakenInput, checked_window, first_line, load_exported
 from eldata.baselines.prediction_folder import ANSWERS, answer_of
 from eldata.baselines.tiling import tiled
 from eldata.errors import ArgumentError, EldataError, FileError
@@ -31,8 +28,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.baselines.predicting import NoisyFrame
-    from eldata.raw.cfa import Clip
+    from eldata.baselines.noisy_frames import NoisyFrame
+    from eldata.raw.levels import Clip
 
     Values = NDArray[np.floating[Any]]
 
@@ -287,7 +284,7 @@ def _scripted(path: Path) -> Any:
 
 def _of_script(error: RuntimeError) -> str:
     """Return what torch says besides that its archive is not one, which is a fault of ours in its words."""
-    reason = _first_line(error)
+    reason = first_line(error)
     return "" if "internal miniz error" in reason else f" ({reason})"
 
 
@@ -307,7 +304,7 @@ def _onnx(path: Path, device: str) -> Any:
     try:
         session = onnxruntime.InferenceSession(str(path), providers=wanted)
     except Exception as error:  # ONNX Runtime's own classes, without a common base
-        raise FileError(path, f"cannot be loaded by ONNX Runtime: {_first_line(error)}") from error
+        raise FileError(path, f"cannot be loaded by ONNX Runtime: {first_line(error)}") from error
     if len(session.get_inputs()) != 1:
         raise FileError(path, f"expected one input, found {len(session.get_inputs())}")
     return session
@@ -362,7 +359,7 @@ def _load_weights(module: Any, path: Path) -> None:
         raise FileError(path, "there is no such file") from None
     except Exception as error:
         raise FileError(
-            path, f"cannot be loaded as weights alone; save model.state_dict(), not the model ({_first_line(error)})"
+            path, f"cannot be loaded as weights alone; save model.state_dict(), not the model ({first_line(error)})"
         ) from error
     for key in ("state_dict", "model", "params", "netG"):
         if isinstance(state, dict) and isinstance(state.get(key), dict):
@@ -370,15 +367,11 @@ def _load_weights(module: Any, path: Path) -> None:
     try:
         module.load_state_dict(state)
     except RuntimeError as error:
-        raise FileError(path, f"its weights are not those of {type(module).__name__}: {_first_line(error)}") from error
+        raise FileError(path, f"its weights are not those of {type(module).__name__}: {first_line(error)}") from error
 
 
 def _failed(image: NDArray[np.float32], error: Exception) -> str:
     # TorchScript says what happened in the last line of a traceback of its own.
-    is_trace = "TorchScript interpreter" in _first_line(error)
-    reason = str(error).strip().splitlines()[-1] if is_trace else _first_line(error)
+    is_trace = "TorchScript interpreter" in first_line(error)
+    reason = str(error).strip().splitlines()[-1] if is_trace else first_line(error)
     return f"the network cannot take {(1, *image.shape)} float32, {image.shape[-3]} channels: {reason}"
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]

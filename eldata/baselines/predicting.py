@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -14,30 +13,26 @@ import numpy as np
 from eldata import __version__
 from eldata.base.files import inside, remove_leftovers
 from eldata.base.numbers import counted
-from eldata.base.png import rgb_frame
 from eldata.base.workers import Failed, require_files
-from eldata.baselines.classical import BASELINES
-from eldata.baselines.consistency import checked_window
+from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_image, noise_of_parameters
+from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames
 from eldata.baselines.prediction_folder import ANSWERS, begun, remarks_on
-from eldata.baselines.signal_noise import SignalNoise, noise_of_image, noise_of_parameters
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.layouts import stem_of
-from eldata.evaluation.pairs import amplified_by, files_of, frames_of, iso_of, place_of, reference_of
+from eldata.evaluation.pairs import files_of, frames_of, place_of
 from eldata.evaluation.planning import plan_scoring, require_pairs
 from eldata.evaluation.predictions import save_prediction
-from eldata.evaluation.references import less_shading, levels_dn, normalised_frame
 from eldata.evaluation.request import make_request
 from eldata.manifest.card import CHANNELS
 from eldata.manifest.clips import clips_of, setting_name
 from eldata.manifest.patterns import expand
-from eldata.noise.dark_shading import dark_shading_in
+from eldata.noise.gain_modes import rows_nearest, rows_of
 from eldata.noise.parameters import NoiseParameters
 from eldata.noise.profile import profile_of
 from eldata.protocols.kinds import IMAGES
-from eldata.raw.reading import exposure_ratio, read_header, read_raw
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Collection, Sequence
 
     from numpy.typing import NDArray
 
@@ -46,7 +41,7 @@ if TYPE_CHECKING:
     from eldata.manifest.clips import Clip
     from eldata.noise.profile import CameraProfile
     from eldata.protocols.protocol import Protocol as ScoringProtocol
-    from eldata.raw.cfa import Clip as ClipRange
+    from eldata.raw.levels import Clip as ClipRange
 
     Values = NDArray[np.floating[Any]]
 
@@ -54,40 +49,6 @@ PixelType = Literal["float32", "float16", "uint16"]
 ANOTHER = "profile_of_another_camera"
 """In the settings: whether a profile was allowed to stand for cameras that it is not of."""
 _SCHEMA = 1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NoisyFrame:
-    """What a denoiser gets.
-
-    Attributes
-    ----------
-    image
-        (C, h, w) float32, packed, normalised with the protocol's levels, times the ratio; of preprocessed RGB frames
-        R, G, B as they are.
-    ratio
-        That it was multiplied by.
-    range_dn
-        White less black level; nan of RGB.
-    pair
-        Of the manifest: a pair of frames, or a window of a clip.
-    path
-        The frame itself, as in the manifest.
-    iso
-        ISO speed, if it is known.
-    window
-        Of a frame of a clip: ``frame.window(5)`` is (5, C, h, w) float32, the frame in the middle of those around it.
-        At the clip's ends those inside are mirrored (:func:`mirrored_window`). :class:`DatasetError` if there is no
-        such window.
-    """
-
-    image: NDArray[np.float32]
-    ratio: float
-    range_dn: float
-    pair: Pair
-    path: str
-    iso: float | None
-    window: Callable[[int], NDArray[np.float32]]
 
 
 class Denoiser(Protocol):
@@ -196,9 +157,10 @@ def typical(profile: CameraProfile, iso: float) -> NoiseParameters:
     except ArgumentError:
         gain = profile.gain_at_iso(iso)
     mode = profile.mode_at(gain)
-    fits = (mode.tukey_lambda_fit, mode.gauss_fit, mode.row_fit)
-    scale, gauss, rows = (fit.scale_dn(gain, 0.0) for fit in fits)
-    return NoiseParameters(gain, profile.rows[0].tukey_lambda, scale, gauss, rows)
+    rows = rows_of(mode, profile.rows, profile.modes)
+    nearest = (rows_nearest(gain, rows) or rows)[0]  # lambda goes with the gain
+    scale, gauss, row = (fit.scale_dn(gain, 0.0) for fit in (mode.tukey_lambda_fit, mode.gauss_fit, mode.row_fit))
+    return NoiseParameters(gain, nearest.tukey_lambda, scale, gauss, row)
 
 
 @dataclass(frozen=True, slots=True)
@@ -393,7 +355,7 @@ class _Prediction:
     def __call__(self, unit: _Unit) -> None:
         pair = unit.pair
         require_files(*(inside(self.dataset, path) for path in files_of(pair)))
-        frames = _Frames(self, pair, unit.clip)
+        frames = NoisyFrames(self.dataset, pair, unit.clip, self.protocol, self.clip, self.dark_shading)
         for path in unit.missing:
             frame = frames.frame(path)
             predicted = np.asarray(self.denoiser(frame))
@@ -407,68 +369,3 @@ class _Prediction:
             if self.dtype == "uint16":
                 predicted = np.rint(np.clip(predicted, 0.0, 1.0) * 65535)
             save_prediction(self.out, place_of(pair, path), predicted.astype(self.dtype))
-
-
-class _Frames:
-    """The frames of a pair or of a clip, each read once for all windows that it is in."""
-
-    def __init__(self, work: _Prediction, pair: Pair, clip: Clip | None) -> None:
-        self._work, self._pair, self._clip = work, pair, clip
-        self._read: dict[str, NoisyFrame] = {}
-
-    def frame(self, path: str) -> NoisyFrame:
-        """Return a frame as a denoiser gets it."""
-        if path not in self._read:
-            self._read[path] = self._taken(path)
-        return self._read[path]
-
-    def _taken(self, path: str) -> NoisyFrame:
-        work, pair = self._work, self._pair
-        near = partial(self._window, path)
-        noisy = inside(work.dataset, path)
-        if work.protocol.pixels == "rgb":  # amplified by its authors
-            return NoisyFrame(rgb_frame(noisy), 1.0, math.nan, pair, path, None, near)
-        frame = read_raw(noisy)
-        ratio = amplified_by(pair, work.protocol.amplification)
-        if ratio is None:
-            ratio = float(exposure_ratio(read_header(inside(work.dataset, reference_of(pair, path) or path)), frame))
-        taken = less_shading(frame, dark_shading_in(work.dark_shading), path) if work.dark_shading else frame
-        image = normalised_frame(taken, work.protocol.levels, clip=work.clip, gain=ratio)
-        black, white = levels_dn(frame, work.protocol.levels)
-        iso = iso_of(pair) or float(frame.exposure.iso or 0)
-        return NoisyFrame(image, ratio, white[0] - float(np.mean(black)), pair, path, iso or None, near)
-
-    def _window(self, path: str, length: int) -> Values:
-        if self._clip is None:
-            raise DatasetError(f"{path}: is a photograph alone; a window of {length} frames needs a clip")
-        frames = [self.frame(name).image for name in mirrored_window(self._clip, path, length)]
-        unlike = {frame.shape for frame in frames}
-        if len(unlike) > 1:
-            raise DatasetError(
-                f"clip {self._clip.scene}: its frames have sizes {sorted(unlike)}; are they of one clip?"
-            )
-        return np.stack(frames)
-
-
-def mirrored_window(clip: Clip, path: str, length: int) -> tuple[str, ...]:
-    """Return the frames around one of a clip, that one in the middle; at the clip's ends those inside are mirrored.
-
-    Of frames 0, 1, 2 ... the window of five around 0 is 2, 1, 0, 1, 2, as in the published code of FastDVDnet.
-
-    Raises
-    ------
-    ArgumentError
-        If the length is even.
-    DatasetError
-        If the clip is too short to be mirrored, or a number is missing between the frames.
-    """
-    half, last = checked_window(length) // 2, len(clip.frames) - 1
-    place = clip.frames.index(path)
-    if half > last:
-        raise DatasetError(
-            f"clip {clip.scene}: has {last + 1} frames; a window of {length} needs {half + 1}, mirrored at its ends"
-        )
-    if not clip.continuous(max(place - half, 0), min(place + half, last) + 1):
-        raise DatasetError(f"clip {clip.scene}: a number is missing near {path}; eldata verify finds gaps")
-    around = (abs(step) for step in range(place - half, place + half + 1))
-    return tuple(clip.frames[last - abs(last - step)] for step in around)

@@ -1,19 +1,23 @@
-"""The paper's networks: a U-Net from packed raw to packed raw, and of five frames of a clip, a cascade of such."""
+"""The paper's networks: a U-Net from packed raw to packed raw, of clips a cascade of such; and the one that ships."""
 
 from __future__ import annotations
 
 import math
+from importlib.resources import as_file, files
 from typing import TYPE_CHECKING
 
 import torch
+from safetensors.torch import load_file, save_file
 from torch import nn
 
 from eldata.base.seeds import checked_seed, purpose_sequence
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, FileError
 
 if TYPE_CHECKING:
     from collections.abc import Collection
+    from pathlib import Path
 
+_REFERENCE = "reference.safetensors"
 _SLOPE = 0.2  # of the leaky ReLUs
 _WEIGHTS = 6  # keeps these random numbers apart from those of items, order, workers and turns
 
@@ -181,3 +185,43 @@ def _two(before: int, after: int, *, bias: bool) -> nn.Sequential:
         nn.Conv2d(after, after, 3, padding=1, bias=bias),
         nn.LeakyReLU(_SLOPE),
     )
+
+
+# --- the network that ships with the package, to score beside others --------------------------------------------------
+
+
+def blank_reference(seed: int = 0) -> UNet:
+    """Return the network with its first weights, as its training begins."""
+    return UNet(4, width=14, depth=3, residual=True, bias=False, seed=seed)
+
+
+def reference_network() -> UNet:
+    """Return a small U-Net for Bayer cameras that was trained on the noise of virtual cameras alone.
+
+    368,648 parameters. It takes (N, 4, h, w) float32 of any camera, packed, black 0 and white 1, amplified and not
+    clipped, in sides that are multiples of 8, and saw no real photograph. docs/proof.md has its card: how it was
+    trained, what it scores, and where it fails.
+
+    Raises
+    ------
+    FileError
+        If its weights are not there or not its own: the installation is damaged.
+
+    Examples
+    --------
+    >>> from eldata.baselines import reference_network
+    >>> sum(weights.numel() for weights in reference_network().parameters())
+    368648
+    """
+    network = blank_reference()
+    with as_file(files("eldata.baselines") / _REFERENCE) as path:
+        try:
+            network.load_state_dict(load_file(path))
+        except Exception as error:  # safetensors and torch raise what their parts raise
+            raise FileError(path, f"is not what was shipped; install eldata again ({type(error).__name__})") from error
+    return network
+
+
+def save_weights(network: UNet, path: Path) -> None:
+    """Write a network's weights in half precision, as they ship: half of the size, and rounded by 5e-4 of each."""
+    save_file({name: value.half().contiguous() for name, value in network.state_dict().items()}, path)

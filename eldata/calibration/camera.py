@@ -7,33 +7,34 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from tqdm import tqdm
 
 from eldata import __version__
 from eldata.base.numbers import checked_number, counted
-from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Failed, Workers, require_files
-from eldata.calibration.audit import checked_acceptance
-from eldata.calibration.frame_checks import FramesError, sorted_frames
+from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
+from eldata.calibration.audit.frames import FramesError, sorted_frames
+from eldata.calibration.audit.structure import pooled_prnu
+from eldata.calibration.core.findings import checked_acceptance
 from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
-from eldata.calibration.mode_fits import joint_fits, whole_ranges
-from eldata.calibration.one_iso import calibrate_flats, calibrate_iso, decodings
+from eldata.calibration.joint import joint_fits, whole_ranges
+from eldata.calibration.one_iso import calibrate_iso, decodings
 from eldata.calibration.remarks import overall_remarks
 from eldata.calibration.results import Calibration
-from eldata.calibration.structure import pooled_prnu
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
 from eldata.manifest.verify_report import Problem
-from eldata.noise.profile import CameraProfile, ProfileRow, profile_of
+from eldata.noise.gain_modes import ProfileRow
+from eldata.noise.profile import CameraProfile, profile_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from eldata.calibration.audit import Figure
-    from eldata.calibration.frame_checks import IsoFrames
+    from eldata.calibration.audit.frames import IsoFrames
+    from eldata.calibration.core.findings import Figure
     from eldata.noise.structure import NoiseStructure
 
 _LEVELS_APART = 0.001  # of the range
@@ -175,10 +176,6 @@ def stated_gains(frames: CalibrationFrames, gains: Mapping[float, float] | Camer
     return stated
 
 
-def _ascending(failed: Iterable[FailedIso]) -> list[FailedIso]:
-    return sorted(failed, key=lambda one: one.iso)
-
-
 def _measured(
     frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers, structure: bool
 ) -> list[IsoGain | FramesError]:
@@ -187,23 +184,10 @@ def _measured(
     with tqdm(total=total, desc=f"calibrating {frames.camera}", unit="frame", disable=None, leave=False) as bar:
         for one in chosen:
             try:
-                found.append(_of_iso(frames, one, workers, structure, done=bar.update))
+                found.append(calibrate_iso(frames, one, workers, structure=structure, done=bar.update))
             except FramesError as error:
                 found.append(error)
     return found
-
-
-def _of_iso(
-    frames: CalibrationFrames,
-    chosen: IsoFrames,
-    workers: Workers = IN_THIS_PROCESS,
-    structure: bool = False,
-    **options: Any,
-) -> IsoGain:
-    """Measure what an ISO has frames for."""
-    if chosen.pairs and not chosen.bias:
-        return calibrate_flats(frames, chosen, workers, **options)
-    return calibrate_iso(frames, chosen, workers, structure=structure, **options)
 
 
 def _measured_on(
@@ -224,7 +208,7 @@ def _measured_there(frames: CalibrationFrames, structure: bool, chosen: IsoFrame
     require_files(
         *map(frames.path, (*chosen.bias, *(flat for pair in chosen.pairs for flat in (pair.first, pair.second))))
     )
-    return _of_iso(frames, chosen, structure=structure)
+    return calibrate_iso(frames, chosen, structure=structure)
 
 
 def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesError:
@@ -259,7 +243,7 @@ def joined(
     """
     everything = sorted(measured, key=lambda one: one.iso)
     ordered = tuple(one for one in everything if isinstance(one, IsoCalibration))
-    left_out = tuple(_ascending(failed))
+    left_out = tuple(sorted(failed, key=lambda one: one.iso))
     remarks = [*(one.remark for one in left_out), *overall_remarks(everything)]
     fits = joint_fits(ordered, modes)
     remarks += fits.remarks

@@ -8,23 +8,30 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.audit import SYMBOLS, GivenFigure, given, named, widened, withheld
-from eldata.calibration.spectrum import SpectrumLines
+from eldata.calibration.core.figures import (
+    DARK_FIGURES,
+    SIGMA_COLUMN,
+    SIGMA_GAUSS,
+    SIGMA_ROW,
+    SIGMA_TL,
+    TUKEY_LAMBDA,
+)
+from eldata.calibration.core.findings import SYMBOLS, GivenFigure, given, named, widened, withheld
+from eldata.calibration.core.spectra import SpectrumLines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import Effect, Figure, Finding
-    from eldata.calibration.colour_bias import ColourBias
-    from eldata.calibration.defects import PatternSummary
-    from eldata.calibration.photon_transfer import PhotonTransfer
-    from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
-    from eldata.calibration.reproduction import Reproduction
-    from eldata.calibration.row_noise import LineNoise, RowNoise
-    from eldata.calibration.single_frame import SingleFramePlot
-    from eldata.calibration.structure import MeasuredStructure
+    from eldata.calibration.acceptance.reproduction import Reproduction
+    from eldata.calibration.audit.structure import MeasuredStructure
+    from eldata.calibration.core.defects import PatternSummary
+    from eldata.calibration.core.findings import Effect, Figure, Finding
+    from eldata.calibration.core.photon_transfer import PhotonTransfer
+    from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
+    from eldata.calibration.core.row_noise import ColourBias, RowNoise
+    from eldata.calibration.core.single_frame import SingleFramePlot
     from eldata.manifest.verify_report import Problem
     from eldata.noise.parameters import NoiseParameters
     from eldata.records import Sensor
@@ -187,6 +194,10 @@ class IsoCalibration(IsoGain):
         few frames to hold one out, or one of the parameters is withheld.
     structure
         What the noise of pixels has in common; ``None`` if it was not asked for.
+    tukey_lambda, sigma_tl_dn, sigma_gauss_dn
+        Shape, scale and standard deviation of the read noise; ``None`` if it is withheld.
+    sigma_row_dn, sigma_column_dn
+        Standard deviations of the row noise, and of what columns have of their own; ``None`` if row noise is withheld.
     """
 
     bias_frames: int
@@ -200,35 +211,11 @@ class IsoCalibration(IsoGain):
     single_frame: SingleFramePlot | None = None
     structure: MeasuredStructure | None = None
 
-    @property
-    def tukey_lambda(self) -> GivenFigure | None:
-        """Shape of the read noise; ``None`` if it is withheld."""
-        return given(self.findings, "read noise", self.read.tukey_lambda, self.read.tukey_lambda_error, 1.0)
-
-    @property
-    def sigma_tl_dn(self) -> GivenFigure | None:
-        """Scale of the read noise; ``None`` if it is withheld."""
-        scale = self.read.sigma_tl_dn
-        return given(self.findings, "read noise", scale, self.read.sigma_tl_error_dn, scale)
-
-    @property
-    def sigma_gauss_dn(self) -> GivenFigure | None:
-        """Standard deviation of the read noise; ``None`` if it is withheld."""
-        scale = self.read.sigma_gauss_dn
-        return given(self.findings, "read noise", scale, self.read.sigma_gauss_error_dn, scale)
-
-    @property
-    def sigma_row_dn(self) -> GivenFigure | None:
-        """Standard deviation of the row noise; ``None`` if it is withheld."""
-        return self._of_lines(self.rows.rows)
-
-    @property
-    def sigma_column_dn(self) -> GivenFigure | None:
-        """Standard deviation of what columns have of their own; ``None`` if row noise is withheld."""
-        return self._of_lines(self.rows.columns)
-
-    def _of_lines(self, lines: LineNoise) -> GivenFigure | None:
-        return given(self.findings, "row noise", lines.sigma_dn, lines.sigma_error_dn, lines.sigma_dn)
+    tukey_lambda = TUKEY_LAMBDA
+    sigma_tl_dn = SIGMA_TL
+    sigma_gauss_dn = SIGMA_GAUSS
+    sigma_row_dn = SIGMA_ROW
+    sigma_column_dn = SIGMA_COLUMN
 
     @property
     def colour_bias(self) -> tuple[GivenFigure, ...] | None:
@@ -275,24 +262,11 @@ class IsoCalibration(IsoGain):
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure with its standard error as JSON types; ``None``: withheld, or not finite."""
-        read, bias, single = self.read, self.colour_bias, self.single_frame
-        ppcc = None if "read noise" in self.withheld else read
-        found = {
-            **IsoGain.as_dict(self),
-            "bias_frames": self.bias_frames,
-            **_with_error("tukey_lambda", self.tukey_lambda),
-            **_with_error("sigma_tl_dn", self.sigma_tl_dn),
-            **_with_error("sigma_gauss_dn", self.sigma_gauss_dn),
-            "ppcc_lambda": None if ppcc is None else ppcc.ppcc_lambda,
-            "ppcc_sigma_tl_dn": None if ppcc is None else ppcc.ppcc_sigma_tl_dn,
-            "r_squared_tl": read.r_squared_tl,
-            "r_squared_gauss": read.r_squared_gauss,
-            "single_frame_r_squared_tl": None if single is None else single.r_squared_tl,
-            "single_frame_r_squared_gauss": None if single is None else single.r_squared_gauss,
-            "read_chi2_per_dof": read.chi2_per_dof,
-            **_with_error("sigma_row_dn", self.sigma_row_dn),
-            "row_shapiro_p": self.rows.rows.shapiro_p,
-            **_with_error("sigma_column_dn", self.sigma_column_dn),
+        bias = self.colour_bias
+        found = {**IsoGain.as_dict(self), "bias_frames": self.bias_frames}
+        for figure in DARK_FIGURES.values():
+            found |= figure.as_dict(self)
+        found |= {
             "colour_bias_dn": None if bias is None else [channel.value for channel in bias],
             "colour_bias_error_dn": None if bias is None else [channel.error for channel in bias],
             "dsnu_dn": self.pattern.dsnu_dn,
@@ -322,13 +296,6 @@ def usual_gain_per_iso(isos: Iterable[IsoGain]) -> float:
     """Return the median of K / ISO, DN per electron at ISO 1; nan if no gain is known."""
     ratios = [one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None]
     return float(np.median(ratios)) if ratios else math.nan
-
-
-def _with_error(name: str, figure: GivenFigure | None) -> dict[str, float | None]:
-    """Return a figure and its error: ``sigma_tl_dn`` and ``sigma_tl_error_dn``."""
-    stem = name.removesuffix("_dn")
-    error = f"{stem}_error{name.removeprefix(stem)}"
-    return {name: None if figure is None else figure.value, error: None if figure is None else figure.error}
 
 
 def _plain(value: Any) -> Any:

@@ -14,69 +14,40 @@ import numpy as np
 from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.calibration.audit import Finding, with_accepted
-from eldata.calibration.bias_audit import BiasAudit, BiasStatistics
-from eldata.calibration.bias_checks import bias_findings
-from eldata.calibration.clipped_black import ClippedFit, clipped_fit
-from eldata.calibration.clipped_figures import (
-    clipped_bias,
-    clipped_findings,
-    clipped_plot,
-    clipped_read_noise,
-    unclipped_pattern,
-)
-from eldata.calibration.clipped_values import ClippedValues
-from eldata.calibration.colour_bias import ChannelMeans, colour_bias
-from eldata.calibration.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.flat_checks import edge_findings, flat_findings, saturation_findings
-from eldata.calibration.frame_checks import (
+from eldata.calibration.acceptance.reproduction import compared_piece, reproduction
+from eldata.calibration.audit.bias_checks import bias_findings
+from eldata.calibration.audit.bias_sums import BiasAudit, BiasStatistics
+from eldata.calibration.audit.flat_checks import edge_findings, flat_findings, saturation_findings
+from eldata.calibration.audit.frame_checks import (
     ADVISED_BIAS_FRAMES,
-    Copies,
     FrameFigures,
-    FramesError,
     PairLevels,
-    code_step,
-    missing_codes,
-    odd_bias_frames,
     unequal_pair,
     uneven_light,
-    unlike,
-    unlike_most,
-    unreadable,
 )
+from eldata.calibration.audit.frames import FrameReader, FramesError
+from eldata.calibration.audit.steps import BiasSeen, code_step, missing_codes
+from eldata.calibration.audit.structure import ResponsePattern, measured_structure
+from eldata.calibration.audit.telegraph import TelegraphGroups
+from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
+from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
+from eldata.calibration.core.findings import TRANSFER, with_accepted
+from eldata.calibration.core.photon_transfer import FlatPairs, PhotonTransfer, photon_transfer
+from eldata.calibration.core.single_frame import FlatFrames, single_frame_plot, spatial_photon_transfer
+from eldata.calibration.core.spectra import power_spectrum
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
-from eldata.calibration.photon_transfer import (
-    FlatFrames,
-    FlatPairs,
-    PhotonTransfer,
-    photon_transfer,
-    spatial_photon_transfer,
-)
-from eldata.calibration.read_noise import (
-    ResidualHistogram,
-    Residuals,
-    probability_plot,
-    read_noise,
-    read_noise_findings,
-)
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
-from eldata.calibration.reproduction import compared_piece, reproduction
-from eldata.calibration.response_pattern import ResponsePattern
-from eldata.calibration.row_noise import LineMeans, row_noise
-from eldata.calibration.single_frame import single_frame_plot
-from eldata.calibration.spectrum import power_spectrum
-from eldata.calibration.structure import measured_structure
-from eldata.calibration.telegraph import TelegraphGroups
-from eldata.errors import ArgumentError, DatasetError, RawFileError
+from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
-from eldata.raw.compression import lossy_compression
+from eldata.raw.sensor_facts import lossy_compression
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.frame_checks import IsoFrames
+    from eldata.calibration.audit.frames import IsoFrames
+    from eldata.calibration.core.findings import Finding
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, Sensor
 
@@ -93,15 +64,15 @@ def calibrate_iso(
     *,
     done: Callable[[], object] = lambda: None,
     structure: bool = False,
-) -> IsoCalibration:
-    """Measure the noise at one ISO.
+) -> IsoGain:
+    """Measure what there are frames for at one ISO: the noise, or of flats alone K, from the recorded black level.
 
     Parameters
     ----------
     frames
         Where the files are.
     chosen
-        The ISO's frames (:func:`~eldata.calibration.frame_checks.sorted_frames`).
+        The ISO's frames (:func:`~eldata.calibration.audit.frames.sorted_frames`).
     workers
         The threads that decode; the result does not depend on them. One frame more than that is in memory, besides
         the sums.
@@ -117,39 +88,8 @@ def calibrate_iso(
         cannot use them. Every problem found is in it. Flats without a line are not an error: K is withheld.
     """
     with _unusable(frames, chosen):
-        return _calibrated(_Reader(frames, workers, done), chosen, structure)
-
-
-def calibrate_flats(
-    frames: CalibrationFrames,
-    chosen: IsoFrames,
-    workers: Workers = IN_THIS_PROCESS,
-    *,
-    done: Callable[[], object] = lambda: None,
-) -> IsoGain:
-    """Measure K at an ISO that has flats alone: as :func:`calibrate_iso`, from the recorded black level.
-
-    Raises
-    ------
-    FramesError
-        If frames differ in size, CFA or levels, or cannot be read.
-    """
-    with _unusable(frames, chosen):
-        reader = _Reader(frames, workers, done)
-        of_flats = _flats(reader, chosen, None)
-        found = of_flats.on(
-            IsoGain(
-                iso=float(chosen.iso),
-                sensor=reader.sensor,
-                flat_frames=0,
-                transfer=None,
-                spatial=None,
-                remarks=("there are no bias frames, so K is all that is known",),
-                stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
-            )
-        )
-        of_copies = reader.copies.remarks
-        return replace(found, remarks=(*of_copies, *found.remarks, *of_flats.remarks, *transfer_remarks(found)))
+        reader = FrameReader(frames, workers, done)
+        return _calibrated(reader, chosen, structure) if chosen.bias or not chosen.pairs else _gain(reader, chosen)
 
 
 def bias_pattern(
@@ -167,7 +107,7 @@ def bias_pattern(
         As of :func:`calibrate_iso`.
     """
     with _unusable(frames, chosen):
-        reader = _Reader(frames, workers, done)
+        reader = FrameReader(frames, workers, done)
         fixed, _, _ = _first_pass(reader, chosen.bias, ())
         return reader.sensor, fixed
 
@@ -196,63 +136,12 @@ def _split(bias: Sequence[FrameRecord]) -> tuple[Sequence[FrameRecord], Sequence
     return (bias[:-1], bias[-1:]) if len(bias) >= HOLD_OUT_FROM else (bias, ())
 
 
-class _Reader:
-    """Decodes frames ahead, and leaves out those that are unlike the first one."""
-
-    def __init__(self, frames: CalibrationFrames, workers: Workers, done: Callable[[], object]) -> None:
-        self._frames, self.workers, self._done = frames, workers, done
-        self._sensor: Sensor | None = None
-        self._sensors: dict[FrameRecord, Sensor] = {}
-        self.problems: list[Problem] = []
-        self.copies = Copies()
-
-    def read(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
-        """Yield the frames that are like the first one; :meth:`refuse` says what is wrong with the others."""
-        decoded = self.workers.read_ahead(self._read, records)
-        for record in records:  # no zip: it holds on to the last frame while the next one is decoded
-            frame = next(decoded)
-            self._done()
-            if isinstance(frame, RawFileError):
-                self.problems.append(unreadable(record, frame))
-                continue
-            self._sensor = self._sensor or frame.sensor
-            self._sensors[record] = frame.sensor
-            if not unlike(record, frame.sensor, self._sensor, ""):
-                yield record, frame
-            del frame
-
-    def _read(self, record: FrameRecord) -> RawFrame | RawFileError:
-        try:
-            return self._frames.read(record)
-        except RawFileError as error:
-            return error
-
-    @property
-    def sensor(self) -> Sensor:
-        """The first frame's, which all frames must be like."""
-        if self._sensor is None:
-            raise DatasetError("no frame could be read")
-        return self._sensor
-
-    def lossy(self, records: Sequence[FrameRecord]) -> str | None:
-        """Return what loses data in the first of some files."""
-        return next((lossy_compression(self._frames.path(record)) for record in records[:1]), None)
-
-    def refuse(self) -> None:
-        """Raise what is wrong with the frames so far, if anything is."""
-        problems = [*self.problems, *unlike_most(self._sensors)]
-        if problems:
-            raise FramesError(sorted(problems, key=lambda problem: problem.path))
-
-
-def _calibrated(reader: _Reader, chosen: IsoFrames, structure: bool) -> IsoCalibration:
+def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoCalibration:
     recorded, estimated, held_out = _first_pass(reader, *_split(chosen.bias))
     sensor, is_clipped = reader.sensor, recorded.clips_at_black
-    values = ClippedValues(recorded) if is_clipped else Residuals(recorded)
-    lines, audit = LineMeans(recorded), BiasAudit(recorded)
-    means = ChannelMeans(sensor.cfa, defects=recorded.defects)
+    bias_sums, audit = BiasSums(recorded), BiasAudit(recorded)
     jumping = TelegraphGroups(recorded) if structure and not is_clipped else None
-    sums = [one for one in (values, audit, lines, means, jumping) if one is not None]
+    sums = [bias_sums, audit, *(() if jumping is None else (jumping,))]
     spectrum, single, gaps, step = None, None, 0.0, 1
     for _, frame in reader.read(estimated):
         if spectrum is None:
@@ -264,86 +153,87 @@ def _calibrated(reader: _Reader, chosen: IsoFrames, structure: bool) -> IsoCalib
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
-    of_first_frame = spectrum, single
-    if isinstance(values, ClippedValues):
-        shown: ClippedFit | ResidualHistogram = clipped_fit(values, lines, means)
-    else:
-        shown = values.histogram()
-    fixed = recorded if isinstance(shown, ResidualHistogram) else unclipped_pattern(recorded, shown)
+    fixed = bias_sums.fixed_pattern()
 
-    def from_bias_frames() -> tuple[IsoCalibration, BiasStatistics]:
-        bias, found = colour_bias(means, sensor.black_level_dn), audit.statistics()
-        if isinstance(shown, ResidualHistogram):
-            read, plot = read_noise(shown), probability_plot(shown)
-            of_clip: Iterator[Finding] = iter(())
-        else:
-            read, plot, bias = clipped_read_noise(shown), clipped_plot(shown), clipped_bias(shown, bias, recorded)
-            of_clip = clipped_findings(shown, read, bias)
-        dark = IsoCalibration(
-            iso=float(chosen.iso),
-            sensor=sensor,
-            bias_frames=len(estimated),
-            flat_frames=0,
-            transfer=None,
-            spatial=None,
-            bias=bias,
-            rows=row_noise(lines, read.response),
-            read=read,
-            plot=plot,
-            pattern=fixed.summary,
-            spectrum_dn2=of_first_frame[0],
-            single_frame=of_first_frame[1],
-            reproduction=None,
-            remarks=(),
-            findings=(*of_clip, *read_noise_findings(read, bias, fixed.summary)),
-            stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
-        )
-        return dark, found
+    def from_bias_frames() -> tuple[BiasFigures, BiasStatistics]:
+        return bias_sums.figures(sensor.black_level_dn), audit.statistics()
 
     # The flats decode while the bias frames' figures are worked out.
     if reader.workers.jobs > 1:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(from_bias_frames)
             of_flats = _flats(reader, chosen, fixed, structure)
-            dark, seen = waiting.result()
+            found, seen = waiting.result()
     else:
-        dark, seen = from_bias_frames()
+        found, seen = from_bias_frames()
         of_flats = _flats(reader, chosen, fixed, structure)
-    # Dark current is told by K, which the flats tell.
-    of_audit = bias_findings(
-        seen,
-        dark.bias,
-        dark.rows,
-        dark.read,
-        step=step,
-        gaps=gaps,
-        is_clipped=is_clipped,
-        gain_dn_per_e=of_flats.on(dark).gain_dn_per_e,
+    dark = IsoCalibration(
+        iso=float(chosen.iso),
+        sensor=sensor,
+        bias_frames=len(estimated),
+        flat_frames=0,
+        transfer=None,
+        spatial=None,
+        bias=found.bias,
+        rows=found.rows,
+        read=found.read,
+        plot=found.plot,
+        pattern=fixed.summary,
+        spectrum_dn2=spectrum,
+        single_frame=single,
+        reproduction=None,
+        remarks=(),
+        findings=found.findings,
+        stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
     )
+    # Dark current is told by K, which the flats tell.
+    gain = of_flats.on(dark).gain_dn_per_e
+    of_audit = bias_findings(BiasSeen(seen, dark.bias, dark.rows, dark.read, step, gaps, is_clipped, gain))
     of_bias = with_accepted((*dark.findings, *of_audit), chosen.accept)
     if structure:
-        jumps = (jumping, shown) if jumping is not None and isinstance(shown, ResidualHistogram) else None
+        jumps = None if jumping is None or found.residuals is None else (jumping, found.residuals)
         dark = replace(dark, structure=measured_structure(dark.rows, of_bias, dark.read, jumps))
-    found = of_flats.on(replace(dark, findings=of_bias))
-    if held_out is not None and found.parameters is not None:
+    whole = of_flats.on(replace(dark, findings=of_bias))
+    if held_out is not None and whole.parameters is not None:
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
-        compared = reproduction(held_out, fixed, sensor, found.parameters, generator)
-        found = replace(found, reproduction=compared)
-    lossy = reader.lossy(estimated) or reader.lossy([pair.first for pair in chosen.pairs])
-    remarks = (*reader.copies.remarks, *bias_remarks(found, chosen, lossy))
-    return replace(found, remarks=(*remarks, *of_flats.remarks, *transfer_remarks(found)))
+        compared = reproduction(held_out, fixed, sensor, whole.parameters, generator)
+        whole = replace(whole, reproduction=compared)
+    lossy = _lossy(reader, estimated) or _lossy(reader, [pair.first for pair in chosen.pairs])
+    remarks = (*reader.copies.remarks, *bias_remarks(whole, chosen, lossy))
+    return replace(whole, remarks=(*remarks, *of_flats.remarks, *transfer_remarks(whole)))
+
+
+def _lossy(reader: FrameReader, records: Sequence[FrameRecord]) -> str | None:
+    """Return what loses data in the first of some files."""
+    return next((lossy_compression(reader.frames.path(record)) for record in records[:1]), None)
+
+
+def _gain(reader: FrameReader, chosen: IsoFrames) -> IsoGain:
+    of_flats = _flats(reader, chosen, None)
+    found = of_flats.on(
+        IsoGain(
+            iso=float(chosen.iso),
+            sensor=reader.sensor,
+            flat_frames=0,
+            transfer=None,
+            spatial=None,
+            remarks=("there are no bias frames, so K is all that is known",),
+            stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
+        )
+    )
+    return replace(found, remarks=(*reader.copies.remarks, *found.remarks, *of_flats.remarks, *transfer_remarks(found)))
 
 
 def _first_pass(
-    reader: _Reader, estimated: Sequence[FrameRecord], held_out: Sequence[FrameRecord]
+    reader: FrameReader, estimated: Sequence[FrameRecord], held_out: Sequence[FrameRecord]
 ) -> tuple[FixedPattern, Sequence[FrameRecord], NDArray[np.uint16] | None]:
     """Return what stays from frame to frame, of which frames, and what is compared of the frame that is kept out."""
     if len(estimated) < MINIMUM_FRAMES:
         raise _too_few(len(estimated))
-    stack, kept, figures, used = None, None, [], []
+    stack, kept, used = None, None, []
     for record, frame in reader.read((*estimated, *held_out)):
-        figures.append(FrameFigures.of(record, frame.mosaic))
+        reader.figures.append(FrameFigures.of(record, frame.mosaic))
         stack = stack or BiasStack(frame.sensor.cfa)
         is_copy = reader.copies.original(record, frame.mosaic) is not None
         if record in held_out and not is_copy:
@@ -352,7 +242,6 @@ def _first_pass(
             stack.add(frame.mosaic)
             used.append(record)
         del frame  # before the next one is decoded
-    reader.problems += odd_bias_frames(figures)
     reader.refuse()
     if stack is None:
         raise DatasetError("no bias frame could be read")
@@ -393,7 +282,7 @@ class _FromFlats:
         return replace(found, structure=replace(found.structure, prnu=prnu, prnu_error=error))
 
 
-def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None, structure: bool = False) -> _FromFlats:
+def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None, structure: bool = False) -> _FromFlats:
     """Read the flats; without bias frames, black is what the files record and no pixel is a defect."""
     if not chosen.pairs:
         return _FromFlats(None, None, () if chosen.stated_gain_dn_per_e is not None else (no_pairs(chosen),))
@@ -443,10 +332,10 @@ def _flats(reader: _Reader, chosen: IsoFrames, fixed: FixedPattern | None, struc
 
 def _no_line(why: str) -> Finding:
     """Return that there is no photon transfer line; the read noise is measured all the same."""
-    return Finding("photon transfer", ("gain",), "withheld", math.nan, math.nan, why)
+    return TRANSFER.seen(math.nan, math.nan, why).of("withheld", TRANSFER.figures)
 
 
-def _pairs(reader: _Reader, pairs: Sequence[FlatPair]) -> Iterator[tuple[FlatPair, RawFrame, RawFrame]]:
+def _pairs(reader: FrameReader, pairs: Sequence[FlatPair]) -> Iterator[tuple[FlatPair, RawFrame, RawFrame]]:
     """Yield the pairs of which both frames can be used; the reader names the others.
 
     The difference of a frame and its copy holds no noise: a pair with a copy is left out.

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.bias_checks import GAPS
-from eldata.calibration.frame_checks import ADVISED_BIAS_FRAMES
+from eldata.calibration.audit.frame_checks import ADVISED_BIAS_FRAMES
+from eldata.calibration.audit.steps import GAPS
 from eldata.calibration.iso_results import usual_gain_per_iso
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.frame_checks import IsoFrames
+    from eldata.calibration.audit.frames import IsoFrames
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
 
 _LONGEST_BIAS_S = 1 / 250

@@ -9,15 +9,18 @@ from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
 from eldata.base.tables import text_table, with_error
 from eldata.base.visible import in_line
-from eldata.calibration.audit import named
+from eldata.calibration.core.figures import COLUMNS, GAIN, SCALES, SIGMA_GAUSS, SIGMA_ROW, SIGMA_TL
+from eldata.calibration.core.findings import named
+from eldata.calibration.drawing import calibration_figure, scale_panels
 from eldata.calibration.iso_results import usual_gain_per_iso
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
-    from eldata.calibration.audit import GivenFigure
+    from eldata.calibration.core.figures import DarkFigure
+    from eldata.calibration.core.findings import GivenFigure
+    from eldata.calibration.drawing import ScalePanel
     from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
     from eldata.calibration.joint import FittedMode, LogLogEstimate
-    from eldata.calibration.panels import ScalePanel
     from eldata.manifest.verify_report import Problem
     from eldata.noise.profile import CameraProfile
     from eldata.plots.axes import Drawing
@@ -65,17 +68,20 @@ class Calibration:
 
         With too few ISOs, the profile says in a note what it holds instead.
         """
-        return self.modes[0].tukey_lambda_fit if len(self.modes) == 1 else None
+        return self._fit(SIGMA_TL)
 
     @property
     def gauss_fit(self) -> LogLogEstimate | None:
         """The line of sigma_G over K; ``None`` as for ``tukey_lambda_fit``."""
-        return self.modes[0].gauss_fit if len(self.modes) == 1 else None
+        return self._fit(SIGMA_GAUSS)
 
     @property
     def row_fit(self) -> LogLogEstimate | None:
         """The line of sigma_row over K; ``None`` as for ``tukey_lambda_fit``."""
-        return self.modes[0].row_fit if len(self.modes) == 1 else None
+        return self._fit(SIGMA_ROW)
+
+    def _fit(self, figure: DarkFigure) -> LogLogEstimate | None:
+        return self.modes[0].estimate(figure) if len(self.modes) == 1 else None
 
     @property
     def all_isos(self) -> tuple[IsoGain, ...]:
@@ -113,29 +119,7 @@ class Calibration:
     @property
     def scale_panels(self) -> tuple[ScalePanel, ...]:
         """The scales over K that can be drawn: of the read noise by either model, and of the row noise."""
-        from eldata.calibration.panels import scale_panel
-
-        found = (
-            scale_panel(
-                "TL",
-                "read noise",
-                [(one, one.tukey_lambda_fit) for one in self.modes],
-                [(one.gain_dn_per_e, one.sigma_tl_dn) for one in self.isos],
-            ),
-            scale_panel(
-                "G",
-                "read noise",
-                [(one, one.gauss_fit) for one in self.modes],
-                [(one.gain_dn_per_e, one.sigma_gauss_dn) for one in self.isos],
-            ),
-            scale_panel(
-                "row",
-                "row noise",
-                [(one, one.row_fit) for one in self.modes],
-                [(one.gain_dn_per_e, one.sigma_row_dn) for one in self.isos],
-            ),
-        )
-        return tuple(panel for panel in found if panel is not None)
+        return scale_panels(self.modes, self.isos)
 
     def plot(self, iso: float | None = None) -> Drawing:
         """Draw photon transfer at one ISO, K over the ISO, and the scales of the noise over K.
@@ -155,11 +139,7 @@ class Calibration:
         ArgumentError
             If there is no photon transfer at the ISO, or nothing to draw at all.
         """
-        from eldata.calibration.drawing import calibration_figure
-
-        transfers = {one.iso: (one.channels, one.transfer) for one in self.all_isos if one.transfer is not None}
-        gains = [(one.iso, one.gain.value, one.gain.error) for one in self.all_isos if one.gain is not None]
-        return calibration_figure(self.camera, transfers, iso, gains, self.usual_gain_per_iso, self.scale_panels)
+        return calibration_figure(self.camera, self.all_isos, self.scale_panels, iso)
 
     def __repr__(self) -> str:
         isos = ", ".join(f"{one.iso:g}" for one in self.all_isos)
@@ -212,30 +192,22 @@ class Calibration:
 
         ``9 + 1`` bias frames: nine were used, one was kept out to hold the result against.
         """
-        header = (
-            *("ISO", "bias", "flat", "K [DN/e-]", "lambda", "sigma_TL [DN]", "sigma_G [DN]", "sigma_row [DN]"),
-            *("R2 TL", "R2 G", "defects"),
-        )
-        rows: list[tuple[str, ...]] = []
-        for one in self.isos:
-            figures = (one.tukey_lambda, one.sigma_tl_dn, one.sigma_gauss_dn, one.sigma_row_dn)
-            rows.append(
-                (
-                    f"{one.iso:g}",
-                    str(one.bias_frames) + (" + 1" if one.reproduction is not None else ""),
-                    str(one.flat_frames),
-                    one.gain_text,
-                    *map(_cell, figures),
-                    f"{one.read.r_squared_tl:.5f}",
-                    f"{one.read.r_squared_gauss:.5f}",
-                    str(one.pattern.defects),
-                )
+        header = ("ISO", "bias", "flat", GAIN.heading, *(figure.heading for figure in COLUMNS), "defects")
+        return header, [
+            (
+                f"{one.iso:g}",
+                str(one.bias_frames) + (" + 1" if one.reproduction is not None else ""),
+                str(one.flat_frames),
+                one.gain_text,
+                *(figure.cell(one) for figure in COLUMNS),
+                str(one.pattern.defects),
             )
-        return header, rows
+            for one in self.isos
+        ]
 
     def gain_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Return header and rows of K at the ISOs that have flats alone."""
-        return ("ISO", "flat", "K [DN/e-]"), [
+        return ("ISO", "flat", GAIN.heading), [
             (f"{one.iso:g}", str(one.flat_frames), one.gain_text) for one in self.gains
         ]
 
@@ -253,32 +225,24 @@ class Calibration:
 
     def structure_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Return header and rows of what the noise of pixels has in common, where it was asked for."""
-        from eldata.calibration.structure import HEADER
+        from eldata.calibration.audit.structure import HEADER
 
         rows = [(f"{one.iso:g}", *one.structure.cells()) for one in self.isos if one.structure is not None]
         return ("ISO", *HEADER), rows
 
     def fit_table(self) -> list[tuple[str, ...]]:
         """Return the rows of the joint fits that could be made, those of each gain mode after another."""
-        named = [
-            (f"{name}, {one.mode}" if len(self.modes) > 1 else name, estimate)
-            for one in self.modes
-            for name, estimate in (
-                ("sigma_TL", one.tukey_lambda_fit),
-                ("sigma_G", one.gauss_fit),
-                ("sigma_row", one.row_fit),
-            )
-        ]
         return [
             (
-                name,
+                f"{figure.label}, {one.mode}" if len(self.modes) > 1 else figure.label,
                 with_error(estimate.fit.slope, estimate.slope_error),
                 with_error(estimate.fit.intercept, estimate.intercept_error),
                 with_error(estimate.fit.sigma, estimate.sigma_error),
                 f"{estimate.r_squared:.4f}",
             )
-            for name, estimate in named
-            if estimate is not None
+            for one in self.modes
+            for figure in SCALES
+            if (estimate := one.estimate(figure)) is not None
         ]
 
     def reproduction_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
@@ -310,11 +274,7 @@ class Calibration:
         """
         from dataclasses import asdict
 
-        fits = {
-            "tukey_lambda_fit": self.tukey_lambda_fit,
-            "gauss_fit": self.gauss_fit,
-            "row_fit": self.row_fit,
-        }
+        fits = {figure.fit: self._fit(figure) for figure in SCALES}
         return {
             "camera": self.camera,
             "isos": [one.as_dict() for one in self.isos],

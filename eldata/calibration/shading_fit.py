@@ -12,7 +12,7 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.numbers import counted
 from eldata.base.workers import Workers
-from eldata.calibration.frame_checks import FramesError, sorted_frames
+from eldata.calibration.audit.frames import FramesError, sorted_frames
 from eldata.calibration.one_iso import bias_pattern
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.dark_shading import DarkShading
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.workers import AnyWorkers
-    from eldata.calibration.defects import FixedPattern
+    from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
     from eldata.datasets.calibration_frames import CalibrationFrames

@@ -43,7 +43,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_another_camera(parser, "frames of cameras that have none of their own")
     kept = "{out} keeps the finished predictions, and the same command goes on"
-    add_shared(parser, run, "workers", "isolation", interrupted=kept, example=_EXAMPLE)
+    add_shared(parser, run, "workers", interrupted=kept, example=_EXAMPLE)
 
 
 def add_another_camera(parser: argparse.ArgumentParser, what: str) -> None:

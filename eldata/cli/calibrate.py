@@ -7,9 +7,8 @@ from argparse import ArgumentTypeError
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of, whole_number
-from eldata.base.fields import number_of, whole_of
 from eldata.base.files import write_json
-from eldata.base.numbers import counted
+from eldata.base.numbers import counted, number_of, whole_of
 from eldata.base.outputs import PROFILE, FileKind, add_output, json_kind, page_kind
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError
@@ -115,7 +114,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "isos",
         "root",
         "workers",
-        "isolation",
         json=json_kind("camera isos gains", "camera problems"),
         example="eldata calibrate data/calibration --camera MyCamera -o mycamera.json --html report.html",
     )
@@ -137,8 +135,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from eldata.base.files import write_text
+    from eldata.calibration.audit.frames import FramesError
     from eldata.calibration.camera import calibrate, stated_gains
-    from eldata.calibration.frame_checks import FramesError
     from eldata.calibration.shading_fit import dark_shading
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.manifest.catalogue import load_manifest
@@ -208,7 +206,7 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"    {note}")
 
     def write_page() -> None:
-        from eldata.reports.calibration.page import calibration_page
+        from eldata.reports.calibration import calibration_page
 
         write_text(arguments.html, calibration_page(found))
         print(f"\nreport: {arguments.html}")

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import argparse
 
     from eldata.evaluation.comparison import Comparison
+    from eldata.evaluation.looking import ScoredImage
     from eldata.evaluation.results import EvaluationResult
-    from eldata.evaluation.seen_methods import MethodsImage
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -88,7 +88,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from eldata.evaluation.comparison import Method, compare
-    from eldata.evaluation.comparison_tables import format_comparison
+    from eldata.evaluation.comparison.tables import format_comparison
 
     if arguments.pictures and not arguments.html:
         raise ArgumentError("--pictures are of a page: say where to write it with --html FILE")
@@ -109,7 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     def write_page() -> None:
         from eldata.base.workers import Workers
-        from eldata.reports.compare.page import write_comparison_page
+        from eldata.reports.comparison import write_comparison_page
 
         write_comparison_page(
             comparison,
@@ -127,21 +127,21 @@ def run(arguments: argparse.Namespace) -> int:
     return OK
 
 
-def _images(comparison: Comparison, arguments: argparse.Namespace) -> tuple[MethodsImage, ...]:
+def _images(comparison: Comparison, arguments: argparse.Namespace) -> tuple[ScoredImage, ...]:
     """Return what to decode for the pictures, from what the results state of their data."""
+    from eldata.evaluation.looking import images_of
     from eldata.evaluation.reproduction import stated_predictions, units_again
-    from eldata.evaluation.seen_methods import images_of
 
-    results = [method.result for method in comparison.methods]
     named: list[Path | None] = [Path(name) for name in arguments.predictions]
-    folders = named or [stated_predictions(result) for result in results]
+    folders = named or [stated_predictions(result) for result in comparison.results]
     folder, units = units_again(
-        results[0],
+        comparison.results[0],
         manifest=arguments.manifest and Path(arguments.manifest),
         root=arguments.root and Path(arguments.root),
     )
     return images_of(
-        comparison,
+        comparison.results,
+        comparison.images,
         dataset_folder=folder,
         predictions=folders,
         dark_shading=arguments.dark_shading and Path(arguments.dark_shading).absolute(),

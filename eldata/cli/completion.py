@@ -21,7 +21,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from eldata.cli.main import parser
     from eldata.manifest.catalogue import carded_names, known_names, shipped_card
-    from eldata.noise.profile import shipped_profiles
+    from eldata.noise.profile_files import shipped_profiles
     from eldata.protocols.named import FAMILIES, PROTOCOLS
 
     protocols = (*PROTOCOLS, *FAMILIES)

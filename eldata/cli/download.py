@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from eldata.download.installing import Installed
     from eldata.download.overview import Overview, Presence
     from eldata.manifest.card import Download
+    from eldata.manifest.catalogue import Manifest
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -85,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     elif not presence_of(found.folder, wanted).complete:
         print(_terms(found, parts or downloads))
         if arguments.yes:
-            installed = _fetch(found, parts)
+            installed = _fetch(manifest, found.root, parts)
     for one in installed:
         print(one.format_text())
     presence = presence_of(found.folder, wanted)
@@ -105,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _terms(found: Overview, downloads: Sequence[Download]) -> str:
     from eldata.download.overview import format_downloads
 
-    card = found.manifest.card
+    card = found.card
     lines = [
         f"{card.name}: {card.title}",
         f"    licence: {card.licence}",
@@ -122,7 +123,7 @@ def _terms(found: Overview, downloads: Sequence[Download]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _fetch(found: Overview, parts: Sequence[Download]) -> list[Installed]:
+def _fetch(manifest: Manifest, root: Path, parts: Sequence[Download]) -> list[Installed]:
     from eldata.download.fetching import Fetcher
     from eldata.download.installing import fetch_dataset
     from eldata.download.overview import presence_of
@@ -130,14 +131,14 @@ def _fetch(found: Overview, parts: Sequence[Download]) -> list[Installed]:
     fetcher = Fetcher()
     installed = []
     for part in parts:
-        listed = [record for record in found.manifest.records if part.holds(record.path)]
-        if not presence_of(found.folder, listed).complete:
-            installed.append(fetch_dataset(part, found.manifest, found.root, fetcher))
+        listed = [record for record in manifest.records if part.holds(record.path)]
+        if not presence_of(manifest.folder(root), listed).complete:
+            installed.append(fetch_dataset(part, manifest, root, fetcher))
     return installed
 
 
 def _conclusion(found: Overview, presence: Presence, differing: int) -> str:
-    name = found.manifest.name
+    name = found.card.name
     counted = "rows have files" if presence.patterns else "files are"
     if not presence.complete:
         unfinished = ", and an unpacking ended early: run it again" if presence.unfinished else ""

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
+    from eldata.metrics.registry import OF_FRAMES, ST_RRED
     from eldata.protocols.named import FAMILIES, PROTOCOLS
 
     parser = commands.add_parser(
@@ -44,7 +45,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "png (16 bit), dng: packed (C, h, w) or mosaic (H, W), float in [0, 1] or uint16 with 65535 = 1.0 (dng: "
             "raw DN). Under a protocol of sRGB it is a rendering: an RGB PNG of 8 or 16 bits. Of clips (drv) it is "
             "PREDS/CLIP/FRAME.EXT for five frames of each. Several folders are scored in one pass, each raw file "
-            "decoded once, and held against the first."
+            "decoded once, and held against the first. "
+            f"Scored are {', '.join(one.heading for one in OF_FRAMES.values())}, and {ST_RRED.heading} of clips."
         ),
     )
     source = parser.add_mutually_exclusive_group(required=True)
@@ -182,7 +184,7 @@ def run(arguments: argparse.Namespace) -> int:
     result = combined if request.every else combined.results[0]
 
     def write_page() -> None:
-        from eldata.reports.evaluation.page import write_evaluation_page
+        from eldata.reports.evaluation import write_evaluation_page
 
         write_evaluation_page(
             combined.results,
@@ -204,9 +206,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run_several(arguments: argparse.Namespace) -> int:
     """Score several folders, or one whose results go to a folder."""
-    from eldata.evaluation.comparison_tables import format_comparison
+    from eldata.evaluation.comparison.folders import (
+        COMPARISON,
+        ScoredMethods,
+        named_folders,
+        requests_of,
+        results_folder,
+    )
+    from eldata.evaluation.comparison.tables import format_comparison
     from eldata.evaluation.evaluate import perform_each
-    from eldata.evaluation.methods import COMPARISON, ScoredMethods, named_folders, requests_of, results_folder
     from eldata.evaluation.request import EvaluationOptions
 
     if arguments.baseline is not None:
@@ -242,7 +250,7 @@ def _run_several(arguments: argparse.Namespace) -> int:
             print(f"eldata evaluate: {methods.why_not}", file=sys.stderr)
 
     def write_page() -> None:
-        from eldata.reports.compare.page import write_comparison_page
+        from eldata.reports.comparison import write_comparison_page
 
         if comparison is not None and out is not None:
             write_comparison_page(comparison, out / f"{COMPARISON}.html")
@@ -271,7 +279,7 @@ def _with_pictures(comparison: Comparison, arguments: argparse.Namespace) -> str
 
 
 def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, arguments: argparse.Namespace) -> None:
-    from eldata.evaluation.results import problem_lines
+    from eldata.evaluation.scores import problem_lines
 
     form: Format = arguments.format if result.scored else "text"
     if form != "text":
@@ -279,7 +287,7 @@ def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, a
             print(f"eldata evaluate: {line}", file=sys.stderr)
     print(result.format(form))
     if arguments.compare and result.scored:
-        from eldata.evaluation.published_comparison import comparison_table
+        from eldata.evaluation.published.comparison import comparison_table
 
         for one, *others in combined.groups:
             print(f"\n{comparison_table(one)}")

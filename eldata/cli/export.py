@@ -57,7 +57,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "root",
         "cameras",
         "workers",
-        "isolation",
         interrupted=kept,
         example=(
             "eldata export led datasets/ELD --dataset eld --root data --camera SonyA7S2",

@@ -35,7 +35,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "root",
         "cameras",
         "workers",
-        "isolation",
         json="files_locked problems",
         example="eldata lock eld --root data",
     )

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of, whole_number
+from eldata.base.console import OK, PROBLEMS, add_examples, add_shared, chosen_workers, each_of, whole_number
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.outputs import add_output, page_kind
-from eldata.base.parsing import add_examples
 from eldata.cli.baseline import add_another_camera
 
 if TYPE_CHECKING:
@@ -74,7 +73,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         run_check,
         "isos",
         "workers",
-        "isolation",
         json="camera isos limit_standard_errors model",
         example="eldata noise check mycamera.json --frames data/held-out --camera MyCamera --html check.html",
     )
@@ -138,8 +136,8 @@ def run_check(arguments: argparse.Namespace) -> int:
     """Judge one model."""
     from eldata.base.files import write_text
     from eldata.base.tables import one_line
-    from eldata.calibration.acceptance import check_noise
-    from eldata.calibration.frame_checks import FramesError
+    from eldata.calibration.acceptance.comparison import check_noise
+    from eldata.calibration.audit.frames import FramesError
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.datasets.dark_frames import DarkFrames
     from eldata.noise.dark_shading import DarkShading
@@ -173,7 +171,7 @@ def run_check(arguments: argparse.Namespace) -> int:
         print(f"{one_line(profile.camera)}: {found.model} against {one_line(found.camera)}\n\n{found.format_text()}")
 
     def write_page() -> None:
-        from eldata.reports.acceptance.page import acceptance_page
+        from eldata.reports.acceptance import acceptance_page
 
         write_text(arguments.html, acceptance_page(found))
         print(f"\nreport: {arguments.html}")

@@ -53,7 +53,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         parser,
         run,
         "workers",
-        "isolation",
         interrupted=kept,
         example=("eldata pack sid-sony --split train -o sid-train.h5", "eldata pack data/SID/Sony/long -o clean.h5"),
     )

@@ -5,10 +5,9 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, each_of, whole_number
+from eldata.base.console import OK, PROBLEMS, add_examples, add_shared, each_of, whole_number
 from eldata.base.files import write_json
 from eldata.base.outputs import PROFILE, FileKind, add_output, page_kind
-from eldata.base.parsing import add_examples
 
 if TYPE_CHECKING:
     import argparse
@@ -105,8 +104,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run_show(arguments: argparse.Namespace) -> int:
     """Show and test one profile."""
     from eldata.base.tables import one_line, text_table
-    from eldata.noise.diagnostics import diagnose, sample_parameters
-    from eldata.noise.findings import parameter_rows
+    from eldata.calibration.acceptance.theory import diagnose, sample_parameters
+    from eldata.calibration.acceptance.verdicts import parameter_rows
     from eldata.noise.profile import CameraProfile
 
     profile = CameraProfile.load(arguments.camera)
@@ -146,7 +145,7 @@ def run_show(arguments: argparse.Namespace) -> int:
 
     def write_page() -> None:
         from eldata.base.files import write_text
-        from eldata.reports.profile.page import profile_page
+        from eldata.reports.profile import profile_page
 
         write_text(arguments.html, profile_page(diagnostics))
 
@@ -160,7 +159,7 @@ def run_show(arguments: argparse.Namespace) -> int:
 
 def run_estimate(arguments: argparse.Namespace) -> int:
     """Estimate a profile from one photograph."""
-    from eldata.calibration.one_image import estimate_profile
+    from eldata.calibration.one_photograph.estimate import estimate_profile
 
     found = estimate_profile(arguments.image, source=arguments.source)
 
@@ -212,7 +211,8 @@ def run_import(arguments: argparse.Namespace) -> int:
 def run_list(arguments: argparse.Namespace) -> int:
     """List the shipped profiles."""
     from eldata.base.tables import text_table
-    from eldata.noise.profile import CameraProfile, shipped_profiles
+    from eldata.noise.profile import CameraProfile
+    from eldata.noise.profile_files import shipped_profiles
 
     profiles = {name: CameraProfile.load(name) for name in shipped_profiles()}
     rows = []

@@ -70,8 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:
     from eldata.errors import ArgumentError, did_you_mean
     from eldata.manifest.catalogue import known_names
-    from eldata.protocols.choosing import get_protocol, members_of, of_digest
-    from eldata.protocols.named import FAMILIES, PROTOCOLS
+    from eldata.protocols.named import FAMILIES, PROTOCOLS, get_protocol, members_of, of_digest
     from eldata.protocols.protocol import ANY_DATASET
 
     found: list[Protocol] = []

@@ -40,7 +40,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         run,
         "root",
         "workers",
-        "isolation",
         json=_KIND,
         example=(
             "eldata reproduce results/ours.json --root data",

@@ -56,7 +56,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         parser,
         run,
         "workers",
-        "isolation",
         interrupted=kept,
         example="eldata synthesize data/SID/Sony/long -o noisy --camera SonyA7S2 --ratio 100:300 --seed 1",
     )

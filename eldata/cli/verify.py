@@ -51,7 +51,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         parser,
         run,
         "workers",
-        "isolation",
         json=json_kind("level ok datasets", "shards problems"),
         example=(
             "eldata verify",

@@ -14,9 +14,6 @@ from .dark_frames import DarkFrames as DarkFrames
 from .dn_batches import DnPairs as DnPairs
 from .dn_batches import normalise_batch as normalise_batch
 from .drv import DRVDataset as DRVDataset
-from .drv import DRVDynamicDataset as DRVDynamicDataset
-from .drv import DRVRawDataset as DRVRawDataset
-from .drv import DRVRawDynamicDataset as DRVRawDynamicDataset
 from .eld import ELDDataset as ELDDataset
 from .loading import describe as describe
 from .loading import evaluation_loader as evaluation_loader
@@ -24,9 +21,8 @@ from .loading import set_epoch as set_epoch
 from .loading import training_loader as training_loader
 from .lrd import LRDDataset as LRDDataset
 from .noise2noise import Noise2Noise as Noise2Noise
-from .packed_clips import PackedClips as PackedClips
-from .packed_clips import PackedUnpairedClips as PackedUnpairedClips
-from .packed_store import PackedStore as PackedStore
+from .packed import PackedClips as PackedClips
+from .packed import PackedStore as PackedStore
 from .ranks import Rank as Rank
 from .registry import dataset_class as dataset_class
 from .registry import dataset_names as dataset_names
@@ -39,5 +35,5 @@ from .rgb import raw2rgb as raw2rgb
 from .rgb import rgb2rgb as rgb2rgb
 from .sid import SIDDataset as SIDDataset
 from .streamed_pairs import StreamedPairs as StreamedPairs
+from .synthetic import SyntheticClips as SyntheticClips
 from .synthetic import SyntheticPairs as SyntheticPairs
-from .synthetic_clips import SyntheticClips as SyntheticClips

@@ -6,8 +6,11 @@ running, and a worker reads its first crop half a second sooner.
 
 import numpy as np
 
-import eldata.datasets.packed_store  # torch and h5py with it
+import eldata.datasets.packed  # torch and h5py with it
 import eldata.raw.reading  # noqa: F401 # to be there in each worker
-from eldata.raw.cfa import pack_normalised
+from eldata.raw.levels import pack_normalised
 
-pack_normalised(np.zeros((2, 2), np.uint16), ((0, 1), (3, 2)), (0.0, 0.0, 0.0, 0.0), 1.0)
+of_memory, of_a_map = np.zeros((2, 2), np.uint16), np.zeros((2, 2), np.uint16)
+of_a_map.flags.writeable = False
+for mosaic in (of_memory, of_a_map):
+    pack_normalised(mosaic, ((0, 1), (3, 2)), (0.0, 0.0, 0.0, 0.0), 1.0)

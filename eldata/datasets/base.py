@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, get_args
 
 import numpy as np
 
+from eldata.base.arguments import spell_keywords
 from eldata.base.files import file_problem, inside
 from eldata.base.npy import NpyError, read_npy
 from eldata.base.tables import frame_of
@@ -18,11 +20,10 @@ from eldata.datasets.items import CroppedItems, Cropping, Part, ReadItems
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import Manifest, data_root, known_manifest, known_names, load_manifest
 from eldata.manifest.pairs import Choice, select_pairs
-from eldata.protocols.choosing import default_protocol
+from eldata.protocols.named import default_protocol
 from eldata.raw.cfa import packed_area, packed_shape, unpack
 from eldata.records import Exposure, Records
-from eldata.sources.frames import Files, Frame
-from eldata.sources.pairs import checked_ratio, stated_ratio
+from eldata.sources.frames import Files, Frame, checked_ratio, stated_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -215,8 +216,10 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
 
     def _check_pairs(self) -> None:
         """Refuse what is not a pair: a source that reads parts knows all but the pixels. One of each kind is opened."""
-        kind_of = getattr(self.source, "kind_of", lambda path: path)
         kinds = set()
+        numbers: dict[object, int] = {}
+        # Of a reference once; by number, for to look at the hash of fractions takes longer than all else here.
+        kind_of = cache(lambda path: numbers.setdefault(_kind_of(self.source.frame(path)), len(numbers)))
         for record in self.records:
             own = record.camera, record.ratio, record.flags, record.measured_ratio
             kind = kind_of(record.reference), kind_of(record.path), own
@@ -327,9 +330,10 @@ class PairDataset(SourcePairs):
     -----
     Frames of different cameras differ in size: with more than one camera use ``batch_size=1``, or crops. The files are
     decoded again on each access, in DataLoader workers under fork as under spawn: random crops are read far faster from
-    a store (:class:`~eldata.datasets.packed_store.PackedStore`).
+    a store (:class:`~eldata.datasets.packed.PackedStore`).
     """
 
+    @spell_keywords(PairOptions)
     def __init__(self, root: Path | str | None, manifest: Path | str, **options: Unpack[PairOptions]) -> None:
         choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
         loaded = _manifest(manifest)
@@ -382,13 +386,19 @@ def _manifest(manifest: Path | str) -> Manifest:
     return load_manifest(manifest)
 
 
+def _kind_of(frame: Frame) -> tuple[object, ...]:
+    """Return what decides with which others a frame makes a pair: all but its colours."""
+    exposure = frame.exposure
+    return frame.shape, frame.cfa, frame.black_level_dn, frame.white_level_dn, exposure.iso, exposure.exposure_s
+
+
 def _packed_noisy(path: Path, record: PairRecord, target: Frame) -> Frame:
     """Read a packed, amplified noisy frame, as a mosaic like its reference's."""
     shape = packed_shape(target.shape, target.cfa)
 
     def check(header: NpyHeader) -> None:
         if header.shape != shape or header.dtype != np.float32:
-            found = f"{header.dtype or header.descr} {header.shape}"
+            found = f"{header.kind} {header.shape}"
             raise DatasetError(f"{path}: expected float32 {shape} like its reference, found {found}")
 
     problem = file_problem(path)

@@ -64,17 +64,15 @@ def threads_here() -> int | None:
     return None if get_worker_info() is None else 1
 
 
-def reading_threads(samples: int, values: int, *, decodes_long: bool = False) -> int | None:
+def reading_threads(samples: int, values: int) -> int:
     """Return how many threads read some samples of a store, as :func:`eldata.base.compiled.in_threads` takes them.
 
-    zstd decodes for long without Python's lock. The rest is read so soon that more threads wait for that lock: measured
-    on four cores, one is the fastest for a sample and two for a batch of eight. Where a sample has few ``values``,
-    there is little else than that lock.
+    More of them wait for Python's lock, and of a compressed store for HDF5's: measured on four cores, one is the
+    fastest for a sample and two for a batch of eight. Where a sample has few ``values``, there is little else than that
+    lock.
     """
     if values < _FEW_VALUES:
         return 1
-    if decodes_long:
-        return threads_here()
     return 1 if samples == 1 or get_worker_info() is not None else min(2, available_threads())
 
 

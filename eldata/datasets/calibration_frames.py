@@ -17,7 +17,7 @@ from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError, did_you_mean
 from eldata.manifest.catalogue import data_root, load_manifest
 from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
-from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.raw.files import RAW_EXTENSIONS
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypedDict, get_args
 
-from eldata.base.keywords import keywords
+from eldata.base.arguments import keywords
 from eldata.errors import ArgumentError, check_choice
 from eldata.manifest.pairs import Choice
 from eldata.noise.dark_shading import DarkShading
 from eldata.protocols.protocol import Amplification
-from eldata.raw.cfa import CLIP_RANGES
-from eldata.raw.levels import FRAME_LEVELS
+from eldata.raw.levels import CLIP_RANGES, FRAME_LEVELS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from eldata.raw.cfa import Clip
-    from eldata.raw.levels import FrameLevels
+    from eldata.raw.levels import Clip, FrameLevels
 
 AMPLIFICATIONS: tuple[Amplification, ...] = get_args(Amplification)
 

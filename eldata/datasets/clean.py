@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from eldata.base.memory import scratch
 from eldata.base.numbers import checked_number
-from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.patterns import sequence_of
-from eldata.noise.model import check_normalised
+from eldata.noise.exposures import check_normalised
 from eldata.raw._kernels import scatter_bayer
 from eldata.raw.cfa import packing_sites, unpack
-from eldata.raw.extensions import RAW_EXTENSIONS, no_raws, raws_below
+from eldata.raw.files import RAW_EXTENSIONS, no_raws, raws_below
 from eldata.raw.levels import LEVELS, Levels, check_in_dn
 from eldata.sources.frames import Files, Frame
-from eldata.sources.store.frames import StoreFrames
+from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -50,7 +50,7 @@ class CleanSource(Protocol):
 
 
 class ClipSource(Protocol):
-    """What :class:`~eldata.datasets.synthetic_clips.SyntheticClips` draws from: for each clip, its frames in order."""
+    """What :class:`~eldata.datasets.synthetic.SyntheticClips` draws from: for each clip, its frames in order."""
 
     def __len__(self) -> int:
         """Return the number of clips."""
@@ -113,7 +113,7 @@ class SomeFrames:
         kept = self._kept.pop(index, None)  # threads may read side by side, and find what another one just took
         if kept is None:
             opened = self.opened(index)
-            kept = replace(opened, mosaic=np.asarray(opened.mosaic))
+            kept = replace(opened, mosaic=opened.whole()) if self.reads_parts else opened
         self._kept[index] = kept
         while len(self._kept) > self.keep:
             self._kept.popitem(last=False)
@@ -222,34 +222,23 @@ class _Unpacked:
         self.shape = packed.shape[1] * sites.scale, packed.shape[2] * sites.scale
         self._channel = sites.table[:, 2].reshape(sites.period, sites.period)
 
-    def __getitem__(self, part: tuple[Any, slice, slice]) -> NDArray[np.float32]:
-        """Return a part, (..., rows, columns)."""
-        return self.borrow(part).copy()
-
-    def borrow(self, part: tuple[Any, slice, slice]) -> NDArray[np.float32]:
+    def read(self, rows: slice, columns: slice) -> NDArray[np.float32]:
         """Return a part in memory that the next call of this thread overwrites."""
         period, scale = self.sites.period, self.sites.scale
-        top, bottom, _ = part[-2].indices(self.shape[0])
-        left, right, _ = part[-1].indices(self.shape[1])
+        top, bottom, _ = rows.indices(self.shape[0])
+        left, right, _ = columns.indices(self.shape[1])
         above, before = top % period, left % period  # of the periods that hold it
         height, width = above + bottom - top, before + right - left
         height, width = height + -height % period, width + -width % period
         row, column = (top - above) // scale, (left - before) // scale
         if period == 2 and self.packed.dtype == np.float32:
-            whole = scratch("unpacked", 4 * height * width).bytes.view(np.float32)[: height * width]
-            whole = whole.reshape(height, width)
+            whole: NDArray[np.float32] = scratch("unpacked", (height, width), self.dtype)
             scatter_bayer(self.packed, row, column, self._channel, self.range_dn, whole)
         else:
             periods = self.packed[:, row : row + height // scale, column : column + width // scale]
             whole = unpack(periods.astype(np.float32, copy=False), self.sites.cfa)
             whole *= self.range_dn
         return whole[above : above + bottom - top, before : before + right - left]
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        if copy is False:
-            raise ValueError("a mosaic that is put together as it is read cannot be had without new memory")
-        whole: NDArray[Any] = self[..., :, :].astype(np.float32 if dtype is None else dtype, copy=False)
-        return whole
 
 
 class StoredFrames(SomeFrames):
@@ -382,7 +371,7 @@ class ArrayClips(SomeClips[Arrays]):
 
 
 class StoredClips(SomeClips[SomeFrames]):
-    """Clean clips of a store, for :class:`~eldata.datasets.synthetic_clips.SyntheticClips`: only the crops are read.
+    """Clean clips of a store, for :class:`~eldata.datasets.synthetic.SyntheticClips`: only the crops are read.
 
     The store is of a folder of clean raws (``eldata pack FOLDER``); each folder in it that holds raws is a clip, as in
     :class:`RawClips`, and items are the same.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
+from eldata.base.arguments import spell_keywords
 from eldata.datasets.choices import Options, Representation, chosen_shading, shading_text, understood
 from eldata.datasets.crops import Crop, Region
 from eldata.datasets.items import CroppedItems, Cropping, Part
@@ -15,7 +16,7 @@ from eldata.manifest.drv import Layout
 from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand
 from eldata.records import Exposure
-from eldata.sources.pairs import stated_ratio
+from eldata.sources.frames import stated_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -26,15 +27,10 @@ if TYPE_CHECKING:
     import pandas as pd
     import torch
 
+    from eldata.manifest.card import Subset
     from eldata.manifest.clips import Clip, ClipRecord, FrameRange
-    from eldata.manifest.subsets import Subset
     from eldata.records import FrameRecord, Sensor
     from eldata.sources.frames import Frame, FrameSource
-
-Sample = TypeVar("Sample")
-
-# A source, the rows of its clips, the subsets of their card, and the place for messages.
-ListedClips = tuple["FrameSource", "Sequence[FrameRecord]", "Sequence[Subset]", "Path"]
 
 
 class _Facts(TypedDict):
@@ -59,7 +55,7 @@ class UnpairedClipSample(_Facts):
     input: torch.Tensor
 
 
-class ClipSample(_Facts):
+class ClipSample(UnpairedClipSample):
     """A window of a clip and its reference, as torch's default collate accepts it.
 
     ``target`` is the one still that all frames are compared with, (C, h, w) float32: once, for a copy of it for each
@@ -68,7 +64,6 @@ class ClipSample(_Facts):
     :class:`UnpairedClipSample`; ``reference`` is the reference's file, of a sequence the first frame's.
     """
 
-    input: torch.Tensor
     target: torch.Tensor
     reference: str
 
@@ -120,8 +115,8 @@ class _Item:
     exposure: Exposure = Exposure()  # noqa: RUF009 # frozen
 
 
-class ClipWindows(CroppedItems[_Item, Sample]):
-    """Windows of clips of any source: what :class:`PairedClips` and :class:`UnpairedClips` share.
+class ClipWindows(CroppedItems[_Item, ClipSample]):
+    """Windows of clips of any source: ``dataset[i]`` is a :class:`ClipSample`.
 
     Parameters
     ----------
@@ -133,6 +128,9 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         Those of the manifest's card.
     place
         Where the source is, for messages.
+    dynamic
+        The clips have no reference: ``dataset[i]`` is an :class:`UnpairedClipSample`, which has no ``target``, and is
+        not amplified.
     options
         See :class:`Windowing`, :class:`~eldata.datasets.items.Cropping`, :class:`~eldata.manifest.pairs.Choice` and
         :class:`~eldata.datasets.choices.Representation`.
@@ -146,17 +144,20 @@ class ClipWindows(CroppedItems[_Item, Sample]):
         if those of a clip differ.
     """
 
-    _is_paired: bool
     source: FrameSource
 
+    @spell_keywords(WindowOptions)
     def __init__(
         self,
         source: FrameSource,
         rows: Sequence[FrameRecord],
         subsets: Sequence[Subset],
         place: Path,
+        *,
+        dynamic: bool = False,
         **options: Unpack[WindowOptions],
     ) -> None:
+        self._is_paired = not dynamic
         choice, representation, cropping, windowing = understood(
             self, options, Choice, Representation, Cropping, Windowing
         )
@@ -349,15 +350,3 @@ class ClipWindows(CroppedItems[_Item, Sample]):
             f"clip={self.clip!r}, amplification={self.amplification!r}{shading_text(self.dark_shading)}; "
             f"found: {self.layout})"
         )
-
-
-class PairedClips(ClipWindows[ClipSample]):
-    """Windows of clips that have a reference: ``dataset[i]`` is a :class:`ClipSample`."""
-
-    _is_paired = True
-
-
-class UnpairedClips(ClipWindows[UnpairedClipSample]):
-    """Windows of clips without a reference: ``dataset[i]`` is an :class:`UnpairedClipSample`, not amplified."""
-
-    _is_paired = False

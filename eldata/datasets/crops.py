@@ -8,26 +8,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from eldata.base.scratch import scratch
+from eldata.base.memory import scratch
 from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented, turned_levels
 from eldata.errors import ArgumentError, DatasetError
-from eldata.raw.cfa import (
-    CLIP_RANGES,
-    PackedArea,
-    cfa_from,
-    normalise,
-    pack,
-    pack_normalised,
-    packed_area,
-    packed_shape,
-    packing_sites,
-)
+from eldata.raw.cfa import PackedArea, cfa_from, pack, packed_area, packed_shape, packing_sites
+from eldata.raw.levels import CLIP_RANGES, normalise, pack_normalised
 from eldata.sources.frames import RGB_WHITE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import CfaRows, Clip
+    from eldata.raw.cfa import CfaRows
+    from eldata.raw.levels import Clip
     from eldata.sources.frames import Frame
 
 Region = tuple[int, int, int, int]
@@ -151,9 +143,7 @@ class Crop:
         kind = _TURNED.get(part.dtype)
         if kind is None or self.orientation == _AS_IT_IS:
             return oriented(part, cfa, self.orientation)[: self.height, : self.width]
-        size = self.height * self.width
-        copy: NDArray[Any] = scratch("turned", size * kind.itemsize).bytes.view(kind)[:size]
-        copy = copy.reshape(self.height, self.width)
+        copy = scratch("turned", (self.height, self.width), kind)
         copy_oriented(part, cfa, self.orientation, copy)
         return copy
 

@@ -20,9 +20,10 @@ from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise.dark_shading import DarkShading
 from eldata.noise.exposures import DarkCrops
 from eldata.noise.mosaic import region_anywhere
-from eldata.raw.cfa import pack, packed_black_level_dn, packing_sites
+from eldata.raw.cfa import pack, packing_sites
+from eldata.raw.levels import packed_black_level_dn
 from eldata.sources.store.format import SUFFIXES
-from eldata.sources.store.frames import StoreFrames
+from eldata.sources.store.read import StoreFrames
 from eldata.sources.store.sources import calibration_place
 
 if TYPE_CHECKING:
@@ -231,7 +232,7 @@ class DarkFrames:
             frame = self._frames.frame(self._numbers[iso][member])
             self._check(frame, iso)
             crop = Crop.region(frame, region)
-            frame.pack(*crop.slices, crop.cfa, dn[place])
+            pack(crop.cut(frame), crop.cfa, out=dn[place])
             black[place] = packed_black_level_dn(crop.cfa, frame.black_level_dn)
             times.append(None if frame.exposure.exposure_s is None else float(frame.exposure.exposure_s))
         if self.shading is None or not members:

@@ -11,7 +11,8 @@ from eldata.datasets.base import SIDES, PairFacts, PairItem
 from eldata.datasets.batches import Field, new_arrays
 from eldata.datasets.items import ReadItems
 from eldata.errors import ArgumentError, check_choice
-from eldata.raw.cfa import CLIP_RANGES, pack_normalised, packed_black_level_dn, packed_shape, packing_sites
+from eldata.raw.cfa import packed_shape, packing_sites
+from eldata.raw.levels import CLIP_RANGES, pack_normalised, packed_black_level_dn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
 
     from eldata.datasets.base import SourcePairs
     from eldata.datasets.items import Part
-    from eldata.raw.cfa import CfaRows, Clip
+    from eldata.raw.cfa import CfaRows
+    from eldata.raw.levels import Clip
     from eldata.records import Sensor
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Unpack
 
+from eldata.base.arguments import spell_keywords
 from eldata.datasets.base import PairDataset, PairOptions
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ class ELDDataset(PairDataset):
     (6, torch.Size([4, 256, 384]), 'DemoAlpha/scene-1/IMG_0004.dng')
     """
 
+    @spell_keywords(PairOptions)
     def __init__(
         self, root: Path | str | None = None, *, manifest: Path | str = "eld", **options: Unpack[PairOptions]
     ) -> None:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from eldata.datasets.crops import Crop
     from eldata.plots.axes import Drawing
-    from eldata.raw.cfa import Clip
+    from eldata.raw.levels import Clip
     from eldata.records import Sensor
     from eldata.sources.frames import Frame
 
@@ -222,10 +222,8 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
 
         if self.reads_parts:
             works = [(place, part) for place, item in enumerate(items) for part in self.parts(item)]
-            decodes_long = getattr(self.source, "decodes_long", False)  # a store says so
             values = sum(array[0].size for array in arrays.values())
-            threads = reading_threads(len(items), values, decodes_long=decodes_long)
-            in_threads(lambda work: fill(*work), works, threads)
+            in_threads(lambda work: fill(*work), works, reading_threads(len(items), values))
         else:
             for place, item in enumerate(items):
                 for part in self.parts(item):

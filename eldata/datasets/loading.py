@@ -21,13 +21,12 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset
 
-from eldata.base.keywords import keywords
+from eldata.base.arguments import keywords, spell_keywords
 from eldata.base.main_guard import require_main_guard
 from eldata.base.numbers import checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
 from eldata.datasets.items import CroppedItems
-from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank
-from eldata.datasets.worker_count import START_METHODS, loader_workers
+from eldata.datasets.ranks import START_METHODS, Rank, ShuffledSampler, current_rank, loader_workers
 from eldata.errors import ArgumentError, check_choice
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 
     from torch.utils.data import Dataset
 
-    from eldata.datasets.worker_count import StartMethod
+    from eldata.datasets.ranks import StartMethod
 
 # Imported once by the server that workers are forked from, for it would take seconds in each worker.
 _PRELOADED = ("eldata.datasets._preloaded",)
@@ -98,6 +97,7 @@ class LoaderOptions(TypedDict, total=False):
     rank: Rank | None
 
 
+@spell_keywords(LoaderOptions)
 def training_loader(
     dataset: Dataset[Any],
     batch_size: int,
@@ -134,6 +134,7 @@ def training_loader(
     return _Loader(dataset, batch_size, options, is_training=True)
 
 
+@spell_keywords(LoaderOptions)
 def evaluation_loader(
     dataset: Dataset[Any],
     batch_size: int = 1,

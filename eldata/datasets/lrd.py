@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Unpack
 
+from eldata.base.arguments import spell_keywords
 from eldata.datasets.base import PairDataset, PairOptions
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ class LRDDataset(PairDataset):
     60
     """
 
+    @spell_keywords(PairOptions)
     def __init__(
         self, root: Path | str | None = None, *, manifest: Path | str = "lrd", **options: Unpack[PairOptions]
     ) -> None:

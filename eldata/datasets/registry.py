@@ -1,6 +1,6 @@
 """The datasets by name: those of this package, and those that other installed packages register.
 
-A package of yours registers a dataset by an entry point (:mod:`eldata.manifest.registered`). Nothing of it is imported
+A package of yours registers a dataset by an entry point (:mod:`eldata.manifest.catalogue`). Nothing of it is imported
 before that dataset is asked for.
 """
 
@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from eldata.errors import ArgumentError, DatasetError, did_you_mean
-from eldata.manifest.registered import registered_names, registered_place
+from eldata.manifest.catalogue import registered_names, registered_place
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal, Unpack
 
+from eldata.base.arguments import spell_keywords
 from eldata.datasets.base import PairDataset, PairOptions
 from eldata.errors import ArgumentError, check_choice
 from eldata.manifest.pairs import splits_of
@@ -72,6 +73,7 @@ class SIDDataset(PairDataset):
     >>> training = SIDDataset("data/SID", camera="fuji", split="train")  # doctest: +SKIP
     """
 
+    @spell_keywords(PairOptions)
     def __init__(
         self,
         root: Path | str | None = None,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
 
+from eldata.base.arguments import spell_keywords
 from eldata.base.seeds import checked_epoch, checked_seed, item_generator, purpose_sequence
 from eldata.datasets.augmentation import Orientation
 from eldata.datasets.base import OpenedPair, PairItem, PairItems, Sample
@@ -22,8 +23,7 @@ from eldata.datasets.items import SharedNumber
 from eldata.datasets.ranks import Rank, current_rank
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import packed_shape
-from eldata.sources.frames import Frame
-from eldata.sources.pairs import stated_ratio
+from eldata.sources.frames import Frame, stated_ratio
 from eldata.sources.shards import splitting
 from eldata.sources.shards.reading import read_samples
 from eldata.sources.shards.remote import Folder
@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
     from eldata.protocols.protocol import Amplification
-    from eldata.raw.cfa import Clip
-    from eldata.raw.levels import FrameLevels
+    from eldata.raw.levels import Clip, FrameLevels
     from eldata.sources.shards.members import StoredSample
 
 # Keep these random numbers apart from those of the items, which are seeded by (seed, epoch, index).
@@ -67,7 +66,7 @@ class _Crops(PairItems):
 class StreamedPairs(IterableDataset[Sample]):
     """Pairs from shards that ``eldata shard`` wrote: yields :class:`~eldata.datasets.base.Sample`.
 
-    Values are those of :class:`~eldata.datasets.packed_store.PackedStore` at the same place, bit for bit. Each item
+    Values are those of :class:`~eldata.datasets.packed.PackedStore` at the same place, bit for bit. Each item
     depends on (seed, epoch, its number) alone; which items come when also on the number of ranks and workers. Give it
     to :func:`~eldata.datasets.loading.training_loader` or :func:`~eldata.datasets.loading.evaluation_loader`. In a
     DataLoader of your own it is shuffled, and each item comes exactly once over all ranks and workers.
@@ -110,6 +109,7 @@ class StreamedPairs(IterableDataset[Sample]):
         If an option is unknown or out of its range, or fsspec cannot open the address.
     """
 
+    @spell_keywords(StreamOptions)
     def __init__(
         self,
         address: str,

@@ -1,14 +1,21 @@
-"""Synthetic pairs: clean crops with noise made on the fly."""
+"""Synthetic pairs and clips: clean crops and windows with noise made on the fly.
+
+Noisy and clean clips of the same motion cannot be filmed at once; adding noise to clean clips gives such pairs (K. Wei
+et al., TPAMI 2021, section on videography: parameters are drawn once per clip, noise for each frame).
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Unpack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Unpack
 
+from eldata.base.arguments import spell_keywords
 from eldata.datasets.base import SIDES
 from eldata.datasets.crops import Crop
 from eldata.datasets.draws import NoiseFacts
 from eldata.datasets.items import Part
 from eldata.datasets.noisy_items import NoiseOptions, NoisyItem, NoisyItems
+from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,8 +23,9 @@ if TYPE_CHECKING:
     import numpy as np
     import torch
 
-    from eldata.datasets.clean import CleanSource
+    from eldata.datasets.clean import CleanSource, ClipSource
     from eldata.datasets.draws import Cameras
+    from eldata.sources.frames import Frame
 
 
 class SyntheticSample(NoiseFacts):
@@ -70,6 +78,7 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
     True
     """
 
+    @spell_keywords(NoiseOptions)
     def __init__(
         self,
         source: CleanSource,
@@ -98,3 +107,123 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
 
     def __repr__(self) -> str:
         return self._text(self.source, f"{len(self)} items")
+
+
+class SyntheticClipSample(NoiseFacts):
+    """One synthetic window, as torch's default collate accepts it.
+
+    ``input`` and ``target`` are (T, C, h, w) float32, normalised; the input is amplified by ``ratio``. ``path`` says
+    where the first clean frame comes from, ``clip`` is the clip's place in the source, ``start`` the first frame's in
+    the clip. The rest are the parameters that the noise of all frames was made with.
+    """
+
+    input: torch.Tensor
+    target: torch.Tensor
+    path: str
+    clip: int
+    start: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Item(NoisyItem):
+    """A window: ``frame`` is its first, the ``start``-th of a clip, whose number is ``place``."""
+
+    clip: CleanSource
+    place: int
+    start: int
+
+
+class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
+    """Windows of clean clips and noisy exposures of them, made again in each epoch.
+
+    Camera, parameters and ratio are drawn once for a window, and so are its place, crop and orientation, which are the
+    same for all of its frames. The noise is fresh in each frame. Item i of epoch e depends on (seed, e, i) alone, as in
+    :class:`~eldata.datasets.synthetic.SyntheticPairs`, whose parameters these are but for:
+
+    Parameters
+    ----------
+    source
+        Clean clips: :class:`~eldata.datasets.clean.RawClips`, :class:`~eldata.datasets.clean.ArrayClips`, or anything
+        with their two methods.
+    frames
+        Length of a window.
+    windows_per_clip
+        Items per clip: the length of the dataset is this times the number of clips.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is out of its range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata import SyntheticClips
+    >>> from eldata.datasets import ArrayClips
+    >>> clean = ArrayClips([np.full((9, 4, 96, 96), 0.2, np.float32)], range_dn=15871.0)
+    >>> SyntheticClips(clean, "SonyA7S2", crop=64, seed=0)[0]["input"].shape
+    torch.Size([5, 4, 64, 64])
+    """
+
+    @spell_keywords(NoiseOptions)
+    def __init__(
+        self,
+        source: ClipSource,
+        profiles: Cameras,
+        *,
+        frames: int = 5,
+        windows_per_clip: int = 1,
+        **options: Unpack[NoiseOptions],
+    ) -> None:
+        if frames < 1 or windows_per_clip < 1:
+            raise ArgumentError(f"frames and windows_per_clip must be 1 or more; found {frames}, {windows_per_clip}")
+        super().__init__(source, "clip", profiles, ("windows_per_clip", windows_per_clip), options, frames)
+        self.source = source
+        self.frames = frames
+        self.windows_per_clip = windows_per_clip
+
+    @property
+    def reads_parts(self) -> bool:
+        """Whether the source's clips say that their frames read parts."""
+        return getattr(self.source.clip(0), "reads_parts", False)
+
+    def drawn(self, index: int, generator: np.random.Generator) -> _Item:
+        """Draw a window of clip ``index`` modulo their number, its crop and its noise."""
+        place = index % len(self.source)
+        clip = self.source.clip(place)
+        if len(clip) < self.frames:
+            raise DatasetError(f"{clip!r}: {len(clip)} frames are too few for a window of {self.frames}")
+        start = int(generator.integers(len(clip) - self.frames + 1))
+        first = clip.frame(start)
+        crop = Crop.draw(first, generator, crop=self.crop, augment=self.augment)
+        return _Item(first, crop, self.draw_noise(generator, index), generator, index, clip, place, start)
+
+    def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of input and target."""
+        return dict.fromkeys(SIDES, (self.frames, *item.crop.packed_shape))
+
+    def parts(self, item: _Item) -> Iterator[Part]:
+        """Yield the clean frames in order."""
+        yield Part("target", item.frame, 0, is_light=True)
+        for step in range(1, self.frames):
+            frame = item.clip.frame(item.start + step)
+            _check_alike(frame, item.frame)
+            yield Part("target", frame, step, is_light=True)
+            del frame
+
+    def facts(self, item: _Item) -> dict[str, Any]:
+        """Return what the noise was made with, and where the window comes from."""
+        return super().facts(item) | {"clip": item.place, "start": item.start}
+
+    def __repr__(self) -> str:
+        return self._text(self.source, f"{len(self)} windows of {self.frames} frames")
+
+
+def _check_alike(frame: Frame, first: Frame) -> None:
+    for name, value, expected in (
+        ("size", frame.shape, first.shape),
+        ("CFA", frame.cfa, first.cfa),
+        ("white level", frame.white_level_dn, first.white_level_dn),
+    ):
+        if value != expected:
+            raise DatasetError(f"{frame.name}: {name} {value}, but {first.name} has {expected}; is it one clip?")

@@ -18,8 +18,8 @@ from eldata.demo.benchmark_frames import (
     benchmark_scenes,
     make_benchmark,
 )
-from eldata.demo.folder import prepare_folder
 from eldata.demo.sensor import BENCHMARK_SENSORS
+from eldata.demo.tree import prepare_folder
 from eldata.errors import EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.manifest.verify import verify

@@ -13,15 +13,15 @@ from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.camera import calibrate
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA, make_calibration_frames
-from eldata.demo.folder import prepare_folder
+from eldata.demo.tree import prepare_folder
 from eldata.errors import EldataError
-from eldata.reports.calibration.page import calibration_page
+from eldata.reports.calibration import calibration_page
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from eldata.calibration.audit import GivenFigure
+    from eldata.calibration.core.findings import GivenFigure
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
     from eldata.demo.body import FixedFeatures

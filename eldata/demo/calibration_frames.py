@@ -16,7 +16,7 @@ import numpy as np
 from eldata.base.files import write_json
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.demo.body import Body, FixedFeatures, KnownNoise
-from eldata.demo.folder import demo_card
+from eldata.demo.tree import demo_card
 from eldata.errors import ArgumentError
 from eldata.manifest.table import number_text
 from eldata.manifest.writing import save_manifest

@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import time
 from typing import TYPE_CHECKING
 
+from PIL import Image, ImageDraw, ImageFont
+
+from eldata.base.files import atomic_write
 from eldata.baselines.networks import load_network
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
+from eldata.calibration.joint import fit_log_log
+from eldata.calibration.one_photograph.estimate import GAUSSIAN_SHAPE
 from eldata.demo.camera import CAMERAS
-from eldata.demo.contact_sheet import write_contact_sheet
-from eldata.demo.folder import prepare_folder
-from eldata.demo.known_profile import known_profile
 from eldata.demo.scenes import scene_title
-from eldata.demo.tree import make_tree
+from eldata.demo.tree import make_tree, prepare_folder
 from eldata.errors import EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import load_prediction
 from eldata.isp.preview import preview
 from eldata.manifest.verify import verify
+from eldata.noise.gain_modes import ProfileRow
+from eldata.noise.parameters import tukey_lambda_variance
 from eldata.noise.profile import CameraProfile
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from eldata.baselines.predicting import Denoiser
+    from eldata.demo.camera import SimulatedCamera
     from eldata.evaluation.results import EvaluationResult
     from eldata.manifest.catalogue import Manifest
 
@@ -37,6 +47,11 @@ _SCORED = {
     "unet": "the small network that ships with eldata, trained on the noise of virtual cameras alone",
 }
 _NETWORK = "eldata.baselines:reference_network"
+
+# Of the contact sheet, in pixels, and its colours.
+_MARGIN = 16
+_CAPTION = 26
+_INK, _PAPER = (225, 225, 225), (24, 24, 26)
 
 
 def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, EvaluationResult]:
@@ -109,6 +124,52 @@ def _write_profiles(folder: Path, manifest: Manifest) -> list[Path]:
     return files
 
 
+def known_profile(camera: SimulatedCamera, isos: Sequence[int]) -> CameraProfile:
+    """Return a camera's noise at three ISOs or more, rising; lines between them.
+
+    Parameters
+    ----------
+    camera
+        Whose figures are taken as they are.
+    isos
+        Of the rows.
+    """
+    rows = []
+    for iso in isos:
+        gain = camera.gain_dn_per_e(iso)
+        read = math.hypot(gain * camera.sigma_read_e, camera.sigma_quantiser_dn)
+        red, green, blue, second_green = (gain * bias for bias in camera.colour_bias_e)
+        rows.append(
+            ProfileRow(
+                tukey_lambda=GAUSSIAN_SHAPE,
+                colour_bias_dn=(red, green, blue, second_green),
+                iso=float(iso),
+                gain_dn_per_e=gain,
+                sigma_tl_dn=read / math.sqrt(tukey_lambda_variance(GAUSSIAN_SHAPE)),
+                sigma_gauss_dn=read,
+                sigma_row_dn=gain * camera.sigma_row_e,
+            )
+        )
+    gains = [row.gain_dn_per_e or 0.0 for row in rows]
+    scales = zip(*((row.sigma_tl_dn, row.sigma_gauss_dn, row.sigma_row_dn) for row in rows), strict=True)
+    lines = [fit_log_log(gains, [scale or 0.0 for scale in of_all]).fit for of_all in scales]
+    return CameraProfile(
+        camera=camera.name,
+        source="eldata.demo: known, not measured",
+        gain_range_dn_per_e=(gains[0], gains[-1]),
+        tukey_lambda_fit=lines[0],
+        gauss_fit=lines[1],
+        row_fit=lines[2],
+        rows=tuple(rows),
+        iso_range=(float(isos[0]), float(isos[-1])),
+        black_level_dn=max(camera.sensor.black_level_dn),
+        white_level_dn=camera.sensor.white_level_dn,
+    )
+
+
+# --- the contact sheet ------------------------------------------------------------------------------------------------
+
+
 def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, EvaluationResult]) -> None:
     """Draw each scene once, cameras in turn, at the middle ISO and the larger factor."""
     pairs = next(iter(results.values())).pairs
@@ -131,3 +192,20 @@ def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, Evalua
             row.append((caption, preview(prediction * score.rescale, reference.sensor)))
         rows.append(row)
     write_contact_sheet(path, rows)
+
+
+def write_contact_sheet(path: Path, rows: Sequence[Sequence[tuple[str, NDArray[np.uint8]]]]) -> None:
+    """Write rows of captioned pictures, each (h, w, 3) uint8 and all of one size, as a PNG, whole or not at all."""
+    height, width = rows[0][0][1].shape[:2]
+    columns = max(len(row) for row in rows)
+    cell_height, cell_width = height + _CAPTION + _MARGIN, width + _MARGIN
+    sheet = Image.new("RGB", (columns * cell_width + _MARGIN, len(rows) * cell_height + _MARGIN), _PAPER)
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(size=15)
+    for y, row in enumerate(rows):
+        for x, (caption, picture) in enumerate(row):
+            left, top = _MARGIN + x * cell_width, _MARGIN + y * cell_height
+            draw.text((left, top), caption, fill=_INK, font=font)
+            sheet.paste(Image.fromarray(picture), (left, top + _CAPTION))
+    with atomic_write(path) as file:
+        sheet.save(file, "PNG")

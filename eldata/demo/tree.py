@@ -1,31 +1,90 @@
-"""A small ELD-like dataset of real DNG files, with its manifest and card."""
+"""The folder that a demo writes into, its own and nobody else's, and a small ELD-like set of real DNG files in it."""
 
 from __future__ import annotations
 
+import shutil
+from collections import Counter
 from fractions import Fraction
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from tqdm import tqdm
 
+from eldata.base.files import remove_leftovers, write_text
 from eldata.demo.camera import BASE_ISO, CAMERAS
-from eldata.demo.folder import demo_card
 from eldata.demo.scenes import scene_radiance
+from eldata.errors import EldataError
+from eldata.manifest.card import CameraCard, Card
 from eldata.manifest.eld import EldCamera, eld_records
 from eldata.manifest.writing import save_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from eldata.demo.camera import SimulatedCamera
     from eldata.manifest.catalogue import Manifest
+    from eldata.records import FrameRecord, Sensor
 
 # What the simulated photographer metered: seconds at ISO 100. 3.2 s in every second scene, as in the real set.
 METERED_S = (Fraction(4), Fraction(16, 5))
 F_NUMBER = Fraction(28, 5)
+
+_MARKER = ".eldata-demo"
+_MADE = ("data", "manifests", "profiles", "predictions")
+
+
+def demo_card(
+    name: str,
+    title: str,
+    folder: str,
+    sensors: Mapping[str, Sensor],
+    records: Iterable[FrameRecord],
+    source: str,
+) -> Card:
+    """Return the card of simulated files, taken by cameras with these sensors."""
+    return Card(
+        name=name,
+        title=title,
+        version="1.0",
+        folder=folder,
+        citation="none: made by eldata demo",
+        licence="CC0-1.0",
+        homepage="made by eldata demo",
+        cfa="bayer" if all(len(sensor.cfa) == 2 for sensor in sensors.values()) else "xtrans",
+        cameras={camera: CameraCard((sensor.model,)) for camera, sensor in sensors.items()},
+        counts=dict(sorted(Counter(str(record.role) for record in records).items())),
+        protocol="eld",
+        sources=(source,),
+    )
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make the folder, or empty it of what an earlier demo, finished or not, has left.
+
+    Raises
+    ------
+    EldataError
+        If it holds something that no demo made, or cannot be written.
+    """
+    marker = folder / _MARKER
+    if folder.is_dir():
+        remove_leftovers(folder)  # of a demo that was killed before it had marked the folder
+    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not marker.is_file())):
+        raise EldataError(f"{folder}: holds something else; give a new folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(marker, "Made by eldata demo, which may empty its folders {}.\n".format(", ".join(_MADE)))
+        for name in _MADE:
+            if (folder / name).is_dir():
+                shutil.rmtree(folder / name)
+    except OSError as error:
+        raise EldataError(f"{error.filename or folder}: {error.strerror}") from error
+
+
+# --- a set of photographs ---------------------------------------------------------------------------------------------
 
 
 def make_tree(

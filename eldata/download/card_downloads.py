@@ -1,13 +1,15 @@
-"""What a dataset card says about archives: names, sizes, parts, and which ones pooch may fetch."""
+"""What a dataset card says about archives: names, sizes, parts, and which ones pooch may fetch; room for them."""
 
 from __future__ import annotations
 
+import shutil
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urlsplit
 
-from eldata.download.sizes import size_text
-from eldata.errors import ArgumentError
+from tqdm import tqdm
+
+from eldata.errors import ArgumentError, DownloadError
 from eldata.manifest.catalogue import data_root
 
 if TYPE_CHECKING:
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
     from eldata.manifest.card import Card, Download
 
-SUFFIXES = (".zip", ".7z", ".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tar.xz")
+SUFFIXES = (".zip", ".7z")
 
 
 def archive_name(download: Download) -> str:
@@ -70,3 +72,31 @@ def kept_archives(card: Card, root: Path | str | None = None) -> Pooch:
         registry={name: download.sha256 for name, download in first_of.items()},
         allow_updates=False,
     )
+
+
+# --- numbers of bytes -------------------------------------------------------------------------------------------------
+
+
+def size_text(size_bytes: int) -> str:
+    """Return a size in decimal units, as publishers and disks state it: ``25.1 GB``."""
+    size = float(size_bytes)
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if size < 1000:
+            return f"{size_bytes} bytes" if unit == "bytes" else f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} TB"
+
+
+def progress_bar(name: str, total_bytes: int | None = None) -> tqdm[Any]:
+    """Return a bar that counts bytes, seen only in a terminal."""
+    return tqdm(desc=name, total=total_bytes, unit="B", unit_scale=True, unit_divisor=1000, disable=None, leave=False)
+
+
+def check_room(folder: Path, missing_bytes: int, purpose: str) -> None:
+    """Raise :class:`~eldata.errors.DownloadError` if this many bytes do not fit on the folder's disk."""
+    free = shutil.disk_usage(folder).free
+    if missing_bytes > free:
+        raise DownloadError(
+            f"{folder}: {size_text(missing_bytes)} are {purpose}, {size_text(free)} are free; make room, or choose "
+            "another disk with --root"
+        )

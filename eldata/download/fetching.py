@@ -1,41 +1,36 @@
-"""Fetching large archives through pooch, over connections that break.
+"""Fetching large archives, over connections that break.
 
-Pooch decides whether an archive has to be fetched, checks its hash and gives it its name. By itself it would start a
-broken download over and delete what has arrived, so the downloader that it calls is ours: what has arrived is kept in
-``<name>.part`` and goes on by range requests, in this run or the next. ``<name>.part.json`` beside it holds what makes
-the bytes one file: the address, the total size, and the server's mark for this version (a strong ETag, else
-Last-Modified). Without such a mark, or when the server's file has changed, fetching starts over: two versions are never
-spliced.
+Pooch's registry says what there is to fetch and which hash it has, and pooch checks that. Its own fetching would start
+a broken download over and delete what has arrived, so the fetching is ours: what has arrived is kept in ``<name>.part``
+and goes on by range requests, in this run or the next. ``<name>.part.json`` beside it holds what makes the bytes one
+file: the address, the total size, and the server's mark for this version (a strong ETag, else Last-Modified). Without
+such a mark, or when the server's file has changed, fetching starts over: two versions are never spliced.
 """
 
 from __future__ import annotations
 
-import logging
+import os
 import re
 import time
-from contextlib import ExitStack
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
 from http import HTTPStatus
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
-from urllib.parse import urljoin, urlsplit
+from typing import IO, TYPE_CHECKING, Any, NoReturn
 
 from eldata import __version__
-from eldata.base.files import sha256_of
-from eldata.base.logs import quiet
-from eldata.download.partial import Partial, Version, discard, opened_partial
-from eldata.download.readers import HEAD_BYTES, archive_format, looks_like
-from eldata.download.sizes import check_room, progress_bar, size_text
+from eldata.base.fields import TextFile
+from eldata.base.files import check_posix, try_lock, write_json
+from eldata.download.archives import HEAD_BYTES, archive_format, looks_like
+from eldata.download.card_downloads import check_room, progress_bar, size_text
 from eldata.errors import DownloadError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Collection, Iterator
 
     import requests
     from pooch import Pooch
     from tqdm import tqdm
-
-_Result = TypeVar("_Result")
 
 _PIECE_BYTES = 2**14  # what a broken connection loses at most
 _MOST_REDIRECTS = 5
@@ -68,7 +63,7 @@ class _Broken(Exception):  # noqa: N818 # not an error yet: another try may succ
 
 @dataclass(frozen=True, slots=True)
 class Fetcher:
-    """Fetches archives over https, as pooch's downloader.
+    """Fetches archives over https.
 
     Attributes
     ----------
@@ -81,17 +76,13 @@ class Fetcher:
     patience: Patience = Patience()
     plain_http_hosts: Collection[str] = ()
 
-    def fetch(
-        self, archives: Pooch, name: str, process: Callable[[Path], _Result], *, size_bytes: int | None = None
-    ) -> _Result:
-        """Return what ``process`` makes of an archive, which is fetched first if it is not there.
+    def fetch(self, archives: Pooch, name: str, *, size_bytes: int | None = None) -> Path:
+        """Return where an archive lies, complete and with the right hash; it is fetched first if it is not there.
 
         Parameters
         ----------
         archives, name
             Pooch's registry (see :func:`~eldata.download.card_downloads.kept_archives`) and the archive's name in it.
-        process
-            What to do with the archive, once it is complete and its hash is right.
         size_bytes
             The archive's size, if known.
 
@@ -101,45 +92,33 @@ class Fetcher:
             If it cannot be fetched: the server refuses, sends something else, or cannot be reached; the disk is full;
             or the file is not the expected one. The message says what is kept and how to go on.
         """
-        from pooch import get_logger
+        from pooch.hashes import file_hash, hash_matches
 
-        target = Path(archives.path, name)
-        there = target.exists()
-        if there and size_bytes is not None and (found_bytes := target.stat().st_size) != size_bytes:
-            raise DownloadError(f"{target}: expected {size_bytes} bytes, found {found_bytes}; {_MOVE_AWAY}")
-        fetched = passed = False
-        with ExitStack() as held, quiet(logging.WARNING, get_logger()):  # which says on stderr what it fetches
+        target, known, address = Path(archives.path, name), archives.registry[name], archives.get_url(name)
 
-            def downloader(address: str, temporary: str, _: Pooch) -> None:
-                nonlocal fetched
-                Path(temporary).unlink()  # pooch made it, empty; a killed run would leave it behind
-                partial = held.enter_context(opened_partial(target))  # until pooch has given it its name
+        def found(path: Path) -> str:
+            algorithm = known.rpartition(":")[0] or "sha256"
+            return f"expected {known}, found {algorithm}:{file_hash(path, algorithm)}"
+
+        try:
+            if target.exists():
+                if size_bytes is not None and (found_bytes := target.stat().st_size) != size_bytes:
+                    raise DownloadError(f"{target}: expected {size_bytes} bytes, found {found_bytes}; {_MOVE_AWAY}")
+                if not hash_matches(target, known):
+                    raise DownloadError(f"{target}: {found(target)}; {_MOVE_AWAY}")
+                return target
+            with suppress(FileExistsError):  # not of a folder: what is opened in it says so
+                target.parent.mkdir(parents=True)
+            with open_partial(target) as partial:
                 self._complete(address, partial, size_bytes)
-                partial.hand_over(Path(temporary))
-                fetched = True
-
-            def processor(*_: object) -> _Result:
-                nonlocal passed
-                passed = True
-                discard(target)
-                held.close()
-                return process(target)
-
-            try:
-                result: _Result = archives.fetch(name, processor, downloader)
-            except (ValueError, OSError) as error:
-                if passed:
-                    raise
-                if isinstance(error, OSError):
-                    raise DownloadError(f"cannot keep {target}: {error.strerror or error}") from error
-                if there:
-                    wrong = f"expected {archives.registry[name]}, found {sha256_of(target)}"
-                    raise DownloadError(f"{target}: {wrong}; {_MOVE_AWAY}") from error
-                if not fetched:
-                    raise
-                discard(target)  # going on from it would fail again
-                raise DownloadError(f"{archives.get_url(name)}: {error} Look at the homepage.") from error
-        return result
+                if not hash_matches(partial.path, known):
+                    wrong = found(partial.path)
+                    partial.discard()  # going on from it would fail again
+                    raise DownloadError(f"{address}: {wrong}; the publisher has changed it: look at the homepage")
+                partial.keep(target)
+        except OSError as error:
+            raise DownloadError(f"cannot keep {target}: {error.strerror or error}") from error
+        return target
 
     def _complete(self, address: str, partial: Partial, size_bytes: int | None) -> None:
         """Try until all bytes are there."""
@@ -147,7 +126,7 @@ class Fetcher:
 
         furthest = partial.size_bytes
         failures = 0
-        with requests.Session() as session, progress_bar(partial.path.stem) as bar:
+        with self._session() as session, progress_bar(partial.path.stem) as bar:
             while True:
                 try:
                     self._try(session, address, partial, size_bytes, bar)
@@ -200,31 +179,30 @@ class Fetcher:
             bar.refresh()
             _receive(answer, partial, known, have, bar)
 
-    def _answer(self, session: requests.Session, address: str, headers: dict[str, str]) -> requests.Response:
-        """Return the answer, redirections followed one by one so that none leads to an unencrypted place."""
-        here = address
-        for _ in range(_MOST_REDIRECTS + 1):
-            self._check_address(address, here)
-            try:
-                answer = session.get(
-                    here, headers=headers, stream=True, allow_redirects=False, timeout=(30, self.patience.silence_s)
-                )
-            except ValueError as error:  # requests looks at the next address too
-                raise DownloadError(f"{address}: is malformed, or redirects to an address that is ({error})") from error
-            if not answer.is_redirect:
-                return answer
-            answer.close()
-            here = urljoin(here, answer.headers["Location"])
-        raise DownloadError(
-            f"{address}: redirects more than {_MOST_REDIRECTS} times (last to {here}); is it still valid?"
-        )
+    def _session(self) -> requests.Session:
+        """Return a session that asks, and is redirected, over https alone."""
+        import requests
 
-    def _check_address(self, address: str, here: str) -> None:
-        parts = urlsplit(here)
-        if parts.scheme == "https" or (parts.scheme == "http" and parts.hostname in self.plain_http_hosts):
-            return
-        what = "is" if here == address else f"redirects to {here}, which is"
-        raise DownloadError(f"{address}: {what} not encrypted (https), so nothing was fetched")
+        session = requests.Session()
+        session.max_redirects = _MOST_REDIRECTS
+        plain = session.adapters.pop("http://")
+        for host in self.plain_http_hosts:
+            session.mount(f"http://{host}:", plain)
+        return session
+
+    def _answer(self, session: requests.Session, address: str, headers: dict[str, str]) -> requests.Response:
+        from requests.exceptions import InvalidSchema, TooManyRedirects
+
+        try:
+            return session.get(address, headers=headers, stream=True, timeout=(30, self.patience.silence_s))
+        except InvalidSchema as error:  # it names the address
+            reason = f"is, or redirects to, an address that is not encrypted (https), so nothing was fetched: {error}"
+            raise DownloadError(f"{address}: {reason}") from error
+        except TooManyRedirects as error:
+            reason = f"redirects more than {_MOST_REDIRECTS} times; is it still valid?"
+            raise DownloadError(f"{address}: {reason}") from error
+        except ValueError as error:  # requests looks at the next address too
+            raise DownloadError(f"{address}: is malformed, or redirects to an address that is ({error})") from error
 
 
 def _check_range(answer: requests.Response, partial: Partial, known: Version, have: int) -> None:
@@ -314,3 +292,93 @@ def _reason(error: Exception) -> str:
     text = " ".join(str(error).split())
     inner = re.findall(r"\[Errno -?\d+\] [^'\")]+|timed out|IncompleteRead\([^)]*\)", text)
     return inner[-1] if inner else text or type(error).__name__
+
+
+# --- what has arrived -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Version:
+    """Which file the bytes in a ``.part`` belong to: ``mark`` is the server's ETag or Last-Modified, or empty."""
+
+    address: str
+    total_bytes: int
+    mark: str
+
+
+class Partial:
+    """An unfinished download: ``<name>.part``, which :func:`open_partial` opens, and what it belongs to."""
+
+    def __init__(self, target: Path, file: IO[bytes]) -> None:
+        self.path, self._note = _paths(target)
+        self._file = file
+
+    @property
+    def size_bytes(self) -> int:
+        """How many bytes have arrived."""
+        return os.fstat(self._file.fileno()).st_size
+
+    def version(self) -> Version | None:
+        """Return which file the bytes belong to, ``None`` if unknown."""
+        try:
+            note = TextFile(self._note, DownloadError).json()
+            return Version(note.text("address"), note.whole("total_bytes"), note.text("mark", empty=True))
+        except DownloadError:
+            return None
+
+    def note(self, version: Version) -> None:
+        """Write down which file the bytes belong to, before the first of them."""
+        write_json(self._note, asdict(version))
+
+    def restart(self) -> None:
+        """Forget what has arrived."""
+        self._note.unlink(missing_ok=True)
+        self._file.truncate(0)
+
+    def append(self, piece: bytes) -> None:
+        """Add bytes at the end."""
+        rest = memoryview(piece)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            raise DownloadError(
+                f"cannot write {self.path}: {error.strerror}; {size_text(self.size_bytes)} are kept there: make room "
+                "and the same command goes on"
+            ) from error
+
+    def keep(self, target: Path) -> None:
+        """Give the whole file its name."""
+        os.fsync(self._file.fileno())
+        self.path.rename(target)
+        self._note.unlink(missing_ok=True)
+
+    def discard(self) -> None:
+        """Remove what has arrived."""
+        self.path.unlink()
+        self._note.unlink(missing_ok=True)
+
+
+@contextmanager
+def open_partial(target: Path) -> Iterator[Partial]:
+    """Open what has arrived of a file, for one process at a time.
+
+    Raises
+    ------
+    DownloadError
+        If it cannot be written, or another process is fetching it.
+    """
+    check_posix("fetching a file")
+    path, _ = _paths(target)
+    try:
+        file = path.open("ab", buffering=0)
+    except OSError as error:
+        raise DownloadError(f"cannot write {path}: {error.strerror}") from error
+    with file:
+        if not try_lock(path, file):
+            raise DownloadError(f"{path}: another process is fetching it; wait for that one")
+        yield Partial(target, file)
+
+
+def _paths(target: Path) -> tuple[Path, Path]:
+    return target.with_name(f"{target.name}.part"), target.with_name(f"{target.name}.part.json")

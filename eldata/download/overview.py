@@ -56,109 +56,86 @@ class Presence:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """A dataset's manifest, and what is on the disk below ``root``."""
+    """What is known about a dataset, and what is on the disk below ``root``.
 
-    manifest: Manifest
+    Of one whose files no public text lists, that is its ``card`` alone: it has no ``manifest`` and no ``presence``.
+    """
+
+    card: Card
     root: Path
-    presence: Presence
+    manifest: Manifest | None = None
+    presence: Presence | None = None
 
     @property
     def folder(self) -> Path:
         """Where the dataset's files lie, or should."""
-        return self.manifest.folder(self.root)
+        return self.root / self.card.folder
 
     @property
     def verify_command(self) -> str:
         """The command that checks the files."""
-        level = "quick" if self.manifest.card.unreadable else "metadata"
-        return f"eldata verify {self.manifest.name} --root {shlex.quote(str(self.root))} --level {level}"
+        level = "quick" if self.card.unreadable else "metadata"
+        return f"eldata verify {self.card.name} --root {shlex.quote(str(self.root))} --level {level}"
+
+    @property
+    def download_command(self) -> str:
+        """The command that says where to get the files."""
+        return f"eldata download {self.card.name} --root {shlex.quote(str(self.root))}"
+
+    @property
+    def next_step(self) -> str:
+        """What to do next: get the files, check them, or list one's own."""
+        if self.presence is None:
+            return 'list your copy in a manifest of your own: docs/adding-a-dataset.md, "Your own files"'
+        return self.verify_command if self.presence.complete else self.download_command
 
     @property
     def row(self) -> tuple[str, ...]:
         """Its line in the table of all: name, title, files, size, what is there, licence."""
-        card = self.manifest.card
-        return card.name, card.title, self.presence.count_text, _size(card), str(self.presence), card.licence
+        card, there = self.card, self.presence
+        files, state = ("not listed", "card alone") if there is None else (there.count_text, str(there))
+        return card.name, card.title, files, _size(card), state, card.licence
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON types."""
-        card = asdict(self.manifest.card)
+        """Return it as plain JSON types; what only a manifest knows is ``None``."""
+        card, there = asdict(self.card), self.presence
         return card | {
-            "manifest": str(self.manifest.path),
-            "folder_on_disk": str(self.folder),
+            "manifest": self.manifest and str(self.manifest.path),
+            "folder_on_disk": self.manifest and str(self.folder),
             "places": card["downloads"],
-            "presence": asdict(self.presence) | {"complete": self.presence.complete},
-            "verify": self.verify_command,
+            "presence": there and asdict(there) | {"complete": there.complete},
+            "verify": self.manifest and self.verify_command,
         }
 
     def format_text(self) -> str:
         """Return it as text for one dataset."""
-        card = self.manifest.card
-        counts = ", ".join(f"{count} {role}" for role, count in sorted(card.counts.items()))
-        patterns = f" ({self.presence.patterns} of them stand for a folder of files)" if self.presence.patterns else ""
+        card, listed = self.card, "card" if self.manifest is None else "manifest"
         lines = [
-            f"{card.name}: {card.title} (manifest version {card.version})",
+            f"{card.name}: {card.title} ({listed} version {card.version})",
             "",
             *_facts(card),
-            f"files      {self.presence.count_text}: {counts}{patterns}",
-            f"folder     {self.folder} ({self.presence})",
-            f"such as    {self.folder / self.manifest.records[0].path}",
+            *self._files(),
             "",
             "where to get it",
             *format_downloads(card.downloads),
         ]
         if card.subsets:
             lines += ["", "subsets (eldata evaluate --subset)"]
-            counted = "clips" if any(is_pattern(record.path) for record in self.manifest.records) else "pairs"
+            counted = "clips" if self.presence and self.presence.patterns else "pairs"
             for subset in card.subsets:
                 lines += wrapped(f"    {subset.name}: {subset.title} ({subset.pairs} {counted})", " " * 8)
-        return "\n".join([*lines, *_remarks(card), "", "next", f"    {self.next_command}"])
+        return "\n".join([*lines, *_remarks(card), "", "next", f"    {self.next_step}"])
 
-    @property
-    def next_command(self) -> str:
-        """The command to run next: get the files, or check them."""
-        if self.presence.complete:
-            return self.verify_command
-        return self.download_command
-
-    @property
-    def download_command(self) -> str:
-        """The command that says where to get the files."""
-        return f"eldata download {self.manifest.name} --root {shlex.quote(str(self.root))}"
-
-
-@dataclass(frozen=True, slots=True)
-class CardAlone:
-    """What is known about a set whose files no public text lists: its ``card``."""
-
-    card: Card
-
-    @property
-    def row(self) -> tuple[str, ...]:
-        """Its line in the table of all: name, title, files, size, what is there, licence."""
-        return self.card.name, self.card.title, "not listed", _size(self.card), "card alone", self.card.licence
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON types; what only a manifest knows is ``None``."""
-        card = asdict(self.card)
-        nothing = dict.fromkeys(("manifest", "folder_on_disk", "presence", "verify"))
-        return card | nothing | {"places": card["downloads"]}
-
-    def format_text(self) -> str:
-        """Return it as text for one dataset."""
-        lines = [
-            f"{self.card.name}: {self.card.title} (card version {self.card.version})",
-            "",
-            *_facts(self.card),
-            "files      no public text lists them: eldata has this card alone",
-            "",
-            "where to get it",
-            *format_downloads(self.card.downloads),
-            *_remarks(self.card),
-            "",
-            "next",
-            '    list your copy in a manifest of your own: docs/adding-a-dataset.md, "Your own files"',
+    def _files(self) -> list[str]:
+        if self.manifest is None or self.presence is None:
+            return ["files      no public text lists them: eldata has this card alone"]
+        counts = ", ".join(f"{count} {role}" for role, count in sorted(self.card.counts.items()))
+        patterns = f" ({self.presence.patterns} of them stand for a folder of files)" if self.presence.patterns else ""
+        return [
+            f"files      {self.presence.count_text}: {counts}{patterns}",
+            f"folder     {self.folder} ({self.presence})",
+            f"such as    {self.folder / self.manifest.records[0].path}",
         ]
-        return "\n".join(lines)
 
 
 def _facts(card: Card) -> list[str]:
@@ -234,10 +211,11 @@ def _is_there(path: Path) -> bool:
 
 def overview(manifest: Manifest, root: Path | str | None = None) -> Overview:
     """Return what is known about a dataset, and how much of it lies below ``root``."""
-    return Overview(manifest, data_root(root), presence_of(manifest.folder(root), manifest.records))
+    presence = presence_of(manifest.folder(root), manifest.records)
+    return Overview(manifest.card, data_root(root), manifest, presence)
 
 
-def overview_of(name: str, root: Path | str | None = None) -> Overview | CardAlone:
+def overview_of(name: str, root: Path | str | None = None) -> Overview:
     """Return what is known about a dataset by its name.
 
     Raises
@@ -246,5 +224,5 @@ def overview_of(name: str, root: Path | str | None = None) -> Overview | CardAlo
         If the name is unknown; the message lists the known ones.
     """
     if name in carded_names() and name not in shipped_names():
-        return CardAlone(shipped_card(name))
+        return Overview(shipped_card(name), data_root(root))
     return overview(known_manifest(name), root)

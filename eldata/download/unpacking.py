@@ -7,32 +7,33 @@ sign that files may be missing. The next run goes on with those, and removes the
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 import stat
+import threading
 import zlib
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
-from eldata.base.fields import shown
 from eldata.base.files import check_posix, inside, try_lock
-from eldata.download.readers import BY_HAND
-from eldata.download.sizes import check_room, progress_bar
+from eldata.base.visible import shown
+from eldata.download.card_downloads import check_room, progress_bar
+from eldata.download.members import BY_HAND, NewFile, disk_named
 from eldata.errors import ArchiveError, DownloadError, ManifestError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from tqdm import tqdm
 
     from eldata.download.archives import Archive
-    from eldata.download.readers import Member, Sink
+    from eldata.download.members import Member
 
 STAGING = ".eldata-unpacking"
 _PIECE_BYTES = 2**20
+_LOOK_S = 0.5  # how often the progress is looked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,40 +66,28 @@ def unpack_archive(archive: Archive, targets: Mapping[str, str], folder: Path) -
     """
     members = [member for member in archive.files if member.name in targets]
     places = {member.name: _place(archive.path, member, folder, targets[member.name]) for member in members}
-    result: dict[str, str] = {}
+    verdicts: dict[str, str] = {}
     total_bytes = sum(member.size_bytes for member in members)
     with (
         _staging_folder(folder) as staging,
         progress_bar(f"unpacking {archive.path.name}", total_bytes) as bar,
     ):
-        to_read, missing = [], 0
+        new: list[tuple[Member, NewFile]] = []
         for member in members:
-            with _disk_named(places[member.name], "read"):
-                verdict = _verdict(member, places[member.name], bar)
-            if verdict is not None:
-                result[member.name] = verdict
-                continue
-            to_read.append(member)
-            missing += 0 if places[member.name].exists() else member.size_bytes
-        check_room(folder, missing, "to be unpacked")
-        with ExitStack() as opened:
-
-            def receive(member: Member) -> Sink:
-                opened.close()  # members come one after the other
-                place = places[member.name]
-                if place.exists():
-                    return opened.enter_context(closing(_Comparison(member, place, result, bar)))
-                return opened.enter_context(closing(_NewFile(member, staging, place, result, bar)))
-
-            archive.deliver(to_read, receive)
-    lost = [member.name for member in members if member.name not in result]
-    if lost:
-        raise ArchiveError(
-            archive.path, f"member {shown(lost[0])} is listed, but did not come out of it; fetch it again"
-        )
+            place = places[member.name]
+            with disk_named(place, "read"):
+                if not os.path.lexists(place):
+                    new.append((member, NewFile(staging / "member", place, member.size_bytes)))
+                    continue
+                verdicts[member.name] = "identical" if _is_member(place, member) else "differing"
+                bar.update(member.size_bytes)
+        check_room(folder, sum(member.size_bytes for member, _ in new), "to be unpacked")
+        with _progress(bar, [file for _, file in new]):
+            placed = archive.unpack(new)
+        verdicts |= {name: "written" if free else "differing" for name, free in placed.items()}
 
     def of(verdict: str) -> tuple[str, ...]:
-        return tuple(sorted(targets[name] for name, found in result.items() if found == verdict))
+        return tuple(sorted(targets[name] for name, found in verdicts.items() if found == verdict))
 
     return Unpacked(of("written"), of("identical"), of("differing"))
 
@@ -117,92 +106,37 @@ def _place(archive: Path, member: Member, folder: Path, target: str) -> Path:
     return place
 
 
-def _verdict(member: Member, place: Path, bar: tqdm[Any]) -> str | None:
-    """Return what is known of a member without reading it: identical, differing, or nothing yet."""
-    if not os.path.lexists(place):
-        return None
+def _is_member(place: Path, member: Member) -> bool:
+    """Return whether a member is there already, by size and CRC; an empty one has no CRC."""
     if not place.is_file() or place.stat().st_size != member.size_bytes:
-        verdict = "differing"
-    elif member.crc32 is None:
-        return None  # only the archive's bytes can tell
-    else:
-        verdict = "identical" if _crc32_of(place) == member.crc32 else "differing"
-    bar.update(member.size_bytes)
-    return verdict
-
-
-def _crc32_of(path: Path) -> int:
+        return False
     crc = 0
-    with path.open("rb") as file:
+    with place.open("rb") as file:
         while piece := file.read(_PIECE_BYTES):
             crc = zlib.crc32(piece, crc)
-    return crc
+    return crc == (member.crc32 or 0)
 
 
-class _NewFile:
-    """Writes a member that is not there yet."""
+@contextmanager
+def _progress(bar: tqdm[Any], files: Sequence[NewFile]) -> Iterator[None]:
+    """Let a bar show how much of some files is there, whoever writes them."""
+    before, done = bar.n, threading.Event()
 
-    def __init__(self, member: Member, staging: Path, place: Path, result: dict[str, str], bar: tqdm[Any]) -> None:
-        self._member = member
-        self._place = place
-        self._result = result
-        self._bar = bar
-        self._staged = staging / "member"
-        self._left = member.size_bytes
-        with _disk_named(place):
-            self._file: IO[bytes] = self._staged.open("wb", buffering=0)
+    def look() -> None:
+        while not done.wait(_LOOK_S):
+            paths = [file.place for file in files] + [file.staged for file in files[:1]]
+            bar.n = before + sum(path.stat().st_size for path in paths if path.exists())
+            bar.refresh()
 
-    def write(self, piece: bytes) -> None:
-        self._left -= len(piece)
-        if self._left < 0:  # a bomb that lies about its size
-            self._file.close()
-            raise ArchiveError(
-                self._place, f"is longer than the {self._member.size_bytes} bytes that the archive states"
-            )
-        with _disk_named(self._place):
-            rest = memoryview(piece)
-            while rest:
-                rest = rest[self._file.write(rest) :]
-        self._bar.update(len(piece))
-
-    def close(self) -> None:
-        self._file.close()
-
-    def finish(self) -> None:
-        with _disk_named(self._place):
-            os.fsync(self._file.fileno())
-            self.close()
-            self._place.parent.mkdir(parents=True, exist_ok=True)
-            # A link would refuse to replace a file that appeared meanwhile, but not every disk has links.
-            if os.path.lexists(self._place):
-                self._result[self._member.name] = "differing"
-                return
-            self._staged.rename(self._place)
-        self._result[self._member.name] = "written"
-
-
-class _Comparison:
-    """Compares a member with the file of its size that is there already."""
-
-    def __init__(self, member: Member, place: Path, result: dict[str, str], bar: tqdm[Any]) -> None:
-        self._member = member
-        self._result = result
-        self._bar = bar
-        self._place = place
-        with _disk_named(place, "read"):
-            self._file = place.open("rb")
-        self._same = True
-
-    def write(self, piece: bytes) -> None:
-        with _disk_named(self._place, "read"):
-            self._same = self._same and self._file.read(len(piece)) == piece
-        self._bar.update(len(piece))
-
-    def close(self) -> None:
-        self._file.close()
-
-    def finish(self) -> None:
-        self._result[self._member.name] = "identical" if self._same else "differing"
+    thread = threading.Thread(target=look, daemon=True)
+    if not bar.disable:
+        thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        if not bar.disable:
+            thread.join()
 
 
 @contextmanager
@@ -210,13 +144,13 @@ def _staging_folder(folder: Path) -> Iterator[Path]:
     """Give one process at a time an empty hidden folder; it is gone at the end if all went well."""
     check_posix("unpacking an archive")
     staging = folder / STAGING
-    with _disk_named(folder):
+    with disk_named(folder):
         folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(folder, os.O_RDONLY)
     try:
         if not try_lock(folder, handle):
             raise DownloadError(f"{folder}: another process is unpacking there; wait for that one")
-        with _disk_named(staging):
+        with disk_named(staging):
             if os.path.lexists(staging):  # left by a run that was killed
                 _remove(staging)
             staging.mkdir()
@@ -235,14 +169,3 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink()  # a link is removed, not followed
-
-
-@contextmanager
-def _disk_named(path: Path, what: str = "write") -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        advice = "files unpacked before are whole, and the same command goes on"
-        if error.errno == errno.ENAMETOOLONG:
-            advice = f"no file can have that name on this disk; {BY_HAND}"
-        raise DownloadError(f"cannot {what} {path}: {error.strerror}; {advice}") from error

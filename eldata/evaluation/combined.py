@@ -10,20 +10,19 @@ from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
 from eldata.base.tables import text_table, wrapped
 from eldata.base.visible import in_line
-from eldata.evaluation.results import nothing_scored, problem_lines, write_scores
-from eldata.evaluation.scores import json_object, mean
-from eldata.protocols.comparability import comparability
+from eldata.evaluation.results import write_scores
+from eldata.evaluation.scores import json_object, mean, nothing_scored, problem_lines
 from eldata.protocols.digests import CHOOSING, OF_INPUT
+from eldata.protocols.words import comparability
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from eldata.base.figures import Figure
     from eldata.base.tables import Format
     from eldata.evaluation.results import EvaluationResult
-    from eldata.evaluation.scores import EvaluationProblem
-    from eldata.evaluation.table import TableRow
-    from eldata.protocols.kinds import Metric
+    from eldata.evaluation.scores import EvaluationProblem, TableRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,15 +103,15 @@ class CombinedResult:
         factors = (*(f"x{ratio:g}" for ratio in ratios), "all")
         parts = []
         for metric in first.kind.metrics:
-            header = (metric.head, first.kind.counted, *factors, f"against {first.protocol.name}")
+            header = (metric.heading, first.kind.counted, *factors, f"against {first.protocol.name}")
             parts.append(text_table(header, [self._row(group, ratios, metric) for group in self.groups]))
         return "\n\n".join(parts)
 
-    def _row(self, group: tuple[EvaluationResult, ...], ratios: list[float], metric: Metric) -> tuple[str, ...]:
+    def _row(self, group: tuple[EvaluationResult, ...], ratios: list[float], metric: Figure) -> tuple[str, ...]:
         result = group[0]
         rows = {row.ratio: row for row in overall(result)}
         cells = [
-            metric.text(rows[ratio].values[metric.name]) if ratio in rows and rows[ratio].scored else "-"
+            metric.format(rows[ratio].values[metric.name]) if ratio in rows and rows[ratio].scored else "-"
             for ratio in (*ratios, None)
         ]
         against = ""
@@ -120,7 +119,7 @@ class CombinedResult:
             against = "suspect"
         elif result is not self.results[0]:
             difference, shared = self.shift(result, metric.name)
-            places = metric.places
+            places = metric.decimals
             against = f"{round(difference, places) + 0.0:+.{places}f}" if shared else "-"
             if 0 < shared < result.scored:
                 against += f" ({shared} {result.kind.counted})"
@@ -156,7 +155,7 @@ class CombinedResult:
         """Return how far apart the protocols' means lie, in words."""
         spans = self.spans()
         sizes = [
-            f"{metric.text(spans[metric.name])} {metric.unit or f'in {metric.label}'}"
+            f"{metric.format(spans[metric.name])} {metric.unit or f'in {metric.label}'}"
             for metric in self.results[0].kind.metrics
         ]
         return f"the same predictions lie up to {', '.join(sizes[:-1])} and {sizes[-1]} apart"
@@ -218,13 +217,13 @@ class CombinedResult:
 
     def _repr_html_(self) -> str:
         first = self.results[0]
-        heads = ("protocol", first.kind.counted, *(metric.head for metric in first.kind.metrics))
+        heads = ("protocol", first.kind.counted, *(metric.heading for metric in first.kind.metrics))
         rows = [
             (
                 result.protocol.name,
                 result.whole.coverage,
                 *(
-                    metric.text(result.whole.values[metric.name]) if result.scored else "-"
+                    metric.format(result.whole.values[metric.name]) if result.scored else "-"
                     for metric in first.kind.metrics
                 ),
             )

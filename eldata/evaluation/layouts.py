@@ -1,6 +1,6 @@
-"""Folders of predictions in other layouts: which noisy frame a file is meant for, by the words and numbers in its name.
+"""Folders of predictions: what lies in one, and which noisy frame a file is meant for, by the words in its name.
 
-Pure functions of names. Nothing is scored by them: they make one message of what would be one for each frame.
+Where nothing lies as expected, the nearest layout makes one message of what would be one for each frame.
 """
 
 from __future__ import annotations
@@ -8,12 +8,17 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter, defaultdict
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from eldata.base.files import folder_problem
+from eldata.errors import EldataError
+from eldata.evaluation.scores import EvaluationProblem
+
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 EXTENSIONS = (".npy", ".npz", ".h5", ".tif", ".tiff", ".png", ".dng")
 """The kinds of file that a prediction may be, by the ends of their names."""
@@ -225,3 +230,210 @@ def _listed(texts: Sequence[str], word: str) -> str:
     else:
         shown = list(texts)
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} {word} {shown[-1]}"
+
+
+# --- what lies in a folder --------------------------------------------------------------------------------------------
+
+
+_MOST_EXTRA = 100  # files of no noisy frame that are named one by one
+
+
+_MOST_SHOWN = 8
+
+
+@dataclass(frozen=True, slots=True)
+class FoundPredictions:
+    """What lies in a folder of predictions, against those that are to be scored.
+
+    Attributes
+    ----------
+    files
+        Prediction of each noisy frame, by its place.
+    problems
+        Noisy frames with several predictions or none, and files that are the prediction of no noisy frame.
+    unscored
+        Number of predictions of noisy frames that this evaluation does not score.
+    elsewhere
+        Numbers of predictions of other datasets, by their names.
+    """
+
+    files: dict[str, Path]
+    problems: tuple[EvaluationProblem, ...]
+    unscored: int
+    elsewhere: dict[str, int] = field(default_factory=dict)
+
+
+def find_predictions(
+    folder: Path,
+    places: Iterable[str],
+    known: Iterable[str] = (),
+    *,
+    elsewhere: Mapping[str, Collection[str]] = MappingProxyType({}),
+    allow_missing: bool = False,
+    because: str = "",
+) -> FoundPredictions:
+    """Match the files of a folder with where predictions may lie, but for their extension.
+
+    Parameters
+    ----------
+    folder
+        The folder of predictions.
+    places
+        Where those that are to be scored may lie, relative to it: the paths of noisy frames, whose extension does not
+        matter.
+    known
+        The same of all noisy frames of the manifest.
+    elsewhere
+        The same of other datasets, by their names.
+    allow_missing
+        Whether noisy frames may lack a prediction.
+    because
+        Why a prediction is wanted that somebody may not expect to be, in words that go on a sentence.
+
+    Raises
+    ------
+    EldataError
+        If the folder is not there.
+    """
+    by_stem: dict[str, list[str]] = {}
+    unread: dict[str, str] = {}
+    for name in _files(folder):
+        if is_read(name):
+            by_stem.setdefault(stem_of(name), []).append(name)
+        else:
+            unread.setdefault(stem_of(name), name)
+    files: dict[str, Path] = {}
+    several, missing = [], []
+    place_of_stem: dict[str, str] = {}
+    for place in places:
+        stem = stem_of(place)
+        found = by_stem.pop(stem, [])
+        if place_of_stem.setdefault(stem, place) != place:
+            reason = f"its prediction would lie where that of {place_of_stem[stem]} does; give the frames other names"
+            several.append(EvaluationProblem(place, reason))
+        elif len(found) == 1:
+            files[place] = folder / found[0]
+        elif found:
+            reason = f"expected one prediction, found {len(found)}: {', '.join(found[:_MOST_SHOWN])}; keep one"
+            several.append(EvaluationProblem(place, reason))
+        elif not allow_missing:
+            there = add = ""
+            if stem in unread:
+                there, add = f", only a {Path(unread[stem]).suffix} file, which is not read", f" as {READ}"
+            reason = f"has no prediction{there}{because}; add it{add}, or score the rest with --allow-missing"
+            missing.append(EvaluationProblem(place, reason))
+    unscored = sum(len(by_stem.pop(stem, ())) for stem in {stem_of(path) for path in known})
+    counts = {
+        name: sum(len(by_stem.pop(stem, ())) for stem in {stem_of(path) for path in paths})
+        for name, paths in elsewhere.items()
+    }
+    strange = [name for names in by_stem.values() for name in names]
+    extra = _extra(folder, strange, [problem.path for problem in missing])
+    there_too = {name: count for name, count in counts.items() if count}
+    return FoundPredictions(files, (*several, *extra, *missing), unscored, there_too)
+
+
+def misplaced(folder: Path, expected: Expected, known: Iterable[str]) -> EvaluationProblem | None:
+    """Return the one problem of a folder in which nothing lies where a prediction may, or ``None``.
+
+    Parameters
+    ----------
+    folder
+        The folder of predictions.
+    expected
+        What is to be scored, and what may be there in its stead.
+    known
+        The paths of all noisy frames of the manifest.
+
+    Raises
+    ------
+    EldataError
+        If the folder is not there.
+    """
+    names = _files(folder)
+    stems = {stem_of(path) for path in (*expected.places, *known)}
+    if not expected.places or any(is_read(name) and stem_of(name) in stems for name in names):
+        return None
+    return EvaluationProblem(str(folder), layout_in_words(folder, names, expected))
+
+
+def dataset_itself(folder: Path, dataset: Path, paths: Sequence[str]) -> EvaluationProblem | None:
+    """Return the one problem of a folder that is the dataset's, the one above it, or a camera's or scene's in it.
+
+    Predictions beside raw files of other kinds than predictions have are let through.
+
+    Parameters
+    ----------
+    folder
+        The folder of predictions.
+    dataset
+        The dataset's.
+    paths
+        Those of the manifest.
+    """
+    place, own = folder.resolve(), dataset.resolve()
+    above = place == own.parent
+    if not folder.is_dir() or not (above or place.is_relative_to(own)):
+        return None
+    parts = {parent.as_posix() for path in paths for parent in PurePosixPath(path).parents}
+    if not above and place.relative_to(own).as_posix() not in parts:
+        return None
+    # Beside raw files that are not read as predictions, and beside the dataset's folder, there may be some.
+    may_be = any((place / part).is_dir() for part in parts - {"."}) if above else any(map(is_read, _files(folder)))
+    if may_be and not any(map(is_read, paths)):
+        return None
+    what = "holds" if above else "is" if place == own else "is a part of"
+    return EvaluationProblem(
+        str(folder),
+        f"{what} the dataset itself, {dataset}; give a folder of predictions alone, such as eldata predict, eldata "
+        "baseline or code of yours writes, or --baseline input to score the noisy frames as they are",
+    )
+
+
+# What networks are kept in.
+_MODELS = frozenset((".pt", ".pth", ".ckpt", ".onnx", ".safetensors", ".pkl"))
+
+
+def _files(folder: Path) -> list[str]:
+    """Return the files of a folder of predictions, relative to it, sorted.
+
+    Hidden files and folders, and linked folders, are left out; a folder that is called like a prediction is there.
+    """
+    problem = folder_problem(folder)
+    if problem is not None:
+        what = f"{folder}: {problem}"
+        if folder.suffix.lower() in _MODELS and folder.exists():
+            what += ", and may hold a model: eldata predict makes predictions with one"
+        raise EldataError(f"{what}; give the one that holds the predictions, a file for each noisy frame")
+    return sorted(_walk(folder))
+
+
+def _walk(folder: Path) -> Iterator[str]:
+    waiting = [""]
+    while waiting:  # not recursive: folders may lie deeper than Python's stack
+        below = waiting.pop()
+        try:
+            entries = list(os.scandir(folder / below))
+        except OSError as error:
+            raise EldataError(f"{folder / below}: cannot be read: {error.strerror}") from error
+        for entry in entries:
+            if entry.name.startswith("."):
+                continue
+            name = f"{below}{entry.name}"
+            if entry.is_dir(follow_symlinks=False):
+                waiting.append(f"{name}/")
+            if is_read(name) or not entry.is_dir():
+                yield name
+
+
+def _extra(folder: Path, names: list[str], missing: list[str]) -> list[EvaluationProblem]:
+    """Name the predictions of no noisy frame; of very many only the first."""
+    nearest = nearest_in_words(names, missing)
+    reason = "is the prediction of no noisy frame in the manifest; rename it or move it away"
+    if nearest is not None:
+        reason += f": {nearest}"
+    problems = [EvaluationProblem(name, reason) for name in names[:_MOST_EXTRA]]
+    if len(names) > _MOST_EXTRA:
+        more = f"{len(names) - _MOST_EXTRA} more files are predictions of no noisy frame; is it the right folder?"
+        problems.append(EvaluationProblem(str(folder), more))
+    return problems

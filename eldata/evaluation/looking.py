@@ -1,32 +1,33 @@
-"""What those who look at a result see of it: groups of scores with intervals, the worst and the best as scored."""
+"""What those who look at results see of them: groups of scores with intervals, images decoded as they were scored."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, cast
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from eldata.errors import ArgumentError, PredictionError
-from eldata.evaluation.compared_frames import scored_arrays
-from eldata.evaluation.ordering import cameras_in_order, natural
+from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
+from eldata.evaluation.layouts import find_predictions
 from eldata.evaluation.originals import Originals
-from eldata.evaluation.pairs import place_of
-from eldata.evaluation.predictions import find_predictions
-from eldata.evaluation.scores import FrameScore
+from eldata.evaluation.pairs import place_of, reference_of
+from eldata.evaluation.reproduction import protocol_of
+from eldata.evaluation.scores import FrameScore, cameras_in_order, natural
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
-from eldata.isp.preview import preview
-from eldata.protocols.protocol import Protocol
+from eldata.isp.preview import brightening, preview
+from eldata.protocols.protocol import NO_SHADING, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.compared_frames import ScoredArrays
+    from eldata.evaluation.pairs import Pair
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
@@ -119,50 +120,132 @@ def worst_frame(score: UnitScore) -> FrameScore:
     return min(score.frames, key=lambda frame: frame.psnr_db, default=only)
 
 
-# --- the worst and the best, decoded ------------------------------------------------------------------------------
+# --- what was scored, decoded once more ---------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SeenFrame:
-    """One of the worst or the best.
+@dataclass(frozen=True, slots=True)
+class ScoredImage:
+    """Where all that was compared of one image lies: small, for workers that decode it.
 
     Attributes
     ----------
-    rank
-        ``Worst`` or ``Best``.
-    score, frame
-        Its scores; the path of the frame, of a clip that with the lowest PSNR.
-    arrays
-        What was compared.
+    originals, pair
+        The dataset's frames, and which pair, or window of a clip, it is.
+    frames, files, protocols
+        Of each method: the frame with the factor that it was given (of a clip the one with the first method's lowest
+        PSNR), its prediction (``None``: the noisy input itself), and how it was scored.
+    dark_shading
+        The file of what was taken off the inputs, if anything was.
     """
 
-    rank: str
-    score: UnitScore
+    originals: Originals
+    pair: Pair
+    frames: tuple[FrameScore, ...]
+    files: tuple[Path | None, ...]
+    protocols: tuple[Protocol, ...]
+    dark_shading: Path | None
+
+    def decoded(self) -> SeenImage:
+        """Return its pixels.
+
+        Raises
+        ------
+        RawFileError, PredictionError, ManifestError
+            If a file is no longer what was scored.
+        """
+        first, shown, originals = self.protocols[0], self.frames[0].path, self.originals
+        reference = Reference(originals, reference_of(self.pair, shown) or "")
+        predictions: list[NDArray[Any]] = []
+        amplified: NDArray[Any] | None = None
+        for frame, file, protocol in zip(self.frames, self.files, self.protocols, strict=True):
+            shading = None if protocol.dark_shading == NO_SHADING else self.dark_shading
+            job = ScoringJob(Path.cwd(), originals, (protocol,), None, dark_shading=shading)
+            compared = ComparedFrame(job, reference, self.pair, NoisyInput(job, reference, self.pair, frame.path), file)
+            factor = 1.0 if math.isnan(frame.rescale) else frame.rescale
+            predictions.append(as_scored(compared.prediction(protocol), protocol.rules, factor, np.float32))
+            if protocol is first and amplified is None and first.pixels != "srgb":
+                amplified = compared.input(first)
+        sensor = reference.frame.sensor if first.pixels == "packed" else None
+        return SeenImage(shown, amplified, tuple(predictions), reference.target(first), sensor)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenImage:
+    """One image as each method was scored on it: arrays (C, h, w) of the whole frame.
+
+    Attributes
+    ----------
+    frame
+        The noisy frame's path; of a clip that with the lowest PSNR.
+    amplified
+        The noisy input; ``None`` where predictions are renderings.
+    predictions
+        Of each method, rescaled and clamped.
+    reference
+        What they were compared with.
+    sensor
+        Of packed raw; ``None`` of colours.
+    """
+
     frame: str
-    arrays: ScoredArrays
+    amplified: NDArray[Any] | None
+    predictions: tuple[NDArray[Any], ...]
+    reference: NDArray[Any]
+    sensor: Sensor | None
+
+    @cached_property
+    def errors(self) -> tuple[NDArray[Any], ...]:
+        """The absolute error of each method, mean over channels, (h, w)."""
+        return tuple(np.abs(one - self.reference).mean(axis=0) for one in self.predictions)
+
+    @cached_property
+    def brighter(self) -> float:
+        """What the pictures of input, predictions and reference are multiplied by to be seen; 1 of renderings."""
+        return 1.0 if self.amplified is None else brightening(self.reference)
+
+    def place_of_difference(self, most: tuple[int, int]) -> tuple[slice, slice]:
+        """Return where methods differ most, of so many rows and columns at most (:func:`place_of_difference`)."""
+        return place_of_difference(self.errors, most)
 
     def rendered(self, values: NDArray[Any]) -> NDArray[np.uint8]:
-        """Return (C, h, w) as 8-bit colours: packed raw as a quick rendering, colours as they are."""
-        return rendered_colours(values, self.arrays.sensor)
+        """Return (C, h, w) as (h, w, 3) of 8 bits, brighter: packed raw as a quick rendering, colours as they are."""
+        values = values * self.brighter
+        if self.sensor is not None:
+            return preview(values, self.sensor)
+        return np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).transpose(1, 2, 0)
 
 
-def rendered_colours(values: NDArray[Any], sensor: Sensor | None) -> NDArray[np.uint8]:
-    """Return (C, h, w) in [0, 1] as (h, w, 3) of 8 bits: packed raw of a sensor as a quick rendering, else as it is."""
-    if sensor is not None:
-        return preview(values, sensor)
-    return cast("NDArray[np.uint8]", np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8).transpose(1, 2, 0))
+def place_of_difference(errors: Sequence[NDArray[Any]], size: tuple[int, int]) -> tuple[slice, slice]:
+    """Return where methods differ most: the window in which their mean squared errors lie farthest apart.
+
+    Parameters
+    ----------
+    errors
+        Of each method, (h, w).
+    size
+        Rows and columns of the window; it is no larger than the image. Windows are tried at steps of a quarter of it.
+    """
+    spans = [(length, min(most, length)) for length, most in zip(errors[0].shape, size, strict=True)]
+    (tops, rows), (lefts, columns) = (
+        (np.unique(np.append(np.arange(0, length - window + 1, max(1, window // 4)), length - window)), window)
+        for length, window in spans
+    )
+    sums = []
+    for error in errors:
+        total = np.pad(np.square(error, dtype=np.float64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+        below, right = tops + rows, lefts + columns
+        inner, outer = total[np.ix_(below, right)], total[np.ix_(tops, lefts)]
+        sums.append(inner - total[np.ix_(tops, right)] - total[np.ix_(below, lefts)] + outer)
+    spread = np.ptp(np.stack(sums), axis=0)
+    row, column = np.unravel_index(int(np.argmax(spread)), spread.shape)
+    top, left = int(tops[row]), int(lefts[column])
+    return slice(top, top + rows), slice(left, left + columns)
 
 
-def seen_frames(
-    result: EvaluationResult,
-    each: int,
-    *,
-    dataset_folder: Path,
-    predictions: Path | None,
-    dark_shading: Path | None = None,
-    store: Path | None = None,
-) -> tuple[SeenFrame, ...]:
-    """Decode the worst and the best of a result once more, as they were scored.
+def worst_and_best_images(
+    result: EvaluationResult, each: int, *, predictions: Path | None, **where: Any
+) -> tuple[tuple[str, UnitScore, ScoredImage], ...]:
+    """Return the worst and the best of a result, what they are (``Worst`` or ``Best``) and what to decode of them.
 
     Parameters
     ----------
@@ -170,37 +253,79 @@ def seen_frames(
         Scores, units and protocol, just computed.
     each
         How many of either, at most.
-    dataset_folder, predictions
-        Where the raw files and the predictions lie; ``None`` if the noisy input itself was scored.
-    dark_shading
-        The file of what was taken off the inputs, if anything was.
-    store
-        The store that was read in place of the dataset's files, if one was.
+    predictions, **where
+        As for :func:`images_of`; the predictions' folder alone.
 
     Raises
     ------
     ArgumentError
         If the result was read back.
-    RawFileError, PredictionError, ManifestError
-        If a file is no longer what was scored.
+    PredictionError
+        If a prediction is no longer there.
     """
-    protocol = result.protocol
-    if not isinstance(protocol, Protocol):
+    if not isinstance(result.protocol, Protocol):
         raise ArgumentError("pictures are of a result that was just computed; this one was read back")
     worst, best = worst_and_best(result.scores, each)
-    units = {unit.path: unit for unit in result.units}
-    frames = {score.path: worst_frame(score) for score in (*worst, *best)}
-    places = {path: place_of(units[path], frame.path) for path, frame in frames.items()}
-    files = {} if predictions is None else find_predictions(predictions, places.values()).files
-    originals = Originals.opened(dataset_folder, store)
-    seen = []
-    for rank, score in (*(("Worst", score) for score in worst), *(("Best", score) for score in best)):
-        frame, place = frames[score.path], places[score.path]
-        if predictions is not None and place not in files:
-            raise PredictionError(predictions, f"the prediction of {frame.path} is gone since it was scored")
-        arrays = scored_arrays(originals, protocol, units[score.path], frame, files.get(place), dark_shading)
-        seen.append(SeenFrame(rank, score, frame.path, arrays))
-    return tuple(seen)
+    ranked = [*(("Worst", score) for score in worst), *(("Best", score) for score in best)]
+    images = images_of([result], [(score,) for _, score in ranked], predictions=[predictions], **where)
+    return tuple((rank, score, image) for (rank, score), image in zip(ranked, images, strict=True))
+
+
+def images_of(
+    results: Sequence[EvaluationResult],
+    scores: Sequence[Sequence[UnitScore]],
+    *,
+    dataset_folder: Path,
+    predictions: Sequence[Path | None],
+    dark_shading: Path | None = None,
+    store: Path | None = None,
+    units: Mapping[str, Pair] | None = None,
+) -> tuple[ScoredImage, ...]:
+    """Return what to decode of images that results, one of each method, have scores of.
+
+    Parameters
+    ----------
+    results, scores
+        Of each method; of each image the score by each.
+    dataset_folder, predictions
+        Where the raw files lie, and the predictions of each method; ``None`` of one that is the noisy input itself.
+    dark_shading
+        The file of what was taken off the inputs, if anything was.
+    store
+        The store that was read in place of the dataset's files, if one was.
+    units
+        The pairs, or windows, by their paths: of results that were read back (:func:`units_again`), which hold none.
+
+    Raises
+    ------
+    ArgumentError
+        If there are not as many folders as methods, or this version does not know a protocol as a result states it.
+    PredictionError
+        If a prediction is no longer there.
+    """
+    if len(predictions) != len(results):
+        raise ArgumentError(f"expected a folder of predictions per method; found {len(predictions)} for {len(results)}")
+    known = {unit.path: unit for unit in results[0].units} if units is None else units
+    protocols, originals = tuple(map(protocol_of, results)), Originals.opened(dataset_folder, store)
+    frames = [_frames_of(of_image) for of_image in scores]
+    places = [place_of(known[one[0].path], shown[0].path) for one, shown in zip(scores, frames, strict=True)]
+    files = [None if folder is None else find_predictions(folder, places).files for folder in predictions]
+    images = []
+    for of_image, shown, place in zip(scores, frames, places, strict=True):
+        for folder, found in zip(predictions, files, strict=True):
+            if folder is not None and found is not None and place not in found:
+                raise PredictionError(folder, f"the prediction of {shown[0].path} is gone since it was scored")
+        paths = tuple(None if found is None else found[place].absolute() for found in files)
+        images.append(ScoredImage(originals, known[of_image[0].path], shown, paths, protocols, dark_shading))
+    return tuple(images)
+
+
+def _frames_of(scores: Sequence[UnitScore]) -> tuple[FrameScore, ...]:
+    """Return the frame that is shown, with each method's factor: of a clip the first method's worst."""
+    first, *others = scores
+    shown = worst_frame(first)
+    same = ([frame for frame in score.frames if frame.path == shown.path] for score in others)
+    return shown, *(found[0] if found else worst_frame(score) for found, score in zip(same, others, strict=True))
 
 
 # --- intervals in words -------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from eldata.errors import DatasetError
 from eldata.manifest.clips import ClipRecord, moment_of
 from eldata.records import PairRecord
-from eldata.sources.pairs import stated_ratio
+from eldata.sources.frames import stated_ratio
 
 if TYPE_CHECKING:
     from eldata.protocols.protocol import Amplification

@@ -12,16 +12,15 @@ from eldata.evaluation.originals import CheckedOriginals, Originals, store_of
 from eldata.evaluation.pairs import Pair, clip_place, files_of, iso_of
 from eldata.evaluation.request import OF_CLIPS
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
-from eldata.manifest.clip_checks import is_png
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
 from eldata.manifest.pairs import select_pairs
-from eldata.manifest.patterns import expand
+from eldata.manifest.patterns import expand, is_png
 from eldata.manifest.verify import check_files
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.protocols.choosing import default_protocol
-from eldata.protocols.clips import OWN_SEQUENCES, ClipProtocol
 from eldata.protocols.kinds import IMAGES
+from eldata.protocols.named import default_protocol
+from eldata.protocols.protocol import OWN_SEQUENCES, ClipProtocol
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -31,8 +31,7 @@ import numpy as np
 
 from eldata.base.files import file_problem
 from eldata.base.isolation import GuardError, guarded
-from eldata.base.npy import read_npy
-from eldata.base.npz import opened_npz
+from eldata.base.npy import opened_npz, read_npy
 from eldata.base.png import read_png
 from eldata.base.visible import in_line
 from eldata.errors import PredictionError
@@ -141,7 +140,7 @@ def _read_npy(path: Path, check: Check) -> NDArray[Any]:
 
 
 def _of_npy(header: NpyHeader) -> Declared:
-    return Declared(header.shape, header.values)
+    return Declared(header.shape, header.kind)
 
 
 def _read_npz(path: Path, check: Check) -> NDArray[Any]:

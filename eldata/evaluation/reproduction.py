@@ -6,19 +6,19 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.fields import shown
 from eldata.base.numbers import counted
 from eldata.base.tables import text_table
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 from eldata.evaluation.evaluate import perform
 from eldata.evaluation.planning import plan_scoring, require_folder
 from eldata.evaluation.request import EvaluationOptions, make_request
-from eldata.evaluation.results import THE_INPUT, EvaluationResult, nothing_scored, problem_lines
+from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.saved import load_results
+from eldata.evaluation.scores import nothing_scored, problem_lines
 from eldata.evaluation.tasks import Task
 from eldata.manifest.catalogue import known_names
-from eldata.protocols.clips import ClipProtocol
-from eldata.protocols.protocol import NO_SHADING, Protocol
+from eldata.protocols.protocol import NO_SHADING, ClipProtocol, Protocol
 
 if TYPE_CHECKING:
     from eldata.base.workers import AnyWorkers

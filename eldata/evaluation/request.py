@@ -6,17 +6,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
 
+from eldata.base.arguments import keywords
 from eldata.base.fields import TextFile
-from eldata.base.keywords import keywords
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.tasks import Task
 from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest, shipped_names
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.protocols.choosing import default_protocol, get_protocol, protocols_for
-from eldata.protocols.clips import OWN_SEQUENCES
 from eldata.protocols.kinds import IMAGES, Kind
-from eldata.protocols.protocol import NO_SHADING
+from eldata.protocols.named import default_protocol, get_protocol, protocols_for
+from eldata.protocols.protocol import NO_SHADING, OWN_SEQUENCES
 
 if TYPE_CHECKING:
     from collections.abc import Collection

@@ -9,20 +9,31 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.fields import csv_text
 from eldata.base.files import write_json, write_text
 from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
-from eldata.base.tables import latex_table, markdown_table, markdown_text, text_table, wrapped
+from eldata.base.tables import csv_text, latex_table, markdown_table, markdown_text, text_table, wrapped
 from eldata.base.visible import in_line
 from eldata.evaluation.pairs import name_of
-from eldata.evaluation.scores import EvaluationProblem, UnitScore, csv_number, finite_values, json_object
-from eldata.evaluation.table import PaperTable, TableRow, paper_table, short_digest, table_of
+from eldata.evaluation.scores import (
+    EvaluationProblem,
+    PaperTable,
+    TableRow,
+    UnitScore,
+    csv_number,
+    finite_values,
+    json_object,
+    nothing_scored,
+    paper_table,
+    problem_lines,
+    short_digest,
+    table_of,
+)
+from eldata.evaluation.tasks import stated_figure
 from eldata.manifest.clips import ClipRecord
-from eldata.protocols.comparability import comparability
 from eldata.protocols.digests import CHOOSING, OF_INPUT
-from eldata.protocols.kinds import task_metric
 from eldata.protocols.protocol import NO_SHADING
+from eldata.protocols.words import comparability
 from eldata.records import PairRecord
 
 if TYPE_CHECKING:
@@ -34,9 +45,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from eldata.base.tables import Format
+    from eldata.evaluation.diagnosis import Suspicion
     from eldata.evaluation.pairs import Pair
     from eldata.evaluation.statistics import Interval
-    from eldata.evaluation.suspicions import Suspicion
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip
     from eldata.protocols.kinds import Kind
@@ -44,10 +55,6 @@ if TYPE_CHECKING:
 
 THE_INPUT = "none: the input itself"
 """In the provenance in place of the folder of predictions."""
-
-_LINES_SHOWN = 20  # of problems
-_ALIKE = 3  # of one reason stand together
-_NAMES_SHOWN = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +82,7 @@ class EvaluationResult:
     notes
         What a reader of the table should know.
     suspicions
-        Mistakes that the predictions show (:mod:`eldata.evaluation.suspicions`).
+        Mistakes that the predictions show (:mod:`eldata.evaluation.diagnosis`).
     units
         The pairs, or windows of clips, that were to be scored; none in a result that was read back.
     source
@@ -264,7 +271,7 @@ class EvaluationResult:
         return self.laid_out(self.kind.heads, [row.texts(self.kind) for row in self.table])
 
     def laid_out(self, names: Sequence[str], texts: Sequence[Sequence[str]], times: str = "x") -> PaperTable:
-        """Return texts for each row of the table laid out by :func:`~eldata.evaluation.table.paper_table`."""
+        """Return texts for each row of the table laid out by :func:`~eldata.evaluation.scores.paper_table`."""
         one_camera = self.provenance.get("cameras", "all") == "all"
         return paper_table(self.table, names, texts, one_camera=one_camera, times=times)
 
@@ -339,7 +346,7 @@ class EvaluationResult:
 
         def draw(axes: Axes, theme: Theme) -> None:
             strips(axes, values, theme)
-            axes.set_ylabel(chosen.head)
+            axes.set_ylabel(chosen.heading)
 
         return drawn_into(ax, f"{self.dataset}, protocol {self.protocol.name}", draw)
 
@@ -396,10 +403,7 @@ class EvaluationResult:
 
 def kind_of(kind: Kind, provenance: Mapping[str, Any]) -> Kind:
     """Return a protocol's kind with what was asked for beyond it: a task."""
-    if "task" in provenance:
-        task = provenance["task"]
-        kind = kind.having(task_metric(task["label"], higher_is_better=task["higher_is_better"]))
-    return kind
+    return kind.having(stated_figure(provenance["task"])) if "task" in provenance else kind
 
 
 def write_scores(results: Sequence[EvaluationResult], path: Path | str, *, named: bool = False) -> None:
@@ -411,44 +415,3 @@ def write_scores(results: Sequence[EvaluationResult], path: Path | str, *, named
         for row in (score.row(result.kind) for score in result.scores)
     )
     write_text(path, csv_text((*(("protocol",) if named else ()), *columns), rows))
-
-
-def problem_lines(problems: Sequence[EvaluationProblem]) -> list[str]:
-    """Return problems as lines of text, the first of many; those that are alike stand together, by folder."""
-    alike: dict[str, list[str]] = {}
-    for problem in problems:
-        alike.setdefault(problem.reason, []).append(problem.path)
-    lines: list[str] = []
-    shown = 0
-    for reason, paths in alike.items():
-        if len(paths) < _ALIKE:
-            rows = [(1, str(EvaluationProblem(path, reason))) for path in paths]
-        else:
-            lines += [in_line(f"{len(paths)} alike: {reason}")] if len(lines) < _LINES_SHOWN else []
-            rows = _by_folder(paths)
-        for count, row in rows[: max(_LINES_SHOWN - len(lines), 0)]:
-            lines.append(row)
-            shown += count
-    if shown < len(problems):
-        lines.append(f"... and {len(problems) - shown} more (--json FILE lists all)")
-    return lines
-
-
-def _by_folder(paths: Sequence[str]) -> list[tuple[int, str]]:
-    """Return a line for each folder that files are in, the first of many by name, and how many they are."""
-    folders: dict[str, list[str]] = {}
-    for path in paths:
-        folder, _, name = path.rpartition("/")
-        folders.setdefault(folder, []).append(name)
-    rows = []
-    for folder, names in folders.items():
-        more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
-        rows.append(
-            (len(names), in_line(f"  {folder + ': ' if folder else ''}{', '.join(names[:_NAMES_SHOWN])}{more}"))
-        )
-    return rows
-
-
-def nothing_scored(problems: Sequence[EvaluationProblem]) -> str:
-    """Return that nothing was scored, in a line."""
-    return f"nothing was scored: {counted(len(problems), 'problem')}"

@@ -6,12 +6,12 @@ import math
 from typing import TYPE_CHECKING, Any, Final
 
 from eldata import __version__
-from eldata.base.fields import TextFile, shown
+from eldata.base.fields import TextFile
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError, FileError
+from eldata.evaluation.diagnosis import Suspicion
 from eldata.evaluation.results import EvaluationResult, kind_of
-from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore
-from eldata.evaluation.suspicions import Suspicion
-from eldata.evaluation.table import TableRow
+from eldata.evaluation.scores import EvaluationProblem, FrameScore, TableRow, UnitScore
 from eldata.protocols.kinds import CLIPS, IMAGES, Kind
 from eldata.protocols.protocol import StatedProtocol
 

@@ -183,9 +183,7 @@ def paired_difference(first: Values, second: Values, scenes: Sequence[Hashable])
     return Difference(interval_of_mean(differences, scenes), sign_flip_p_value(differences, scenes))
 
 
-def sign_flip_p_value(
-    differences: Values, scenes: Sequence[Hashable], *, resamples: int = RESAMPLES, seed: int = SEED
-) -> float:
+def sign_flip_p_value(differences: Values, scenes: Sequence[Hashable]) -> float:
     """Return the two-sided p-value of "neither method is better", by flipping the signs of whole scenes.
 
     If neither is better, each scene's differences might as well have had the other sign. The p-value is the share of
@@ -200,12 +198,8 @@ def sign_flip_p_value(
     Raises
     ------
     ArgumentError
-        If there are not as many scenes as differences, or resamples or seed are invalid.
+        If there are not as many scenes as differences.
     """
-    if resamples < 1:
-        raise ArgumentError(f"resamples must be 1 or more; found {resamples}")
-    if seed < 0:
-        raise ArgumentError(f"seed must be 0 or more; found {seed}")
     sums, _ = _by_scene(differences, scenes)
     if not len(sums) or not np.isfinite(sums).all():
         return math.nan
@@ -215,12 +209,12 @@ def sign_flip_p_value(
     if len(sums) <= _FLIPPED_IN_FULL:
         flips = 1 - 2 * ((np.arange(1 << len(sums))[:, None] >> np.arange(len(sums))) & 1)
         return float(np.mean(np.abs(flips @ sums) >= enough))
-    generator = np.random.default_rng(seed)
-    reached = 0
-    for count in _pieces(resamples, len(sums)):
-        flips = 1 - 2 * generator.integers(0, 2, (count, len(sums)))
+    generator, reached = np.random.default_rng(SEED), 0
+    rows = max(1, _ENTRIES_AT_ONCE // len(sums))  # few enough to hold in memory
+    for start in range(0, RESAMPLES, rows):
+        flips = 1 - 2 * generator.integers(0, 2, (min(rows, RESAMPLES - start), len(sums)))
         reached += int(np.count_nonzero(np.abs(flips @ sums) >= enough))
-    return (1 + reached) / (1 + resamples)
+    return (1 + reached) / (1 + RESAMPLES)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -260,9 +254,3 @@ def _mean(values: Values) -> float:
         return math.nan
     with np.errstate(invalid="ignore"):
         return math.fsum(array) / len(array) if np.isfinite(array).all() else float(array.mean())
-
-
-def _pieces(total: int, width: int) -> list[int]:
-    """Return numbers of rows that add up to ``total``, each few enough to hold in memory."""
-    most = max(1, _ENTRIES_AT_ONCE // width)
-    return [min(most, total - start) for start in range(0, total, most)]

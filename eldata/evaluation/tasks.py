@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from eldata.base.arguments import is_tensor, named_object
+from eldata.base.figures import Figure
 from eldata.base.files import sha256_of
-from eldata.base.naming import named_object
-from eldata.base.tensors import is_tensor
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, FileError, check_choice
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -166,3 +166,17 @@ class Task:
             found = repr(made) if isinstance(made, numbers.Real) else type(made).__name__
             raise FileError(path, f"the task {self.place} returned {found}; expected a finite number")
         return float(made)
+
+
+def stated_figure(stated: Mapping[str, Any]) -> Figure:
+    """Return what is said of a task's values, by what a result's provenance states of it."""
+    return Figure(
+        name="task",
+        label=stated["label"],
+        meaning=f"the value of {stated['callable']}",
+        decimals=3,
+        difference_decimals=4,
+        single_decimals=4,
+        better="higher" if stated["higher_is_better"] else "lower",
+        computed_by=stated["callable"],
+    )

@@ -19,13 +19,12 @@ import numpy as np
 
 from eldata.base.workers import Failed, require_files
 from eldata.errors import ArgumentError, EldataError, FileError, PredictionError
-from eldata.evaluation.compared_frames import ComparedFrame, as_scored
+from eldata.evaluation.diagnosis import Inspection, chosen_frames
+from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
 from eldata.evaluation.pairs import Pair, files_of, frames_of, iso_of, place_of, ratio_of, reference_of
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
-from eldata.evaluation.shared_frames import NoisyInput, Reference, ScoringJob
-from eldata.evaluation.suspicions import Inspection, chosen_frames
 from eldata.manifest.clips import ClipRecord
-from eldata.protocols.clips import ClipProtocol
+from eldata.protocols.protocol import ClipProtocol
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -293,7 +292,7 @@ class _Scorer:
         self._found = PlanScores()
         self._bare = False
         self._whites_dn: tuple[float, float] | None = None
-        self._extras: list[dict[str, float]] = []
+        self._others: list[dict[str, float]] = []
         self._equal: dict[str, frozenset[str]] | None = None
 
     def take(self, frame: ComparedFrame) -> None:
@@ -308,8 +307,8 @@ class _Scorer:
             self._found = _without_reference(self._pair, reason)
             return
         try:
-            found, prediction = frame.score(protocol, target)
-            extras = frame.extras(protocol, target, found.rescale)
+            found = frame.score(protocol, target)
+            others = frame.other_values(protocol, target, found.rescale)
         except FileError as error:
             file = frame.file if isinstance(error, PredictionError) else error.path
             self._found.problems.append(EvaluationProblem(str(file), error.reason))
@@ -317,14 +316,14 @@ class _Scorer:
             problem = EvaluationProblem(self._pair.path, f"protocol {protocol.name} cannot score it: {error}")
             self._found = PlanScores(unfit=[problem])
         else:
-            self._keep(prediction, target, found)
+            self._keep(frame, target, found)
             self._equal = _in_common(self._equal, frame.equal_choices(protocol))
-            self._extras.append(extras)
+            self._others.append(others)
             self._frames.append(FrameScore(frame.path, found.psnr_db, found.ssim, found.rescale))
             if frame.path == self._looked:
                 self._inspections.append(frame.inspected(protocol, target, found.psnr_db))
 
-    def _keep(self, prediction: NDArray[Any], target: NDArray[Any], found: Score) -> None:
+    def _keep(self, frame: ComparedFrame, target: NDArray[Any], found: Score) -> None:
         """Keep of a frame what metrics of the whole clip need."""
 
     def finished(self) -> PlanScores:
@@ -347,7 +346,7 @@ class _Scorer:
     def _means(self) -> dict[str, float]:
         names = ("psnr_db", "ssim", "rescale")
         own = {name: mean([getattr(frame, name) for frame in self._frames]) for name in names}
-        return own | {name: mean([extras[name] for extras in self._extras]) for name in self._extras[0]}
+        return own | {name: mean([others[name] for others in self._others]) for name in self._others[0]}
 
 
 class _ClipScorer(_Scorer):
@@ -358,7 +357,7 @@ class _ClipScorer(_Scorer):
         self._window, self._peak, self._threads = window, protocol.st_rred_peak, threads
         self._grey = self._seen = np.empty(0)
 
-    def _keep(self, prediction: NDArray[Any], target: NDArray[Any], found: Score) -> None:
+    def _keep(self, frame: ComparedFrame, target: NDArray[Any], found: Score) -> None:
         from eldata.metrics.st_rred import raw_to_grey
 
         place, window = len(self._frames), self._window
@@ -367,6 +366,7 @@ class _ClipScorer(_Scorer):
             self._seen = np.empty((len(window.references) or 1, *target.shape[1:]))
         if place < len(self._seen):
             self._seen[place] = raw_to_grey(target)
+        prediction = frame.prediction(self._protocol)[self._protocol.crop(target.shape)]
         scored = as_scored(prediction, self._protocol.rules, found.rescale, prediction.dtype)
         self._grey[place] = raw_to_grey(scored)
 

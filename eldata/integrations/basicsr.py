@@ -9,23 +9,23 @@ from __future__ import annotations
 from importlib import import_module
 from operator import index as index_of
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
 
 import numpy as np
 import torch
+from torch.utils.data import Dataset
 
 from eldata.base.seeds import item_generator
-from eldata.datasets.base import OpenedPair, PairDataset, PairItem, SourcePairs
+from eldata.datasets.base import PairDataset, PairItem, SourcePairs
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import Part, ReadItems
-from eldata.datasets.packed_store import PackedStore
+from eldata.datasets.packed import PackedStore
 from eldata.datasets.registry import dataset_class, dataset_names, open_dataset
 from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean
-from eldata.integrations.colours import balance_multipliers, matrix_to_srgb
+from eldata.integrations.exports.frames import balance_multipliers, matrix_to_srgb
 from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
 from eldata.manifest.pairs import Choice
-from eldata.raw.cfa import pack, packed_black_level_dn
-from eldata.raw.levels import FrameLevels
+from eldata.raw.cfa import pack
+from eldata.raw.levels import FrameLevels, packed_black_level_dn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -107,15 +107,7 @@ _REFUSED = {
 }
 
 
-class _LedItem(NamedTuple):
-    """A pair, the part of both frames, and the sensors of those that were read, by tensor."""
-
-    pair: Any
-    crop: Crop
-    sensors: dict[str, Sensor | None]
-
-
-class EldataPairs(ReadItems[_LedItem, BatchSample]):
+class EldataPairs(Dataset[BatchSample]):
     """Pairs of a manifest or a store, as LED's ``PairedRAWDataset`` gives its own: the ``type`` of a yaml's dataset.
 
     Parameters
@@ -135,7 +127,7 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
     ArgumentError
         If a key is unknown (the message has the nearest one), or asks for what this dataset does not do.
     EldataError
-        As :class:`~eldata.datasets.base.PairDataset` and :class:`~eldata.datasets.packed_store.PackedStore` do.
+        As :class:`~eldata.datasets.base.PairDataset` and :class:`~eldata.datasets.packed.PackedStore` do.
 
     Notes
     -----
@@ -164,7 +156,6 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
         self.levels: LedLevels = own.get("levels", "metadata-per-channel")
         check_choice("levels", self.levels, get_args(LedLevels))
         self.pairs = _opened(own, choice, in_training=self.phase == "train")
-        self.source = self.pairs.source
 
     def _set_ratios(self, ratio_range: Sequence[int] | None) -> None:
         if ratio_range is not None:
@@ -173,70 +164,52 @@ class EldataPairs(ReadItems[_LedItem, BatchSample]):
     def __len__(self) -> int:
         return len(self.pairs)
 
-    @property
-    def may_differ(self) -> bool:
-        """As that of the pairs."""
-        return self.pairs.may_differ
+    def __iter__(self) -> Iterator[BatchSample]:
+        return (self[index] for index in range(len(self)))
 
-    def item(self, index: int) -> _LedItem:
-        """Draw an item: in training by torch's random numbers, else the whole frame or its middle."""
+    def __getitem__(self, index: int) -> BatchSample:
+        """Read an item: in training of a place that torch's random numbers draw, else the whole frame or its middle."""
         if not -len(self) <= index < len(self):
             raise IndexError(f"index {index} is outside of {len(self)} items")
         index %= len(self)
         draw = int(torch.randint(_DRAWS, ())) if self.phase == "train" else 0
-        pair, crop = self._drawn(index, item_generator(0, draw, index))
-        if self.phase != "train" and self.crop_size is not None:
-            _, height, width = crop.packed_shape
-            place = (height - self.crop_size) // 2, (width - self.crop_size) // 2
-            crop = Crop.region(pair.target, (*place, self.crop_size, self.crop_size))
-        return _LedItem(pair, crop, {})
+        sample: BatchSample = self._sample(index, item_generator(0, draw, index))
+        return sample
 
-    def _drawn(self, index: int, generator: np.random.Generator) -> PairItem:
-        return self.pairs.drawn(index, generator)
+    def _sample(self, index: int, generator: np.random.Generator) -> Any:
+        """Return a sample, in LED's order of steps, each in float32."""
+        pair, crop = self.pairs.drawn(index, generator)
+        crop = self._cut(pair.target, crop)
+        images: dict[str, torch.Tensor] = {}
+        sensors: dict[str, Sensor | None] = {}
+        for part in self.pairs.parts(PairItem(pair, crop)):
+            name = "gt" if part.is_light else "lq"
+            values, black, white = self._dn(part.frame, crop)
+            values -= black
+            values /= white - black
+            if name == "lq":
+                values *= np.float32(part.gain)
+            np.clip(values, 0 if name == "gt" or self.zero_clip else None, 1, out=values)
+            images[name], sensors[name] = torch.from_numpy(values), part.frame.sensor
+        ratio = torch.tensor(float(pair.ratio), dtype=torch.float32)
+        colours = _colours(sensors[self.which_meta])
+        return images | {"ratio": ratio, **colours, "lq_path": pair.record.path, "gt_path": pair.record.reference}
 
-    def shapes(self, item: _LedItem) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of both tensors."""
-        return dict.fromkeys(("lq", "gt"), item.crop.packed_shape)
+    def _cut(self, target: Frame, drawn: Crop) -> Crop:
+        """Return the part of a frame: in training as it was drawn, else its middle."""
+        if self.phase == "train" or self.crop_size is None:
+            return drawn
+        _, height, width = drawn.packed_shape
+        place = (height - self.crop_size) // 2, (width - self.crop_size) // 2
+        return Crop.region(target, (*place, self.crop_size, self.crop_size))
 
-    def parts(self, item: _LedItem) -> Iterator[Part]:
-        """Yield the reference, then the noisy frame."""
-        names = {"target": "gt", "input": "lq"}
-        for part in self.pairs.parts(PairItem(item.pair, item.crop)):
-            yield part._replace(tensor=names[part.tensor])
-
-    def fill(self, item: _LedItem, part: Part, out: NDArray[Any]) -> None:
-        """Write one tensor, in LED's order of steps, each in float32."""
-        self._fill_dn(item, part, out)
-        black, white = self._levels_dn(part.frame, item.crop)
-        out -= black
-        out /= white - black
-        if part.tensor == "lq":
-            out *= np.float32(part.gain)
-        lowest = 0 if part.tensor == "gt" or self.zero_clip else None
-        np.clip(out, lowest, 1, out=out)
-
-    def _fill_dn(self, item: _LedItem, part: Part, out: NDArray[Any]) -> None:
-        item.sensors[part.tensor] = part.frame.sensor
-        if not item.crop.cfa or part.frame.sensor is None:
-            raise ArgumentError(f"{part.frame.name}: is not a raw frame in DN, which LED's arithmetic begins with")
-        out[...] = pack(item.crop.cut(part.frame), item.crop.cfa)
-
-    def _levels_dn(self, frame: Frame, crop: Crop) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return black and white level of each packed channel, (C, 1, 1)."""
-        black, white = crop.levels(frame.black_level_dn), crop.levels(_whites_dn(frame, self.levels))
-        return tuple(packed_black_level_dn(crop.cfa, levels)[:, None, None] for levels in (black, white))  # type: ignore[return-value] # two
-
-    def facts(self, item: _LedItem) -> dict[str, Any]:
-        """Return the fields of a :class:`BatchSample` that are not images."""
-        sensor = item.sensors[self.which_meta]
-        record = item.pair.record
-        return {
-            "ratio": torch.tensor(float(item.pair.ratio), dtype=torch.float32),
-            "wb": torch.from_numpy(balance_multipliers(sensor)),
-            "ccm": torch.from_numpy(matrix_to_srgb(sensor)),
-            "lq_path": record.path,
-            "gt_path": record.reference,
-        }
+    def _dn(self, frame: Frame, crop: Crop) -> tuple[NDArray[np.float32], ...]:
+        """Return a part of a frame in DN, (C, h, w), and black and white level of each packed channel, (C, 1, 1)."""
+        if not crop.cfa or frame.sensor is None:
+            raise ArgumentError(f"{frame.name}: is not a raw frame in DN, which LED's arithmetic begins with")
+        levels = crop.levels(frame.black_level_dn), crop.levels(_whites_dn(frame, self.levels))
+        blacks, whites = (packed_black_level_dn(crop.cfa, one)[:, None, None] for one in levels)
+        return pack(crop.cut(frame), crop.cfa).astype(np.float32), blacks, whites
 
     def __repr__(self) -> str:
         name = type(self).__name__
@@ -276,30 +249,26 @@ class EldataReferences(EldataPairs):
     def __len__(self) -> int:
         return len(self._references)
 
-    def _drawn(self, index: int, generator: np.random.Generator) -> PairItem:
+    def _sample(self, index: int, generator: np.random.Generator) -> Any:
         record = self._references[index]
-        frame = self.source.frame(record.reference).with_levels(self.pairs.levels)
-        return PairItem(OpenedPair(record, frame), Crop.draw(frame, generator, crop=self.pairs.crop, augment=False))
+        frame = self.pairs.source.frame(record.reference).with_levels(self.pairs.levels)
+        crop = self._cut(frame, Crop.draw(frame, generator, crop=self.pairs.crop, augment=False))
+        image, black, white = map(torch.from_numpy, self._dn(frame, crop))
+        return {
+            "gt": image,
+            "lq": image.clone(),  # LED's model makes its noisy input of it
+            **_colours(frame.sensor),
+            "ratio": int(torch.randint(self.lowest, self.largest + 1, ())),
+            "lq_path": record.reference,
+            "gt_path": record.reference,
+            "black_level": black,
+            "white_level": white,
+        }
 
-    def parts(self, item: _LedItem) -> Iterator[Part]:
-        """Yield the reference."""
-        yield Part("gt", item.pair.target, is_light=True)
 
-    def fill(self, item: _LedItem, part: Part, out: NDArray[Any]) -> None:
-        """Write it in DN."""
-        self._fill_dn(item, part, out)
-
-    def finish(self, items: Sequence[_LedItem], arrays: Mapping[str, NDArray[Any]]) -> None:  # noqa: ARG002
-        """Copy it: LED's model makes its noisy input of it."""
-        arrays["lq"][...] = arrays["gt"]
-
-    def facts(self, item: _LedItem) -> dict[str, Any]:
-        """Return levels, ratio, colours and paths."""
-        item.sensors["lq"] = item.sensors["gt"]
-        black, white = map(torch.from_numpy, self._levels_dn(item.pair.target, item.crop))
-        reference = item.pair.record.reference
-        drawn = {"ratio": int(torch.randint(self.lowest, self.largest + 1, ())), "lq_path": reference}
-        return super().facts(item) | drawn | {"black_level": black, "white_level": white}
+def _colours(sensor: Sensor | None) -> dict[str, torch.Tensor]:
+    """Return white balance and matrix."""
+    return {"wb": torch.from_numpy(balance_multipliers(sensor)), "ccm": torch.from_numpy(matrix_to_srgb(sensor))}
 
 
 def _understood(opt: Mapping[str, Any]) -> tuple[_Own, Choice]:

@@ -63,7 +63,8 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
 
 
 def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    from eldata.raw.reading import check_libraw_decodes, opened_raw, read_raw
+    from eldata.raw.libraw import check_libraw_decodes, opened_raw
+    from eldata.raw.reading import read_raw
     from eldata.raw.tiff import read_directories
 
     # Decoded first for its checks, which LibRaw lacks. It also leaves this thread's OpenMP at one thread: a pool, which

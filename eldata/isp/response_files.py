@@ -25,7 +25,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.base.fields import TextFile, number_of
+from eldata.base.fields import TextFile
+from eldata.base.numbers import number_of
 from eldata.errors import ArgumentError, FileError
 from eldata.isp.radiometric import CurveModel
 from eldata.isp.response import ResponseCurve

@@ -7,15 +7,16 @@ from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
-from eldata.base.fields import Fields, TextFile, names_of, shown
+from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import json_text, path_problem, write_text
-from eldata.base.visible import has_unseen
-from eldata.errors import ArgumentError, ManifestError
-from eldata.manifest.subsets import Subset
+from eldata.base.visible import has_unseen, shown
+from eldata.errors import ArgumentError, ManifestError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
+
+    from eldata.records import FrameRecord, PairRecord
 
 OWN_PROTOCOL = "raw"
 """The protocol of a card that names none, such as that of a set of one's own."""
@@ -85,6 +86,54 @@ class CameraCard:
     """
 
     models: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Subset:
+    """A named choice of pairs: those that fit all of ``splits``, ``scenes`` and ``paths``.
+
+    Attributes
+    ----------
+    name, title, source
+        Short name, what it is, and who uses it.
+    pairs
+        Expected number of pairs; a manifest that gives another is refused.
+    splits, scenes
+        Wanted values; empty means all.
+    paths
+        Pattern of the noisy frames' paths, with ``*`` and ``?`` as in a shell.
+    """
+
+    name: str
+    title: str
+    source: str
+    pairs: int
+    splits: tuple[str, ...] = ()
+    scenes: tuple[str, ...] = ()
+    paths: str = "*"
+
+    def holds(self, pair: PairRecord | FrameRecord) -> bool:
+        """Return whether a pair, or the row of a noisy frame, belongs to this subset."""
+        return (
+            (not self.splits or pair.split in self.splits)
+            and (not self.scenes or pair.scene in self.scenes)
+            and fnmatchcase(pair.path, self.paths)
+        )
+
+    def choose(self, pairs: Sequence[PairRecord]) -> list[PairRecord]:
+        """Return the pairs of this subset, given all pairs of a dataset.
+
+        Raises
+        ------
+        ManifestError
+            If their number is not the expected one.
+        """
+        chosen = [pair for pair in pairs if self.holds(pair)]
+        if len(chosen) != self.pairs:
+            raise ManifestError(
+                f"subset {self.name!r}: the card expects {self.pairs} pairs, the manifest has {len(chosen)}"
+            )
+        return chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +211,22 @@ class Card:
 def stated(text: str) -> str:
     """Return a card's text, empty if it says no more than that nothing is stated."""
     return "" if text.strip().lower() in _UNSTATED else text.strip()
+
+
+def find_subset(subsets: Sequence[Subset], name: str) -> Subset:
+    """Return a subset by name.
+
+    Raises
+    ------
+    ArgumentError
+        If the name is unknown; the message lists the known ones.
+    """
+    for subset in subsets:
+        if subset.name == name:
+            return subset
+    known = [subset.name for subset in subsets]
+    listed = ", ".join(known) or "none"
+    raise ArgumentError(f"no subset is called {name!r}; known are {listed}{did_you_mean(name, known)}")
 
 
 def cfa_word(names: Iterable[str]) -> str:

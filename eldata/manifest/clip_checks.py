@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.png import read_png_header, read_rgb16
 from eldata.errors import FileError
-from eldata.manifest.patterns import RowFinding
+from eldata.manifest.patterns import RowFinding, is_png
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -17,11 +17,6 @@ if TYPE_CHECKING:
     from eldata.records import FrameRecord
 
 _AGAIN = "copy or download it again"
-
-
-def is_png(path: str) -> bool:
-    """Return whether a row is a PNG file."""
-    return path.lower().endswith(".png")
 
 
 def size_findings(record: FrameRecord, width: int, height: int, advice: str) -> list[RowFinding]:

@@ -18,15 +18,15 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Literal, Unpack, get_args
 
 from eldata.errors import ArgumentError, DatasetError, ManifestError, check_choice
+from eldata.manifest.card import find_subset
 from eldata.manifest.pairs import Choice, narrowed, wanted_values
 from eldata.manifest.patterns import is_pattern, sequence_of
-from eldata.manifest.subsets import find_subset
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
     from fractions import Fraction
 
-    from eldata.manifest.subsets import Subset
+    from eldata.manifest.card import Subset
     from eldata.records import FrameRecord
 
 FrameRange = Literal["all", "authors", "evaluation"]

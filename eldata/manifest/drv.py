@@ -26,7 +26,7 @@ from eldata.manifest.catalogue import Manifest, shipped_manifest
 from eldata.manifest.clips import clip_names
 from eldata.manifest.patterns import expand, is_pattern
 from eldata.manifest.writing import save_manifest
-from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.raw.files import RAW_EXTENSIONS
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:

@@ -6,17 +6,17 @@ from bisect import bisect
 from operator import attrgetter
 from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
+from eldata.base.arguments import keywords
 from eldata.base.fields import names_of
-from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, did_you_mean
-from eldata.manifest.subsets import find_subset
+from eldata.manifest.card import find_subset
 from eldata.records import PairRecord, from_columns
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
     from fractions import Fraction
 
-    from eldata.manifest.subsets import Subset
+    from eldata.manifest.card import Subset
     from eldata.records import FrameRecord
 
 Item = TypeVar("Item", "PairRecord", "FrameRecord")
@@ -44,7 +44,7 @@ class Choice(TypedDict, total=False):
     split
         Name of a split, or several.
     subset
-        Name of a subset on the dataset's card (:mod:`eldata.manifest.subsets`); the rest chooses within it.
+        Name of a subset on the dataset's card (:mod:`eldata.manifest.card`); the rest chooses within it.
     exclude_flags
         What has one of these flags is left out.
     """

@@ -43,6 +43,11 @@ def is_pattern(path: str) -> bool:
     return "*" in path
 
 
+def is_png(path: str) -> bool:
+    """Return whether a row is a PNG file."""
+    return path.lower().endswith(".png")
+
+
 def matching(folder: Path, pattern: str) -> tuple[str, ...]:
     """Return the files that a pattern matches, relative to the dataset's folder, in the order of their numbers.
 

@@ -27,17 +27,16 @@ from eldata.errors import ArgumentError, ManifestError, RawFileError, UnusableRa
 from eldata.manifest.catalogue import Manifest, find_manifests
 from eldata.manifest.clip_checks import (
     exposure_findings,
-    is_png,
     png_decode_findings,
     png_findings,
     png_size_findings,
     size_findings,
 )
 from eldata.manifest.pairs import UNCERTAIN_ISO
-from eldata.manifest.patterns import RowFinding, expand, pattern_findings
+from eldata.manifest.patterns import RowFinding, expand, is_png, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.manifest.verify_report import LEVELS, DatasetReport, FileRemark, Level, Problem, VerifyReport, distinct
-from eldata.raw.facts import raw_facts
+from eldata.raw.files import raw_facts
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -235,7 +234,7 @@ def _names(folder: Path) -> list[str]:
 
 def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[RowFinding]:
     """Name files of the listed kind that the manifest does not list, in the folders of these records."""
-    from eldata.raw.extensions import RAW_EXTENSIONS
+    from eldata.raw.files import RAW_EXTENSIONS
 
     every = expand(manifest.records, folder)
     listed = {record.path for record in every}
@@ -382,7 +381,7 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
         with path.open("rb") as file:
             header = read_npy_header(file)
             held = path.stat().st_size - file.tell()
-        found = f"{header.dtype or header.descr} {header.shape}"
+        found = f"{header.kind} {header.shape}"
         good = len(header.shape) == 3 and str(header.dtype) == "float32"
         if good and held < header.value_bytes:
             found, good = f"{found} of {header.value_bytes} bytes, {held} of which are there", False

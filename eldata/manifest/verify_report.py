@@ -6,8 +6,7 @@ import re
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from eldata.base.fields import fraction_of
-from eldata.base.numbers import counted
+from eldata.base.numbers import counted, fraction_of
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from eldata.base.arguments import is_tensor
 from eldata.base.compiled import in_threads
-from eldata.base.tensors import is_tensor
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:

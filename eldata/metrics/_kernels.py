@@ -6,14 +6,18 @@ instead, and fold those at the end.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldata.base.compiled import kernel
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from eldata.metrics._images import Block
+
 
 WINDOW = 7
 """Side of the SSIM window."""
@@ -156,6 +160,168 @@ def error_and_similarity(
                 similarities[j] += ((luminance - d_squared) * (variance_s - variance_d)) / (
                     (luminance + d_squared) * (variance_s + variance_d)
                 )
+        for j in range(outer if strip == strips - 1 else inner):  # the overlap belongs to the next strip
+            error += errors[j]
+        for j in range(inner):
+            similarity += similarities[j]
+    return error, similarity
+
+
+# --- Gaussian windows -------------------------------------------------------------------------------------------------
+
+
+SIGMA = 1.5
+RADIUS = 5
+GAUSSIAN_WINDOW = 2 * RADIUS + 1
+"""Side of the window: 11."""
+
+_GAUSSIAN_MARGIN = GAUSSIAN_WINDOW - 1
+_KEPT = GAUSSIAN_WINDOW + 1
+_WIDTH = 256  # columns at a time: the kept rows below stay in the L2 cache
+_UNSCALED = [math.exp(-0.5 * (offset / SIGMA) ** 2) for offset in range(RADIUS + 1)]
+_SUM = _UNSCALED[0] + 2.0 * math.fsum(_UNSCALED[1:])
+WEIGHTS = tuple(value / _SUM for value in _UNSCALED)
+"""Weight of the centre and of each offset up to the radius; they sum to 1 over the window."""
+
+_W0, _W1, _W2, _W3, _W4, _W5 = WEIGHTS
+
+
+@kernel
+def _along_row(row: NDArray[np.float64], out: NDArray[np.float64], count: int) -> None:
+    for j in range(count):
+        out[j] = (
+            (_W5 * (row[j] + row[j + 10]) + _W4 * (row[j + 1] + row[j + 9]))
+            + (_W3 * (row[j + 2] + row[j + 8]) + _W2 * (row[j + 3] + row[j + 7]))
+            + (_W1 * (row[j + 4] + row[j + 6]) + _W0 * row[j + 5])
+        )
+
+
+@kernel
+def _along_column(rows: NDArray[np.float64], first: int, out: NDArray[np.float64], count: int) -> None:
+    for j in range(count):
+        out[j] = (
+            (_W5 * (rows[first, j] + rows[first + 10, j]) + _W4 * (rows[first + 1, j] + rows[first + 9, j]))
+            + (_W3 * (rows[first + 2, j] + rows[first + 8, j]) + _W2 * (rows[first + 3, j] + rows[first + 7, j]))
+            + (_W1 * (rows[first + 4, j] + rows[first + 6, j]) + _W0 * rows[first + 5, j])
+        )
+
+
+@kernel
+def _along_two_columns(
+    rows: NDArray[np.float64], first: int, above: NDArray[np.float64], below: NDArray[np.float64], count: int
+) -> None:
+    """Filter for two windows that lie one above the other: the rows that they share are loaded once."""
+    for j in range(count):
+        r0, r1, r2, r3 = rows[first, j], rows[first + 1, j], rows[first + 2, j], rows[first + 3, j]
+        r4, r5, r6, r7 = rows[first + 4, j], rows[first + 5, j], rows[first + 6, j], rows[first + 7, j]
+        r8, r9, r10, r11 = rows[first + 8, j], rows[first + 9, j], rows[first + 10, j], rows[first + 11, j]
+        above[j] = (
+            (_W5 * (r0 + r10) + _W4 * (r1 + r9)) + (_W3 * (r2 + r8) + _W2 * (r3 + r7)) + (_W1 * (r4 + r6) + _W0 * r5)
+        )
+        below[j] = (
+            (_W5 * (r1 + r11) + _W4 * (r2 + r10)) + (_W3 * (r3 + r9) + _W2 * (r4 + r8)) + (_W1 * (r5 + r7) + _W0 * r6)
+        )
+
+
+@kernel
+def gaussian_error_and_similarity(
+    prediction: NDArray[Any],
+    reference: NDArray[Any],
+    owned_rows: int,
+    treatment: tuple[float, float, float, float, float],
+    mixing: NDArray[np.float64],
+    c1: float,
+    c2: float,
+    covariance_scale: float,
+) -> tuple[float, float]:
+    """Return the sum of squared errors and the sum of the SSIM map of one band of some channels.
+
+    ``prediction`` and ``reference`` are (channels, rows, columns). The prediction is first treated as
+    :func:`eldata.metrics._kernels.error_and_similarity` does. The error counts the first ``owned_rows`` rows, the SSIM
+    map every full window. ``mixing`` (channels, channels) weighs the channels that a window spans.
+
+    As there, SSIM is written in s = x + y and d = x - y: equal images give exactly 1.
+    """
+    low, high, factor, final_low, final_high = treatment
+    channels, rows, columns = prediction.shape
+    width = columns - _GAUSSIAN_MARGIN
+    strips = (width + _WIDTH - 1) // _WIDTH
+    a1 = 2.0 * c1
+    a2 = 2.0 * c2
+    values = np.empty((4, _WIDTH + _GAUSSIAN_MARGIN))  # s, d and their squares in one row
+    sums, differences, squared_sums, squared_differences = values[0], values[1], values[2], values[3]
+    # The last 12 rows of each of them, filtered along the row, each kept twice so that any 12 follow each other, as two
+    # windows are taken at a time, one above the other.
+    kept = np.empty((channels, 4, 2 * _KEPT, _WIDTH))
+    filtered = np.empty((2, channels, 4, _WIDTH))
+    mixed = np.empty((4, _WIDTH))
+    errors = np.empty(_WIDTH + _GAUSSIAN_MARGIN)
+    similarities = np.empty(_WIDTH)
+    error = 0.0
+    similarity = 0.0
+    for strip in range(strips):
+        start = width * strip // strips
+        stop = width * (strip + 1) // strips
+        inner = stop - start
+        outer = inner + _GAUSSIAN_MARGIN
+        errors[:] = 0.0
+        similarities[:] = 0.0
+        for row in range(rows):
+            slot = row % _KEPT
+            for channel in range(channels):
+                xs = prediction[channel, row, start : stop + _GAUSSIAN_MARGIN]
+                ys = reference[channel, row, start : stop + _GAUSSIAN_MARGIN]
+                for j in range(outer):
+                    x = clamp(clamp(np.float64(xs[j]), low, high) * factor, final_low, final_high)
+                    y = np.float64(ys[j])
+                    sums[j] = x + y
+                    differences[j] = x - y
+                for j in range(outer):
+                    squared_sums[j] = sums[j] * sums[j]
+                    squared_differences[j] = differences[j] * differences[j]
+                if row < owned_rows:
+                    for j in range(outer):
+                        errors[j] += squared_differences[j]
+                for which in range(4):
+                    line = kept[channel, which, slot]
+                    again = kept[channel, which, slot + _KEPT]
+                    _along_row(values[which], line, inner)
+                    for j in range(inner):
+                        again[j] = line[j]
+            done = row - _GAUSSIAN_MARGIN + 1  # windows that end in this row or above
+            if done <= 0 or (done % 2 == 1 and row < rows - 1):
+                continue
+            two = done % 2 == 0
+            first = (slot + 1) % _KEPT
+            for channel in range(channels):
+                for which in range(4):
+                    lines = kept[channel, which]
+                    if two:
+                        _along_two_columns(
+                            lines, first, filtered[0, channel, which], filtered[1, channel, which], inner
+                        )
+                    else:
+                        _along_column(lines, first + 1, filtered[0, channel, which], inner)
+            for below in range(2 if two else 1):
+                for channel in range(channels):
+                    if channels == 1:
+                        window = filtered[below, 0]
+                    else:
+                        mixed[:] = 0.0
+                        for other in range(channels):
+                            for which in range(4):
+                                for j in range(inner):
+                                    mixed[which, j] += mixing[channel, other] * filtered[below, other, which, j]
+                        window = mixed
+                    for j in range(inner):
+                        s_squared = window[0, j] * window[0, j]
+                        d_squared = window[1, j] * window[1, j]
+                        luminance = s_squared + a1
+                        variance_s = covariance_scale * (window[2, j] - s_squared) + a2
+                        variance_d = covariance_scale * (window[3, j] - d_squared)
+                        similarities[j] += ((luminance - d_squared) * (variance_s - variance_d)) / (
+                            (luminance + d_squared) * (variance_s + variance_d)
+                        )
         for j in range(outer if strip == strips - 1 else inner):  # the overlap belongs to the next strip
             error += errors[j]
         for j in range(inner):

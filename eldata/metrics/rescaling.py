@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
-from eldata.base.tensors import is_tensor
+from eldata.base.arguments import is_tensor
 from eldata.metrics._images import check_threads, host_array, pair, totals
 from eldata.metrics._kernels import products
 

@@ -8,10 +8,15 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 import numpy as np
 
 from eldata.errors import check_choice
-from eldata.metrics import _gaussian_kernels, _kernels
-from eldata.metrics._gaussian_kernels import RADIUS, WEIGHTS, gaussian_error_and_similarity
 from eldata.metrics._images import check_data_range, check_threads, pair, totals
-from eldata.metrics._kernels import error_and_similarity
+from eldata.metrics._kernels import (
+    GAUSSIAN_WINDOW,
+    RADIUS,
+    WEIGHTS,
+    WINDOW,
+    error_and_similarity,
+    gaussian_error_and_similarity,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -103,7 +108,7 @@ def check_windowing(window: str, covariance: str) -> None:
 
 def side_of(window: SsimWindow) -> int:
     """Return the side of a window: the least height and width of an image."""
-    return _kernels.WINDOW if window == "uniform-7" else _gaussian_kernels.WINDOW
+    return WINDOW if window == "uniform-7" else GAUSSIAN_WINDOW
 
 
 def error_and_ssim(
@@ -165,7 +170,7 @@ def _in_volume(
 ) -> tuple[float, float]:
     channels, height, _ = images.prediction.shape
     mixing = _channel_mixing(channels)
-    entries = _gaussian_kernels.WINDOW**3
+    entries = GAUSSIAN_WINDOW**3
     scale = entries / (entries - 1) if covariance == "sample" else 1.0
 
     def block(image: NDArray[np.floating], rows: tuple[int, int]) -> Block:

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from eldata.base.arguments import is_tensor
 from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
-from eldata.base.tensors import is_tensor
 from eldata.errors import ArgumentError
 from eldata.metrics._images import check_data_range, check_threads, host_array
 from eldata.metrics._steerable import coarse_band

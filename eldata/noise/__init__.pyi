@@ -4,14 +4,14 @@ from .components import parse_components as parse_components
 from .dark_shading import DarkShading as DarkShading
 from .exposures import Adc as Adc
 from .exposures import DarkCrops as DarkCrops
+from .exposures import DarkSource as DarkSource
 from .gain_modes import GainMode as GainMode
-from .makers import DarkSource as DarkSource
 from .makers import NoiseMaker as NoiseMaker
 from .model import NoiseModel as NoiseModel
 from .parameters import NoiseParameters as NoiseParameters
 from .parameters import tukey_lambda_variance as tukey_lambda_variance
 from .profile import CameraProfile as CameraProfile
-from .profile import shipped_profiles as shipped_profiles
+from .profile_files import shipped_profiles as shipped_profiles
 from .published import profiles_from_published as profiles_from_published
 from .published import read_published as read_published
 from .shading_content import ShadingIso as ShadingIso

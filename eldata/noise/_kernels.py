@@ -1,35 +1,38 @@
-"""Compiled loops of the noise model: a counter-based generator, the draws, and one band of rows.
+"""Compiled loops of the noise model: from clean values and random numbers to one band of rows.
 
-A word is 64 random bits, a function of two stream keys and a counter alone. The stream keys come from (key, image,
-component), the counter is the pixel's index in its image (or the mosaic row), so no result depends on threads, tiles
-or batches. The loops run over strips that stay in the L1 cache. Every operation is an IEEE one in a fixed order (no
-fast-math, no fused multiply-add), so the bits are the same on any machine; only Poisson means beyond the tables use
-the C library's log and lgamma, to accept or reject.
-
-Draws, and how exact they are:
-
-- Poisson: alias tables with probabilities within 2^-32 (``_tables.py``), the remainder of the mean, below 1/32, by
-  inversion in float64 with 32-bit numbers; from :data:`TABLE_LIMIT` on transformed rejection in float64.
-- Tukey lambda: 64-bit uniforms, one bit for the sign and 63 for the tail, never 0 or 1. So the tail reaches to
-  probabilities of 2^-65, and both tails are alike. The quantile is float32 arithmetic for lambda from -1 to 2:
-  absolute error below 5e-7 within 0.5 of the median; beyond, relative error below 1e-6 + 1e-7 abs(lambda ln v),
-  v being the tail's probability.
-- Gaussian: Box-Muller with 40 bits for the radius, which ends at 7.54 standard deviations (the tail beyond has 5e-14),
-  and 24 bits for the angle. Float32 arithmetic: absolute error below 3e-6, or 1e-7 over the radius if that is more
-  (for one draw in 2000).
-- Uniform: 24 bits, symmetric around 0.
+The random numbers, and what makes results independent of threads and batches, are :mod:`eldata.noise._random_kernels`.
 """
 
 from __future__ import annotations
 
-import math
 from collections import namedtuple
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldata.base.compiled import kernel
-from eldata.noise._tables import COARSE_BITS, COARSE_STEP, FINE_BITS, FINE_STEPS, TABLE_LIMIT, WIDER_FROM
+from eldata.noise._random_kernels import (
+    READ,
+    ROW,
+    SHOT,
+    SHOT_LARGE,
+    SHOT_REST,
+    STRIP,
+    add_large,
+    add_rest,
+    add_uniform,
+    choose,
+    fetch,
+    find_columns,
+    gaussian_draw,
+    gaussian_draws,
+    mark_rest,
+    split_means,
+    stream,
+    tukey_lambda_draws,
+    word_of,
+    words,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,235 +40,47 @@ if TYPE_CHECKING:
 NONE, GAUSSIAN, POISSON, TUKEY_LAMBDA, UNIFORM, ADC, DITHERED_ADC = range(7)
 """What a component can be."""
 
-LAMBDA_FLOOR = 1e-20
-"""Smaller shape parameters count as this one, whose quantile is the logistic one to the last bit."""
+FIGURES = np.dtype(
+    [
+        ("events", np.float32),  # photoelectrons (DN without shot noise) for a clean value of 1
+        ("gain", np.float32),  # DN per photoelectron (1 without shot noise)
+        ("shape", np.float32),  # lambda
+        ("sigma_read", np.float32),  # DN, as all of the next ones
+        ("sigma_row", np.float32),
+        ("bias", np.float32),
+        ("black", np.float32),
+        ("white", np.float32),
+        ("scale", np.float32),  # normalised output for one DN
+        ("low", np.float32),
+        ("high", np.float32),
+    ]
+)
+"""The figures of one packed channel of one image."""
 
-POWER_TERMS = 10
-"""Coefficients of the polynomial for (1 - v)^lambda on [0, 1/2]."""
-
-Settings = namedtuple(  # noqa: PYI024 - numba compiles this kind
-    "Settings",
+Draw = namedtuple(  # noqa: PYI024 - numba compiles this kind
+    "Draw",
     [
         "shot",  # NONE, GAUSSIAN or POISSON
         "read",  # NONE, GAUSSIAN or TUKEY_LAMBDA
         "quantisation",  # NONE, UNIFORM, ADC or DITHERED_ADC
-        "events",  # photoelectrons (DN without shot noise) for a clean value of 1
-        "gain",  # DN per photoelectron (1 without shot noise)
-        "shape",  # lambda
-        "sigma_read",  # DN, as all of the next ones
-        "sigma_row",
-        "bias",
-        "black",
-        "white",
-        "scale",  # normalised output for one DN
-        "low",
-        "high",
+        "figures",  # (N, C) of FIGURES
+        "power",  # (N, POWER_TERMS) float32: each image's polynomial for (1 - v)^lambda
+        "dark",  # (N, C, h, w) uint16: dark frames, DN; of no pixels where there are none, as the next two
+        "taken",  # (N, C, h, w) float32: what is taken off, before the rest is scaled
+        "dark_scale",  # (N,) float32
+        "added",  # (N, C, h, w) float32: what is added in the end, DN
+        "tables",  # of Poisson draws
+        "under",  # the mosaic's rows under packed ones (PackedRows)
+        "keys",  # (N,) uint64: each image's key
+        "places",  # (N,) uint64: its number under that key
     ],
 )
+"""What a batch of N images is exposed by, as the kernel takes it."""
 
-_STRIP = 512
-
-_F = np.float32
 _U4 = np.uint32
 _U8 = np.uint64
-
-# Components that have their own stream.
-_SHOT, _SHOT_REST, _SHOT_LARGE, _READ, _ROW = range(5)
-
-# The odd constants of the SplitMix64 generator.
-_WEYL = _U8(0x9E3779B97F4A7C15)
-_MIX_1 = _U8(0xBF58476D1CE4E5B9)
-_MIX_2 = _U8(0x94D049BB133111EB)
-_S27, _S30, _S31, _S32 = _U8(27), _U8(30), _U8(31), _U8(32)
-
-# Layout of the tables.
-_FINE_COUNT_BITS = _U4((COARSE_STEP * FINE_STEPS).bit_length() - 1)
-_FINE_MASK = _U4(COARSE_STEP * FINE_STEPS - 1)
-_FINE_BITS = _U4(FINE_BITS)
-_FINE_SHIFT = _U4(32 - FINE_BITS)
-_FINE_LOW = _U4((1 << (32 - FINE_BITS)) - 1)
-_WIDER_1, _WIDER_2, _WIDER_3 = (_U4(first) for first in WIDER_FROM)
-_BITS_0, _BITS_1, _BITS_2, _BITS_3 = (_U4(COARSE_BITS + more) for more in range(4))
-_SHIFT_0, _SHIFT_1, _SHIFT_2, _SHIFT_3 = (_U4(32 - COARSE_BITS - more) for more in range(4))
-_START_1 = WIDER_FROM[0] << COARSE_BITS
-_START_2 = _START_1 + ((WIDER_FROM[1] - WIDER_FROM[0]) << (COARSE_BITS + 1))
-_START_3 = _START_2 + ((WIDER_FROM[2] - WIDER_FROM[1]) << (COARSE_BITS + 2))
-# Coarse table c starts at (c << bits) minus the one of these that belongs to its width.
-_BACK_1 = _U4((WIDER_FROM[0] << (COARSE_BITS + 1)) - _START_1)
-_BACK_2 = _U4((WIDER_FROM[1] << (COARSE_BITS + 2)) - _START_2)
-_BACK_3 = _U4((WIDER_FROM[2] << (COARSE_BITS + 3)) - _START_3)
-_LOW_16 = _U4(0xFFFF)
-_SHIFT_16 = _U4(16)
-_LOW_0, _LOW_1, _LOW_2, _LOW_3 = (_U4((1 << (32 - COARSE_BITS - more)) - 1) for more in range(4))
-_SIGN = _U4(0x80000000)
-_SIGN_OFF = _U4(0x7FFFFFFF)
-
-_ZERO, _HALF, _ONE, _TWO = _F(0), _F(0.5), _F(1), _F(2)
-_LIMIT = _F(TABLE_LIMIT)
-_STEPS = _F(FINE_STEPS)
-_STEP = _F(1 / FINE_STEPS)
-_TO_24 = _F(2.0**-24)
-_TO_32 = _F(2.0**-32)
-_TO_40 = _F(2.0**-40)
-_TO_64 = _F(2.0**-64)
-_FROM_32 = _F(2.0**32)
-_QUARTER = _F(0.25)
-
-# ln: exponent and mantissa in [sqrt(1/2), sqrt(2)), then 2 artanh((m - 1) / (m + 1)), error of the fit 2.4e-10.
-_ROOT_HALF = np.int32(0x3F3504F3)
-_MANTISSA = np.int32(0x7FFFFF)
-_SHIFT_23 = np.int32(23)
-_LN2 = _F(math.log(2))
-_LN_0, _LN_1, _LN_2, _LN_3 = _F(2), _F(0.66666816), _F(0.39974752), _F(0.29926655)
-
-# exp(x) - 1 = 2^n (exp(r) - 1) + 2^n - 1; the polynomial is (exp(r) - 1) / r for abs(r) <= ln(2) / 2, error 1.1e-8.
-_LOG2_E = _F(1 / math.log(2))
-_LN2_HIGH = _F(0.693359375)  # 10 bits, so that n times it is exact
-_LN2_LOW = _F(math.log(2) - 0.693359375)
-_ROUNDER = _F(1.5 * 2**23)  # adding and subtracting it rounds to an integer
-_EXPONENT_BIAS = np.int32(127)
-_EXP_0, _EXP_1, _EXP_2 = _F(1), _F(0.50000001), _F(0.16666505)
-_EXP_3, _EXP_4, _EXP_5 = _F(0.04166624), _F(0.00836919), _F(0.00139486)
-_EXP_LOWEST = _F(-80)  # exp(x) - 1 is -1 long before
-
-# sin(2 pi q) / q in q^2 for abs(q) <= 1/4, error 2.7e-8.
-_SIN_0, _SIN_1, _SIN_2 = _F(6.28318528), _F(-41.34168072), _F(81.60248511)
-_SIN_3, _SIN_4 = _F(-76.58139641), _F(39.76161703)
-
-
-@kernel
-def _mixed(z: Any) -> Any:
-    z = (z ^ (z >> _S30)) * _MIX_1
-    z = (z ^ (z >> _S27)) * _MIX_2
-    return z ^ (z >> _S31)
-
-
-@kernel
-def _stream(key: Any, image: Any, component: int) -> Any:
-    """Return the two keys of a stream."""
-    z = _mixed(_mixed(_mixed(key + _WEYL) + _U8(image) * _WEYL) + _U8(component + 1) * _WEYL)
-    return z, _mixed(z + _WEYL)
-
-
-@kernel
-def _finished(z: Any, second: Any) -> Any:
-    """SplitMix64's output function, with a second key between its two multiplications.
-
-    The second key makes each stream another function, where plain SplitMix64 has one cycle that streams could share.
-    """
-    z = ((z ^ (z >> _S30)) * _MIX_1) ^ second
-    z = (z ^ (z >> _S27)) * _MIX_2
-    return z ^ (z >> _S31)
-
-
-@kernel
-def _word(first: Any, second: Any, counter: Any) -> Any:
-    """Return word ``counter`` of a stream."""
-    return _finished(first + counter * _WEYL, second)
-
-
-@kernel
-def words(high: NDArray[np.uint32], low: NDArray[np.uint32], first: Any, second: Any, counter: Any) -> None:
-    """Write consecutive words, in halves: what follows is then 32-bit vector code."""
-    state = first + counter * _WEYL
-    for j in range(high.size):
-        word = _finished(state, second)
-        high[j] = _U4(word >> _S32)
-        low[j] = _U4(word)
-        state += _WEYL
-
-
-@kernel
-def _ln(x: Any) -> Any:
-    """Return ln(x) of a positive, normal float32; relative error 1.5e-7, or 6e-8 absolute if that is more."""
-    bits = _F(x).view(np.int32) - _ROOT_HALF
-    exponent = _F(np.int32(bits >> _SHIFT_23))
-    mantissa = np.int32((bits & _MANTISSA) + _ROOT_HALF).view(np.float32)
-    s = (mantissa - _ONE) / (mantissa + _ONE)
-    z = s * s
-    return exponent * _LN2 + s * (_LN_0 + z * (_LN_1 + z * (_LN_2 + z * _LN_3)))
-
-
-@kernel
-def tukey_lambda_draws(
-    high: NDArray[np.uint32],
-    low: NDArray[np.uint32],
-    shape: Any,
-    power: NDArray[np.float32],
-    tail: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
-    """Write the Tukey-lambda draw of each word: the quantile of v = its low 63 bits, or the mirrored one.
-
-    With t = ln(v / (1 - v)), Q(v) = (v^l - (1 - v)^l) / l = (1 - v)^l (exp(l t) - 1) / l, which cancels nowhere.
-    ``shape`` is l, ``power`` the polynomial for (1 - v)^l, ``tail`` room for v. Short loops, which the compiler
-    vectorises; one long one it does not.
-    """
-    inverse = _ONE / shape
-    for j in range(out.size):
-        v = _F(_U4(high[j] & _SIGN_OFF)) * _TO_32 + (_F(low[j]) + _HALF) * _TO_64
-        tail[j] = v
-        out[j] = v / (_ONE - v)
-    for j in range(out.size):
-        out[j] = _ln(out[j])
-    for j in range(out.size):
-        x = shape * out[j]
-        x = x if x > _EXP_LOWEST else _EXP_LOWEST
-        n = (x * _LOG2_E + _ROUNDER) - _ROUNDER
-        r = (x - n * _LN2_HIGH) - n * _LN2_LOW
-        p = _EXP_0 + r * (_EXP_1 + r * (_EXP_2 + r * (_EXP_3 + r * (_EXP_4 + r * _EXP_5))))
-        two_n = np.int32((np.int32(n) + _EXPONENT_BIAS) << _SHIFT_23).view(np.float32)
-        out[j] = two_n * ((r * inverse) * p) + (two_n - _ONE) * inverse
-    p_0, p_1, p_2, p_3, p_4 = power[0], power[1], power[2], power[3], power[4]
-    p_5, p_6, p_7, p_8, p_9 = power[5], power[6], power[7], power[8], power[9]
-    for j in range(out.size):
-        v = tail[j]
-        p = p_4 + v * (p_5 + v * (p_6 + v * (p_7 + v * (p_8 + v * p_9))))
-        q = out[j] * (p_0 + v * (p_1 + v * (p_2 + v * (p_3 + v * p))))
-        out[j] = q if high[j] < _SIGN else -q
-
-
-@kernel
-def _gaussian_draw(high: Any, low: Any) -> Any:
-    """Return the standard normal draw of a word (Box-Muller; the high 40 bits give the radius)."""
-    u = _F(high) * _TO_32 + (_F(_U4(low >> _U4(24))) + _HALF) * _TO_40
-    radius = np.sqrt(-_TWO * _ln(u))
-    angle = (_F(np.int32(low & _U4(0xFFFFFF)) - np.int32(0x800000)) + _HALF) * _TO_24  # in turns, (-1/2, 1/2)
-    q = (angle if angle > _ZERO else -angle) - _QUARTER
-    z = q * q
-    return radius * (q * (_SIN_0 + z * (_SIN_1 + z * (_SIN_2 + z * (_SIN_3 + z * _SIN_4)))))
-
-
-@kernel
-def gaussian_draws(high: NDArray[np.uint32], low: NDArray[np.uint32], out: NDArray[np.float32]) -> None:
-    """Write the standard normal draw of each word."""
-    for j in range(out.size):
-        out[j] = _gaussian_draw(high[j], low[j])
-
-
-@kernel
-def large_poisson(mean: float, first: Any, second: Any, pixel: Any) -> float:
-    """Return a Poisson draw for a mean above 10: Hörmann's transformed rejection with squeeze (PTRS, 1993).
-
-    32 attempts stand ready for each pixel; each fails with probability 0.13 at most.
-    """
-    b = 0.931 + 2.53 * math.sqrt(mean)
-    a = 0.02483 * b - 0.059
-    v_r = 0.9277 - 3.6224 / (b - 2.0)
-    for attempt in range(32):
-        counter = pixel * _U8(64) + _U8(2 * attempt)
-        u = (np.float64(_word(first, second, counter) >> _U8(12)) + 0.5) * 2.0**-52 - 0.5
-        v = (np.float64(_word(first, second, counter + _U8(1)) >> _U8(12)) + 0.5) * 2.0**-52
-        us = 0.5 - abs(u)
-        k = np.floor((2.0 * a / us + b) * u + mean + 0.43)  # math.floor is an int64, which ends at 9e18
-        if us >= 0.07 and v <= v_r:
-            return float(k)
-        if k < 0 or (us < 0.013 and v > us):
-            continue
-        inverse_alpha = 1.1239 + 1.1328 / (b - 3.4)
-        if math.log(v * inverse_alpha / (a / (us * us) + b)) <= k * math.log(mean) - mean - math.lgamma(k + 1.0):
-            return float(k)
-    return mean
+_S32 = _U8(32)
+_ZERO = np.float32(0)
 
 
 @kernel
@@ -274,122 +89,6 @@ def _events(clean: NDArray[np.float32], events: Any, out: NDArray[np.float32]) -
     for j in range(clean.size):
         mean = clean[j] * events
         out[j] = _ZERO if mean < _ZERO else mean
-
-
-@kernel
-def _digits(mean: NDArray[np.float32], digits: NDArray[np.uint32], rest: NDArray[np.float32]) -> int:
-    """Split the means into fine steps and the rest; return how many are beyond the tables (or NaN), taken as 0."""
-    beyond = 0
-    for j in range(mean.size):
-        inside = mean[j] < _LIMIT
-        value = mean[j] if inside else _ZERO
-        beyond += 0 if inside else 1
-        steps = np.int32(value * _STEPS)
-        digits[j] = _U4(steps)
-        rest[j] = value - _F(steps) * _STEP
-    return beyond
-
-
-@kernel
-def _columns(
-    high: NDArray[np.uint32],
-    low: NDArray[np.uint32],
-    digits: NDArray[np.uint32],
-    coarse: NDArray[np.uint32],
-    fine: NDArray[np.uint32],
-) -> None:
-    """Write the index of each pixel's column in the coarse and in the fine tables."""
-    for j in range(high.size):
-        index = _U4(digits[j] >> _FINE_COUNT_BITS)
-        number = high[j]
-        place = _U4(_U4(index << _BITS_0) + _U4(number >> _SHIFT_0))
-        place = _U4(_U4(_U4(index << _BITS_1) + _U4(number >> _SHIFT_1)) - _BACK_1) if index >= _WIDER_1 else place
-        place = _U4(_U4(_U4(index << _BITS_2) + _U4(number >> _SHIFT_2)) - _BACK_2) if index >= _WIDER_2 else place
-        place = _U4(_U4(_U4(index << _BITS_3) + _U4(number >> _SHIFT_3)) - _BACK_3) if index >= _WIDER_3 else place
-        coarse[j] = place
-        fine[j] = _U4(_U4(_U4(digits[j] & _FINE_MASK) << _FINE_BITS) + _U4(low[j] >> _FINE_SHIFT))
-
-
-@kernel
-def _fetch(
-    coarse: NDArray[np.uint32],
-    fine: NDArray[np.uint32],
-    coarse_table: NDArray[np.uint64],
-    fine_table: NDArray[np.uint64],
-    coarse_entry: NDArray[np.uint64],
-    fine_entry: NDArray[np.uint64],
-) -> None:
-    """Read the tables: only this is not vector code."""
-    for j in range(coarse.size):
-        coarse_entry[j] = coarse_table[coarse[j]]
-        fine_entry[j] = fine_table[fine[j]]
-
-
-@kernel
-def _choose(
-    high: NDArray[np.uint32],
-    low: NDArray[np.uint32],
-    digits: NDArray[np.uint32],
-    coarse_entry: NDArray[np.uint64],
-    fine_entry: NDArray[np.uint64],
-    out: NDArray[np.float32],
-) -> None:
-    """Write the sum of the two values that the entries give."""
-    for j in range(high.size):
-        index = _U4(digits[j] >> _FINE_COUNT_BITS)
-        below = _LOW_0
-        below = _LOW_1 if index >= _WIDER_1 else below
-        below = _LOW_2 if index >= _WIDER_2 else below
-        below = _LOW_3 if index >= _WIDER_3 else below
-        entry = _U4(coarse_entry[j])
-        value = entry if _U4(high[j] & below) < _U4(coarse_entry[j] >> _S32) else _U4(entry >> _SHIFT_16)
-        entry = _U4(fine_entry[j])
-        more = entry if _U4(low[j] & _FINE_LOW) < _U4(fine_entry[j] >> _S32) else _U4(entry >> _SHIFT_16)
-        out[j] = _F(np.int32(_U4(_U4(value & _LOW_16) + _U4(more & _LOW_16))))
-
-
-@kernel
-def _mark(number: NDArray[np.uint32], rest: NDArray[np.float32], marks: NDArray[np.uint8]) -> None:
-    """Mark the pixels whose rest may give an event: P(at least one) = 1 - exp(-r) < r."""
-    for j in range(number.size):
-        marks[j] = np.uint8(number[j] < _U4(np.int32(rest[j] * _FROM_32)))
-
-
-@kernel
-def _add_rest(
-    marks: NDArray[np.uint8],
-    marks_of_8: NDArray[np.uint64],
-    number: NDArray[np.uint32],
-    rest: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
-    """Add the rest's events at the marked pixels: as many as there are k >= 1 with u < P(at least k)."""
-    for block in range(marks_of_8.size):
-        if marks_of_8[block] == _U8(0):
-            continue
-        for j in range(8 * block, min(8 * block + 8, number.size)):
-            if marks[j] == 0:
-                continue
-            r = np.float64(rest[j])
-            u = np.float64(number[j]) * 2.0**-32
-            tail = r * (1.0 - r / 2.0 * (1.0 - r / 3.0 * (1.0 - r / 4.0 * (1.0 - r / 5.0 * (1.0 - r / 6.0)))))
-            probability = 1.0 - tail
-            k = 0
-            while u < tail:
-                k += 1
-                probability *= r / k
-                tail -= probability
-            out[j] += _F(k)
-
-
-@kernel
-def _add_large(mean: NDArray[np.float32], out: NDArray[np.float32], first: Any, second: Any, pixel: Any) -> None:
-    """Draw where the mean is beyond the tables; infinity and NaN stay."""
-    for j in range(out.size):
-        if not mean[j] < _LIMIT:
-            out[j] = mean[j]
-            if mean[j] < np.inf:
-                out[j] = _F(large_poisson(np.float64(mean[j]), first, second, pixel + _U8(j)))
 
 
 @kernel
@@ -416,7 +115,7 @@ def _compose_noiseless(value: NDArray[np.float32], gain: Any, offset: NDArray[np
 @kernel
 def _add_frame(offset: NDArray[np.float32], dn: NDArray[np.uint16]) -> None:
     for j in range(offset.size):
-        offset[j] += _F(np.int32(dn[j]))
+        offset[j] += np.float32(np.int32(dn[j]))
 
 
 @kernel
@@ -429,13 +128,6 @@ def _take_shading(offset: NDArray[np.float32], shading: NDArray[np.float32], sca
 def _add_plane(offset: NDArray[np.float32], dn: NDArray[np.float32]) -> None:
     for j in range(offset.size):
         offset[j] += dn[j]
-
-
-@kernel
-def _add_uniform(value: NDArray[np.float32], number: NDArray[np.uint32]) -> None:
-    """Add U(-1/2, 1/2), from the high 24 bits."""
-    for j in range(value.size):
-        value[j] += (_F(np.int32(_U4(number[j] >> _U4(8))) - np.int32(0x800000)) + _HALF) * _TO_24
 
 
 @kernel
@@ -458,56 +150,72 @@ def _finish(value: NDArray[np.float32], out: NDArray[np.float32], scale: Any, lo
 
 
 @kernel
-def add_noise_rows(
+def _lay_offset(
+    offset: NDArray[np.float32],
+    bias: Any,
+    sigma_row: Any,
+    table: NDArray[np.int64],
+    period: int,
+    row: int,
+    start: int,
+    first: Any,
+    second: Any,
+) -> None:
+    """Write colour bias and row noise of a part of a row, from column ``start`` on, DN; by a stream's two keys."""
+    sub, width = table.shape[0], offset.size
+    for x in range(sub):
+        dn = bias
+        if sigma_row > _ZERO:
+            mosaic_row = (row // sub) * period + table[row % sub, x]
+            word = word_of(first, second, _U8(mosaic_row))
+            dn = dn + sigma_row * gaussian_draw(_U4(word >> _S32), _U4(word))
+        if sub == 1:
+            offset[:] = dn
+        else:
+            for j in range((x - start) % sub, width, sub):
+                offset[j] = dn
+
+
+@kernel
+def _add_noise_rows(
     clean: NDArray[np.float32],
     out: NDArray[np.float32],
-    dark: NDArray[np.uint16],
-    shading: NDArray[np.float32],
-    dark_scale: Any,
-    added: NDArray[np.float32],
+    draw: Any,
+    image: int,
+    channel: int,
     first_row: int,
     last_row: int,
-    settings: Any,
-    power: NDArray[np.float32],
-    coarse_table: NDArray[np.uint64],
-    fine_table: NDArray[np.uint64],
-    row_table: NDArray[np.int64],
-    period: int,
-    key: Any,
-    image: Any,
-    first_pixel: Any,
 ) -> None:
-    """Fill rows ``first_row`` to ``last_row`` of one packed channel.
-
-    ``dark``, the channel of a dark frame, ``shading``, what is taken off it before the rest is scaled, and ``added``,
-    what is added in DN, are empty where there are none; ``row_table`` (s, s) is the channel's part of the table of
-    mosaic rows, ``first_pixel`` the index of the channel's first pixel in its image.
-    """
-    columns = clean.shape[1]
-    sub = row_table.shape[0]
-    shot_1, shot_2 = _stream(key, image, _SHOT)
-    rest_1, rest_2 = _stream(key, image, _SHOT_REST)
-    large_1, large_2 = _stream(key, image, _SHOT_LARGE)
-    read_1, read_2 = _stream(key, image, _READ)
-    row_1, row_2 = _stream(key, image, _ROW)
-
-    entries = np.empty((2, _STRIP), np.uint64)
-    integers = np.empty((7, _STRIP), np.uint32)
-    floats = np.empty((6, _STRIP), np.float32)
-    marks = np.zeros(_STRIP, np.uint8)
+    """Fill rows ``first_row`` to ``last_row`` of one packed channel."""
+    rows, columns = clean.shape
+    # Taken out of the record once: each look into it counts references, which costs as much as many pixels.
+    shot, read, quantisation = draw.shot, draw.read, draw.quantisation
+    figures, power, under = draw.figures[image, channel], draw.power[image], draw.under.table[channel]
+    dark, taken, added = draw.dark[image, channel], draw.taken[image, channel], draw.added[image, channel]
+    dark_scale, period, (coarse_table, fine_table) = draw.dark_scale[image], draw.under.period, draw.tables
+    dithers = quantisation in (UNIFORM, DITHERED_ADC)
+    key, number = draw.keys[image], draw.places[image]
+    shot_1, shot_2 = stream(key, number, SHOT)
+    rest_1, rest_2 = stream(key, number, SHOT_REST)
+    large_1, large_2 = stream(key, number, SHOT_LARGE)
+    read_1, read_2 = stream(key, number, READ)
+    row_1, row_2 = stream(key, number, ROW)
+    bias, sigma_row = figures.bias, figures.sigma_row
+    entries = np.empty((2, STRIP), np.uint64)
+    integers = np.empty((7, STRIP), np.uint32)
+    floats = np.empty((6, STRIP), np.float32)
+    marks = np.zeros(STRIP, np.uint8)
     marks_of_8 = marks.view(np.uint64)
 
     # Whole rows lie side by side: a strip takes as many as it has room for, or short rows would fill no vector.
-    together = max(1, _STRIP // columns)
+    together = max(1, STRIP // columns)
     flat_clean, flat_out = clean.reshape(-1), out.reshape(-1)
-    for start in range(0, columns, _STRIP):
-        width = min(start + _STRIP, columns) - start
+    for start in range(0, columns, STRIP):
+        width = min(start + STRIP, columns) - start
         for row in range(first_row, last_row, together):
             count = min(together, last_row - row)
-            size = count * width
-            begin = row * columns + start
-            source, target = flat_clean[begin : begin + size], flat_out[begin : begin + size]
-            high, low, rest_number, quantisation_number = (
+            begin, size = row * columns + start, count * width
+            high, low, rest_number, dither = (
                 integers[0, :size],
                 integers[1, :size],
                 integers[2, :size],
@@ -518,23 +226,21 @@ def add_noise_rows(
             offset, noise, tail = floats[3, :size], floats[4, :size], floats[5, :size]
             coarse_entry, fine_entry = entries[0, :size], entries[1, :size]
             mark, mark_of_8 = marks[:size], marks_of_8[: (size + 7) // 8]
-            pixel = _U8(first_pixel) + _U8(begin)
-            _events(source, settings.events, mean)
-            dithers = settings.quantisation == UNIFORM or settings.quantisation == DITHERED_ADC
-            if settings.shot == POISSON or dithers:
-                words(rest_number, quantisation_number, rest_1, rest_2, pixel)
-
-            if settings.shot == POISSON:
-                beyond = _digits(mean, digits, rest)
+            pixel = _U8(channel * rows * columns) + _U8(begin)
+            _events(flat_clean[begin : begin + size], figures.events, mean)
+            if shot == POISSON or dithers:
+                words(rest_number, dither, rest_1, rest_2, pixel)
+            if shot == POISSON:
+                beyond = split_means(mean, digits, rest)
                 words(high, low, shot_1, shot_2, pixel)
-                _columns(high, low, digits, coarse, fine)
-                _fetch(coarse, fine, coarse_table, fine_table, coarse_entry, fine_entry)
-                _choose(high, low, digits, coarse_entry, fine_entry, value)
-                _mark(rest_number, rest, mark)
-                _add_rest(mark, mark_of_8, rest_number, rest, value)
+                find_columns(high, low, digits, coarse, fine)
+                fetch(coarse, fine, coarse_table, fine_table, coarse_entry, fine_entry)
+                choose(high, low, digits, coarse_entry, fine_entry, value)
+                mark_rest(rest_number, rest, mark)
+                add_rest(mark, mark_of_8, rest_number, rest, value)
                 if beyond > 0:
-                    _add_large(mean, value, large_1, large_2, pixel)
-            elif settings.shot == GAUSSIAN:
+                    add_large(mean, value, large_1, large_2, pixel)
+            elif shot == GAUSSIAN:
                 words(high, low, shot_1, shot_2, pixel)
                 gaussian_draws(high, low, noise)
                 _add_spread(mean, noise, value)
@@ -542,62 +248,37 @@ def add_noise_rows(
                 value[:] = mean
 
             for place in range(count):
-                here = row + place
-                of_row = offset[place * width : (place + 1) * width]
-                for x in range(sub):
-                    dn = settings.bias
-                    if settings.sigma_row > _ZERO:
-                        mosaic_row = (here // sub) * period + row_table[here % sub, x]
-                        word = _word(row_1, row_2, _U8(mosaic_row))
-                        dn = dn + settings.sigma_row * _gaussian_draw(_U4(word >> _S32), _U4(word))
-                    if sub == 1:
-                        of_row[:] = dn
-                    else:
-                        for j in range((x - start) % sub, width, sub):
-                            of_row[j] = dn
+                here, of_row = row + place, offset[place * width : (place + 1) * width]
+                _lay_offset(of_row, bias, sigma_row, under, period, here, start, row_1, row_2)
                 if dark.size > 0:
                     _add_frame(of_row, dark[here, start : start + width])
-                if shading.size > 0:
-                    _take_shading(of_row, shading[here, start : start + width], dark_scale)
+                if taken.size > 0:
+                    _take_shading(of_row, taken[here, start : start + width], dark_scale)
                 if added.size > 0:
                     _add_plane(of_row, added[here, start : start + width])
 
-            if settings.read == NONE:
-                _compose_noiseless(value, settings.gain, offset)
+            if read == NONE:
+                _compose_noiseless(value, figures.gain, offset)
             else:
                 words(high, low, read_1, read_2, pixel)
-                if settings.read == GAUSSIAN:
+                if read == GAUSSIAN:
                     gaussian_draws(high, low, noise)
                 else:
-                    tukey_lambda_draws(high, low, settings.shape, power, tail, noise)
-                _compose(value, settings.gain, settings.sigma_read, noise, offset)
+                    tukey_lambda_draws(high, low, figures.shape, power, tail, noise)
+                _compose(value, figures.gain, figures.sigma_read, noise, offset)
 
             if dithers:
-                _add_uniform(value, quantisation_number)
-            if settings.quantisation == ADC or settings.quantisation == DITHERED_ADC:
-                _convert(value, settings.black, settings.white)
-            _finish(value, target, settings.scale, settings.low, settings.high)
+                add_uniform(value, dither)
+            if quantisation in (ADC, DITHERED_ADC):
+                _convert(value, figures.black, figures.white)
+            _finish(value, flat_out[begin : begin + size], figures.scale, figures.low, figures.high)
 
 
 @kernel
 def add_noise(
     clean: NDArray[np.float32],
     out: NDArray[np.float32],
-    dark: NDArray[np.uint16],
-    shading: NDArray[np.float32],
-    added: NDArray[np.float32],
-    no_dark: NDArray[np.uint16],
-    no_plane: NDArray[np.float32],
-    dark_scale: NDArray[np.float32],
-    modes: tuple[int, int, int],
-    numbers: NDArray[np.float32],
-    power: NDArray[np.float32],
-    coarse_table: NDArray[np.uint64],
-    fine_table: NDArray[np.uint64],
-    row_tables: NDArray[np.int64],
-    period: int,
-    keys: NDArray[np.uint64],
-    places: NDArray[np.uint64],
+    draw: Any,
     first: int,
     last: int,
     first_row: int,
@@ -605,45 +286,9 @@ def add_noise(
 ) -> None:
     """Fill rows ``first_row`` to ``last_row`` of the channels ``first`` to ``last``, all images' being numbered on.
 
-    One call for many small images: a call from Python costs as much as the noise of a thousand pixels. ``dark``,
-    ``shading`` and ``added`` hold no image where there are none; ``modes`` and ``numbers`` (N, C, 11) are the
-    :data:`Settings`, ``keys`` and ``places`` each image's key and its number under that key.
+    One call for many small images: a call from Python costs as much as the noise of a thousand pixels.
     """
-    _, channels, rows, columns = clean.shape
+    channels = clean.shape[1]
     for plane in range(first, last):
         image, channel = plane // channels, plane % channels
-        of = numbers[image, channel]
-        add_noise_rows(
-            clean[image, channel],
-            out[image, channel],
-            dark[image, channel] if dark.shape[0] > 0 else no_dark,
-            shading[image, channel] if shading.shape[0] > 0 else no_plane,
-            dark_scale[image],
-            added[image, channel] if added.shape[0] > 0 else no_plane,
-            first_row,
-            last_row,
-            Settings(
-                modes[0],
-                modes[1],
-                modes[2],
-                of[0],
-                of[1],
-                of[2],
-                of[3],
-                of[4],
-                of[5],
-                of[6],
-                of[7],
-                of[8],
-                of[9],
-                of[10],
-            ),
-            power[image],
-            coarse_table,
-            fine_table,
-            row_tables[channel],
-            period,
-            keys[image],
-            places[image],
-            _U8(channel * rows * columns),
-        )
+        _add_noise_rows(clean[image, channel], out[image, channel], draw, image, channel, first_row, last_row)

@@ -35,6 +35,14 @@ PAPER_MODELS = ("G", "G+P", "G+P*", "G*+P*", "G*+P*+B", "G*+P*+B+R", "G*+P*+B+R+
 """The models that the ELD paper compares, in the order of its rows, from the simplest to the full one."""
 
 _NAMES = ("P", "P*", "G", "G*", "B", "R", "U", "D", "S", "C", "W", "T", "F")
+_SHOTS: dict[str, Shot] = {"P": "gaussian", "P*": "poisson"}
+_READS: dict[str, Read] = {"G": "gaussian", "G*": "tukey-lambda"}
+# The others, each there or not, in the order in which a spec has them.
+_FLAGS = {"F": "prnu", "B": "colour_bias", "R": "row", "W": "banding", "C": "column", "T": "telegraph"} | {
+    "U": "quantisation",
+    "D": "dark",
+    "S": "shading",
+}
 _EXCLUSIVE = (("P", "P*", "photon shot noise"), ("G", "G*", "read noise"), ("R", "W", "row noise"))
 # What dark frames have in them.
 _IN_DARK = {"G": "read noise", "G*": "read noise", "B": "colour bias", "R": "row noise", "U": "rounding"} | {
@@ -74,15 +82,9 @@ class Components:
     @property
     def spec(self) -> str:
         """The components as a spec that :func:`parse_components` reads back."""
-        names = (
-            {"gaussian": "P", "poisson": "P*"}.get(self.shot, ""),
-            {"gaussian": "G", "tukey-lambda": "G*"}.get(self.read, ""),
-        )
-        flags = (
-            *(("F", self.prnu), ("B", self.colour_bias), ("R", self.row), ("W", self.banding), ("C", self.column)),
-            *(("T", self.telegraph), ("U", self.quantisation), ("D", self.dark), ("S", self.shading)),
-        )
-        return "+".join([name for name in names if name] + [name for name, on in flags if on])
+        names = [name for name, shot in _SHOTS.items() if shot == self.shot]
+        names += [name for name, read in _READS.items() if read == self.read]
+        return "+".join(names + [name for name, field in _FLAGS.items() if getattr(self, field)])
 
 
 def parse_components(spec: str) -> Components:
@@ -127,15 +129,7 @@ def parse_components(spec: str) -> Components:
             "take one, as in 'P*+G*+R+U+S'"
         )
     return Components(
-        shot="poisson" if "P*" in names else "gaussian" if "P" in names else "none",
-        read="tukey-lambda" if "G*" in names else "gaussian" if "G" in names else "none",
-        colour_bias="B" in names,
-        row="R" in names,
-        quantisation="U" in names,
-        dark="D" in names,
-        shading="S" in names,
-        column="C" in names,
-        banding="W" in names,
-        telegraph="T" in names,
-        prnu="F" in names,
+        shot=next((shot for name, shot in _SHOTS.items() if name in names), "none"),
+        read=next((read for name, read in _READS.items() if name in names), "none"),
+        **{field: name in names for name, field in _FLAGS.items()},
     )

@@ -28,9 +28,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.fields import shown
 from eldata.base.files import atomic_write, json_text
 from eldata.base.numbers import checked_number
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError, DatasetError, ShadingError
 from eldata.noise.shading_content import (
     ADVICE,
@@ -210,7 +210,7 @@ class DarkShading:
         >>> shading = DarkShading.load("mycamera.npz")  # doctest: +SKIP
         >>> corrected = frame.mosaic - shading.at(float(frame.exposure.iso))  # doctest: +SKIP
         """
-        from eldata.noise._shading_kernels import fill_line
+        from eldata.noise._structure_kernels import fill_line
 
         one, lasts = self.measured(iso), self._lasts(iso, exposure_s)
         slope, offset = (values[one.mode, rows, columns] for values in (self.slope_dn, self.offset_dn))

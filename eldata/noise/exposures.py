@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from eldata.base.arguments import is_tensor
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
-from eldata.noise.packed_rows import channel_bias_dn
+from eldata.noise.mosaic import channel_bias_dn, first_place, pack_whole, whole_shape
 from eldata.noise.parameters import tukey_lambda_variance
 from eldata.noise.structure import known_structure
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from eldata.noise.components import Components
+    from eldata.noise.dark_shading import DarkShading
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.structure import NoiseStructure
 
@@ -60,6 +61,17 @@ class DarkCrops:
     black_level_dn: NDArray[np.float64]
     shading_dn: NDArray[np.float32] | None = None
     scale: NDArray[np.float64] | None = None
+
+
+class DarkSource(Protocol):
+    """Where component D of a noise model has its frames from; :class:`eldata.datasets.DarkFrames` is one."""
+
+    @property
+    def dither(self) -> bool:
+        """Whether they are dithered by U(-1/2, 1/2)."""
+
+    def draw(self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator) -> DarkCrops:
+        """Return crops (count, C, h, w) of as many frames of an ISO, from one place of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,15 +137,10 @@ class Exposures:
         channels: int,
         *,
         range_dn: float | Sequence[float],
-        adc: Adc | None = None,
-        limits: tuple[float, float] = (-math.inf, math.inf),
         dark: DarkCrops | None = None,
-        dithers: bool = False,
-        shading_dn: NDArray[np.float32] | None = None,
-        sensor_seed: int = 0,
-        place: tuple[int, int] = (0, 0),
+        **others: Any,
     ) -> Exposures:
-        """Take the parameters that the components need, one of each per image."""
+        """Take the parameters that the components need, one of each per image, and the other fields as they are."""
 
         def array(values: list[float], on: bool = True) -> NDArray[np.float64]:
             return np.array(values, dtype=np.float64) * on
@@ -156,14 +163,9 @@ class Exposures:
             ),
             sigma_row_dn=array([p.sigma_row_dn for p in drawn], components.row),
             bias_dn=np.array(bias, dtype=np.float64).reshape(len(drawn), channels),
-            adc=adc,
-            limits=limits,
             dark=dark,
-            dithers=dithers,
-            shading_dn=shading_dn,
             structure=structure,
-            sensor_seed=sensor_seed,
-            place=place,
+            **others,
         )
 
 
@@ -202,3 +204,115 @@ def pixels_own(components: Components, parameters: NoiseParameters) -> NoisePara
         scale = math.sqrt(max(scale**2 - of_columns / tukey_lambda_variance(shape), 0.0))
         gauss = math.sqrt(max(gauss**2 - of_columns, 0.0))
     return replace(parameters, tukey_lambda=shape, sigma_tl_dn=scale, sigma_gauss_dn=gauss)
+
+
+# --- what a call gives, one of each per image ----------------------------------------------------------------------
+
+
+def check_normalised(clean: Any, name: str = "clean") -> None:
+    """Refuse what cannot be normalised data.
+
+    Raises
+    ------
+    ArgumentError
+        If it is neither an array nor a tensor, or of anything but floating numbers.
+    """
+    if is_tensor(clean):
+        is_float, is_whole = clean.is_floating_point(), not clean.is_complex()
+    elif isinstance(clean, np.ndarray):
+        is_float, is_whole = clean.dtype.kind == "f", clean.dtype.kind in "iu"
+    else:
+        raise ArgumentError(f"{name} must be a numpy array or a torch tensor, not {type(clean).__name__}")
+    if is_float:
+        return
+    if is_whole:
+        raise ArgumentError(
+            f"{name} is {clean.dtype}, whole numbers as a file has them, and expected is normalised data, where 0 is "
+            "black and 1 is white; give (clean - black) / (white - black) in float32, as eldata.raw.normalise makes it "
+            "of packed DN and eldata.raw.pack_normalised of a mosaic"
+        )
+    raise ArgumentError(f"{name} is {clean.dtype}; expected floating numbers, such as float32, where 1 is white")
+
+
+def one_each(value: Any, images: int, name: str) -> list[Any]:
+    """Return one value for each image, of one for all or of one for each; of others raise :class:`ArgumentError`."""
+    if isinstance(value, np.ndarray) or is_tensor(value):
+        value = value.tolist()
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        return [value] * images
+    if len(value) != images:
+        raise ArgumentError(f"{name}: expected one, or one for each of {images} images; found {len(value)}")
+    return list(value)
+
+
+def common_range_dn(drawn: Sequence[NoiseParameters]) -> float:
+    """Return the range from black to white that the parameters bring with them."""
+    known = {item.range_dn for item in drawn}
+    if len(known) == 1 and (range_dn := known.pop()) is not None:
+        return range_dn
+    found = "differ in it" if len(known) > 1 else "do not know it (their profile states no levels)"
+    raise ArgumentError(f"give range_dn, the white level minus the black level in DN: the parameters {found}")
+
+
+def drawn_dark(
+    source: DarkSource,
+    drawn: Sequence[NoiseParameters],
+    is_clip: bool,
+    packed: tuple[int, int, int],
+    generator: np.random.Generator,
+) -> DarkCrops:
+    """Return a dark crop for each image."""
+
+    def of(parameters: NoiseParameters, count: int) -> DarkCrops:
+        if parameters.iso is None:
+            raise ArgumentError(
+                "component D takes dark frames of the parameters' ISO, and they do not state it; draw them at one, as "
+                "profile.sample(generator, iso=800) does"
+            )
+        return source.draw(parameters.iso, count, packed, generator)
+
+    if is_clip or len(drawn) == 1:
+        return of(drawn[0], len(drawn))
+    each = [of(parameters, 1) for parameters in drawn]
+    black = np.concatenate([one.black_level_dn for one in each])
+    shading = [one.shading_dn for one in each if one.shading_dn is not None]
+    scale = [one.scale for one in each if one.scale is not None]
+    return DarkCrops(
+        np.concatenate([one.dn for one in each]),
+        black,
+        np.concatenate(shading) if shading else None,
+        np.concatenate(scale) if scale else None,
+    )
+
+
+def shading_of_each(
+    shading: DarkShading,
+    drawn: Sequence[NoiseParameters],
+    packed: tuple[int, int, int],
+    place: tuple[int, int],
+    times: Sequence[float | None],
+) -> NDArray[np.float32]:
+    """Return the dark shading of the ISO and time of each image (N, C, h, w), or once if all have one.
+
+    Raises
+    ------
+    ArgumentError
+        If a draw states no ISO, or the shading is of other channels than ``packed`` (C, h, w).
+    """
+    isos = [one.iso for one in drawn if one.iso is not None]
+    if len(isos) < len(drawn):
+        raise ArgumentError(
+            "component S adds the dark shading of the parameters' ISO, and they do not state it; draw them at one, "
+            "as profile.sample(generator, iso=800) does"
+        )
+    each = list(zip(isos, [None] * len(isos) if shading.current is None else times, strict=True))
+    is_whole = packed == whole_shape(shading.hot.shape, shading.cfa) and place == first_place(shading.cfa)
+    if is_whole:  # as on_mosaic packs
+        of_one = {one: pack_whole(shading.at(one[0], exposure_s=one[1]), shading.cfa) for one in set(each)}
+    else:
+        region = (*place, *packed[1:])
+        of_one = {one: shading.packed(one[0], region, exposure_s=one[1]) for one in set(each)}
+    found = of_one[each[0]][None] if len(of_one) == 1 else np.stack([of_one[one] for one in each])
+    if found.shape[1:] != packed:
+        raise ArgumentError(f"the dark shading of {shading.camera} has {found.shape[1]} channels, not {packed[0]}")
+    return found

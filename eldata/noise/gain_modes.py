@@ -1,14 +1,30 @@
-"""Gain modes: the ranges in which a camera keeps its conversion gain, and the noise's lines over K in each."""
+"""What a camera's profile is made of: rows by ISO, gain modes with the noise's lines over K, and K over ISO.
+
+A gain mode is a range in which a camera keeps its conversion gain.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
+
+from eldata.noise.parameters import NoiseParameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from eldata.noise.structure import NoiseStructure
+
+Sigma = Literal["TL", "G", "row"]
+SIGMAS: dict[Sigma, tuple[str, str]] = {
+    "TL": ("tukey_lambda_fit", "sigma_tl_dn"),
+    "G": ("gauss_fit", "sigma_gauss_dn"),
+    "row": ("row_fit", "sigma_row_dn"),
+}
+"""The scales of a profile: its line over K, and the field of a row, by the index of its sigma."""
+SIGMA_TITLES: dict[Sigma, str] = {"TL": "read noise, Tukey lambda", "G": "read noise, Gaussian", "row": "row noise"}
 
 GAIN_ROUNDING = 0.01
 """Of ln K: gains are printed and stated with few digits."""
@@ -66,6 +82,35 @@ class GainMode:
         return "ISO {:g} to {:g}".format(*self.iso_range)
 
 
+@dataclass(frozen=True, slots=True)
+class ProfileRow:
+    """What was measured at one ISO; ``None`` is not known.
+
+    ``tukey_lambda`` and ``colour_bias_dn`` (R, G1, B, G2) belong together; ``r_squared_tl`` and ``r_squared_gauss`` are
+    the probability plots' coefficients of determination.
+    """
+
+    tukey_lambda: float
+    colour_bias_dn: tuple[float, float, float, float]
+    iso: float | None = None
+    gain_dn_per_e: float | None = None
+    sigma_tl_dn: float | None = None
+    sigma_gauss_dn: float | None = None
+    sigma_row_dn: float | None = None
+    r_squared_tl: float | None = None
+    r_squared_gauss: float | None = None
+
+    def parameters(self, range_dn: float | None, structure: NoiseStructure | None) -> NoiseParameters | None:
+        """Return the figures as a draw, ``None`` unless K and all scales are known."""
+        gain, scale, gauss, rows = self.gain_dn_per_e, self.sigma_tl_dn, self.sigma_gauss_dn, self.sigma_row_dn
+        if rows is None and structure is not None and structure.row_spectrum is not None:
+            rows = math.sqrt(structure.row_spectrum.variance_dn2)  # withheld for nothing but the bands
+        if gain is None or scale is None or gauss is None or rows is None:
+            return None
+        figures = gain, self.tukey_lambda, scale, gauss, rows, self.colour_bias_dn
+        return NoiseParameters(*figures, range_dn, self.iso, structure)
+
+
 def modes_problem(
     modes: Sequence[GainMode], gain_range_dn_per_e: tuple[float, float], iso_range: tuple[float, float] | None
 ) -> str | None:
@@ -86,3 +131,95 @@ def modes_problem(
         if whole != (ends[0], ends[-1]):
             return f"{name} must go from the first mode's to the last one's, {ends[0]:g} to {ends[-1]:g}"
     return None
+
+
+def rows_of(mode: GainMode, rows: Sequence[ProfileRow], modes: Sequence[GainMode]) -> Sequence[ProfileRow]:
+    """Return the rows that were measured in a mode; every row, if there are no ``modes``."""
+    if not modes:
+        return rows
+    known = [(row, row.gain_dn_per_e) for row in rows]
+    return [row for row, gain in known if gain is not None and mode.distance(gain) <= GAIN_ROUNDING]
+
+
+def rows_nearest(gain_dn_per_e: float, rows: Sequence[ProfileRow]) -> Sequence[ProfileRow]:
+    """Return the rows whose K is nearest to a gain, several if they share it; none if no row has a K."""
+    known = [(row, row.gain_dn_per_e) for row in rows]
+    distances = [(row, abs(math.log(gain / gain_dn_per_e))) for row, gain in known if gain is not None]
+    nearest = min((distance for _, distance in distances), default=0.0)
+    return [row for row, distance in distances if distance <= nearest + 1e-9]
+
+
+def gain_at_share(modes: Sequence[GainMode], share: float) -> float:
+    """Return the gain below which a share of all ranges of ln K lies."""
+    *others, mode = modes
+    left = share * sum(one.log_width for one in (*others, mode))
+    for one in others:
+        if left <= one.log_width:
+            mode = one
+            break
+        left -= one.log_width
+    return math.exp(math.log(mode.gain_range_dn_per_e[0]) + left)
+
+
+def cells_of(rows: Sequence[ProfileRow]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return the titles of the columns in which some row has a figure, and each row's cells."""
+    titles = ["K [DN/e⁻]", "λ", "σ TL [DN]", "σ G [DN]", "σ row [DN]"]
+    titles += [f"bias {name} [DN]" for name in ("R", "G1", "B", "G2")]
+    fields = [
+        (
+            row.gain_dn_per_e,
+            row.tukey_lambda,
+            row.sigma_tl_dn,
+            row.sigma_gauss_dn,
+            row.sigma_row_dn,
+            *row.colour_bias_dn,
+        )
+        for row in rows
+    ]
+    columns = {"ISO": [None if row.iso is None else f"{row.iso:g}" for row in rows]} | {
+        title: [None if value is None else f"{value:.4g}" for value in values]
+        for title, values in zip(titles, zip(*fields, strict=True), strict=True)
+    }
+    known = {title: cells for title, cells in columns.items() if any(cells)}
+    return tuple(known), [tuple(cell or "-" for cell in row) for row in zip(*known.values(), strict=True)]
+
+
+# --- K over ISO -------------------------------------------------------------------------------------------------------
+
+
+def gains_by_iso(rows: Sequence[ProfileRow], modes: Sequence[GainMode]) -> dict[float, float]:
+    """Return K by ISO, ascending: the rows' mean, and the ends of the ranges where no row has their ISO."""
+    found: dict[float, list[float]] = {}
+    for row in rows:
+        if row.iso is not None and row.gain_dn_per_e is not None:
+            found.setdefault(row.iso, []).append(row.gain_dn_per_e)
+    for mode in modes:
+        for iso, gain in zip(mode.iso_range or (), mode.gain_range_dn_per_e, strict=False):
+            found.setdefault(iso, [gain])
+    return {iso: sum(found[iso]) / len(found[iso]) for iso in sorted(found)}
+
+
+def gain_between(gains: dict[float, float], modes: Sequence[GainMode], iso: float) -> float | None:
+    """Return K at an ISO, its logarithm straight over ln ISO; ``None`` unless measured or between two of one mode."""
+    if iso in gains:
+        return gains[iso]
+    below = max((one for one in gains if one < iso), default=None)
+    above = min((one for one in gains if one > iso), default=None)
+    if below is None or above is None or not share_a_mode(modes, gains[below], gains[above]):
+        return None
+    share = math.log(iso / below) / math.log(above / below)
+    return gains[below] * math.pow(gains[above] / gains[below], share)
+
+
+def iso_between(gains: dict[float, float], modes: Sequence[GainMode], gain_dn_per_e: float) -> float | None:
+    """Return the lowest ISO at which :func:`gain_between` is K; ``None`` if there is none."""
+    for (below, first), (above, last) in pairwise(gains.items()):
+        if min(first, last) <= gain_dn_per_e <= max(first, last) and share_a_mode(modes, first, last):
+            share = 0.0 if first == last else math.log(gain_dn_per_e / first) / math.log(last / first)
+            return below * math.pow(above / below, share)
+    return None
+
+
+def share_a_mode(modes: Sequence[GainMode], *gains: float) -> bool:
+    """Return whether gains are of one gain mode."""
+    return len(modes) == 1 or any(max(map(mode.distance, gains)) <= GAIN_ROUNDING for mode in modes)

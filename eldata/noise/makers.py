@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from eldata.base.tensors import is_tensor
+from eldata.base.arguments import is_tensor
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.noise.exposures import DarkCrops
     from eldata.noise.parameters import NoiseParameters
 
 
@@ -42,17 +41,6 @@ class NoiseMaker(Protocol):
         generator: np.random.Generator,
     ) -> Any:
         """Return a noisy exposure."""
-
-
-class DarkSource(Protocol):
-    """Where component D of a noise model has its frames from; :class:`eldata.datasets.DarkFrames` is one."""
-
-    @property
-    def dither(self) -> bool:
-        """Whether they are dithered by U(-1/2, 1/2)."""
-
-    def draw(self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator) -> DarkCrops:
-        """Return crops (count, C, h, w) of as many frames of an ISO, from one place of them."""
 
 
 def check_noise_maker(maker: Any) -> None:

@@ -17,40 +17,43 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from eldata.base.numbers import checked_number, checked_whole
-from eldata.base.tensors import is_tensor
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.components import Components, parse_components
 from eldata.noise.dark_shading import DarkShading
 from eldata.noise.exposures import (
     Adc,
     DarkCrops,
+    DarkSource,
     Exposures,
+    check_normalised,
+    common_range_dn,
+    drawn_dark,
+    one_each,
     pixels_own,
     read_variance_dn2,
+    shading_of_each,
     structured_variance_dn2,
 )
-from eldata.noise.mosaic import first_place, pack_whole, region_anywhere, unpack_whole, whole_shape
-from eldata.noise.packed_rows import packed_rows
-from eldata.noise.parameters import NoiseParameters
-from eldata.noise.randomness import Generator, key_from
+from eldata.noise.mosaic import first_place, pack_whole, packed_rows, region_anywhere, unpack_whole, whole_shape
+from eldata.noise.parameters import Generator, NoiseParameters, key_from
 from eldata.noise.structure import known_structure
-from eldata.raw.cfa import CLIP_RANGES
+from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     import torch
     from numpy.typing import NDArray
 
-    from eldata.noise.makers import DarkSource
-    from eldata.raw.cfa import Cfa, Clip
+    from eldata.raw.cfa import Cfa
+    from eldata.raw.levels import Clip
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
 
@@ -226,11 +229,11 @@ class NoiseModel:
         images = math.prod(clean.shape[:-3])
         channels = int(clean.shape[-3])
         packed_rows(channels)  # refuses another number of channels
-        drawn = _one_each(parameters, images, "parameters")
+        drawn = one_each(parameters, images, "parameters")
         if not all(isinstance(item, NoiseParameters) for item in drawn):
             raise ArgumentError(f"parameters must be NoiseParameters, one or one for each image; found {parameters!r}")
-        ratios = [checked_number("ratio", value, above=0) for value in _one_each(ratio, images, "ratio")]
-        given = [_range_dn(drawn)] if range_dn is None else _one_each(range_dn, max(images, 1), "range_dn")
+        ratios = [checked_number("ratio", value, above=0) for value in one_each(ratio, images, "ratio")]
+        given = [common_range_dn(drawn)] if range_dn is None else one_each(range_dn, max(images, 1), "range_dn")
         ranges = [checked_number("range_dn", value, above=0) for value in given]
         several = list(generator) if isinstance(generator, (list, tuple)) else [generator]
         # Frames, or a place on the sensor, are drawn here once for all images.
@@ -246,10 +249,12 @@ class NoiseModel:
             self._check_dark(dark, images, packed)
         elif self.dark_frames is not None and images:
             source = np.random.default_rng(key_from(several[0]))
-            dark = _drawn_dark(self.dark_frames, drawn, isinstance(parameters, NoiseParameters), packed, source)
+            dark = drawn_dark(self.dark_frames, drawn, isinstance(parameters, NoiseParameters), packed, source)
         place = self._place(packed, place, several[0])
-        times = [None] * images if exposure_s is None else _one_each(exposure_s, images, "exposure_s")
-        shading_dn = self._shading_dn(drawn, packed, place, times)
+        times = [None] * images if exposure_s is None else one_each(exposure_s, images, "exposure_s")
+        shading_dn = None
+        if self.dark_shading is not None and drawn:
+            shading_dn = shading_of_each(self.dark_shading, drawn, packed, place, times)
         exposures = Exposures.of(
             self.components,
             drawn,
@@ -269,20 +274,8 @@ class NoiseModel:
         if isinstance(clean, np.ndarray):
             drawn_in_numpy = _in_numpy(clean, exposures, several, threads, out)
             return drawn_in_numpy if out is not None else drawn_in_numpy.astype(clean.dtype, copy=False)
-        import torch
-
-        if clean.device.type == "cpu":
-            drawn_here = torch.from_numpy(
-                _in_numpy(clean.detach().to(torch.float32).numpy(), exposures, several, threads)
-            )
-        else:
-            from eldata.noise.on_device import expose_on_device
-
-            if not isinstance(generator, torch.Generator) or generator.device.type != clean.device.type:
-                raise ArgumentError(f"clean is on {clean.device}: give a torch.Generator of that device")
-            flat = clean.detach().to(torch.float32).reshape(images, *clean.shape[-3:])
-            drawn_here = expose_on_device(flat, exposures, generator).reshape(clean.shape)
-        return drawn_here.to(clean.dtype)
+        noisy: Image = _in_torch(clean, exposures, several, threads)
+        return noisy
 
     def _place(
         self, packed: tuple[int, int, int], place: tuple[int, int] | None, generator: Generator
@@ -300,35 +293,6 @@ class NoiseModel:
         source = np.random.default_rng(key_from(generator))
         top, left, _, _ = region_anywhere("a dark shading gives", shading.hot.shape, shading.cfa, packed, source)
         return top, left
-
-    def _shading_dn(
-        self,
-        drawn: Sequence[NoiseParameters],
-        packed: tuple[int, int, int],
-        place: tuple[int, int],
-        times: Sequence[float | None],
-    ) -> NDArray[np.float32] | None:
-        """Return the dark shading of the ISO and time of each image, or once if all have one."""
-        shading = self.dark_shading
-        if shading is None or not drawn:
-            return None
-        isos = [one.iso for one in drawn if one.iso is not None]
-        if len(isos) < len(drawn):
-            raise ArgumentError(
-                "component S adds the dark shading of the parameters' ISO, and they do not state it; draw them at one, "
-                "as profile.sample(generator, iso=800) does"
-            )
-        each = list(zip(isos, [None] * len(isos) if shading.current is None else times, strict=True))
-        is_whole = packed == whole_shape(shading.hot.shape, shading.cfa) and place == first_place(shading.cfa)
-        if is_whole:  # as on_mosaic packs
-            of_one = {one: pack_whole(shading.at(one[0], exposure_s=one[1]), shading.cfa) for one in set(each)}
-        else:
-            region = (*place, *packed[1:])
-            of_one = {one: shading.packed(one[0], region, exposure_s=one[1]) for one in set(each)}
-        found = of_one[each[0]][None] if len(of_one) == 1 else np.stack([of_one[one] for one in each])
-        if found.shape[1:] != packed:
-            raise ArgumentError(f"the dark shading of {shading.camera} has {found.shape[1]} channels, not {packed[0]}")
-        return found
 
     def _check_dark(self, dark: Any, images: int, packed: tuple[int, int, int]) -> None:
         if self.dark_frames is None:
@@ -416,31 +380,6 @@ class NoiseModel:
             raise ArgumentError(f"noise model {self.components.spec!r}: the dark shading differs from pixel to pixel")
 
 
-def check_normalised(clean: Any, name: str = "clean") -> None:
-    """Refuse what cannot be normalised data.
-
-    Raises
-    ------
-    ArgumentError
-        If it is neither an array nor a tensor, or of anything but floating numbers.
-    """
-    if is_tensor(clean):
-        is_float, is_whole = clean.is_floating_point(), not clean.is_complex()
-    elif isinstance(clean, np.ndarray):
-        is_float, is_whole = clean.dtype.kind == "f", clean.dtype.kind in "iu"
-    else:
-        raise ArgumentError(f"{name} must be a numpy array or a torch tensor, not {type(clean).__name__}")
-    if is_float:
-        return
-    if is_whole:
-        raise ArgumentError(
-            f"{name} is {clean.dtype}, whole numbers as a file has them, and expected is normalised data, where 0 is "
-            "black and 1 is white; give (clean - black) / (white - black) in float32, as eldata.raw.normalise makes it "
-            "of packed DN and eldata.raw.pack_normalised of a mosaic"
-        )
-    raise ArgumentError(f"{name} is {clean.dtype}; expected floating numbers, such as float32, where 1 is white")
-
-
 def _in_numpy(
     clean: NDArray[Any],
     exposures: Exposures,
@@ -455,6 +394,21 @@ def _in_numpy(
     keys = [key_from(generator) for generator in generators] if len(flat) else [0]
     target = None if out is None else out.reshape(shape)
     return expose_compiled(flat, exposures, key=keys, threads=threads, out=target).reshape(clean.shape)
+
+
+def _in_torch(clean: Any, exposures: Exposures, generators: Sequence[Generator], threads: int | None) -> Any:
+    import torch
+
+    numbers = clean.detach().to(torch.float32)
+    if clean.device.type == "cpu":
+        return torch.from_numpy(_in_numpy(numbers.numpy(), exposures, generators, threads)).to(clean.dtype)
+    from eldata.noise.on_device import expose_on_device
+
+    generator = generators[0]
+    if len(generators) > 1 or not isinstance(generator, torch.Generator) or generator.device.type != clean.device.type:
+        raise ArgumentError(f"clean is on {clean.device}: give a torch.Generator of that device")
+    drawn = expose_on_device(numbers.reshape(-1, *clean.shape[-3:]), exposures, generator)
+    return drawn.reshape(clean.shape).to(clean.dtype)
 
 
 def _check_out(out: Any, clean: Any) -> None:
@@ -475,53 +429,3 @@ def _checked_place(place: Any) -> tuple[int, int]:
     if not is_pair or not all(isinstance(side, (int, np.integer)) and _FIRST <= side < _SIDES for side in place):
         raise ArgumentError(f"place is the row and column of a packed pixel, whole numbers from 0 on; found {place!r}")
     return int(place[0]), int(place[1])
-
-
-def _drawn_dark(
-    source: DarkSource,
-    drawn: Sequence[NoiseParameters],
-    is_clip: bool,
-    packed: tuple[int, int, int],
-    generator: np.random.Generator,
-) -> DarkCrops:
-    """Return a dark crop for each image."""
-
-    def of(parameters: NoiseParameters, count: int) -> DarkCrops:
-        if parameters.iso is None:
-            raise ArgumentError(
-                "component D takes dark frames of the parameters' ISO, and they do not state it; draw them at one, as "
-                "profile.sample(generator, iso=800) does"
-            )
-        return source.draw(parameters.iso, count, packed, generator)
-
-    if is_clip or len(drawn) == 1:
-        return of(drawn[0], len(drawn))
-    each = [of(parameters, 1) for parameters in drawn]
-    black = np.concatenate([one.black_level_dn for one in each])
-    shading = [one.shading_dn for one in each if one.shading_dn is not None]
-    scale = [one.scale for one in each if one.scale is not None]
-    return DarkCrops(
-        np.concatenate([one.dn for one in each]),
-        black,
-        np.concatenate(shading) if shading else None,
-        np.concatenate(scale) if scale else None,
-    )
-
-
-def _range_dn(drawn: Sequence[NoiseParameters]) -> float:
-    """Return the range from black to white that the parameters bring with them."""
-    known = {item.range_dn for item in drawn}
-    if len(known) == 1 and (range_dn := known.pop()) is not None:
-        return range_dn
-    found = "differ in it" if len(known) > 1 else "do not know it (their profile states no levels)"
-    raise ArgumentError(f"give range_dn, the white level minus the black level in DN: the parameters {found}")
-
-
-def _one_each(value: Any, images: int, name: str) -> list[Any]:
-    if isinstance(value, np.ndarray) or is_tensor(value):
-        value = value.tolist()
-    if isinstance(value, str) or not isinstance(value, Sequence):
-        return [value] * images
-    if len(value) != images:
-        raise ArgumentError(f"{name}: expected one, or one for each of {images} images; found {len(value)}")
-    return list(value)

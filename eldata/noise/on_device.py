@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from eldata.noise.packed_rows import packed_rows
-from eldata.noise.randomness import key_from
-from eldata.noise.structured import offsets_dn, with_response
+from eldata.noise.compiled import offsets_dn, with_response
+from eldata.noise.mosaic import packed_rows
+from eldata.noise.parameters import key_from
 
 if TYPE_CHECKING:
-    from eldata.noise.exposures import Exposures
+    from collections.abc import Callable
+
+    from eldata.noise.exposures import DarkCrops, Exposures
 
 # Uniforms are float64 multiples of 2^-53 from 0 on: half a step keeps them off 0; the largest must not round to 1.
 _HALF_STEP = 2.0**-54
@@ -53,13 +55,7 @@ def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch
     if components.row:
         dn = dn + _row_noise(clean.shape, per_image(exposures.sigma_row_dn), generator)
     if exposures.dark is not None:
-        frames = per_image(exposures.dark.dn.astype(np.float32))
-        if exposures.dark.shading_dn is not None:
-            frames = frames - per_image(exposures.dark.shading_dn)
-        if exposures.dark.scale is not None:
-            black = per_image(exposures.bias_dn)  # below 0, and added before
-            frames = (frames + black) * per_image(exposures.dark.scale) - black
-        dn = dn + frames
+        dn = dn + _dark_frames(exposures.dark, per_image)
     if exposures.shading_dn is not None:
         dn = dn + per_image(exposures.shading_dn)
     if components.column or components.banding or components.telegraph:
@@ -72,6 +68,17 @@ def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch
     if adc is not None:
         dn = (dn + adc.black_level_dn).round().clamp(0.0, adc.white_level_dn) - adc.black_level_dn
     return (dn / scale).clamp(*exposures.limits)
+
+
+def _dark_frames(dark: DarkCrops, per_image: Callable[[object], torch.Tensor]) -> torch.Tensor:
+    """Return dark frames as what is added where their black level was taken off before."""
+    frames = per_image(dark.dn.astype(np.float32))
+    if dark.shading_dn is not None:
+        frames = frames - per_image(dark.shading_dn)
+    if dark.scale is not None:
+        black = per_image(np.negative(dark.black_level_dn))
+        frames = (frames + black) * per_image(dark.scale) - black
+    return frames
 
 
 def _poisson(mean: torch.Tensor, generator: torch.Generator) -> torch.Tensor:

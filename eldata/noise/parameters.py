@@ -1,17 +1,24 @@
-"""One draw of the noise model's parameters."""
+"""One draw of the noise model's parameters, and the random numbers that draws take: never a global generator's."""
 
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, field, fields
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
 
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
+    import torch
+
     from eldata.noise.structure import NoiseStructure
+
+Generator: TypeAlias = "np.random.Generator | torch.Generator"
 
 # The Tukey-lambda family has finite variance for lambda > -1/2 only; beyond 2 its shape repeats.
 _LAMBDA_RANGE = (-0.5, 2.0)
@@ -141,3 +148,49 @@ def tukey_lambda_variance(tukey_lambda: float) -> float:
     else:
         g = 2 * math.lgamma(1 + shape) - math.lgamma(1 + 2 * shape)
     return -2 * math.expm1(g) / (shape**2 * (2 * shape + 1))
+
+
+# --- random numbers -------------------------------------------------------------------------------------------------
+
+
+def _is_torch(generator: Generator) -> bool:
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(generator, torch.Generator)
+
+
+def _checked(generator: Generator) -> None:
+    if not isinstance(generator, np.random.Generator) and not _is_torch(generator):
+        raise ArgumentError(
+            f"generator must be a numpy.random.Generator or a torch.Generator, not {type(generator).__name__}; "
+            "for example numpy.random.default_rng(0)"
+        )
+
+
+def uniforms(generator: Generator, count: int) -> list[float]:
+    """Return ``count`` draws from [0, 1), float64."""
+    _checked(generator)
+    if isinstance(generator, np.random.Generator):
+        return list(generator.random(count).tolist())
+    import torch
+
+    return list(torch.rand(count, generator=generator, dtype=torch.float64, device=generator.device).tolist())
+
+
+def standard_normals(generator: Generator, count: int) -> list[float]:
+    """Return ``count`` standard normal draws, float64."""
+    _checked(generator)
+    if isinstance(generator, np.random.Generator):
+        return list(generator.standard_normal(count).tolist())
+    import torch
+
+    return list(torch.randn(count, generator=generator, dtype=torch.float64, device=generator.device).tolist())
+
+
+def key_from(generator: Generator) -> int:
+    """Return a 63-bit key for a counter-based generator."""
+    _checked(generator)
+    if isinstance(generator, np.random.Generator):
+        return int(generator.integers(2**63 - 1))
+    import torch
+
+    return int(torch.randint(2**63 - 1, (1,), generator=generator, device=generator.device).item())

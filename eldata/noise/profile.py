@@ -10,66 +10,48 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from functools import partial
-from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from eldata.base.fields import Fields, TextFile, names_of
+from eldata.base.fields import names_of
 from eldata.base.files import write_json
 from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
 from eldata.base.visible import in_line
-from eldata.errors import ArgumentError, ProfileError, check_choice, did_you_mean
-from eldata.noise.gain_modes import GAIN_ROUNDING, GainMode, LogLogFit, modes_problem
-from eldata.noise.parameters import NoiseParameters, shape_problem
-from eldata.noise.randomness import Generator, standard_normals, uniforms
-from eldata.noise.structure import NoiseStructure, read_structure
+from eldata.errors import ArgumentError, ProfileError, check_choice
+from eldata.noise.gain_modes import (
+    GAIN_ROUNDING,
+    SIGMA_TITLES,
+    SIGMAS,
+    GainMode,
+    LogLogFit,
+    ProfileRow,
+    Sigma,
+    cells_of,
+    gain_at_share,
+    gain_between,
+    gains_by_iso,
+    iso_between,
+    modes_problem,
+    rows_nearest,
+    rows_of,
+)
+from eldata.noise.parameters import Generator, NoiseParameters, standard_normals, uniforms
+from eldata.noise.profile_files import OF_ONE_MODE, profile_path, read_profile, schema_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from eldata.noise.structure import NoiseStructure
     from eldata.plots.axes import Theme
 
-SCHEMA = 1
-SCHEMA_WITH_MODES = 2
-SCHEMA_WITH_STRUCTURE = 3  # with modes or without
 RowChoice = Literal["any", "nearest-gain", "measured"]
 
-_OF_ONE_MODE = ("tukey_lambda_fit", "gauss_fit", "row_fit")  # fields that a profile with modes leaves to them
 _ASKED = "has to be asked for (extrapolate=True, or --extrapolate where a command has it)"
 _GO_ON = f"To go on with the nearer one's lines {_ASKED}"
-
-
-Sigma = Literal["TL", "G", "row"]
-SIGMAS: dict[Sigma, tuple[str, str]] = {
-    "TL": ("tukey_lambda_fit", "sigma_tl_dn"),
-    "G": ("gauss_fit", "sigma_gauss_dn"),
-    "row": ("row_fit", "sigma_row_dn"),
-}
-"""The scales of a profile: its line over K, and the field of a row, by the index of its sigma."""
-_TITLES: dict[Sigma, str] = {"TL": "read noise, Tukey lambda", "G": "read noise, Gaussian", "row": "row noise"}
-
-
-@dataclass(frozen=True, slots=True)
-class ProfileRow:
-    """What was measured at one ISO; ``None`` is not known.
-
-    ``tukey_lambda`` and ``colour_bias_dn`` (R, G1, B, G2) belong together; ``r_squared_tl`` and ``r_squared_gauss`` are
-    the probability plots' coefficients of determination.
-    """
-
-    tukey_lambda: float
-    colour_bias_dn: tuple[float, float, float, float]
-    iso: float | None = None
-    gain_dn_per_e: float | None = None
-    sigma_tl_dn: float | None = None
-    sigma_gauss_dn: float | None = None
-    sigma_row_dn: float | None = None
-    r_squared_tl: float | None = None
-    r_squared_gauss: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +132,7 @@ class CameraProfile:
         if fits != (None, None, None):
             return "tukey_lambda_fit, gauss_fit and row_fit are those of the modes; leave them None"
         found = modes_problem(self.modes, self.gain_range_dn_per_e, self.iso_range)
-        lacking = [mode for mode in self.modes if not self._rows_of(mode)]
+        lacking = [mode for mode in self.modes if not rows_of(mode, self.rows, self.modes)]
         if lacking and found is None:
             return f"no row has a K in the mode of {lacking[0]}: lambda and colour bias are not known there"
         return found
@@ -164,25 +146,16 @@ class CameraProfile:
         ProfileError
             If the profile is unknown or malformed; the message names file, field, expected and found.
         """
-        if isinstance(name, str) and "/" not in name and not name.endswith(".json"):
-            if name not in shipped_profiles():
-                known = shipped_profiles()
-                raise ProfileError(
-                    f"no camera profile is called {name!r}; known are {', '.join(known)}, or give the path of a .json "
-                    f"file{did_you_mean(name, known)}"
-                )
-            return _read(_FOLDER / f"{name}.json")
-        return _read(Path(name))
+        return cls(**read_profile(profile_path(name), names_of(cls)))
 
     def save(self, path: Path | str) -> None:
         """Write the profile as JSON, whole or not at all."""
-        schema = SCHEMA_WITH_STRUCTURE if self.structure else SCHEMA_WITH_MODES if self.modes else SCHEMA
-        write_json(path, {"schema": schema} | self.as_dict(), indent=1)
+        write_json(path, {"schema": schema_of(self.modes, self.structure)} | self.as_dict(), indent=1)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the profile as its file holds it, as plain types: with modes, or with fits of its own."""
         empty = (name for name in ("structure", "accepted") if not getattr(self, name))
-        left_out = (*(_OF_ONE_MODE if self.modes else ("modes",)), *empty)
+        left_out = (*(OF_ONE_MODE if self.modes else ("modes",)), *empty)
         return {name: value for name, value in asdict(self).items() if name not in left_out}
 
     def plot(self, sigma: Sigma | None = None, *, ax: Axes | None = None) -> Figure:
@@ -218,7 +191,7 @@ class CameraProfile:
             return drawn_into(ax, self.camera, partial(panel, sigma))
         if ax is not None:
             raise ArgumentError(f"one axes has room for one sigma; give sigma, one of {', '.join(SIGMAS)}")
-        return drawn_grid(self.camera, [(_TITLES[name], partial(panel, name)) for name in SIGMAS])
+        return drawn_grid(self.camera, [(SIGMA_TITLES[name], partial(panel, name)) for name in SIGMAS])
 
     def _measured(self, field: str) -> list[tuple[float, float, float]]:
         """Return K, sigma and its error, which a profile does not state, of the rows that have both."""
@@ -234,22 +207,9 @@ class CameraProfile:
         return f"CameraProfile({in_line(self.camera)!r}, {text})"
 
     def _repr_html_(self) -> str:
-        columns = {
-            "ISO": [None if row.iso is None else f"{row.iso:g}" for row in self.rows],
-            "K [DN/e⁻]": [_digits(row.gain_dn_per_e) for row in self.rows],
-            "λ": [_digits(row.tukey_lambda) for row in self.rows],
-            "σ TL [DN]": [_digits(row.sigma_tl_dn) for row in self.rows],
-            "σ G [DN]": [_digits(row.sigma_gauss_dn) for row in self.rows],
-            "σ row [DN]": [_digits(row.sigma_row_dn) for row in self.rows],
-        }
-        columns |= {
-            f"bias {name} [DN]": [_digits(row.colour_bias_dn[index]) for row in self.rows]
-            for index, name in enumerate(("R", "G1", "B", "G2"))
-        }
-        known = {name: cells for name, cells in columns.items() if any(cells)}
-        rows = [tuple(cell or "-" for cell in row) for row in zip(*known.values(), strict=True)]
+        names, rows = cells_of(self.rows)
         notes = (self.source, *self.notes)
-        return block(f"Camera profile of {self.camera}", table(tuple(known), rows, left=()), notes=notes)
+        return block(f"Camera profile of {self.camera}", table(names, rows, left=()), notes=notes)
 
     @property
     def gain_modes(self) -> tuple[GainMode, ...]:
@@ -287,16 +247,6 @@ class CameraProfile:
             f"{' and '.join('{:.4g} to {:.4g}'.format(*mode.gain_range_dn_per_e) for mode in modes)} DN/e-. {_GO_ON}"
         )
 
-    def _rows_of(self, mode: GainMode) -> Sequence[ProfileRow]:
-        """Return the rows that were measured in a mode; every row, if it is the only one."""
-        if not self.modes:
-            return self.rows
-        return [
-            row
-            for row in self.rows
-            if row.gain_dn_per_e is not None and mode.distance(row.gain_dn_per_e) <= GAIN_ROUNDING
-        ]
-
     @property
     def range_dn(self) -> float | None:
         """White level minus black level, DN; ``None`` if the profile does not state both."""
@@ -326,7 +276,7 @@ class CameraProfile:
         """
         if not (math.isfinite(iso) and iso > 0):
             raise ArgumentError(f"an ISO is finite and above 0; found {iso:g}")
-        gains = self._gains_by_iso()
+        gains = gains_by_iso(self.rows, self.gain_modes)
         if not gains:
             raise ArgumentError(f"the profile of {self.camera} does not say which ISO its gains belong to; give a gain")
         low, high = self.iso_range or (min(gains), max(gains))
@@ -335,13 +285,10 @@ class CameraProfile:
                 f"ISO {iso:g} is outside of the calibrated range {low:g} to {high:g} of {self.camera}; extrapolating "
                 f"beyond it {_ASKED}"
             )
-        if iso in gains:
-            return gains[iso]
+        found = gain_between(gains, self.gain_modes, iso)
+        if found is not None:
+            return found
         around = [*[one for one in gains if one < iso][-1:], *[one for one in gains if one > iso][:1]]
-        if len(around) == 2 and self._share_a_mode(*(gains[one] for one in around)):
-            below, above = around
-            share = math.log(iso / below) / math.log(above / below)
-            return gains[below] * math.pow(gains[above] / gains[below], share)
         if not extrapolate:
             raise ArgumentError(
                 f"ISO {iso:g} lies between the gain modes of {self.camera}, {' and '.join(map(str, self.modes))}: "
@@ -356,29 +303,12 @@ class CameraProfile:
 
         Beyond the measured gains, and between those of two gain modes, it is in proportion to the nearest one's.
         """
-        gains = self._gains_by_iso()
-        for (below, first), (above, last) in pairwise(gains.items()):
-            if min(first, last) <= gain_dn_per_e <= max(first, last) and self._share_a_mode(first, last):
-                share = 0.0 if first == last else math.log(gain_dn_per_e / first) / math.log(last / first)
-                return below * math.pow(above / below, share)
+        gains = gains_by_iso(self.rows, self.gain_modes)
+        found = iso_between(gains, self.gain_modes, gain_dn_per_e)
+        if found is not None:
+            return found
         nearest = min(gains, key=lambda iso: abs(math.log(gains[iso] / gain_dn_per_e)), default=None)
         return None if nearest is None else nearest * gain_dn_per_e / gains[nearest]
-
-    def _gains_by_iso(self) -> dict[float, float]:
-        """Return K by ISO, ascending: the rows' mean, and the ends of the ranges where no row has their ISO."""
-        found: dict[float, list[float]] = {}
-        for row in self.rows:
-            if row.iso is not None and row.gain_dn_per_e is not None:
-                found.setdefault(row.iso, []).append(row.gain_dn_per_e)
-        for mode in self.gain_modes:
-            for iso, gain in zip(mode.iso_range or (), mode.gain_range_dn_per_e, strict=False):
-                found.setdefault(iso, [gain])
-        return {iso: sum(found[iso]) / len(found[iso]) for iso in sorted(found)}
-
-    def _share_a_mode(self, *gains: float) -> bool:
-        """Return whether gains are of one gain mode."""
-        modes = self.gain_modes
-        return len(modes) == 1 or any(max(map(mode.distance, gains)) <= GAIN_ROUNDING for mode in modes)
 
     def measured(self, iso: float) -> NoiseParameters:
         """Return the figures that were measured at an ISO, without the spread of the fits; the first of several.
@@ -392,16 +322,10 @@ class CameraProfile:
         """
         complete: dict[float, NoiseParameters] = {}
         for row in self.rows:
-            gain, scale, gauss, rows = row.gain_dn_per_e, row.sigma_tl_dn, row.sigma_gauss_dn, row.sigma_row_dn
-            structure = None if gain is None else self._structure_at(gain)
-            if rows is None and structure is not None and structure.row_spectrum is not None:
-                rows = math.sqrt(structure.row_spectrum.variance_dn2)  # withheld for nothing but the bands
-            if row.iso is None or gain is None or scale is None or gauss is None or rows is None:
-                continue
-            found = NoiseParameters(
-                *(gain, row.tukey_lambda, scale, gauss, rows, row.colour_bias_dn, self.range_dn, row.iso, structure)
-            )
-            complete.setdefault(row.iso, found)
+            structure = None if row.gain_dn_per_e is None else self._structure_at(row.gain_dn_per_e)
+            found = row.parameters(self.range_dn, structure)
+            if row.iso is not None and found is not None:
+                complete.setdefault(row.iso, found)
         if iso in complete:
             return complete[iso]
         if not complete:
@@ -466,9 +390,15 @@ class CameraProfile:
             if not (math.isfinite(gain) and gain > 0):
                 raise ArgumentError(f"gain_dn_per_e must be finite and above 0; found {gain_dn_per_e}")
         else:
-            gain = self._gain_at(u_gain)
+            gain = gain_at_share(self.gain_modes, u_gain)
         mode = self.mode_at(gain, extrapolate=extrapolate)
-        rows = self._rows_for(mode, gain, row)
+        rows = rows_of(mode, self.rows, self.modes)
+        if row == "nearest-gain":
+            rows = rows_nearest(gain, rows)
+            if not rows:
+                raise ArgumentError(f"no row of {self.camera}'s profile has a gain; row='nearest-gain' needs one")
+        elif row != "any":
+            raise ArgumentError(f"row must be 'any', 'nearest-gain' or 'measured'; found {row!r}")
         chosen = rows[min(int(u_row * len(rows)), len(rows) - 1)]
         return NoiseParameters(
             gain_dn_per_e=gain,
@@ -485,32 +415,6 @@ class CameraProfile:
     def _structure_at(self, gain: float) -> NoiseStructure | None:
         """Return the figures of C, W, T and F at the gain nearest to one, if there are any."""
         return min(self.structure, key=lambda one: abs(math.log(one.gain_dn_per_e / gain)), default=None)
-
-    def _gain_at(self, share: float) -> float:
-        """Return the gain below which a share of all ranges of ln K lies."""
-        *others, mode = self.gain_modes
-        left = share * sum(one.log_width for one in (*others, mode))
-        for one in others:
-            if left <= one.log_width:
-                mode = one
-                break
-            left -= one.log_width
-        return math.exp(math.log(mode.gain_range_dn_per_e[0]) + left)
-
-    def _rows_for(self, mode: GainMode, gain: float, row: RowChoice) -> Sequence[ProfileRow]:
-        rows = self._rows_of(mode)
-        if row == "any":
-            return rows
-        if row != "nearest-gain":
-            raise ArgumentError(f"row must be 'any', 'nearest-gain' or 'measured'; found {row!r}")
-        distances = [
-            abs(math.log(candidate.gain_dn_per_e / gain)) if candidate.gain_dn_per_e is not None else math.inf
-            for candidate in rows
-        ]
-        nearest = min(distances)
-        if math.isinf(nearest):
-            raise ArgumentError(f"no row of {self.camera}'s profile has a gain; row='nearest-gain' needs one")
-        return [candidate for candidate, distance in zip(rows, distances, strict=True) if distance <= nearest + 1e-9]
 
 
 _ASKED_FOR = "one profile with --profile-of-another-camera (profile_of_another_camera=True)"
@@ -536,99 +440,4 @@ def profile_of(
     raise ArgumentError(
         f"no profile of the camera {camera} was given, only of {known}, whose noise is another; give its own, or "
         f"{otherwise}"
-    )
-
-
-# --- files ----------------------------------------------------------------------------------------------------
-
-_FOLDER = Path(__file__).parent / "profiles"
-
-
-def shipped_profiles() -> tuple[str, ...]:
-    """Return the names of the shipped profiles.
-
-    Examples
-    --------
-    >>> from eldata.noise import shipped_profiles
-    >>> shipped_profiles()
-    ('CanonEOS5D4', 'CanonEOS700D', 'CanonEOS70D', 'NikonD850', 'NikonD850-2', 'SonyA7S2', 'SonyA7S2-PMN')
-    """
-    return tuple(sorted(path.stem for path in _FOLDER.glob("*.json")))
-
-
-def _digits(value: float | None) -> str | None:
-    return None if value is None else f"{value:.4g}"
-
-
-def _read(path: Path) -> CameraProfile:
-    top = TextFile(path, ProfileError).json()
-    schema = top.schema(SCHEMA, also=(SCHEMA_WITH_MODES, SCHEMA_WITH_STRUCTURE))
-    has_structure = schema == SCHEMA_WITH_STRUCTURE
-    has_modes = schema == SCHEMA_WITH_MODES or (has_structure and "modes" in top.data)
-    absent = (*(_OF_ONE_MODE if has_modes else ("modes",)), *(() if has_structure else ("structure",)))
-    top.only(("schema", *(name for name in names_of(CameraProfile) if name not in absent)))
-    lines = (None, None, None) if has_modes else _lines(top)
-    return CameraProfile(
-        camera=top.text("camera"),
-        source=top.text("source"),
-        gain_range_dn_per_e=_range(top, "gain_range_dn_per_e"),
-        tukey_lambda_fit=lines[0],
-        gauss_fit=lines[1],
-        row_fit=lines[2],
-        rows=tuple(map(_row, top.objects("rows", fewest=1, expected="a list of at least one row"))),
-        iso_range=top.optional("iso_range", partial(_range, top)),
-        black_level_dn=top.optional("black_level_dn", top.number),
-        white_level_dn=top.optional("white_level_dn", top.number),
-        notes=top.texts("notes", missing_ok=True, empty=True),
-        modes=tuple(map(_mode, top.objects("modes", fewest=2, expected="a list of two modes or more")))
-        if has_modes
-        else (),
-        structure=tuple(map(read_structure, top.objects("structure", fewest=1))) if has_structure else (),
-        accepted=top.texts("accepted", missing_ok=True, empty=True),
-    )
-
-
-def _mode(mode: Fields) -> GainMode:
-    mode.only(names_of(GainMode))
-    return GainMode(
-        _range(mode, "gain_range_dn_per_e"), *_lines(mode), mode.optional("iso_range", partial(_range, mode))
-    )
-
-
-def _lines(holder: Fields) -> tuple[LogLogFit, LogLogFit, LogLogFit]:
-    return (
-        _fit(holder.inside("tukey_lambda_fit")), _fit(holder.inside("gauss_fit")), _fit(holder.inside("row_fit"))
-    )  # fmt: skip
-
-
-def _range(top: Fields, name: str) -> tuple[float, float]:
-    low, high = top.each(name, Fields.number, count=2, expected="two numbers")
-    if not 0 < low <= high:
-        raise top.wrong(name, "two positive numbers, the lower first", [low, high])
-    return low, high
-
-
-def _fit(fit: Fields) -> LogLogFit:
-    fit.only(names_of(LogLogFit))
-    return LogLogFit(fit.number("slope"), fit.number("intercept"), fit.number("sigma", at_least=0))
-
-
-def _row(row: Fields) -> ProfileRow:
-    row.only(names_of(ProfileRow))
-    red, green, blue, second_green = row.each(
-        "colour_bias_dn", Fields.number, count=4, expected="four numbers (R, G1, B, G2)"
-    )
-    shape = row.number("tukey_lambda")
-    problem = shape_problem(shape)
-    if problem is not None:
-        raise row.wrong("tukey_lambda", f"a number {problem}", shape)
-    return ProfileRow(
-        tukey_lambda=shape,
-        colour_bias_dn=(red, green, blue, second_green),
-        **{name: row.optional(name, row.number, above=0) for name in ("iso", "gain_dn_per_e")},
-        **{
-            name: row.optional(name, row.number, at_least=0)
-            for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")
-        },
-        **{name: row.optional(name, row.number) for name in ("r_squared_tl", "r_squared_gauss")},
     )

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.fields import TextFile
 from eldata.errors import ProfileError
-from eldata.noise.gain_modes import LogLogFit
-from eldata.noise.profile import CameraProfile, ProfileRow
+from eldata.noise.gain_modes import LogLogFit, ProfileRow
+from eldata.noise.profile import CameraProfile
 
 if TYPE_CHECKING:
     from pathlib import Path

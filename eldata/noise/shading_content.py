@@ -9,8 +9,7 @@ import numpy as np
 
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import file_problem
-from eldata.base.npy import NpyError
-from eldata.base.npz import opened_npz
+from eldata.base.npy import NpyError, opened_npz
 from eldata.errors import ArgumentError, ShadingError
 from eldata.raw.cfa import packed_channels
 
@@ -20,8 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.base.npy import NpyHeader
-    from eldata.base.npz import NpzArchive
+    from eldata.base.npy import NpyHeader, NpzArchive
     from eldata.raw.cfa import CfaRows
 
 SCHEMA = 1
@@ -171,9 +169,9 @@ def _like(name: str, values: str, shape: tuple[int, ...] | None) -> Callable[[Np
 
     def check(header: NpyHeader) -> None:
         fits = header.shape == shape if shape else len(header.shape) == 1 and header.shape[0] <= _MOST_ABOUT_BYTES
-        if header.values != values or header.fortran_order or not fits:
+        if header.kind != values or header.fortran_order or not fits:
             expected = f"{values} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
-            raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
+            raise NpyError(f"{name}: expected {expected}, found {header.kind} {header.shape}")
 
     return check
 

@@ -1,7 +1,7 @@
 """Figures of the noise that pixels do not have each for itself: what components C, W, T and F of a model are made with.
 
-``eldata calibrate --structure`` measures them (:mod:`eldata.calibration.structure`), a profile holds them by ISO, and
-the parameters that are drawn from it bring those of the nearest gain.
+``eldata calibrate --structure`` measures them (:mod:`eldata.calibration.audit.structure`), a profile holds them by ISO,
+and the parameters that are drawn from it bring those of the nearest gain.
 """
 
 from __future__ import annotations
@@ -168,8 +168,13 @@ class NoiseStructure:
 
 
 NO_STRUCTURE = NoiseStructure(1.0)
-_FIGURES = {"C": "sigma_column_dn", "W": "row_spectrum", "T": "telegraph", "F": "prnu"}
-_SOURCES = {"C": "column noise", "W": "banding", "T": "telegraph pixels", "F": "PRNU"}
+# Of a component: its flag, the figure that it takes, and what it makes.
+_FIGURES = {
+    "C": ("column", "sigma_column_dn", "column noise"),
+    "W": ("banding", "row_spectrum", "banding"),
+    "T": ("telegraph", "telegraph", "telegraph pixels"),
+    "F": ("prnu", "prnu", "PRNU"),
+}
 
 
 def known_structure(components: Components, structure: NoiseStructure | None) -> NoiseStructure:
@@ -181,13 +186,12 @@ def known_structure(components: Components, structure: NoiseStructure | None) ->
         If one is not known.
     """
     found = structure or NO_STRUCTURE
-    wanted = {"C": components.column, "W": components.banding, "T": components.telegraph, "F": components.prnu}
-    for name, is_on in wanted.items():
-        if is_on and getattr(found, _FIGURES[name]) is None:
+    for name, (flag, figure, made) in _FIGURES.items():
+        if getattr(components, flag) and getattr(found, figure) is None:
             frames = "pairs of flats" if name == "F" else "bias frames, ten or more"
             raise ArgumentError(
-                f"noise model {components.spec!r}: {name} makes {_SOURCES[name]}, and the parameters have no "
-                f"structure.{_FIGURES[name]}: their profile does not state it. eldata calibrate --structure measures "
+                f"noise model {components.spec!r}: {name} makes {made}, and the parameters have no "
+                f"structure.{figure}: their profile does not state it. eldata calibrate --structure measures "
                 f"it from {frames}; or leave {name} out"
             )
     return found

@@ -16,9 +16,9 @@ import numpy as np
 from eldata.base.numbers import checked_number, checked_whole
 from eldata.base.seeds import checked_seed, purpose_sequence
 from eldata.errors import ArgumentError, check_choice
-from eldata.noise.gain_modes import LogLogFit
+from eldata.noise.gain_modes import LogLogFit, ProfileRow
 from eldata.noise.parameters import shape_problem
-from eldata.noise.profile import CameraProfile, ProfileRow
+from eldata.noise.profile import CameraProfile
 
 if TYPE_CHECKING:
     from collections.abc import Callable

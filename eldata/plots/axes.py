@@ -68,21 +68,15 @@ def styled(theme: Theme, **more: Any) -> AbstractContextManager[None]:
     return matplotlib.style.context(["default", _STYLE, style])
 
 
-def figure() -> Figure:
-    """Return an empty figure of the size that all plots have."""
-    return Figure(figsize=SIZE_INCHES, layout="constrained")
+def empty_figure(ratio: float | None = None) -> tuple[Figure, tuple[Axes, ...]]:
+    """Return a figure of the size that all plots have, and its axes: one that fills it, or two.
 
-
-def one_axes() -> tuple[Figure, Axes]:
-    """Return such a figure and the axes that fill it."""
-    drawing = figure()
-    return drawing, drawing.subplots()
-
-
-def two_axes(ratio: float) -> tuple[Figure, Axes, Axes]:
-    """Return such a figure with two axes above each other, the upper ``ratio`` times as high as the lower."""
-    drawing = figure()
-    return drawing, *drawing.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [ratio, 1]})
+    Two stand above each other, the upper ``ratio`` times as high as the lower.
+    """
+    drawing = Figure(figsize=SIZE_INCHES, layout="constrained")
+    if ratio is None:
+        return drawing, (drawing.subplots(),)
+    return drawing, tuple(drawing.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [ratio, 1]}))
 
 
 # --- axes ---------------------------------------------------------------------------------------------------------
@@ -152,30 +146,28 @@ def bars(axes: Axes, at: Sequence[float], values: Sequence[float], errors: Seque
     axes.errorbar(at, values, yerr=errors, fmt="o", color=theme.found, capsize=3, label="measured")
 
 
-def quantile_plot(
+def draw_quantiles(
+    axes: Axes,
+    theme: Theme,
+    *,
     expected: NDArray[np.float64],
     found: NDArray[np.float64],
     line: tuple[float, float],
-    theme: Theme,
-    *,
     names: tuple[str, str],
     labels: tuple[str, str],
     note: str = "",
-) -> Figure:
+) -> None:
     """Draw ordered values over expected quantiles, with a line of a slope and a level.
 
     ``names`` are those of the line and the points, ``labels`` those of the axes. The note stands in the lower right
     corner, which rising points leave free.
     """
-    drawing, axes = one_axes()
     ends = expected[[0, -1]]
     axes.plot(ends, line[0] * ends + line[1], color=theme.theory, label=names[0])
     axes.plot(expected, found, "o", markersize=3, color=theme.found, label=names[1])
     axes.text(0.98, 0.04, note, transform=axes.transAxes, ha="right", va="bottom", fontsize=9.5)
-    axes.set_xlabel(labels[0])
-    axes.set_ylabel(labels[1])
+    axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.legend(loc="upper left")
-    return drawing
 
 
 def legend_above(axes: Axes, *, middle: float = 0.45, most: int = 4, handle: float = 1.4) -> None:

@@ -1,12 +1,12 @@
-from .choosing import default_protocol as default_protocol
-from .choosing import get_protocol as get_protocol
-from .choosing import protocols_for as protocols_for
-from .clips import ClipProtocol as ClipProtocol
-from .comparability import comparability as comparability
-from .custom import load_protocol as load_protocol
 from .digests import fields_digest as fields_digest
 from .named import PROTOCOLS as PROTOCOLS
+from .named import default_protocol as default_protocol
+from .named import get_protocol as get_protocol
+from .named import load_protocol as load_protocol
+from .named import protocols_for as protocols_for
+from .protocol import ClipProtocol as ClipProtocol
 from .protocol import Protocol as Protocol
+from .words import comparability as comparability
 
 __all__ = [
     "PROTOCOLS",

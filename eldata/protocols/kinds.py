@@ -3,43 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from eldata.errors import check_choice
+from eldata.metrics.registry import OF_CLIPS, OF_FRAMES, RESCALE, ST_RRED
 
-
-@dataclass(frozen=True, slots=True)
-class Metric:
-    """A column of means.
-
-    Attributes
-    ----------
-    name
-        Field of a score.
-    label, unit
-        As printed; ``unit`` may be empty.
-    places, gain_places, row_places
-        Decimals that papers print of a mean, that a difference of two methods needs, and that one score is shown with.
-    higher_is_better
-        Whether a higher value is the better one.
-    """
-
-    name: str
-    label: str
-    unit: str
-    places: int
-    gain_places: int
-    row_places: int
-    higher_is_better: bool = True
-
-    @property
-    def head(self) -> str:
-        """Its name as a column's head."""
-        return f"{self.label} [{self.unit}]" if self.unit else self.label
-
-    def text(self, value: float) -> str:
-        """Return a value as papers print it."""
-        return f"{value:.{self.places}f}"
+if TYPE_CHECKING:
+    from eldata.base.figures import Figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +30,7 @@ class Kind:
 
     unit: str
     counted: str
-    metrics: tuple[Metric, ...]
+    metrics: tuple[Figure, ...]
     values: tuple[str, ...]
     facts: tuple[str, ...]
 
@@ -79,11 +49,11 @@ class Kind:
         """Whether windows of clips are scored, with whatever further columns."""
         return self.unit == CLIPS.unit
 
-    def having(self, metric: Metric) -> Kind:
+    def having(self, metric: Figure) -> Kind:
         """Return it with one more column: a task of the user's own."""
         return replace(self, metrics=(*self.metrics, metric), values=(*self.values, metric.name))
 
-    def metric(self, name: str) -> Metric:
+    def metric(self, name: str) -> Figure:
         """Return a column by its name.
 
         Raises
@@ -98,29 +68,20 @@ class Kind:
     @property
     def heads(self) -> tuple[str, ...]:
         """Columns of a table of means."""
-        return self.counted, *(metric.head for metric in self.metrics)
+        return self.counted, *(metric.heading for metric in self.metrics)
 
-
-def task_metric(label: str, *, higher_is_better: bool) -> Metric:
-    """Return the column of a task of the user's own."""
-    return Metric("task", label, "", 3, 4, 4, higher_is_better=higher_is_better)
-
-
-_PSNR = Metric("psnr_db", "PSNR", "dB", 2, 2, 2)
-_SSIM = Metric("ssim", "SSIM", "", 3, 4, 4)  # differences of SSIM are small
-_ST_RRED = Metric("st_rred", "ST-RRED", "", 3, 3, 3, higher_is_better=False)
 
 IMAGES: Final = Kind(
     unit="image",
     counted="pairs",
-    metrics=(_PSNR, _SSIM),
-    values=("psnr_db", "ssim", "rescale"),
+    metrics=(*OF_FRAMES.values(),),
+    values=(*OF_FRAMES, RESCALE.name),
     facts=("path", "camera", "scene", "iso", "ratio"),
 )
 CLIPS: Final = Kind(
     unit="video",
     counted="videos",
-    metrics=(_PSNR, _SSIM, _ST_RRED),
-    values=("psnr_db", "ssim", "st_rred", "spatial_rred", "temporal_rred", "rescale"),
+    metrics=(*OF_FRAMES.values(), ST_RRED),
+    values=(*OF_FRAMES, *OF_CLIPS, RESCALE.name),
     facts=("scene", "split", "camera", "start", "frames"),
 )

@@ -1,4 +1,4 @@
-"""The protocols that come with the package, by name: ``shipped.toml``, which says what each follows."""
+"""Protocols by name: those that come with the package (``shipped.toml``), those for a dataset, a user's own file."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.fields import TextFile
-from eldata.errors import ArgumentError
-from eldata.protocols.clips import ClipProtocol
-from eldata.protocols.protocol import Protocol
+from eldata.base.fields import Fields, TextFile, names_of
+from eldata.base.visible import shown
+from eldata.errors import ArgumentError, ManifestError, did_you_mean
+from eldata.protocols.digests import scoring
+from eldata.protocols.kinds import IMAGES
+from eldata.protocols.protocol import ANY_DATASET, CHOICES, ONE_CAMERAS_LEVELS, ClipProtocol, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from eldata.manifest.card import Card
+
 
 _CONTENT = TextFile(Path(__file__).parent / "shipped.toml", ArgumentError).toml().data
 
@@ -42,3 +47,188 @@ PROTOCOLS: dict[str, Protocol] = _shipped(_CONTENT)
 
 FAMILIES: tuple[str, ...] = tuple(dict.fromkeys(p.family for p in PROTOCOLS.values() if p.family))
 """Names that stand for one protocol per dataset."""
+
+
+# --- which one a name means -------------------------------------------------------------------------------------------
+
+
+def get_protocol(name: str | Path, dataset: str | None = None, *, own: bool = False) -> Protocol:
+    """Return a protocol by its name, by the path of a TOML file, or by a family's name and a dataset.
+
+    Parameters
+    ----------
+    name
+        Such as ``eld``; ``pmn``, which means ``pmn-sid`` or ``pmn-eld`` by the dataset; ``mine.toml``
+        (:func:`eldata.protocols.load_protocol`).
+    dataset
+        The dataset that is to be scored, if it is known.
+    own
+        Whether it is a set of your own. A family's members differ in the choice of pairs, and such a set has its own
+        pairs: the family's first member is taken, unless another is for a dataset of this name.
+
+    Raises
+    ------
+    ArgumentError
+        If the name is unknown (the message lists the known ones), or a family has none for the dataset; or like
+        :func:`~eldata.protocols.load_protocol`.
+
+    Examples
+    --------
+    >>> from eldata.protocols import get_protocol
+    >>> protocol = get_protocol("eld")
+    >>> protocol.name, protocol.levels
+    ('eld', 'published')
+    """
+    if isinstance(name, Path) or name.endswith(".toml"):
+        return load_protocol(name)
+    if name in PROTOCOLS:
+        return PROTOCOLS[name]
+    members = members_of(name)
+    if not members:
+        known = (*PROTOCOLS, *FAMILIES)
+        raise ArgumentError(
+            f"no protocol is called {name!r}; known are {', '.join(known)}, or give a file ending in .toml"
+            f"{did_you_mean(name, known)}"
+        )
+    fitting = [protocol for protocol in members if dataset is None or protocol.covers(dataset)]
+    if own or len(fitting) == 1:
+        return (fitting or members)[0]
+    names = " and ".join(f"{protocol.name} (for {protocol.dataset})" for protocol in members)
+    raise ArgumentError(f"protocol {name!r} is {names}; name one of them for dataset {dataset or 'not known'!r}")
+
+
+def of_digest(digest: str) -> tuple[Protocol, ...]:
+    """Return the protocols that a digest means, or its beginning.
+
+    Raises
+    ------
+    ArgumentError
+        If no shipped protocol has such a digest.
+    """
+    found = tuple(protocol for protocol in PROTOCOLS.values() if protocol.digest.startswith(digest))
+    if not found:
+        raise ArgumentError(f"no shipped protocol has the digest {digest}")
+    return found
+
+
+def members_of(family: str) -> tuple[Protocol, ...]:
+    """Return the protocols of a family; none if there is no such family."""
+    return tuple(protocol for protocol in PROTOCOLS.values() if protocol.family == family)
+
+
+def default_protocol(card: Card) -> Protocol:
+    """Return the protocol that scores a set unless another is named: the one that its card names.
+
+    Raises
+    ------
+    ManifestError
+        If it is not one of the shipped protocols.
+
+    Examples
+    --------
+    >>> from eldata.manifest import shipped_card
+    >>> from eldata.protocols import default_protocol
+    >>> default_protocol(shipped_card("sid-sony")).name
+    'sid'
+    """
+    if card.protocol not in PROTOCOLS:
+        raise ManifestError(
+            f"{card.name}.json: protocol: expected the name of one that comes with eldata (eldata protocols lists "
+            f"them), found {card.protocol!r}{did_you_mean(card.protocol, PROTOCOLS)}"
+        )
+    return PROTOCOLS[card.protocol]
+
+
+def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
+    """Return the protocols that were made for a dataset.
+
+    A set of your ``own``, or of no known name, has its own pairs, so it gets one protocol of each way to score, the
+    first of the shipped ones. Levels that are those of one camera, whatever the file states, are not a way to score
+    another.
+
+    Examples
+    --------
+    >>> from eldata.protocols import protocols_for
+    >>> [protocol.name for protocol in protocols_for("eld")]
+    ['eld', 'eld-uncorrected', 'pmn-eld', 'led-eld', 'lrd-eld']
+    """
+    every = PROTOCOLS.values()
+    covering = tuple(one for one in every if one.dataset != ANY_DATASET and one.covers(dataset))
+    if covering and not own:
+        return covering
+    ways: list[Protocol] = []
+    for protocol in covering or every:
+        fits = protocol.levels not in ONE_CAMERAS_LEVELS and (covering or protocol.kind is IMAGES)
+        if fits and all(scoring(protocol.as_dict()) != scoring(way.as_dict()) for way in ways):
+            ways.append(protocol)
+    return tuple(ways)
+
+
+# --- a file of the user's own -----------------------------------------------------------------------------------------
+
+
+_BASE = "base"
+_LISTS_OF_TEXT = ("cameras", "scenes")
+_NUMBERS = ("data_range", "mse_offset")
+_KNOWN = (_BASE, *(name for name in names_of(Protocol) if name != "family"))
+_LARGEST_BYTES = 1 << 20
+# Names that mean something else already.
+_TAKEN = ("all", *FAMILIES)
+
+
+def load_protocol(path: Path | str) -> Protocol:
+    """Load a protocol from a TOML file.
+
+    It has ``base``, the name of a shipped protocol, ``name``, ``title``, and any field of :class:`Protocol` that is to
+    differ from the base's. ``source`` is by default the base's with the file's name.
+
+    Raises
+    ------
+    ArgumentError
+        If the file cannot be read, a field is unknown, missing or of the wrong type, a value is impossible, or the name
+        is a shipped protocol's; the message names file and field.
+    """
+    path = Path(path)
+    top = TextFile(path, ArgumentError, largest_bytes=_LARGEST_BYTES).toml()
+    top.only(_KNOWN)
+    for name in (_BASE, "name", "title"):
+        if name not in top.data:
+            raise top.problem(name, "is missing; a protocol needs base, name and title")
+    values = {name: _field_of(top, name) for name in top.data}
+    base = values.pop(_BASE)
+    name = values["name"]
+    if name in PROTOCOLS or name in _TAKEN:
+        raise top.problem("name", f"{shown(name)} is the name of a shipped protocol; choose another")
+    if not name.isprintable() or name.endswith(".toml"):
+        raise top.wrong("name", "printable text that does not end in .toml", name)
+    start = PROTOCOLS[base]
+    if start.kind is not IMAGES:
+        raise ArgumentError(f"{path}: base: {base!r} scores clips; a protocol of your own starts from one of images")
+    made = replace(start, **({"source": f"{path.name}, after {base}: {start.source}", "family": ""} | values))
+    try:
+        made.check()
+    except ArgumentError as error:
+        raise ArgumentError(f"{path}: {error}") from error
+    return made
+
+
+def _ratio(top: Fields, name: str) -> Any:
+    top.number(name, above=0)
+    return top.value(name)  # whole where it is: the digest tells 100 from 100.0
+
+
+def _field_of(top: Fields, name: str) -> Any:
+    """Return a field's value as :class:`Protocol` has it."""
+    if name == _BASE:
+        return top.choice(name, tuple(PROTOCOLS))
+    if name in CHOICES:
+        return top.choice(name, CHOICES[name])
+    if name in _NUMBERS:
+        return top.number(name)
+    if name == "ratios":
+        return top.each(name, _ratio, expected="a list of positive numbers, such as [100, 200]; [] for all")
+    if name in _LISTS_OF_TEXT:
+        return top.texts(name, expected="a list of names; [] for all", empty=True)
+    if name == "subset":
+        return top.text(name, empty=True) or None
+    return top.text(name, empty=name not in ("name", "title"))

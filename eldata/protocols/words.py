@@ -1,16 +1,17 @@
-"""Protocols in words: all fields of one, and a line in a list of several."""
+"""Protocols in words: all fields of one, a line in a list of several, and in what two of them differ."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from eldata.protocols.digests import SCORED
+from eldata.protocols.digests import NEUTRAL, OF_THE_FACTOR, SCORED, canonical
 from eldata.protocols.kinds import IMAGES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from eldata.protocols.protocol import Protocol
+
 
 LEVELS = {
     "published": "white 16383, black the file's",
@@ -113,7 +114,9 @@ def described(protocol: Protocol) -> list[tuple[str, str]]:
         for field, (name, words) in FIELDS.items()
         if field in values and field not in skipped
     ]
-    return [("name", protocol.name), ("title", protocol.title), *rows]
+    told = {name for name, _ in rows}
+    metrics = [(figure.label, figure.meaning) for figure in protocol.kind.metrics if figure.label not in told]
+    return [("name", protocol.name), ("title", protocol.title), *rows, *metrics]
 
 
 HEADER = ("protocol", "dataset", "pairs", "region", "white", "scalar", "input clip", "SSIM", "space")
@@ -158,3 +161,63 @@ def _scenes(scenes: tuple[str, ...]) -> str:
     if whole and [int(n) for n in numbers] == list(range(int(numbers[0]), int(numbers[0]) + len(numbers))):
         return f"scenes {numbers[0]}-{numbers[-1]}"
     return f"{len(scenes)} scenes"
+
+
+# --- do scores of two compare? ----------------------------------------------------------------------------------------
+
+
+def comparability(
+    first: Mapping[str, Any],
+    second: Mapping[str, Any],
+    *,
+    equal: Sequence[Mapping[str, Collection[str]]] = (),
+    ignored: Collection[str] = (),
+) -> list[str]:
+    """Return in words in what two protocols differ; nothing if their scores compare.
+
+    Names and sentences do not count: two protocols of different names may score alike. Neither do fields that have no
+    effect, such as where a factor is found that is not used.
+
+    Parameters
+    ----------
+    first, second
+        Protocols as a result's JSON holds them (``protocol``), of images or of clips. A field that one of them does not
+        state, because an older version wrote it, is neutral (:data:`eldata.protocols.digests.NEUTRAL`).
+    equal
+        Values of a field that came to the same where something was scored, by the field: such as ``{"levels":
+        ["published", "sid-sony"]}`` of files whose black level is 512.
+    ignored
+        Fields that do not count.
+
+    Returns
+    -------
+    list of str
+        Such as ``"region: full frame against packed centre 512 x 512"``, in the order of an evaluation.
+    """
+    a, b = canonical(first), canonical(second)
+    names = [name for name in dict.fromkeys((*FIELDS, *a, *b)) if name not in ignored and a.get(name) != b.get(name)]
+    regions = [_factor_region(fields) for fields in (first, second)]
+    if "rescaling" in names:  # where a factor is found says nothing against no factor
+        names = [name for name in names if name not in OF_THE_FACTOR]
+    elif regions[0] == regions[1]:
+        names = [name for name in names if name != "rescaling_region"]
+    stated = [{**fields, "rescaling_region": region} for fields, region in zip((first, second), regions, strict=True)]
+    return [
+        f"{FIELDS[name][0] if name in FIELDS else name.replace('_', ' ')}: "
+        + " against ".join(_words(fields, name) for fields in stated)
+        for name in names
+        if not any(all(_value(fields, name) in choices.get(name, ()) for fields in stated) for choices in equal)
+    ]
+
+
+def _factor_region(protocol: Mapping[str, Any]) -> Any:
+    found = _value(protocol, "rescaling_region")
+    return protocol.get("region") if found == SCORED else found
+
+
+def _value(protocol: Mapping[str, Any], name: str) -> Any:
+    return protocol.get(name, NEUTRAL.get(name))
+
+
+def _words(protocol: Mapping[str, Any], name: str) -> str:
+    return in_words(name, _value(protocol, name)) if name in (*protocol, *NEUTRAL) else "not stated"

@@ -18,8 +18,15 @@ import numpy as np
 
 from eldata.base.numbers import counted
 from eldata.errors import RawFileError, UnusableRawError
-from eldata.raw.rationals import RATIONAL, nearest_fraction
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, BLACK_LEVEL, BLACK_REPEAT, MASKED_AREAS
+from eldata.raw.tiff import (
+    ACTIVE_AREA,
+    BLACK_DELTAS,
+    BLACK_LEVEL,
+    BLACK_REPEAT,
+    MASKED_AREAS,
+    RATIONAL,
+    nearest_fraction,
+)
 from eldata.records import exact_number
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""CFA packing: the mosaic split by CFA position, and normalisation of DN. The one packer of this package.
+"""CFA packing: the mosaic split by CFA position. The one packer of this package (:mod:`eldata.raw.levels` normalises).
 
 Packed form
 -----------
@@ -37,7 +37,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -50,18 +50,8 @@ if TYPE_CHECKING:
 
     Cfa: TypeAlias = Sequence[Sequence[int]] | NDArray[np.integer[Any]]
 
-Clip = Literal["both", "upper", "none"]
-_LARGEST = float(np.finfo(np.float32).max)
 CfaRows = tuple[tuple[int, ...], ...]
 Scalar = TypeVar("Scalar", bound=np.generic)
-
-CLIP_RANGES: dict[Clip, tuple[float, float]] = {
-    "both": (0.0, 1.0),
-    "upper": (-np.inf, 1.0),
-    "none": (-np.inf, np.inf),
-}
-
-_CLIP_RANGES = {clip: (np.float32(low), np.float32(high)) for clip, (low, high) in CLIP_RANGES.items()}
 
 BAYER_CHANNELS = ("R", "G1", "B", "G2")
 XTRANS_CHANNELS = ("R", "G", "B", "R", "B", "G", "G", "G", "G")
@@ -341,7 +331,8 @@ def packed_shape(shape: tuple[int, int], cfa: Cfa) -> tuple[int, int, int]:
     return sites.channels, area.height // sites.scale, area.width // sites.scale
 
 
-def _area_of(mosaic: NDArray[Scalar], sites: Sites) -> NDArray[Scalar]:
+def kept_area(mosaic: NDArray[Scalar], sites: Sites) -> NDArray[Scalar]:
+    """Return the part of a mosaic (H, W) that packing keeps, with rows that are contiguous in memory."""
     if mosaic.ndim != 2:
         raise ArgumentError(f"a mosaic has two dimensions (H, W); found shape {mosaic.shape}")
     return with_rows(mosaic[_known_area(mosaic.shape, sites).slices])
@@ -388,7 +379,7 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = Non
     from eldata.raw._kernels import gather
 
     sites = packing_sites(cfa)
-    area = _area_of(mosaic, sites)
+    area = kept_area(mosaic, sites)
     shape = packed_shape(mosaic.shape, cfa)
     packed = np.empty(shape, dtype=mosaic.dtype) if out is None else out
     if packed.shape != shape or packed.dtype != mosaic.dtype:
@@ -445,163 +436,3 @@ def _as_bits(values: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
     if values.dtype.hasobject or values.dtype.itemsize not in (1, 2, 4, 8):
         raise ArgumentError(f"values of 1, 2, 4 or 8 bytes can be packed, not {values.dtype}")
     return values.view(f"u{values.dtype.itemsize}")
-
-
-def packed_black_level_dn(cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[np.float32]:
-    """Return the black level of each packed channel, (C,) float32 in DN, from those of the CFA's channels.
-
-    Raises
-    ------
-    ArgumentError
-        If there are not as many levels as the CFA has channels (3 for X-Trans, else 4).
-    """
-    sites = packing_sites(cfa)
-    if len(black_level_dn) != sites.levels:
-        raise ArgumentError(f"expected {sites.levels} black levels for this CFA, found {len(black_level_dn)}")
-    return np.array([black_level_dn[colour] for colour in sites.colours], dtype=np.float32)
-
-
-@lru_cache(maxsize=256)
-def _levels(sites: Sites, black_level_dn: tuple[float, ...], white_level_dn: float) -> tuple[Any, np.float32]:
-    """Return each packed channel's black level, read-only, and the white level: frames share few of them."""
-    black = packed_black_level_dn(sites.cfa, black_level_dn)
-    black.flags.writeable = False
-    return black, _checked_levels(black, white_level_dn)
-
-
-def _checked_levels(black: NDArray[np.float32], white_level_dn: float) -> np.float32:
-    white = np.float32(white_level_dn)
-    if not np.all(np.isfinite(black)) or not np.isfinite(white) or not white > black.max():
-        raise ArgumentError(
-            f"the white level ({white_level_dn} DN) must lie above every black level ({black.tolist()} DN)"
-        )
-    return white
-
-
-def _clip_range(clip: Clip) -> tuple[np.float32, np.float32]:
-    if clip not in _CLIP_RANGES:
-        check_choice("clip", clip, CLIP_RANGES)
-    return _CLIP_RANGES[clip]
-
-
-def pack_normalised(
-    mosaic: NDArray[np.uint16] | NDArray[np.float32],
-    cfa: Cfa,
-    black_level_dn: Sequence[float],
-    white_level_dn: float,
-    *,
-    clip: Clip = "both",
-    gain: float = 1.0,
-    corrected: bool = False,
-    out: NDArray[np.float32] | None = None,
-) -> NDArray[np.float32]:
-    """Pack, normalise, clip, amplify and clip again, in one pass. NaN stays.
-
-    ``out = clip(gain * clip((DN - black) / (white - black)))``, in float32 with one division per pixel: bit for
-    bit what the same operations give in numpy.
-
-    Parameters
-    ----------
-    mosaic
-        (H, W) in DN: uint16, or float32 if it is said.
-    cfa, black_level_dn
-        As in :class:`eldata.records.Sensor`.
-    white_level_dn
-        The level that becomes 1.
-    clip
-        ``"both"``: to [0, 1], as the published ELD loader does (negative read noise is lost); ``"upper"``: at 1
-        only; ``"none"``.
-    gain
-        Non-negative factor after the first clip, such as the exposure ratio.
-    corrected
-        The mosaic is float32: of a floating-point DNG, less a dark shading, or simulated. To be said, since other
-        floats are mostly normalised.
-    out
-        Where to write, C-contiguous float32 of the packed shape. A new array's pages cost more than the packing
-        itself, so a loop that can reuse one should.
-
-    Returns
-    -------
-    ndarray
-        (C, h, w) float32, normalised.
-
-    Raises
-    ------
-    ArgumentError
-        If the mosaic is not uint16, or not float32 where it is ``corrected``, the levels or the gain are invalid, or
-        the CFA is unsupported.
-    """
-    from eldata.raw._kernels import pack_bayer_normalised, pack_sites_normalised
-
-    expected = np.float32 if corrected else np.uint16
-    if mosaic.dtype != expected:
-        what = "a mosaic less a dark shading" if corrected else "a mosaic in DN"
-        hint = "; of a floating-point DNG say corrected=True" if mosaic.dtype == np.float32 else ""
-        raise ArgumentError(f"{what} is {np.dtype(expected)}; found {mosaic.dtype}{hint}")
-    if not 0 <= gain <= _LARGEST:
-        raise ArgumentError(f"the gain must be finite and not negative; found {gain}")
-    sites = packing_sites(cfa)
-    black, white = _levels(sites, tuple(black_level_dn), white_level_dn)
-    low, high = _clip_range(clip)
-    area = _area_of(mosaic, sites)
-    shape = sites.channels, area.shape[0] // sites.scale, area.shape[1] // sites.scale
-    if out is None:
-        out = np.empty(shape, dtype=np.float32)
-    elif out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous or not out.flags.writeable:
-        raise ArgumentError(
-            f"out must be a writeable C-contiguous float32 array of shape {shape}; found {out.dtype} {out.shape}"
-        )
-    factor = np.float32(gain)
-    if sites.period == 2:
-        pack_bayer_normalised(area, out, sites.table[:, 2].reshape(2, 2), black, white, low, high, factor)
-    else:
-        pack_sites_normalised(area, out, sites.table, sites.period, sites.sub, black, white, low, high, factor)
-    return out
-
-
-def normalise(
-    packed: NDArray[Any], cfa: Cfa, black_level_dn: Sequence[float], white_level_dn: float, *, clip: Clip = "both"
-) -> NDArray[np.float32]:
-    """Return packed DN as (DN - black) / (white - black), (C, h, w) float32, clipped as named.
-
-    Raises
-    ------
-    ArgumentError
-        If the shape does not fit the CFA, or the levels are invalid.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from eldata.raw import bayer_cfa, normalise
-    >>> packed = np.full((4, 2, 2), 8447.5, np.float32)
-    >>> normalise(packed, bayer_cfa(), [512.0] * 4, 16383.0)[0]
-    array([[0.5, 0.5],
-           [0.5, 0.5]], dtype=float32)
-    """
-    black = _black_of(packed, cfa, black_level_dn)
-    white = _checked_levels(black, white_level_dn)
-    return np.clip((packed.astype(np.float32) - black) / (white - black), *_clip_range(clip))
-
-
-def denormalise(
-    packed: NDArray[np.floating[Any]], cfa: Cfa, black_level_dn: Sequence[float], white_level_dn: float
-) -> NDArray[np.uint16]:
-    """Return normalised packed data as DN: uint16, rounded to the nearest, limited to [0, 65535].
-
-    The inverse of :func:`normalise` for DN that it did not clip.
-
-    Raises
-    ------
-    ArgumentError
-        Like :func:`normalise`.
-    """
-    black = _black_of(packed, cfa, black_level_dn).astype(np.float64)
-    white = float(_checked_levels(black.astype(np.float32), white_level_dn))
-    return np.clip(np.rint(packed * (white - black) + black), 0, 65535).astype(np.uint16)
-
-
-def _black_of(packed: NDArray[Any], cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[np.float32]:
-    black = packed_black_level_dn(cfa, black_level_dn)
-    if packed.ndim != 3 or packed.shape[0] != len(black):
-        raise ArgumentError(f"expected packed data ({len(black)}, h, w); found shape {packed.shape}")
-    return black[:, None, None]

@@ -25,7 +25,7 @@ import numpy as np
 
 from eldata.errors import RawFileError
 from eldata.raw.lossless_jpeg import MOST_HEADER, SOI, Stream, find_stream
-from eldata.raw.tiff import ACTIVE_AREA, COMPRESSION, TILE_HEIGHT, TILE_WIDTH, read_directories
+from eldata.raw.tiff import ACTIVE_AREA, COMPRESSION, TILE_HEIGHT, TILE_WIDTH
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -121,12 +121,12 @@ def _header_of(file: IO[bytes], offset: int, count: int) -> Stream | None:
     return None
 
 
-def check_streams(path: Path) -> None:
+def check_streams(path: Path, directories: Sequence[Directory]) -> None:
     """Raise :class:`RawFileError` if a lossless JPEG in a raw file does not end with its last pixel.
 
     Takes about as long as decoding. A file without lossless JPEGs passes.
     """
-    for extent in _extents(path, read_directories(path)):
+    for extent in _extents(path, directories):
         if extent.stream is not None:
             fault = extent.stream.count_fault()
             if fault is not None:

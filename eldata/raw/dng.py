@@ -16,11 +16,11 @@ import numpy as np
 
 from eldata.base.files import atomic_write
 from eldata.errors import ArgumentError, check_choice
-from eldata.raw.cfa import packed_black_level_dn
+from eldata.raw.colour import neutral_of, private_data
 from eldata.raw.damage import mosaic_fault
-from eldata.raw.neutrals import neutral_of, private_data
-from eldata.raw.rationals import RATIONAL, SRATIONAL, nearest_fraction
+from eldata.raw.levels import packed_black_level_dn
 from eldata.raw.sensor_facts import AS_SHOT_NEUTRAL, COLOUR_MATRICES, PRIVATE_DATA
+from eldata.raw.tiff import RATIONAL, SRATIONAL, nearest_fraction
 from eldata.records import exact_fraction
 
 if TYPE_CHECKING:
@@ -184,9 +184,9 @@ def write_dng(
     :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (a sensor without a matrix gets that of
     LibRaw's table if LibRaw knows the model). Numbers are written as the fractions that they stand for
     (:func:`eldata.records.exact_fraction`). One that the fields of TIFF, two whole numbers of 32 bits, cannot hold
-    becomes the nearest that they can (:func:`eldata.raw.rationals.nearest_fraction`), off by less than one part in four
+    becomes the nearest that they can (:func:`eldata.raw.tiff.nearest_fraction`), off by less than one part in four
     billion (of matrices, which have signs, two billion); but white balance is kept exactly, and so are greens that
-    differ, for which a DNG has no field: see :mod:`eldata.raw.neutrals`.
+    differ, for which a DNG has no field: see :mod:`eldata.raw.colour`.
 
     Parameters
     ----------

@@ -117,7 +117,7 @@ class Stream:
 
         Takes about as long as decoding.
         """
-        from eldata.raw._lossless_jpeg_kernels import NO_CODE, TOO_SHORT, walk  # numba takes long to load
+        from eldata.raw._kernels import NO_CODE, TOO_SHORT, walk  # numba takes long to load
 
         tables = np.stack([code.table() for code in self.codes])
         interval = self.restart_interval * len(self.codes)

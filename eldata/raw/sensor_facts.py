@@ -1,7 +1,10 @@
-"""What a raw file states of its sensor beside the CFA: levels, white balance, colour matrix.
+"""What a raw file states beside its CFA and exposure: levels, white balance, matrix, what of it should be known.
 
 A DNG's own figures to the last digit, from the file; those of other formats as LibRaw has them
 (:mod:`eldata.raw.reading` says which and why).
+
+A remark is a sentence that says what was, or was not, done with a file that is read rightly. It is not a problem:
+``read_raw`` gives them with the frame, and ``eldata verify`` says each once.
 """
 
 from __future__ import annotations
@@ -14,10 +17,12 @@ import numpy as np
 
 from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError
-from eldata.raw.neutrals import white_balance_of
+from eldata.raw.colour import white_balance_of
 from eldata.raw.tiff import (
     BITS,
+    COMPRESSION,
     NOISE_PROFILE,
+    OPCODE_LISTS,
     WHITE_LEVEL,
     image_directories,
     read_directories,
@@ -25,7 +30,7 @@ from eldata.raw.tiff import (
 from eldata.records import D65, exact_number
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     import rawpy
@@ -36,6 +41,19 @@ if TYPE_CHECKING:
 AS_SHOT_NEUTRAL, PRIVATE_DATA = 50728, 50740
 COLOUR_MATRICES = ((50721, 50778), (50722, 50779))
 """Each with the tag of its illuminant."""
+
+_SONY, _LOSSY_JPEG = 32767, 34892
+# By number, DNG specification 1.7.1, chapter 7.
+_OPCODES = (
+    *("WarpRectilinear", "WarpFisheye", "FixVignetteRadial", "FixBadPixelsConstant", "FixBadPixelsList"),
+    *("TrimBounds", "MapTable", "MapPolynomial", "GainMap", "DeltaPerRow", "DeltaPerColumn", "ScalePerRow"),
+    *("ScalePerColumn", "WarpRectilinear2"),
+)
+_NOT_APPLIED = (
+    "the mosaic is what the sensor gave, as stored",
+    "the mosaic keeps what they would correct, such as lens shading",
+    "they are for a demosaiced image",
+)
 
 # Daylight, flash, D55, D75, D50, as EXIF numbers sources of light.
 _DAYLIGHT = (1, 4, 20, 22, 23)
@@ -142,3 +160,57 @@ def _illuminant(stated: Sequence[Fraction]) -> int:
 def _three(numbers: Sequence[float]) -> tuple[float, float, float]:
     first, second, third = numbers
     return first, second, third
+
+
+def lossy_compression(path: Path) -> str | None:
+    """Return what loses data in a raw file, in words, or ``None`` if nothing known does.
+
+    Known are Sony's compressed ARW 2 (one byte per pixel: 11 of 14 bits by a curve, differences within 16 pixels) and
+    the lossy JPEG of DNG. Nikon's lossy NEF says so in its maker notes alone, Canon's CRAW in a container that is not
+    TIFF: the gaps that such compression leaves between the values show it
+    (:func:`eldata.calibration.audit.steps.missing_codes`).
+
+    Raises
+    ------
+    RawFileError
+        If the file is truncated.
+    """
+    for directory in read_directories(path):
+        if not directory.is_mosaic:
+            continue
+        compression = directory.values.get(COMPRESSION, ())
+        held = sum(count for _, count in directory.extents)
+        if _SONY in compression and held == directory.pixels:
+            return "Sony's lossy compression (choose uncompressed raw in the camera)"
+        if _LOSSY_JPEG in compression:
+            return "a DNG's lossy JPEG compression (convert from the original without it)"
+    return None
+
+
+# --- remarks ----------------------------------------------------------------------------------------------------------
+
+
+def directory_remarks(mosaic: Directory | None) -> tuple[str, ...]:
+    """Return what there is to say before pixels are decoded; ``mosaic``: the directory whose pixels are read."""
+    return () if mosaic is None else (*_of_samples(mosaic), *_of_opcodes(mosaic))
+
+
+def image_remarks(images: int, image: int) -> tuple[str, ...]:
+    """Return what there is to say of a file with several images, of which one, counted from 0, was read."""
+    if images == 1:
+        return ()
+    which = f"the mosaic is image {image}, counted from 0 (read_raw's image= chooses)"
+    return (f"it holds {images} images of one size, as of a pixel shift: {which}",)
+
+
+def _of_samples(mosaic: Directory) -> Iterator[str]:
+    if mosaic.samples > 1:
+        yield f"it has {mosaic.samples} samples of each pixel, as dual pixels give: the mosaic is the first"
+
+
+def _of_opcodes(mosaic: Directory) -> Iterator[str]:
+    for number, (tag, meaning) in enumerate(zip(OPCODE_LISTS, _NOT_APPLIED, strict=True), 1):
+        codes = map(int, mosaic.values.get(tag, ()))
+        names = dict.fromkeys(_OPCODES[code - 1] if 0 < code <= len(_OPCODES) else "unknown" for code in codes)
+        if names:
+            yield f"its OpcodeList{number} ({', '.join(names)}) is not applied: {meaning}"

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+RATIONAL = 2**32 - 1
+"""The largest part of a RATIONAL."""
+SRATIONAL = 2**31 - 1
+"""The largest part, without its sign, of an SRATIONAL."""
+
 MAGIC = (b"II*\0", b"MM\0*")
 COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
 
@@ -99,6 +104,11 @@ class Directory:
     def samples(self) -> int:
         """Numbers that it has of each pixel: two where each photosite is halved (dual pixels)."""
         return self.number(SAMPLES, 1)
+
+    @property
+    def interleaved(self) -> tuple[int, int]:
+        """Fields of rows, and of columns, that are stored one after the other; (1, 1): they stand in order."""
+        return self.number(ROW_INTERLEAVE, 1), self.number(COLUMN_INTERLEAVE, 1)
 
     @property
     def is_float(self) -> bool:
@@ -227,11 +237,9 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
             f"damaged: its BlackLevel repeats every {' x '.join(map(str, repeat))} pixels; expected 1 to "
             f"{_MOST_REPEATED} either way",
         )
-    for tag, side in zip((ROW_INTERLEAVE, COLUMN_INTERLEAVE), directory.shape, strict=True):
-        if not 1 <= directory.number(tag, 1) <= max(side, 1):
-            raise RawFileError(
-                path, f"damaged: it declares {directory.number(tag, 1)} interleaved fields of {side} rows or columns"
-            )
+    for fields, side in zip(directory.interleaved, directory.shape, strict=True):
+        if not 1 <= fields <= max(side, 1):
+            raise RawFileError(path, f"damaged: it declares {fields} interleaved fields of {side} rows or columns")
     if directory.samples < 1:
         raise RawFileError(path, f"damaged: it declares {directory.samples} samples of each pixel")
     held = sum(count for _, count in directory.extents)
@@ -317,3 +325,25 @@ def require(path: Path, size: int, end: int) -> None:
         raise RawFileError(
             path, f"truncated: it declares data up to byte {end} but has {size} bytes; copy or download it again"
         )
+
+
+def nearest_fraction(value: Fraction, largest: int) -> Fraction:
+    """Return the fraction nearest to a value whose numerator and denominator are at most ``largest``.
+
+    The value itself if its parts fit. Else, from 1 / ``largest`` to ``largest``, it is off by less than one part in
+    ``largest`` - 1; below that it is off by less than 1 / ``largest``.
+
+    Raises
+    ------
+    ValueError
+        If the value, without its sign, is above ``largest``.
+    """
+    size = abs(value)
+    if size > largest:
+        raise ValueError(f"{value} is beyond {largest}")
+    denominator = largest if size <= 1 else int(largest / size)
+    candidates = [size.limit_denominator(denominator)]
+    if size > 1:  # the one denominator more at which the numerator is still near enough to count
+        candidates.append(Fraction(largest, denominator + 1))
+    best = min(candidates, key=lambda candidate: abs(candidate - size))
+    return best if value >= 0 else -best

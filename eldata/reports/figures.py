@@ -11,13 +11,11 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from eldata.plots.axes import DARK, LIGHT, one_axes, styled
+from eldata.plots.axes import DARK, LIGHT, empty_figure, styled
+from eldata.reports.html import plot_words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from collections.abc import Callable, Mapping
 
     from eldata.plots.axes import Theme
 
@@ -34,29 +32,49 @@ class Plot:
     dark: bytes
 
 
-def drawn(name: str, title: str, alt: str, caption: str, draw: Callable[[Theme], Figure]) -> Plot:
-    """Return the plot that a function draws."""
-    light = _svg(draw, LIGHT, name)
-    return Plot(name, title, alt, caption, light, _recoloured(light))
+def draw_plot(
+    report: str,
+    kind: str,
+    alt: str,
+    draw: Callable[..., object],
+    *,
+    name: str = "",
+    ratio: float | None = None,
+    caption: str = "caption",
+    more: str = "",
+    words: Mapping[str, object] | None = None,
+) -> Plot:
+    """Draw a plot with the words of its kind.
 
-
-def drawn_axes(name: str, title: str, alt: str, caption: str, draw: Callable[[Axes, Theme], None]) -> Plot:
-    """Return the plot that a function draws into axes that fill the figure."""
-
-    def whole(theme: Theme) -> Figure:
-        drawing, axes = one_axes()
-        draw(axes, theme)
-        return drawing
-
-    return drawn(name, title, alt, caption, whole)
-
-
-def _svg(draw: Callable[[Theme], Figure], theme: Theme, name: str) -> bytes:
-    buffer = io.BytesIO()
-    with styled(theme, **{"svg.hashsalt": name}):
-        figure = draw(theme)
+    Parameters
+    ----------
+    report, kind
+        Which file of words, and which title and caption in it.
+    alt
+        What it shows, in words.
+    draw
+        Draws: called with the axes, the upper ones first where there are two, and the theme.
+    name
+        Its identifier; by default its kind.
+    ratio
+        Of the heights of two axes (:func:`~eldata.plots.axes.empty_figure`); one axes by default.
+    caption, more
+        Which caption, and a further sentence.
+    words
+        What title and caption are completed by.
+    """
+    said = plot_words(report)[kind]
+    buffer, name = io.BytesIO(), name or kind
+    with styled(LIGHT, **{"svg.hashsalt": name}):
+        figure, axes = empty_figure(ratio)
+        draw(*axes, LIGHT)
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return _slimmed(buffer.getvalue().decode("utf-8")).encode("utf-8")
+    light = _slimmed(buffer.getvalue().decode("utf-8"))
+    # Only the colours of the dark page's plot differ, and drawing is what takes time.
+    colours = dict(zip(_colours(LIGHT), _colours(DARK), strict=True))
+    dark = re.sub("|".join(colours), lambda match: colours[match[0]], light)
+    title, shown = (said[key].format(**(words or {})) for key in ("title", caption))
+    return Plot(name, title, alt, shown + more, light.encode("utf-8"), dark.encode("utf-8"))
 
 
 def _slimmed(svg: str) -> str:
@@ -88,12 +106,6 @@ def _grouped_points(points: re.Match[str]) -> str:
 def _joined_lines(lines: re.Match[str]) -> str:
     outline = "".join(re.findall(r' d="([^"]*)"', lines[0]))
     return f'<path d="{outline}" {lines[1]}/>'
-
-
-def _recoloured(svg: bytes) -> bytes:
-    """Return a plot of the light page for the dark one: only the colours differ, and drawing is what takes time."""
-    colours = dict(zip(_colours(LIGHT), _colours(DARK), strict=True))
-    return re.sub("|".join(colours), lambda match: colours[match[0]], svg.decode("utf-8")).encode("utf-8")
 
 
 def _colours(theme: Theme) -> tuple[str, ...]:

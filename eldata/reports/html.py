@@ -1,11 +1,12 @@
 """What the pages of every report share: templates, and the signs that a page has and a terminal may not.
 
-A page is one file: images and style inside, no script, nothing from the network.
+A page is one file: images and style inside, nothing from the network, and no script but ours where a page has one.
 """
 
 from __future__ import annotations
 
 import base64
+import hashlib
 import math
 import re
 from functools import cache
@@ -35,6 +36,16 @@ def rendered(template: str, templates: Path = TEMPLATES, /, **values: object) ->
     return _environment(templates).get_template(template).render(version=__version__, page=page, **values)
 
 
+def rendered_with_script(template: str, *more: str, **values: object) -> str:
+    """Return a page whose template puts ``script`` into a script element, as it is; no other may run there.
+
+    It is evaluation.js, and after it the scripts named in ``more``: they sort tables, move sliders and link crops.
+    """
+    script = "\n".join((TEMPLATES / name).read_text(encoding="utf-8") for name in ("evaluation.js", *more))
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    return rendered(template, script=script, script_policy=f"; script-src 'sha256-{digest}'", **values)
+
+
 @cache
 def plot_words(report: str) -> Mapping[str, Any]:
     """Return the title and the caption of each kind of plot and picture of a report, from its file of words."""
@@ -52,7 +63,7 @@ def _environment(templates: Path) -> jinja2.Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    filters = (svg_uri, png_uri, typeset, signed, prose)
+    filters = (uri, typeset, signed, prose)
     environment.filters |= {function.__name__: function for function in filters}
     return environment
 
@@ -63,14 +74,9 @@ def _seen(value: object) -> object:
     return visible(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 
-def svg_uri(svg: bytes) -> str:
-    """Return a drawing as the address of itself."""
-    return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
-
-
-def png_uri(png: bytes) -> str:
-    """Return a picture as the address of itself."""
-    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+def uri(picture: bytes, kind: str) -> str:
+    """Return a picture, of a kind such as ``png``, as the address of itself."""
+    return f"data:image/{kind};base64,{base64.b64encode(picture).decode('ascii')}"
 
 
 _TYPESET = (

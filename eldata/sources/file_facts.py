@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.fields import TextFile, fraction_of
+from eldata.base.numbers import fraction_of
 from eldata.errors import ArgumentError
 from eldata.records import D65, ExactFloat, Exposure, Sensor, exact_fraction, exact_number
 
@@ -19,11 +19,6 @@ if TYPE_CHECKING:
 
 
 _EXACT = ("black_level_dn", "white_level_dn", "white_balance", "xyz_to_camera")
-
-
-def parsed(what: str, content: str | bytes) -> dict[str, Any]:
-    """Return a JSON object; an :class:`~eldata.errors.ArgumentError` says what is wrong with it."""
-    return dict(TextFile(what, ArgumentError, content=content).json().data)
 
 
 def exposure_data(exposure: Exposure) -> dict[str, str | None]:

@@ -14,25 +14,43 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from eldata.base.files import inside
+from eldata.base.memory import scratch
 from eldata.base.png import read_rgb16
-from eldata.base.scratch import scratch
 from eldata.errors import ArgumentError, DatasetError
-from eldata.manifest.clip_checks import is_png
-from eldata.raw.cfa import pack
+from eldata.manifest.pairs import UNCERTAIN_ISO
+from eldata.manifest.patterns import is_png
+from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
 from eldata.records import Exposure, RawHeader
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from fractions import Fraction
 
     from numpy.typing import NDArray
 
     from eldata.noise.dark_shading import DarkShading
+    from eldata.protocols.protocol import Amplification
     from eldata.raw.cfa import CfaRows
     from eldata.raw.levels import FrameLevels
-    from eldata.records import FrameRecord, Sensor
+    from eldata.records import FrameRecord, PairRecord, Sensor
 
 RGB_WHITE = 65535.0
+
+
+class Pixels(Protocol):
+    """Pixels that do not lie in an array: of a compressed store, of packed arrays, or less a dark shading."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W), of RGB (3, H, W)."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Uint16, or floating."""
+
+    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
+        """Return a part, (..., rows, columns), in memory that the thread's next read may overwrite."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,9 +60,7 @@ class Frame:
     Attributes
     ----------
     mosaic
-        (H, W) in DN, uint16 or floating; of an RGB frame (3, H, W) uint16. An array, or anything that is indexed like
-        one; with a method ``borrow``, parts come in memory that the thread's next part overwrites, and with ``pack``
-        they come packed.
+        (H, W) in DN, uint16 or floating; of an RGB frame (3, H, W) uint16. An array, or other :class:`Pixels`.
     cfa, black_level_dn
         As in :class:`eldata.records.Sensor`; the CFA of an RGB frame is empty.
     white_level_dn
@@ -57,7 +73,7 @@ class Frame:
         As in :class:`eldata.records.RawFrame`.
     """
 
-    mosaic: Any = field(repr=False)
+    mosaic: NDArray[Any] | Pixels = field(repr=False)
     cfa: CfaRows
     black_level_dn: tuple[float, ...]
     white_level_dn: float
@@ -69,7 +85,7 @@ class Frame:
     @classmethod
     def of_raw(
         cls,
-        mosaic: Any,
+        mosaic: NDArray[Any] | Pixels,
         sensor: Sensor,
         name: str,
         exposure: Exposure,
@@ -80,7 +96,7 @@ class Frame:
         return cls(mosaic, sensor.cfa, black, white, name, sensor, exposure, channel_white_levels_dn)
 
     @classmethod
-    def of_rgb(cls, planes: Any, name: str) -> Frame:
+    def of_rgb(cls, planes: NDArray[Any] | Pixels, name: str) -> Frame:
         """Return a 16-bit RGB frame, (3, H, W)."""
         return cls(planes, (), (0.0,), RGB_WHITE, name)
 
@@ -149,35 +165,28 @@ class Frame:
         except ArgumentError as error:
             raise DatasetError(f"{self.name}: {error}") from error
         exposure_s = None if self.exposure.exposure_s is None else float(self.exposure.exposure_s)
-        return replace(self, mosaic=_LessShading(self.mosaic, shading, iso, exposure_s, place or (0, 0)))
+        return replace(self, mosaic=_LessShading(self, shading, iso, exposure_s, place or (0, 0)))
 
     def without_pixels(self) -> Frame:
         """Return the frame, its pixels forgotten."""
         return replace(self, mosaic=np.broadcast_to(np.uint16(0), self.mosaic.shape))
 
-    def read(self, rows: slice, columns: slice) -> NDArray[np.generic]:
+    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
         """Return a part, (rows, columns) in DN or (3, rows, columns), to be used before the thread reads the next."""
-        return _part(self.mosaic, rows, columns)
+        if isinstance(self.mosaic, np.ndarray):
+            return self.mosaic[..., rows, columns]
+        return self.mosaic.read(rows, columns)
 
-    def pack(self, rows: slice, columns: slice, cfa: CfaRows, out: NDArray[Any]) -> None:
-        """Write a part of a mosaic in DN, whose CFA it is, into ``out`` (C, h, w), packed."""
-        own = getattr(self.mosaic, "pack", None)  # a store has no need to put the part together first
-        if own is None:
-            pack(self.read(rows, columns), cfa, out=out)
-        else:
-            own((rows, columns), cfa, out)
-
-
-def _part(mosaic: Any, rows: slice, columns: slice) -> NDArray[np.generic]:
-    part: NDArray[np.generic] = getattr(mosaic, "borrow", mosaic.__getitem__)((..., rows, columns))
-    return part
+    def whole(self) -> NDArray[Any]:
+        """Return all of the pixels, in memory of their own."""
+        return self.read(slice(None), slice(None)).copy()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LessShading:
-    """A mosaic less a dark shading, which is worked out for the parts that are read. ``place``: of the first pixel."""
+    """Pixels less a dark shading, which is worked out for the parts that are read. ``place``: of the first pixel."""
 
-    mosaic: Any
+    frame: Frame
     shading: DarkShading
     iso: float
     exposure_s: float | None
@@ -185,23 +194,30 @@ class _LessShading:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """That of the mosaic."""
-        shape: tuple[int, ...] = self.mosaic.shape
-        return shape
+        """That of the frame."""
+        return self.frame.shape
 
-    def __getitem__(self, part: tuple[Any, ...]) -> NDArray[np.float32]:
-        return self.borrow(part).copy()
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of the difference."""
+        return np.dtype(np.float32)
 
-    def borrow(self, part: tuple[Any, ...]) -> NDArray[np.float32]:
+    def read(self, rows: slice, columns: slice) -> NDArray[np.float32]:
         """Read a part into memory that the next call of this thread overwrites."""
-        rows, columns = (range(*wanted.indices(side)) for wanted, side in zip(part[-2:], self.shape, strict=True))
-        size = len(rows) * len(columns)
-        taken = scratch("less_shading", 4 * size).bytes.view(np.float32)[:size].reshape(len(rows), len(columns))
-        top, left = self.place
-        on_sensor = slice(top + rows.start, top + rows.stop), slice(left + columns.start, left + columns.stop)
+        taken = scratch("less_shading", part_shape(self.shape, rows, columns), self.dtype)
+        on_sensor = [
+            slice(start + part.indices(side)[0], start + part.indices(side)[1])
+            for start, part, side in zip(self.place, (rows, columns), self.shape, strict=True)
+        ]
         self.shading.at(self.iso, *on_sensor, exposure_s=self.exposure_s, out=taken)
-        np.subtract(_part(self.mosaic, *part[-2:]), taken, out=taken)
+        np.subtract(self.frame.read(rows, columns), taken, out=taken)
         return taken
+
+
+def part_shape(shape: tuple[int, ...], rows: slice, columns: slice) -> tuple[int, int]:
+    """Return the height and width of a part of pixels (..., H, W)."""
+    height, width = (len(range(*part.indices(side))) for part, side in zip((rows, columns), shape[-2:], strict=True))
+    return height, width
 
 
 @runtime_checkable
@@ -252,3 +268,46 @@ class Files:
             return Frame.of_rgb(read_rgb16(file).transpose(2, 0, 1), str(file))
         raw = read_raw(file)
         return Frame.of_raw(raw.mosaic, raw.sensor, str(raw.path), raw.exposure, raw.channel_white_levels_dn)
+
+
+def checked_ratio(record: PairRecord, reference: Frame, noisy: Frame) -> Fraction:
+    """Return the exposure ratio that a pair's files state; the manifest's if the noisy one is not a raw file.
+
+    Raises
+    ------
+    DatasetError
+        If it is more than a tenth off the manifest's, or the frames differ in size or CFA.
+    RawFileError
+        If a raw file states no ISO or exposure time.
+    """
+    from eldata.raw.reading import exposure_ratio
+
+    ratio = record.ratio if noisy.sensor is None else exposure_ratio(reference.header, noisy.header)
+    differs = abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio
+    if differs and UNCERTAIN_ISO not in record.flags:
+        raise DatasetError(
+            f"{noisy.name}: expected an exposure ratio of {float(record.ratio):g} to {record.reference}, found "
+            f"{float(ratio):g}; are both the frames that their names say? (eldata verify finds all such files)"
+        )
+    if (noisy.shape, noisy.cfa) != (reference.shape, reference.cfa):
+        raise DatasetError(
+            f"{noisy.name}: {noisy.shape} pixels, CFA {noisy.cfa}, but its reference {record.reference} has "
+            f"{reference.shape}, {reference.cfa}"
+        )
+    return ratio
+
+
+def stated_ratio(record: PairRecord | FrameRecord, amplification: Amplification) -> Fraction | None:
+    """Return the ratio that the manifest has for a way to amplify; ``None`` for ``"metadata"``, or if none is stated.
+
+    Raises
+    ------
+    DatasetError
+        If it is to be the measured one, and none was measured.
+    """
+    if amplification == "measured" and record.measured_ratio is None:
+        raise DatasetError(
+            f"{record.path}: the manifest has no measured ratio for amplification 'measured'; capture check --write "
+            "measures it, 'nominal' and 'metadata' need none"
+        )
+    return {"metadata": None, "nominal": record.ratio, "measured": record.measured_ratio}[amplification]

@@ -14,16 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eldata.base.fields import (
-    LARGEST_WHOLE,
-    Fields,
-    TextFile,
-    fraction_of,
-    names_of,
-    number_of,
-    shown,
-    whole_of,
-)
+from eldata.base.fields import Fields, TextFile, names_of
+from eldata.base.numbers import LARGEST_WHOLE, fraction_of, number_of, whole_of
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError, EldataError, FileError, ManifestError, ProfileError
 
 if TYPE_CHECKING:

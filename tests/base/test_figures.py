@@ -48,7 +48,9 @@ def test_a_value_is_written_with_its_decimals_or_by_its_error(
 
 def test_one_value_and_a_difference_have_decimals_of_their_own() -> None:
     assert (SSIM.format(0.98765), SSIM.format_single(0.98765)) == ("0.988", "0.9877")
-    assert (PSNR.single_decimals, PSNR.difference_decimals) == (2, 2)
+    assert [PSNR.format_difference(value) for value in (0.126, -0.126, 0.0, math.inf, math.nan, None)] == [
+        *("+0.13", "-0.13", "+0.00", "+inf", "-", "withheld")
+    ]
 
 
 def test_the_better_one_of_two_is_told_by_a_sign() -> None:

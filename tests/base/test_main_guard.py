@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import runpy
-import subprocess
-import sys
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from eldata.errors import ArgumentError
-from tests.waiting import PATIENCE_S
 
-ROOT = Path(__file__).parents[2]
+if TYPE_CHECKING:
+    from pathlib import Path
+
 CALL = "from eldata.base.main_guard import require_main_guard as check\n"
 
 REFUSED = {
@@ -48,22 +47,3 @@ def test_what_a_script_imports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     (tmp_path / "script.py").write_text("import guard_test_experiment\n")
     with pytest.raises(ArgumentError, match=r"script\.py again from its first line, .* line 1:"):
         runpy.run_path(str(tmp_path / "script.py"), run_name="__main__")
-
-
-def test_no_worker_is_started(tmp_path: Path) -> None:
-    """The whole of it, through the workers: what the script says before is said once."""
-    script = tmp_path / "script.py"
-    script.write_text(
-        "print('begun', flush=True)\n"
-        "from eldata.base.workers import Workers\n"
-        "print(list(Workers(2).run(abs, [1, -2, 3])))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, script], capture_output=True, text=True, timeout=PATIENCE_S, env={"PYTHONPATH": str(ROOT)}
-    )
-    assert (done.returncode, done.stdout) == (1, "begun\n")
-    *_, last = done.stderr.splitlines()
-    assert last.startswith(f"eldata.errors.ArgumentError: worker processes run {script} again")
-    assert last.endswith('line 3: put that under if __name__ == "__main__":, or work without processes (workers=1; '
-                         "for a DataLoader, workers=0)")  # fmt: skip
-    assert done.stderr.count("Traceback") == 1

@@ -21,14 +21,15 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from eldata.base.files import wait_for_lock, write_json
 from eldata.baselines import FastDVDnet, NetworkDenoiser, Training, UNet, clip_error, load_network, save_network
-from eldata.baselines.consistency import consistent_error
-from eldata.baselines.predicting import BaselineDenoiser, mirrored_window, write_predictions
+from eldata.baselines.noisy_frames import mirrored_window
+from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.baselines.prediction_folder import begun
 from eldata.baselines.tiling import tiled
+from eldata.baselines.training import consistent_error
 from eldata.baselines.unet import draw_weights
 from eldata.cli.main import main
 from eldata.datasets import ArrayClips, SyntheticClips, training_loader
-from eldata.datasets.drv import DRVDataset, DRVRawDataset
+from eldata.datasets.drv import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.request import SETTINGS
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.baselines.predicting import NoisyFrame
+    from eldata.baselines.noisy_frames import NoisyFrame
 
 ROOT = Path(__file__).parents[2]
 MORTAL = """
@@ -283,7 +284,7 @@ def test_frames_by_themselves_and_raw_clips(tmp_path: Path) -> None:
 
     window = load_network(f"{HERE}:later", window=3, device="cpu", multiple=1)
     write_predictions(window, "", tmp_path / "w", clip="none", ids=["0007"], **options)
-    sample = DRVRawDataset(data, ids=["0007"], window=9, clip="none")[0]
+    sample = DRVDataset(data, form="raw", ids=["0007"], window=9, clip="none")[0]
     names = [f"DSC{998 + number:05d}.npy" for number in range(4, 9)]
     nexts = [5, 6, 7, 8, 7]  # of the last frame the mirrored one
     for name, number in zip(names, nexts, strict=True):

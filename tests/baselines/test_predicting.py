@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import pickle
@@ -11,8 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import zipfile
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from subprocess import PIPE
@@ -30,7 +27,7 @@ from eldata.cli.baseline import NAMES
 from eldata.cli.main import main
 from eldata.datasets.eld import ELDDataset
 from eldata.demo.camera import CAMERAS
-from eldata.demo.known_profile import known_profile
+from eldata.demo.evaluation import known_profile
 from eldata.errors import ArgumentError, EldataError, FileError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.request import SETTINGS
@@ -39,7 +36,8 @@ from tests.trees import tree_in
 from tests.waiting import PATIENCE_S, is_asleep, until
 
 if TYPE_CHECKING:
-    from eldata.baselines.predicting import Denoiser, NoisyFrame
+    from eldata.baselines.noisy_frames import NoisyFrame
+    from eldata.baselines.predicting import Denoiser
     from tests.trees import Tree
 
 
@@ -102,10 +100,13 @@ def test_from_the_command_to_a_better_score(tree: Tree, tmp_path: Path, capsys: 
 def test_a_profile_is_taken_between_its_isos() -> None:
     """K of a camera whose ISO 50 has the gain of ISO 100; by one line from end to end 1.6 times that at 125."""
     known = known_profile(CAMERAS[0], (100, 200, 400, 800))
-    profile = replace(known, rows=(replace(known.rows[0], iso=50.0), *known.rows), iso_range=(50.0, 800.0))
+    rows = [replace(row, tukey_lambda=0.01 * place) for place, row in enumerate((known.rows[0], *known.rows))]
+    profile = replace(known, rows=(replace(rows[0], iso=50.0), *rows[1:]), iso_range=(50.0, 800.0))
     base = CAMERAS[0].gain_dn_per_e(100)
-    for iso, gain in ((50, base), (80, base), (125, 1.25 * base), (320, 3.2 * base)):
-        assert typical(profile, iso).gain_dn_per_e == pytest.approx(gain, rel=1e-12)
+    for iso, gain, shape in ((50, base, 0.0), (80, base, 0.0), (125, 1.25 * base, 0.0), (320, 3.2 * base, 0.03)):
+        found = typical(profile, iso)
+        assert found.gain_dn_per_e == pytest.approx(gain, rel=1e-12)
+        assert found.tukey_lambda == shape, "that of the nearest gain"
 
 
 def test_what_is_there_is_kept_and_other_settings_are_refused(tree: Tree, tmp_path: Path) -> None:
@@ -469,38 +470,6 @@ def exported(path: Path, module: torch.nn.Module) -> Path:
     sides = {2: torch.export.Dim("h"), 3: torch.export.Dim("w")}
     torch.export.save(torch.export.export(module, (torch.zeros(1, 4, 16, 24),), dynamic_shapes=(sides,)), path)
     return path
-
-
-@pytest.mark.parametrize(
-    "place", ["data/sample_inputs/model.pt", "data/constants/Opaque_Obj_0", "data/weights/weight_0"]
-)
-def test_pickles_inside_an_export_are_not_loaded(place: str, tmp_path: Path) -> None:
-    """As torch.export itself would load each of them: the first of three is shown to sing there."""
-    sound, crafted = exported(tmp_path / "net.pt2", Doubled()), tmp_path / "crafted.pt2"
-    assert load_network(str(sound)).run(np.ones((4, 8, 8), np.float32)) == pytest.approx(0.75)
-    file = io.BytesIO()
-    torch.save(Canary(tmp_path / "sung"), file)
-    song = pickle.dumps(Canary(tmp_path / "sung")) if "Opaque" in place else file.getvalue()
-    with zipfile.ZipFile(sound) as archive, zipfile.ZipFile(crafted, "w") as copy:
-        top = archive.namelist()[0].partition("/")[0]
-        for name in archive.namelist():
-            content = archive.read(name)
-            if place.startswith("data/weights") and name.endswith("model_weights_config.json"):
-                content = content.replace(b'"use_pickle": false', b'"use_pickle": true')
-            if name.endswith("model_constants_config.json") and "Opaque" in place:
-                content = json.dumps({"config": {"c": {"path_name": "opaque_obj_0", "is_param": False,
-                                                       "use_pickle": True, "tensor_meta": None}}}).encode()  # fmt: skip
-            if name != f"{top}/{place}":
-                copy.writestr(name, content)
-        copy.writestr(f"{top}/{place}", song)
-    with pytest.raises(
-        FileError, match=r"crafted.pt2: (holds data/constants/Opaque_Obj_0, |cannot be loaded by torch)"
-    ):
-        load_network(str(crafted))
-    assert not (tmp_path / "sung").exists()
-    with suppress(Exception):
-        torch.export.load(crafted)
-    assert (tmp_path / "sung").exists()
 
 
 def test_what_the_commands_say_to_wrong_input(tree: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

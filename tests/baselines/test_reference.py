@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 import torch
 
-import eldata.baselines.reference
+import eldata.baselines.unet
 from eldata.baselines import load_network, reference_network
-from eldata.baselines.reference import blank_reference, save_weights
+from eldata.baselines.unet import blank_reference, save_weights
 from eldata.datasets import Arrays, SyntheticPairs
 from eldata.demo.scenes import scene_radiance
 from eldata.errors import FileError
 from eldata.noise import LED_RANGES, VirtualCameras
 
-WEIGHTS = Path(eldata.baselines.reference.__file__).with_name("reference.safetensors")
+WEIGHTS = Path(eldata.baselines.unet.__file__).with_name("reference.safetensors")
 
 
 def psnr(image: torch.Tensor, clean: torch.Tensor) -> float:
@@ -87,7 +87,7 @@ def test_a_damaged_installation_is_named(tmp_path: Path, monkeypatch: pytest.Mon
     else:
         assert not place.exists()
         shutil.copy(WEIGHTS, tmp_path)
-    monkeypatch.setattr(eldata.baselines.reference, "files", lambda _: place.parent)
+    monkeypatch.setattr(eldata.baselines.unet, "files", lambda _: place.parent)
     with pytest.raises(FileError, match="is not what was shipped; install eldata again") as raised:
         reference_network()
     assert str(place) in str(raised.value)

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.audit import given, with_accepted
-from eldata.calibration.bias_audit import BiasAudit
-from eldata.calibration.bias_checks import bias_findings
-from eldata.calibration.frame_checks import code_step, missing_codes
+from eldata.calibration.audit.bias_checks import bias_findings
+from eldata.calibration.audit.bias_sums import BiasAudit
+from eldata.calibration.audit.steps import BiasSeen, code_step, missing_codes
+from eldata.calibration.core.findings import given, with_accepted
 from tests.calibration import draws
 from tests.calibration.chain import calibrated
 from tests.calibration.faults import EVERY, NONE, Planted
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import Figure, Finding, GivenFigure
+    from eldata.calibration.core.findings import Figure, Finding, GivenFigure
 
 CAMERA = Camera(shape=(512, 768), shading=1.0)
 FRAMES = 9
@@ -64,10 +64,8 @@ def audited(
     pattern = found.fixed.pattern
     step, gaps = code_step(frames[0], pattern), missing_codes(frames[0], pattern)
     gain = camera.gain if knows_gain else None
-    seen = bias_findings(
-        audit.statistics(), found.bias, found.rows, found.read, step=step, gaps=gaps, gain_dn_per_e=gain
-    )
-    findings = with_accepted(seen, accept)
+    seen = BiasSeen(audit.statistics(), found.bias, found.rows, found.read, step, gaps, gain_dn_per_e=gain)
+    findings = with_accepted(bias_findings(seen), accept)
     read, rows, sigma = found.read, found.rows.rows, found.read.sigma_gauss_dn
     measured: tuple[tuple[str, Figure, float, float, float, float], ...] = (
         ("lambda", "read noise", read.tukey_lambda, read.tukey_lambda_error, 1.0, camera.tukey_lambda),

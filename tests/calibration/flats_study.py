@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erf
 
-from eldata.calibration.audit import given
-from eldata.calibration.flat_checks import flat_findings
+from eldata.calibration.audit.flat_checks import flat_findings
+from eldata.calibration.core.findings import given
+from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
 from eldata.calibration.joint import gain_steps
-from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
 from eldata.demo.body import Body, FixedFeatures, KnownNoise
 from eldata.errors import DatasetError
 from eldata.records import Sensor
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import Finding
+    from eldata.calibration.core.findings import Finding
 
     Pair = tuple[NDArray[np.uint16], NDArray[np.uint16]]
 

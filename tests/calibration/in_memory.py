@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from eldata.base.workers import IN_THIS_PROCESS
-from eldata.calibration.frame_checks import IsoFrames
+from eldata.calibration.audit.frames import IsoFrames
+from eldata.calibration.iso_results import IsoCalibration
 from eldata.calibration.one_iso import calibrate_iso
 from eldata.datasets.calibration_frames import FlatPair
 from eldata.records import Exposure, FrameRecord, RawFrame
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.workers import Workers
-    from eldata.calibration.iso_results import IsoCalibration
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.records import Role, Sensor
 
@@ -69,7 +69,9 @@ def calibrated_in_memory(
         single=(),
         bias_exposure_s=Fraction(1, 8000),
     )
-    return calibrate_iso(frames, chosen, workers, **options)
+    found = calibrate_iso(frames, chosen, workers, **options)
+    assert isinstance(found, IsoCalibration)
+    return found
 
 
 def calibrated_arrays(sensor: Sensor, bias: Sequence[Mosaic], pairs: Sequence[tuple[Mosaic, Mosaic]]) -> IsoCalibration:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from eldata.calibration.acceptance import check_iso_noise
-from eldata.calibration.frame_checks import IsoFrames
+from eldata.calibration.acceptance.comparison import check_iso_noise
+from eldata.calibration.audit.frames import IsoFrames
 from eldata.datasets.calibration_frames import FlatPair
 from eldata.noise.parameters import NoiseParameters
 from eldata.raw.cfa import packing_sites
@@ -20,7 +20,7 @@ from tests.calibration.simulation import Body, Camera
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.acceptance_results import IsoAcceptance
+    from eldata.calibration.acceptance.results import IsoAcceptance
 
 
 @dataclass
@@ -120,4 +120,4 @@ def judged(
         single=(),
         bias_exposure_s=Fraction(1, 8000),
     )
-    return check_iso_noise(model, frames, chosen, parameters or truth(specimen.camera), seed=seed, **options)
+    return check_iso_noise(model, parameters or truth(specimen.camera), frames, chosen, seed=seed, **options)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
-from eldata.calibration.audit import given
+from eldata.calibration.core.findings import given
 from tests.calibration.chain import calibrated
 from tests.calibration.simulation import Body, Camera
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit import Figure
+    from eldata.calibration.core.findings import Figure
 
 FIGURES = ("lambda", "sigma_TL", "sigma_G", "sigma_row", "bias")
 

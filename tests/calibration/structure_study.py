@@ -20,7 +20,7 @@ from tests.calibration.simulation import Camera
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.structure import MeasuredStructure
+    from eldata.calibration.audit.structure import MeasuredStructure
 
 CAMERA = Camera(shape=(288, 384), hot_share=0.0)
 LIGHT_DN = (1000.0, 4000.0, 9000.0)

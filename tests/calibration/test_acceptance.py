@@ -18,21 +18,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from eldata.calibration.acceptance import check_noise
-from eldata.calibration.acceptance_results import FrameStatistic
-from eldata.calibration.frame_checks import FramesError
+from eldata.calibration.acceptance.comparison import check_noise
+from eldata.calibration.acceptance.results import FrameStatistic
+from eldata.calibration.audit.frames import FramesError
 from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile, NoiseModel
-from eldata.noise.gain_modes import LogLogFit
-from eldata.noise.profile import ProfileRow
+from eldata.noise.gain_modes import LogLogFit, ProfileRow
 from tests.calibration.faults import drift, telegraph
 from tests.calibration.judged import Specimen, judged, truth
 from tests.calibration.simulation import XTRANS, Camera
 from tests.calibration.trees import CAMERA, FrameTree, made_tree
 
 if TYPE_CHECKING:
-    from eldata.calibration.acceptance_results import IsoAcceptance
+    from eldata.calibration.acceptance.results import IsoAcceptance
 
 PATTERNED = Camera(shape=(192, 288))
 PLAIN = PATTERNED.with_(dsnu=0.0, column_pattern=0.0, hot_share=0.0, prnu=0.0)
@@ -88,7 +87,7 @@ def test_another_specimens_pattern_has_the_energy_and_not_the_places() -> None:
 
 def test_whole_frames_for_a_model_that_knows_the_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """The middle is compared: given that piece alone, the model's own pattern would lie elsewhere (and not fit)."""
-    monkeypatch.setattr(import_module("eldata.calibration.reproduction"), "_SIDE", 128)
+    monkeypatch.setattr(import_module("eldata.calibration.acceptance.reproduction"), "_SIDE", 128)
     specimen = Specimen(PATTERNED)
     found = judged(specimen, specimen, flats=(2000.0,), pairs=16, whole_frames=True)
     assert found.shape == (128, 128)

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from eldata.calibration import Finding
-from eldata.calibration.audit import ACCEPTABLE, SYMBOLS, checked_acceptance, with_accepted
+from eldata.calibration.acceptance.theory import diagnose, sample_parameters
 from eldata.calibration.camera import joined
+from eldata.calibration.core.findings import ACCEPTABLE, SYMBOLS, checked_acceptance, with_accepted
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile
-from eldata.noise.diagnostics import diagnose, sample_parameters
-from eldata.reports.calibration.page import calibration_page
+from eldata.reports.calibration import calibration_page
 from eldata.reports.html import typeset
-from eldata.reports.profile.page import profile_page
+from eldata.reports.profile import profile_page
 from tests.reports.calibrations import camera_at, measured
 from tests.reports.pages import checked
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.calibration import Calibration, IsoCalibration
-    from eldata.calibration.audit import Effect, Figure
+    from eldata.calibration.core.findings import Effect, Figure
 
 WHY = "half of the frames are of another planet; photograph this one"
 GAIN_CELL, READ_CELLS, ROW_CELL = 3, (4, 5, 6), 7  # of a table's row

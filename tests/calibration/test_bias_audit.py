@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.calibration import bias_audit
-from eldata.calibration.bias_audit import BiasAudit, BiasStatistics
-from eldata.calibration.neighbours import LIMIT, Neighbours
+from eldata.calibration.audit import bias_sums as bias_audit
+from eldata.calibration.audit.bias_sums import BiasAudit, BiasStatistics, Neighbours
 from eldata.errors import DatasetError
 from tests.calibration.audit_study import CAMERA, Audited, audited, clean, planted
 from tests.calibration.chain import stacked
@@ -332,9 +331,9 @@ def test_many_frames_fit_a_byte() -> None:
         frame[10, 11] = 1500
     found = statistics(frames, camera)
     assert found.pairs == 63
-    step = math.ceil((LIMIT + 1) / (255 // 63 + 1))
-    assert found.sizes.size == LIMIT // step + 1
-    assert found.totals[63 * (LIMIT // step)] <= 1
+    step = math.ceil((bias_audit._LIMIT + 1) / (255 // 63 + 1))
+    assert found.sizes.size == bias_audit._LIMIT // step + 1
+    assert found.totals[63 * (bias_audit._LIMIT // step)] <= 1
     assert found.totals.sum() == found.sizes.sum() / 63
 
 

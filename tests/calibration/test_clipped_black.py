@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.calibration import ChannelMeans, ClippedValues, LineMeans, Residuals, clipped_fit
-from eldata.calibration._clipped_noise import ClippedNoise, laplace, normal
-from eldata.calibration.audit import given
+from eldata.calibration import LineMeans, Residuals
+from eldata.calibration.core._clipped_noise import ClippedNoise, laplace, normal
+from eldata.calibration.core.bias_figures import ClippedValues
+from eldata.calibration.core.findings import given
+from eldata.calibration.core.row_noise import line_sums
 from eldata.errors import DatasetError
 from tests.calibration.chain import calibrated, stacked
 from tests.calibration.in_memory import calibrated_arrays
@@ -19,7 +21,7 @@ from tests.calibration.read_noise_study import REGIMES
 from tests.calibration.simulation import XTRANS, Body, Camera
 
 if TYPE_CHECKING:
-    from eldata.calibration.audit import Figure
+    from eldata.calibration.core.findings import Figure
 
 QUIET = Camera(shape=(96, 128), black=0.0, hot_share=0.0)
 
@@ -121,12 +123,12 @@ def test_frames_are_added_once() -> None:
     assert fixed.clips_at_black
     values, lines, residuals = ClippedValues(fixed), LineMeans(fixed), Residuals(fixed)
     for frame in frames[:3]:
-        values.add(frame)
+        values.add(frame, lines.add(frame))
     with pytest.raises(DatasetError, match="3 frames were added"):
-        clipped_fit(values, lines, ChannelMeans(QUIET.cfa))
+        values.solve(lines)
     for frame in frames:
-        residuals.add(frame)
-    with pytest.raises(DatasetError, match="clipped_fit"):
+        residuals.add(frame, line_sums(frame, fixed))
+    with pytest.raises(DatasetError, match="ClippedValues"):
         residuals.histogram()
 
 

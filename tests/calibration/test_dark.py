@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -10,19 +12,37 @@ from scipy import stats
 
 from eldata.calibration import (
     BiasStack,
-    ChannelMeans,
     LineMeans,
     colour_bias,
-    defects,
     fit_log_log,
     fixed_pattern,
     row_noise,
 )
+from eldata.calibration.core import defects
 from eldata.errors import ArgumentError, DatasetError
-from tests.calibration.chain import calibrated, stacked
+from tests.calibration.chain import stacked
 from tests.calibration.simulation import BAYER, XTRANS, Body, Camera
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.calibration import FixedPattern, RowNoise
+
 CAMERA = Camera(shape=(512, 768))
+
+
+def lines(fixed: FixedPattern, frames: Sequence[NDArray[np.uint16]]) -> LineMeans:
+    means = LineMeans(fixed)
+    for frame in frames:
+        means.add(frame)
+    return means
+
+
+def lines_of(frames: Sequence[NDArray[np.uint16]]) -> RowNoise:
+    return row_noise(lines(stacked(CAMERA, frames), frames))
+
 
 # --- defects ------------------------------------------------------------------------------------------------------
 
@@ -101,10 +121,10 @@ def test_unusable_stacks() -> None:
         stack.add(frame)
     with pytest.raises(DatasetError, match="4 are needed, ten or more advised"):
         fixed_pattern(stack)
-    with pytest.raises(ArgumentError, match="one orientation"):
-        stack.add(frames[0].T.copy())
-    with pytest.raises(ArgumentError, match="uint16"):
-        stack.add(frames[0].astype(np.int32))
+    unfit: Any
+    for unfit, word in ((frames[0].T.copy(), "one orientation"), (frames[0].astype(np.int32), "uint16")):
+        with pytest.raises(ArgumentError, match=word):
+            stack.add(unfit)
     with pytest.raises(ArgumentError, match="two periods"):
         BiasStack(XTRANS).add(frames[0][:8])
     with pytest.raises(ArgumentError, match="unsupported CFA"):
@@ -126,7 +146,7 @@ def test_plain_row_means_are_biased() -> None:
     """Quiet rows: fixed pattern, and the pixels' share of the means, would double the figure."""
     camera = CAMERA.with_(sigma_row=0.06, shading=0.3)
     frames = Body(camera, np.random.default_rng(6)).bias_frames(10)
-    rows = calibrated(camera, frames).rows.rows
+    rows = lines_of(frames).rows
     assert abs(rows.sigma_dn - 0.06) < 4 * rows.sigma_error_dn < 0.02
     plain = np.concatenate([frame.mean(axis=1) - frame.mean() for frame in frames]).std()
     assert plain > 2 * 0.06
@@ -139,7 +159,7 @@ def test_column_noise_and_fixed_columns() -> None:
     frames = [
         np.rint(body.fixed + body.noise() + generator.normal(0, 0.4, (1, 768))).astype(np.uint16) for _ in range(10)
     ]
-    found = calibrated(camera, frames).rows
+    found = lines_of(frames)
     assert abs(found.columns.sigma_dn - 0.4) < 4 * found.columns.sigma_error_dn < 0.05
     assert found.columns.fixed_sigma_dn == pytest.approx(0.8, rel=0.12)  # of 768 columns
     assert abs(found.rows.sigma_dn - 0.5) < 4 * found.rows.sigma_error_dn
@@ -147,7 +167,7 @@ def test_column_noise_and_fixed_columns() -> None:
 
 def test_no_row_noise_is_no_error() -> None:
     camera = CAMERA.with_(sigma_row=0.0)
-    rows = calibrated(camera, Body(camera, np.random.default_rng(8)).bias_frames(6)).rows.rows
+    rows = lines_of(Body(camera, np.random.default_rng(8)).bias_frames(6)).rows
     assert abs(rows.variance_dn2) < 4 * rows.variance_error_dn2
     assert rows.sigma_dn < 4 * rows.sigma_error_dn
 
@@ -155,7 +175,7 @@ def test_no_row_noise_is_no_error() -> None:
 def test_spectrum_normality_and_plot() -> None:
     """Against a direct transform of the line means, and scipy's test and plot."""
     frames = Body(CAMERA, np.random.default_rng(9)).bias_frames(6)
-    rows = calibrated(CAMERA, frames).rows.rows
+    rows = lines_of(frames).rows
     deviations = rows.deviations_dn
     k = np.arange(512)
     direct = np.exp(-2j * math.pi * 37 * k / 512) @ deviations.T
@@ -177,7 +197,7 @@ def test_a_wave_over_the_rows_shows_in_the_spectrum() -> None:
         np.rint(body.fixed + body.noise() + np.sin(2 * math.pi * 50 * k / 512 + phase)).astype(np.uint16)
         for phase in phases
     ]
-    rows = calibrated(CAMERA, frames).rows.rows
+    rows = lines_of(frames).rows
     assert int(rows.power_dn2.argmax()) == 50
 
 
@@ -187,28 +207,22 @@ def test_rows_that_are_not_normal_fail_the_test() -> None:
     frames = [
         np.rint(body.fixed + body.noise() + generator.choice([-1.0, 1.0], (512, 1))).astype(np.uint16) for _ in range(6)
     ]
-    rows = calibrated(body.camera, frames).rows.rows
+    rows = lines_of(frames).rows
     assert rows.sigma_dn == pytest.approx(1, rel=0.03)
     assert rows.shapiro_p < 1e-6
-
-
-def test_other_frames_than_the_patterns_are_refused() -> None:
-    frames = Body(CAMERA, np.random.default_rng(12)).bias_frames(4)
-    means = LineMeans(stacked(CAMERA, frames))
-    means.add(frames[0])
-    with pytest.raises(DatasetError, match="add the same frames again"):
-        row_noise(means)
 
 
 # --- colour bias --------------------------------------------------------------------------------------------------
 
 
+def without_defects(frames: Sequence[NDArray[np.uint16]]) -> FixedPattern:
+    fixed = stacked(CAMERA, frames)
+    return replace(fixed, defects=np.zeros_like(fixed.defects))
+
+
 def test_bias_per_frame_and_pooled() -> None:
     frames = Body(CAMERA, np.random.default_rng(13)).bias_frames(6)
-    means = ChannelMeans(BAYER)
-    for frame in frames:
-        means.add(frame)
-    found = colour_bias(means, [512.0, 512.0, 510.0, 512.0])
+    found = colour_bias(lines(without_defects(frames), frames), [512.0, 512.0, 510.0, 512.0])
     stack = np.stack(frames)
     for channel, (y, x) in enumerate([(0, 0), (0, 1), (1, 1), (1, 0)]):
         expected = stack[:, y::2, x::2].mean(axis=(1, 2)) - (510 if channel == 2 else 512)
@@ -225,27 +239,20 @@ def test_hot_pixels_shift_a_bias_that_is_not_masked() -> None:
     camera = CAMERA.with_(hot_share=1e-3)
     body = Body(camera, np.random.default_rng(14))
     frames = body.bias_frames(6)
-    masked = calibrated(camera, frames).bias
-    plain = ChannelMeans(BAYER)
-    for frame in frames:
-        plain.add(frame)
+    masked = colour_bias(lines(stacked(camera, frames), frames), [512.0] * 4)
+    plain = lines(without_defects(frames), frames)
     assert abs(masked.bias_dn[0] - camera.bias[0]) < 0.1
     assert colour_bias(plain, [512.0] * 4).bias_dn[0] > camera.bias[0] + 0.5
 
 
-def test_unusable_bias() -> None:
-    with pytest.raises(DatasetError, match="ten or more"):
-        colour_bias(ChannelMeans(BAYER), [512.0] * 4)
-    frame = np.full((32, 48), 512, dtype=np.uint16)
-    means = ChannelMeans(BAYER)
-    means.add(frame)
-    assert math.isnan(colour_bias(means, [512.0] * 4).standard_error_dn[0])
+def test_unusable_lines_and_levels() -> None:
+    frames = Body(CAMERA, np.random.default_rng(15)).bias_frames(4)
+    fixed = stacked(CAMERA, frames)
+    for figures in (row_noise, lambda means: colour_bias(means, [512.0] * 4)):
+        with pytest.raises(DatasetError, match="add the same frames again"):
+            figures(lines(fixed, frames[:1]))
     with pytest.raises(ArgumentError, match="black levels"):
-        colour_bias(means, [512.0] * 3)
-    with pytest.raises(ArgumentError, match="mask of defects"):
-        ChannelMeans(BAYER, defects=np.zeros((2, 2), dtype=np.bool_)).add(frame)
-    with pytest.raises(DatasetError, match="no sound pixel"):
-        ChannelMeans(BAYER, defects=np.ones((32, 48), dtype=np.bool_)).add(frame)
+        colour_bias(lines(fixed, frames), [512.0] * 3)
 
 
 # --- over the gain --------------------------------------------------------------------------------------------------

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.calibration.flat_checks import edge_findings, flat_findings
+from eldata.calibration.audit.flat_checks import edge_findings, flat_findings
+from eldata.calibration.core.photon_transfer import FlatPairs, PhotonTransfer, PhotonTransferLine, photon_transfer
 from eldata.calibration.joint import gain_steps
-from eldata.calibration.photon_transfer import FlatPairs, PhotonTransfer, PhotonTransferLine, photon_transfer
 from eldata.raw import bayer_cfa
 from tests.calibration import flats_study as study
 from tests.calibration.in_memory import calibrated_arrays

@@ -15,7 +15,7 @@ from eldata.calibration.camera import joined
 from eldata.calibration.joint import fit_log_log, gain_steps
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile
-from eldata.reports.calibration.joint_plots import joint_plots
+from eldata.reports.calibration_joint import joint_plots
 from tests.calibration.simulation import Camera
 from tests.calibration.trees import made_tree
 from tests.reports.calibrations import measured

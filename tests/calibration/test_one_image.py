@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve1d
 
-from eldata.base.console import run
-from eldata.base.parsing import Parser
+from eldata.base.console import Parser, run
 from eldata.calibration import estimate_profile, noise_line
 from eldata.cli import profile as command
 from eldata.demo.camera import CAMERAS

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from eldata.calibration import ResidualHistogram, Residuals, ppcc, read_noise
-from eldata.calibration._kernels import tukey_lambda_tail
-from eldata.calibration._tukey_lambda import ResidualModel
+from eldata.calibration.core._tukey_lambda import ResidualModel, tukey_lambda_tail
+from eldata.calibration.core.row_noise import line_sums
 from eldata.errors import ArgumentError, DatasetError
 from tests.calibration.chain import calibrated, stacked
 from tests.calibration.simulation import Body, Camera
@@ -95,9 +95,10 @@ def test_order_does_not_matter() -> None:
     frames = Body(camera, np.random.default_rng(6)).bias_frames(5)
     histograms = []
     for order in (frames, frames[::-1]):
-        residuals = Residuals(stacked(camera, order))
+        fixed = stacked(camera, order)
+        residuals = Residuals(fixed)
         for frame in order:
-            residuals.add(frame)
+            residuals.add(frame, line_sums(frame, fixed))
         histograms.append(residuals.histogram())
     np.testing.assert_array_equal(histograms[0].counts, histograms[1].counts)
     assert histograms[0].counts.sum() == 5 * (128 * 192 - stacked(camera, frames).defects.sum())
@@ -109,7 +110,7 @@ def test_the_histogram_is_that_of_plain_numpy() -> None:
     fixed = stacked(camera, frames)
     residuals = Residuals(fixed)
     for frame in frames:
-        residuals.add(frame)
+        residuals.add(frame, line_sums(frame, fixed))
     histogram = residuals.histogram()
     stack = np.stack(frames).astype(np.float64)
     stack -= stack.mean(axis=0)
@@ -129,8 +130,9 @@ def test_the_histogram_is_that_of_plain_numpy() -> None:
 def test_unusable_input() -> None:
     camera = Camera(shape=(64, 96))
     frames = Body(camera, np.random.default_rng(8)).bias_frames(4)
-    residuals = Residuals(stacked(camera, frames))
-    residuals.add(frames[0])
+    fixed = stacked(camera, frames)
+    residuals = Residuals(fixed)
+    residuals.add(frames[0], line_sums(frames[0], fixed))
     with pytest.raises(DatasetError, match="add the same frames again"):
         residuals.histogram()
     with pytest.raises(ArgumentError, match="odd number of cells"):

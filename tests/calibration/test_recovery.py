@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.calibration import Finding, read_noise_findings
 from eldata.raw import bayer_cfa
 from tests.calibration.chain import Calibration, calibrated, transferred
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import XTRANS, Body, Camera
+
+if TYPE_CHECKING:
+    from eldata.calibration import Finding
 
 # Over the ranges of the shipped cameras: K 0.09 to 29, lambda -0.24 to 0.2, sigma_TL 0.6 to 35 DN.
 CAMERAS = {
@@ -105,7 +108,7 @@ def test_noise_that_reaches_0_is_censored_there() -> None:
 
 
 def findings(found: Calibration) -> dict[str, Finding]:
-    return {one.check: one for one in read_noise_findings(found.read, found.bias, found.fixed.summary)}
+    return {one.check: one for one in found.findings}
 
 
 def test_noise_of_a_quarter_dn_comes_back() -> None:

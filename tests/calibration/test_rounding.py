@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.calibration._rounding import LevelFractions, RoundedResiduals
-from eldata.calibration._tukey_lambda import ResidualModel
+from eldata.calibration.core._rounding import LevelFractions, RoundedResiduals
+from eldata.calibration.core._tukey_lambda import ResidualModel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from eldata.calibration.audit.telegraph import two_values
 from eldata.calibration.camera import joined
-from eldata.calibration.telegraph import two_values
 from eldata.cli.main import main
 from eldata.noise import CameraProfile, NoiseModel
 from tests.calibration.faults import NONE, column_noise, drift, telegraph, together, wave

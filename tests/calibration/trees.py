@@ -7,7 +7,8 @@ import shutil
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from eldata.calibration.frame_checks import FramesError, sorted_frames
+from eldata.calibration.audit.frames import FramesError, sorted_frames
+from eldata.calibration.iso_results import IsoCalibration
 from eldata.calibration.one_iso import calibrate_iso
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.demo.calibration_frames import make_calibration_frames
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from eldata.calibration.iso_results import IsoCalibration
     from eldata.manifest.verify_report import Problem
     from eldata.records import FrameRecord, Role
 
@@ -106,7 +106,9 @@ def problems_of(frames: CalibrationFrames) -> list[Problem]:
 
 def calibrated_iso(frames: CalibrationFrames, iso: int) -> IsoCalibration:
     (chosen,) = (one for one in sorted_frames(frames) if one.iso == iso)
-    return calibrate_iso(frames, chosen)
+    found = calibrate_iso(frames, chosen)
+    assert isinstance(found, IsoCalibration)
+    return found
 
 
 def relative(tree: FrameTree, path: Path) -> str:

@@ -22,7 +22,7 @@ from capture.plan import Plan
 from capture.shots import MOVE_S, duration_of
 from eldata import evaluate
 from eldata.cli.main import main as eldata
-from eldata.datasets import DRVRawDataset
+from eldata.datasets import DRVDataset
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation import save_clip_prediction
 from eldata.manifest import load_manifest
@@ -68,7 +68,7 @@ def test_from_plan_to_st_rred(
 ) -> None:
     monkeypatch.chdir(made)
     assert eldata(["verify", MANIFEST, "--root", "data", "--level", "full", "--jobs", "1"]) == 0
-    dataset = DRVRawDataset(made / "data" / "Mine", manifest=MANIFEST, window=MOMENTS)
+    dataset = DRVDataset(made / "data" / "Mine", form="raw", manifest=MANIFEST, window=MOMENTS)
     assert len(dataset) == 2 * 2 * 2  # sequences, factors, repeats
     scores = tmp_path / "scores.json"
     score = ["evaluate", "--manifest", MANIFEST, "--root", "data", "--jobs", "1"]
@@ -124,7 +124,9 @@ def exposure(path: Path) -> Fraction:
 
 def test_predictions_of_photographs_are_those_of_the_film(made: Path, tmp_path: Path) -> None:
     """One folder, scored as pairs and as film; each frame's own reference is the perfect prediction."""
-    dataset = DRVRawDataset(made / "data" / "Mine", manifest=made / MANIFEST, window=MOMENTS, cameras=["DemoAlpha"])
+    dataset = DRVDataset(
+        made / "data" / "Mine", form="raw", manifest=made / MANIFEST, window=MOMENTS, cameras=["DemoAlpha"]
+    )
     for record, sample in zip(dataset.records, dataset, strict=True):
         assert sample["input"].shape == sample["target"].shape == (MOMENTS, 4, 128, 192)
         assert len({target.numpy().tobytes() for target in sample["target"]}) == MOMENTS
@@ -150,13 +152,13 @@ def test_predictions_of_photographs_are_those_of_the_film(made: Path, tmp_path: 
 
 def test_part_of_the_clips(made: Path) -> None:
     folder = made / "data" / "Mine"
-    some = DRVRawDataset(folder, manifest=made / MANIFEST, window=2, stride=1, ratios=[100], ids=["scene-1"])
+    some = DRVDataset(folder, form="raw", manifest=made / MANIFEST, window=2, stride=1, ratios=[100], ids=["scene-1"])
     assert {clip.scene for clip in some.clips} == {f"DemoAlpha/scene-1/ISO800-x100{repeat}" for repeat in ("", "-2")}
     assert len(some) == 2 * (MOMENTS - 1)
     assert [record.start for record in some.records[:3]] == [0, 1, 2]
     assert some.records[1].reference == some.records[1].references[0]
     with pytest.raises(ArgumentError, match="no clip has scene scene-3; known are DemoAlpha/scene-1/ISO800-x1"):
-        DRVRawDataset(folder, manifest=made / MANIFEST, ids=["scene-3"])
+        DRVDataset(folder, form="raw", manifest=made / MANIFEST, ids=["scene-3"])
 
 
 # --- between two moments ----------------------------------------------------------------------------------------------

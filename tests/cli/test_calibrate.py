@@ -383,7 +383,7 @@ def test_a_target_that_cannot_be_written(option: str, eldata: Cli, pristine: Fra
 def test_a_report_that_cannot_be_written_costs_no_profile(
     eldata: Cli, pristine: FrameTree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("eldata.reports.calibration.page.calibration_page", lambda _: "x" * 1_000_000)
+    monkeypatch.setattr("eldata.reports.calibration.calibration_page", lambda _: "x" * 1_000_000)
     page, profile, data = (tmp_path / name for name in ("r.html", "p.json", "d.json"))
     with room_for(500_000):
         outcome = eldata(

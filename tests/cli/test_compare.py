@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import pytest
 
-from eldata.base.console import run
-from eldata.base.parsing import Parser
+from eldata.base.console import Parser, run
 from eldata.cli import compare as command
 from eldata.evaluation.saved import saved_result
 from eldata.protocols import PROTOCOLS

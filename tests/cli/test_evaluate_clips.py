@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from eldata.base.png import rgb_frame
-from eldata.datasets.drv import DRVDataset, DRVRawDataset
+from eldata.datasets.drv import DRVDataset
 from eldata.evaluation import evaluate, evaluate_all, load_results, save_clip_prediction
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.table import save_records
@@ -95,7 +95,7 @@ def test_the_noisy_input_of_raws(tmp_path: Path) -> None:
     """It is what the dataset gives to a network: amplified by the files' exposure ratio, clipped before and after."""
     write_raw_clip(tmp_path / "DRV", "0007", 12)
     manifest = scan_raw(tmp_path / "DRV").save(tmp_path / "drv-raw.csv")
-    dataset = DRVRawDataset(tmp_path / "DRV", split="test", frames="evaluation")
+    dataset = DRVDataset(tmp_path / "DRV", form="raw", split="test", frames="evaluation")
     for index, record in enumerate(dataset.records):
         save_clip_prediction(tmp_path / "own", record, dataset[index]["input"].numpy())
     own = evaluate(tmp_path / "own", manifest=manifest.path, root=tmp_path, ids=["0007"])
@@ -131,7 +131,7 @@ def test_every_protocol(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path:
 def test_each_prediction_is_read_once_for_all_protocols(
     drv: SmallDrv, predictions: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from eldata.evaluation import compared_frames
+    from eldata.evaluation import frames
     from eldata.evaluation.predictions import load_colours as genuine
 
     loaded = []
@@ -140,7 +140,7 @@ def test_each_prediction_is_read_once_for_all_protocols(
         loaded.append(path)
         return genuine(path, shape, pixels)
 
-    monkeypatch.setattr(compared_frames, "load_colours", load)
+    monkeypatch.setattr(frames, "load_colours", load)
     evaluate_all(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
     assert len(loaded) == len(set(loaded)) == 10
 

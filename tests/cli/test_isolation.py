@@ -106,7 +106,7 @@ def test_a_command_may_do_without(eldata: Cli, own: Tree, fragile: None, monkeyp
         raise AssertionError
 
     command = ("verify", own.manifest, "--root", own.root, "--level", "full", "--jobs", "1")
-    monkeypatch.setattr("eldata.base.isolation._Helper", refuse)
+    monkeypatch.setattr("eldata.base.processes._Process", refuse)
     assert eldata(*command, "--no-isolate").code == 0
     assert VARIABLE not in os.environ
     monkeypatch.setenv(VARIABLE, "0")

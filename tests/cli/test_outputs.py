@@ -300,7 +300,7 @@ def test_a_page_that_cannot_be_drawn_costs_no_numbers(
     def broken(*_: object, **__: object) -> None:
         raise RuntimeError("no font")
 
-    monkeypatch.setattr("eldata.reports.evaluation.page.write_evaluation_page", broken)
+    monkeypatch.setattr("eldata.reports.evaluation.write_evaluation_page", broken)
     arguments = ("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
     outcome = eldata(*arguments, "--html", "x.html", "--json", "x.json")
     assert outcome.code == 2

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.datasets import DarkFrames
-from eldata.datasets.packed_clips import PackedClips, PackedUnpairedClips
-from eldata.datasets.packed_store import PackedStore
+from eldata.datasets.packed import PackedClips, PackedStore
 from eldata.sources.store import source_of_dataset
 from eldata.sources.store.journal import journaled
 from tests.cli.test_usage import assert_one_line
@@ -177,7 +176,7 @@ def test_clips_are_packed_verified_and_read(eldata: Cli, tmp_path: Path) -> None
     assert outcome.out.startswith(f"13 frames packed: {store}, ")
     checked = eldata("verify", store, "--level", "full")
     assert (checked.code, checked.out) == (0, f"drv: 13 of 13 files checked (full) in {store}: all well\n")
-    assert len(PackedClips(store, crop=8)) == len(PackedUnpairedClips(store, crop=8)) == 1
+    assert len(PackedClips(store, crop=8)) == len(PackedClips(store, dynamic=True, crop=8)) == 1
     part = eldata(*packing, "-o", tmp_path / "m.h5", "--clip", "M0003")
     assert part.out.startswith("6 frames packed: ")
     assert_one_line(

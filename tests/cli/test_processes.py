@@ -129,7 +129,7 @@ def workers(process: subprocess.Popen[str]) -> list[psutil.Process]:
     return [
         child
         for child in psutil.Process(process.pid).children(recursive=True)
-        if "spawn_main" in " ".join(child.cmdline())
+        if "processes import serve" in " ".join(child.cmdline())
     ]
 
 

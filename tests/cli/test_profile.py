@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.base.console import run
-from eldata.base.parsing import Parser
+from eldata.base.console import Parser, run
+from eldata.calibration.acceptance import theory as diagnostics
 from eldata.cli import profile as command
-from eldata.noise import diagnostics
-from eldata.noise.profile import CameraProfile, shipped_profiles
+from eldata.noise.profile import CameraProfile
+from eldata.noise.profile_files import shipped_profiles
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ MADE = """
 import sys
 from eldata.cli import profile
 from eldata.base.console import run
-from eldata.base.parsing import Parser
+from eldata.base.console import Parser
 parser = Parser(prog="eldata")
 profile.add_parser(parser.add_subparsers())
 code = run(parser, sys.argv[1:])

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.base.console import run
-from eldata.base.parsing import Parser
+from eldata.base.console import Parser, run
 from eldata.cli import protocols
 from eldata.protocols import PROTOCOLS
 from tests.cli.conftest import Cli, assert_golden, normalised

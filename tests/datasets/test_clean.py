@@ -16,7 +16,8 @@ from eldata.datasets.clean import Arrays, CleanFrame, RawFiles
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import write_dng
-from eldata.raw.cfa import CLIP_RANGES, XTRANS_CFA, normalise, pack, unpack
+from eldata.raw.cfa import XTRANS_CFA, pack, unpack
+from eldata.raw.levels import CLIP_RANGES, normalise
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
@@ -205,8 +206,8 @@ def test_a_bayer_array_comes_back(cfa: Cfa) -> None:
         assert frame.range_dn == frame.white_level_dn == 15871.0
         assert frame.black_level_dn == (0.0,) * 4
         assert frame.name == f"array {number}"
-        np.testing.assert_array_equal(pack(np.asarray(frame.mosaic), cfa), array * np.float32(15871))
-        back = normalise(pack(np.asarray(frame.mosaic), cfa), cfa, frame.black_level_dn, frame.white_level_dn)
+        np.testing.assert_array_equal(pack(frame.whole(), cfa), array * np.float32(15871))
+        back = normalise(pack(frame.whole(), cfa), cfa, frame.black_level_dn, frame.white_level_dn)
         np.testing.assert_allclose(back, array, rtol=3e-7)
 
 
@@ -217,7 +218,7 @@ def test_an_xtrans_array_comes_back_at_the_patterns_own_phase(name: str) -> None
     assert frame.mosaic.shape == (24, 18)
     assert frame.cfa == XTRANS_CFA
     assert frame.black_level_dn == (0.0,) * 3
-    np.testing.assert_array_equal(pack(np.asarray(frame.mosaic), frame.cfa), array * np.float32(1000))
+    np.testing.assert_array_equal(pack(frame.whole(), frame.cfa), array * np.float32(1000))
 
 
 def test_arrays_of_other_types_and_sizes(tmp_path: Path) -> None:
@@ -228,7 +229,7 @@ def test_arrays_of_other_types_and_sizes(tmp_path: Path) -> None:
     assert all(source.frame(i).mosaic.dtype == np.float32 for i in range(2))
     np.save(tmp_path / "array.npy", np.full((2, 4, 3, 3), 0.5, np.float32))
     mapped = arrays_of(np.load(tmp_path / "array.npy", mmap_mode="r"), range_dn=2.0)
-    assert (np.asarray(mapped.frame(1).mosaic) == 1.0).all()
+    assert (mapped.frame(1).whole() == 1.0).all()
 
 
 def test_no_arrays_at_all() -> None:
@@ -267,7 +268,7 @@ def test_a_part_of_an_array_is_that_of_the_whole(cfa: Cfa) -> None:
     """At any place and of any size, in step with the CFA or not."""
     rng = np.random.default_rng(1)
     frame = arrays_of(rng.random((1, 4 if len(cfa) == 2 else 9, 12, 14), np.float32), range_dn=900.0, cfa=cfa).frame(0)
-    whole = np.asarray(frame.mosaic)
+    whole = frame.whole()
     for _ in range(40):
         (top, bottom), (left, right) = (np.sort(rng.integers(side + 1, size=2)) for side in frame.shape)
         part = slice(top, bottom), slice(left, right)

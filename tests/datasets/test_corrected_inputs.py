@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import torch
 
-from eldata.datasets import DRVDataset, DRVRawDataset, PackedStore, PairDataset, StreamedPairs
+from eldata.datasets import DRVDataset, PackedStore, PairDataset, StreamedPairs
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw import read_raw
 from eldata.records import Exposure
@@ -88,8 +88,8 @@ def test_x_trans_and_clips(tmp_path: Path) -> None:
     assert isos == {float(NOISY.iso or 0)}
     shading, cut = shading_of(SENSOR, isos), {"crop": 8, "augment": True, "crops_per_window": 3, "clip": "none"}
     same(
-        DRVRawDataset(tmp_path / "raw", **cut),  # type: ignore[arg-type]
-        DRVRawDataset(tmp_path / "raw-planted", dark_shading=shading, **cut),  # type: ignore[arg-type]
+        DRVDataset(tmp_path / "raw", form="raw", **cut),  # type: ignore[arg-type]
+        DRVDataset(tmp_path / "raw-planted", form="raw", dark_shading=shading, **cut),  # type: ignore[arg-type]
     )
 
 

@@ -16,7 +16,7 @@ import pytest
 import torch
 from torch.utils.data import ConcatDataset, DataLoader
 
-from eldata.datasets.drv import DRVDataset, DRVDynamicDataset, DRVRawDataset, DRVRawDynamicDataset
+from eldata.datasets.drv import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.lock import lock
@@ -108,7 +108,7 @@ def test_windows_strides_and_ranges(drv: SmallDrv) -> None:
 
 
 def test_dynamic_clips_are_input_alone(drv: SmallDrv) -> None:
-    dataset = DRVDynamicDataset(drv.data, manifest=drv.csv, window=2)
+    dataset = DRVDataset(drv.data, dynamic=True, manifest=drv.csv, window=2)
     assert len(dataset) == 6
     sample = dataset[1]
     assert set(sample) == {
@@ -202,7 +202,7 @@ def packed(mosaic: NDArray[np.uint16], gain: float, clip: str = "both") -> NDArr
 
 @pytest.mark.parametrize("clip", ["both", "upper"])
 def test_raw_items_are_packed_and_amplified_exactly(clip: str, raw: Path) -> None:
-    dataset = DRVRawDataset(raw, split="test", window=3, clip=clip)  # type: ignore[arg-type]
+    dataset = DRVDataset(raw, form="raw", split="test", window=3, clip=clip)  # type: ignore[arg-type]
     assert len(dataset) == 4
     sample = dataset[1]
     expected = [packed(mosaic_of(f"DSC{number:05d}.ARW0007", NOISY), 100.0, clip) for number in (1001, 1002, 1003)]
@@ -219,23 +219,25 @@ def test_the_ratio_is_exact(tmp_path: Path) -> None:
     for number in range(2):
         write_raw(tmp_path / f"short/0007/DSC{number:05d}.ARW", replace(NOISY, exposure_s=Fraction(1, 30)))
     write_raw(tmp_path / "long/0007/DSC00009.ARW", replace(REFERENCE, exposure_s=Fraction(10, 3)))
-    assert DRVRawDataset(tmp_path, window=2)[0]["ratio"] == float(Fraction(200 * 10, 3) / Fraction(6400, 30))
+    assert DRVDataset(tmp_path, form="raw", window=2)[0]["ratio"] == float(Fraction(200 * 10, 3) / Fraction(6400, 30))
 
 
 def test_levels_come_from_the_file(raw: Path) -> None:
-    own, published = (DRVRawDataset(raw, window=1, levels=levels)[0]["target"] for levels in ("metadata", "published"))
+    own, published = (
+        DRVDataset(raw, form="raw", window=1, levels=levels)[0]["target"] for levels in ("metadata", "published")
+    )
     black = np.array(SENSOR.black_level_dn, np.float64)[:, None, None]
     np.testing.assert_allclose(own.numpy() * (16300 - black), published.numpy() * (16383 - black), atol=0.01)
     with pytest.raises(
         ArgumentError, match="levels must be one of 'metadata', 'published', 'sid-sony', 'sid-fuji'; found 'mine'"
     ):
-        DRVRawDataset(raw, levels="mine")  # type: ignore[arg-type]
+        DRVDataset(raw, form="raw", levels="mine")  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="clip must be one of"):
-        DRVRawDataset(raw, clip="lower")  # type: ignore[arg-type]
+        DRVDataset(raw, form="raw", clip="lower")  # type: ignore[arg-type]
 
 
 def test_dynamic_raws_are_not_amplified(raw: Path) -> None:
-    dataset = DRVRawDynamicDataset(raw, window=7)
+    dataset = DRVDataset(raw, form="raw", dynamic=True, window=7)
     sample = dataset[0]
     assert sample["ratio"] == 1.0
     assert sample["iso"] == 6400
@@ -246,8 +248,8 @@ def test_dynamic_raws_are_not_amplified(raw: Path) -> None:
 
 def test_raws_of_a_manifest(raw: Path, tmp_path: Path) -> None:
     manifest = scan_raw(raw).save(tmp_path / "drv-raw.csv")
-    listed = DRVRawDataset(raw, split="test", manifest=manifest.path)
-    assert listed.records == DRVRawDataset(raw, split="test").records
+    listed = DRVDataset(raw, form="raw", split="test", manifest=manifest.path)
+    assert listed.records == DRVDataset(raw, form="raw", split="test").records
     assert "short/<clip>/DSC<n>.ARW: 2 clips, 14 files" in repr(listed)
 
 
@@ -261,21 +263,21 @@ def test_raw_damage_is_named(raw: Path, tmp_path: Path) -> None:
     frame = folder / "short/0007/DSC00999.ARW"
     write_raw(frame, replace(NOISY, iso=Fraction(3200)))
     with pytest.raises(DatasetError, match=r"DSC00999\.ARW: its exposure ratio is 200, that of DSC00998\.ARW 100"):
-        DRVRawDataset(folder)[0]
+        DRVDataset(folder, form="raw")[0]
     write_raw(frame, NOISY, sensor=replace(SENSOR, width=100))
     with pytest.raises(DatasetError, match=r"96 x 100 pixels.*96 x 112"):
-        DRVRawDataset(folder)[0]
+        DRVDataset(folder, form="raw")[0]
     frame.write_bytes(frame.read_bytes()[:2000])
     with pytest.raises(RawFileError, match="truncated"):
-        DRVRawDataset(folder)[0]
+        DRVDataset(folder, form="raw")[0]
     shutil.copy(folder / "short/0013/DSC00998.ARW", folder / "aside")
     (folder / "long/0013/DSC00001.ARW").rename(folder / "short/0013/DSC00998.ARW")
     (folder / "aside").rename(folder / "long/0013/DSC00001.ARW")
     with pytest.raises(DatasetError, match=r"exposed 100 times as much as its reference.*swapped"):
-        DRVRawDataset(folder, ids=["0013"])[0]
+        DRVDataset(folder, form="raw", ids=["0013"])[0]
     (folder / "long/0013/DSC00001.ARW").unlink()
     with pytest.raises(DatasetError, match="no reference of 1 clips: 0013"):
-        DRVRawDataset(folder, ids=["0013"])
+        DRVDataset(folder, form="raw", ids=["0013"])
 
 
 # --- loaders ----------------------------------------------------------------------------------------------------------
@@ -295,7 +297,11 @@ def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_workers_change_nothing(method: str, drv: SmallDrv, raw: Path) -> None:
     """Preprocessed and raw, with a reference and without, in one loader: starting workers takes the time."""
-    every: list[Any] = [opened(drv, window=3), DRVRawDataset(raw, window=3), DRVRawDynamicDataset(raw, window=3)]
+    every: list[Any] = [
+        opened(drv, window=3),
+        DRVDataset(raw, form="raw", window=3),
+        DRVDataset(raw, form="raw", dynamic=True, window=3),
+    ]
     expected = [sample for dataset in every for sample in dataset]
     loader: DataLoader[Any] = DataLoader(
         ConcatDataset(every), batch_size=None, num_workers=2, multiprocessing_context=method, timeout=PATIENCE_S
@@ -311,7 +317,7 @@ def test_default_collate(drv: SmallDrv, raw: Path) -> None:
     assert batch["target"][:, None].expand_as(batch["input"]).shape == batch["input"].shape
     assert batch["path"] == ["VBM4D_rawRGB/0007/0001.png", "VBM4D_rawRGB/0007/0004.png"]
     assert batch["start"].tolist() == [0, 3]
-    batch = next(iter(DataLoader(DRVRawDataset(raw, window=2), batch_size=3)))
+    batch = next(iter(DataLoader(DRVDataset(raw, form="raw", window=2), batch_size=3)))
     assert batch["input"].shape == (3, 2, 4, 48, 56)
     assert batch["ratio"].tolist() == [100.0] * 3
 
@@ -328,7 +334,7 @@ def test_memory_does_not_grow_with_the_number_of_windows(tmp_path: Path) -> None
     for number in range(2, 35):
         os.link(tmp_path / "short/0007/DSC00001.ARW", tmp_path / f"short/0007/DSC{number:05d}.ARW")
     write_raw(tmp_path / "long/0007/DSC00001.ARW", REFERENCE, sensor=sensor)
-    dataset = DRVRawDataset(tmp_path, window=5, stride=1, region=(100, 100, 256, 256))
+    dataset = DRVDataset(tmp_path, form="raw", window=5, stride=1, region=(100, 100, 256, 256))
     assert len(dataset) == 30
     process = psutil.Process()
     before = process.memory_info().rss

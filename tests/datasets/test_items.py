@@ -11,14 +11,14 @@ import torch
 from torch.utils.data import DataLoader
 
 from eldata import DRVDataset, PackedClips, PackedStore, StreamedPairs
-from eldata.datasets import DRVRawDataset, PairDataset, SourcePairs, normalise_batch, raw2rgb
+from eldata.datasets import PairDataset, SourcePairs, normalise_batch, raw2rgb
 from eldata.datasets.dn_batches import _by_torch, _images
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import save_card
 from eldata.noise import CameraProfile
 from eldata.raw import pack, read_raw, write_dng
-from eldata.raw.cfa import packed_black_level_dn
+from eldata.raw.levels import packed_black_level_dn
 from eldata.sources.frames import Frame, FrameSource
 from eldata.sources.shards import write_shards
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
@@ -186,7 +186,7 @@ def test_the_clip_of_clips_is_of_the_input(clip: Any, tmp_path: Path) -> None:
         raw = read_raw(still)
         raw.mosaic[:2, :2] = 0
         write_dng(still, raw.mosaic, raw.sensor, raw.exposure)
-    wanted, found = (DRVRawDataset(tmp_path, clip=one, ids=["0007"])[0] for one in ("both", clip))
+    wanted, found = (DRVDataset(tmp_path, form="raw", clip=one, ids=["0007"])[0] for one in ("both", clip))
     assert torch.equal(found["target"], wanted["target"])
     assert float(wanted["target"].min()) == 0
     assert float(found["input"].min()) < 0
@@ -241,7 +241,7 @@ def test_clips_take_the_choices_of_pairs(drv: SmallDrv, tmp_path: Path) -> None:
         scenes(scenes=["0007"], ids=["0013"])
     write_raw_clip(tmp_path, "0007", 5)
     with pytest.raises(ArgumentError, match="the manifest states no ratio, so amplification must be 'metadata'"):
-        DRVRawDataset(tmp_path, amplification="nominal")[0]
+        DRVDataset(tmp_path, form="raw", amplification="nominal")[0]
 
 
 def test_a_part_of_a_frame_is_read_by_slices() -> None:

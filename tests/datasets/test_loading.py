@@ -19,10 +19,9 @@ from torch.utils.data import ConcatDataset, DataLoader, Dataset, IterableDataset
 
 import eldata.errors
 from eldata import PackedStore
-from eldata.datasets import loading, worker_count
+from eldata.datasets import loading, ranks
 from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
-from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank
-from eldata.datasets.worker_count import loader_workers
+from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank, loader_workers
 from eldata.errors import ArgumentError
 from tests.sources.store.helpers import pack_tree
 from tests.waiting import PATIENCE_S
@@ -214,9 +213,9 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A machine with as much of everything as a test wants."""
 
     def made(cpus: int = 8, memory: int | None = 10**12, shared: int | None = 10**12) -> None:
-        monkeypatch.setattr(worker_count, "usable_cpus", lambda: cpus)
-        monkeypatch.setattr(worker_count, "available_memory_bytes", lambda: memory)
-        monkeypatch.setattr(worker_count, "shared_memory_bytes", lambda: shared)
+        monkeypatch.setattr(ranks, "usable_cpus", lambda: cpus)
+        monkeypatch.setattr(ranks, "available_memory_bytes", lambda: memory)
+        monkeypatch.setattr(ranks, "shared_memory_bytes", lambda: shared)
 
     monkeypatch.delenv("LOCAL_WORLD_SIZE", raising=False)
     return made
@@ -255,18 +254,18 @@ def test_workers_fit_into_memory(machine: Any) -> None:
 
 
 def test_the_limits_of_a_container_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker_count, "_CGROUP", tmp_path)
+    monkeypatch.setattr(ranks, "_CGROUP", tmp_path)
     plain = len(os.sched_getaffinity(0))
-    assert worker_count.usable_cpus() == plain
+    assert ranks.usable_cpus() == plain
     (tmp_path / "cpu.max").write_text("max 100000\n")
-    assert worker_count.usable_cpus() == plain
+    assert ranks.usable_cpus() == plain
     (tmp_path / "cpu.max").write_text("150000 100000\n")
-    assert worker_count.usable_cpus() == 1
+    assert ranks.usable_cpus() == 1
     (tmp_path / "memory.max").write_text("5000000\n")
     (tmp_path / "memory.current").write_text("2000000\n")
-    assert worker_count.available_memory_bytes() == 3_000_000
+    assert ranks.available_memory_bytes() == 3_000_000
     (tmp_path / "memory.max").write_text("max\n")
-    assert (worker_count.available_memory_bytes() or 0) > 3_000_000
+    assert (ranks.available_memory_bytes() or 0) > 3_000_000
 
 
 def test_the_description_says_what_the_loader_does(machine: Any, store: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from eldata import PackedStore, evaluate
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
-from eldata.datasets import DRVRawDataset, PairDataset, StreamedPairs
+from eldata.datasets import DRVDataset, PairDataset, StreamedPairs
 from eldata.errors import DatasetError
 from eldata.manifest import load_manifest, save_records
 from eldata.sources.shards import write_shards
@@ -89,7 +89,7 @@ def test_a_pair_that_was_not_measured_is_refused_by_name(own: OwnSet, tmp_path: 
     assert all(said in str(problem) for problem in result.problems)
     write_raw_clip(tmp_path / "DRV", "0007", 5)
     with pytest.raises(DatasetError, match="has no measured ratio"):
-        DRVRawDataset(tmp_path / "DRV", amplification="measured")[0]
+        DRVDataset(tmp_path / "DRV", form="raw", amplification="measured")[0]
 
 
 def test_an_evaluation_amplifies_the_input_and_says_so(own: OwnSet, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""PackedClips, PackedUnpairedClips, StoredClips: bit for bit what the files give, by whatever process."""
+"""PackedClips and StoredClips: bit for bit what the files give, by whatever process."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from eldata.datasets import RawClips, StoredClips, SyntheticClips
 from eldata.datasets.augmentation import ORIENTATIONS
 from eldata.datasets.clips import ClipSample, UnpairedClipSample
 from eldata.datasets.crops import Crop
-from eldata.datasets.drv import DRVDataset, DRVDynamicDataset, DRVRawDataset, DRVRawDynamicDataset
-from eldata.datasets.packed_clips import PackedClips, PackedUnpairedClips
+from eldata.datasets.drv import DRVDataset
+from eldata.datasets.packed import PackedClips
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.dng import write_dng
 from eldata.sources.frames import Frame
@@ -95,8 +95,8 @@ def test_whole_rgb_windows_are_those_of_the_files(options: dict[str, Any], rgb: 
 
 
 def test_whole_windows_without_a_reference_are_those_of_the_files(rgb: Path, drv: SmallDrv) -> None:
-    theirs = DRVDynamicDataset(drv.data, manifest=drv.csv, window=4)
-    for mine, other in zip(PackedUnpairedClips(rgb, crop=None, augment=False, window=4), theirs, strict=True):
+    theirs = DRVDataset(drv.data, dynamic=True, manifest=drv.csv, window=4)
+    for mine, other in zip(PackedClips(rgb, dynamic=True, crop=None, augment=False, window=4), theirs, strict=True):
         same(mine, other)
         assert set(mine) == set(UnpairedClipSample.__annotations__)
 
@@ -107,11 +107,11 @@ def test_whole_raw_windows_are_those_of_the_files(levels: Any, clip: Any, raw: P
     options: dict[str, Any] = {"levels": levels, "clip": clip, "window": 3}
     folder = raw_files / "DRV"
     paired = PackedClips(raw, crop=None, augment=False, **options)
-    for mine, other in zip(paired, DRVRawDataset(folder, **options), strict=True):
+    for mine, other in zip(paired, DRVDataset(folder, form="raw", **options), strict=True):
         same(mine, other)
     assert {sample["input"].shape[1] for sample in paired} == {4, 9}
-    unpaired = PackedUnpairedClips(raw, crop=None, augment=False, **options)
-    for lone, lone_other in zip(unpaired, DRVRawDynamicDataset(folder, **options), strict=True):
+    unpaired = PackedClips(raw, dynamic=True, crop=None, augment=False, **options)
+    for lone, lone_other in zip(unpaired, DRVDataset(folder, form="raw", dynamic=True, **options), strict=True):
         same(lone, lone_other)
 
 
@@ -148,7 +148,7 @@ def test_crops_of_raw_windows_are_parts_of_the_files(clip: str, raw: Path, raw_f
     starts = set()
     for index, sample in enumerate(ours):
         drawn = ours.item(index).crop
-        area = DRVRawDataset(raw_files / "DRV", **options)
+        area = DRVDataset(raw_files / "DRV", form="raw", **options)
         scale = 2 if clip == "0007" else 3
         whole = Crop.draw(  # where the packed area begins: the crop of all of it
             ours_clean(ours, index), np.random.default_rng(0), crop=None, augment=False
@@ -211,7 +211,7 @@ def items_of(batch: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def test_an_item_depends_on_seed_epoch_and_index_alone(raw: Path) -> None:
-    dataset = PackedUnpairedClips(raw, crop=8, crops_per_window=4, window=2)
+    dataset = PackedClips(raw, dynamic=True, crop=8, crops_per_window=4, window=2)
     reference = list(dataset)
     copy = pickle.loads(pickle.dumps(dataset))
     for index in [*np.random.default_rng(0).permutation(len(dataset)).tolist(), 1, 1, -1]:
@@ -219,7 +219,7 @@ def test_an_item_depends_on_seed_epoch_and_index_alone(raw: Path) -> None:
     dataset.set_epoch(1)
     assert dataset.epoch == 1
     assert not torch.equal(dataset[0]["input"], reference[0]["input"])
-    same(PackedUnpairedClips(raw, crop=8, crops_per_window=4, window=2)[2], reference[2])
+    same(PackedClips(raw, dynamic=True, crop=8, crops_per_window=4, window=2)[2], reference[2])
     for index in (len(dataset), -len(dataset) - 1):
         with pytest.raises(IndexError, match=f"index {index} is outside of {len(dataset)} items"):
             dataset[index]
@@ -264,7 +264,7 @@ def test_choices_and_refusals(rgb: Path, raw: Path, tmp_path: Path) -> None:
 def test_stores_of_other_things_are_refused(rgb: Path, drv: SmallDrv, tmp_path: Path) -> None:
     source = source_of_dataset("drv", root=drv.root, manifest=drv.csv, ids=["M0003"])
     build_store(source, tmp_path / "dynamic.h5")
-    with pytest.raises(DatasetError, match="holds no clip with a reference; read it with PackedUnpairedClips"):
+    with pytest.raises(DatasetError, match="holds no clip with a reference; read it with dynamic=True"):
         PackedClips(tmp_path / "dynamic.h5")
     (tmp_path / "raws").mkdir()
     sensor = make_sensor(BAYER["RGGB"], 64, 64)
@@ -345,13 +345,14 @@ def test_memory_does_not_grow_with_the_store(tmp_path: Path) -> None:
     folder = drv.data / "VBM4D_rawRGB" / "M0003"
     for number in range(2, 101):
         os.link(folder / "0001.png", folder / f"{number:04d}.png")
-    dataset = PackedUnpairedClips(pack_tree(drv, tmp_path / "store.h5", workers=2).store, crop=256, window=2)
+    dataset = PackedClips(pack_tree(drv, tmp_path / "store.h5", workers=2).store, dynamic=True, crop=256, window=2)
     process = psutil.Process()
 
     def read(indices: range) -> int:
         for index in indices:
             dataset[index]
-        resident: int = process.memory_info().rss
+        info = process.memory_info()
+        resident: int = info.rss - info.shared  # what is mapped of the file is the system's to drop
         return resident
 
     after_few = read(range(5))

@@ -10,7 +10,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clean import Arrays, RawFiles, StoredFrames
-from eldata.datasets.packed_store import PackedStore
+from eldata.datasets.packed import PackedStore
 from eldata.datasets.rgb import (
     OneSensor,
     PairSensors,
@@ -25,9 +25,8 @@ from eldata.datasets.rgb import (
 )
 from eldata.datasets.synthetic import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
-from eldata.isp.rendering import Gamma, Rendering
+from eldata.isp.rendering import Gamma, Rendering, render_pair_for_scoring
 from eldata.isp.response import ResponseCurve
-from eldata.isp.srgb_pairs import render_pair_for_scoring
 from eldata.raw import read_raw, write_dng
 from tests.datasets.methods import METHODS
 from tests.raw.helpers import make_sensor

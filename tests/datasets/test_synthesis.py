@@ -17,16 +17,17 @@ from eldata.base.files import try_lock
 from eldata.cli.main import main
 from eldata.datasets import synthesis
 from eldata.datasets.base import PairDataset
-from eldata.datasets.packed_store import PackedStore
+from eldata.datasets.packed import PackedStore
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.datasets.synthesis_journal import NAME
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
 from eldata.manifest import load_manifest, verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
-from eldata.noise.profile import ProfileRow
+from eldata.noise.gain_modes import ProfileRow
 from eldata.noise.shading_content import DarkCurrent
 from eldata.raw import bayer_cfa, read_raw, write_dng
-from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised
+from eldata.raw.cfa import XTRANS_CFA, pack
+from eldata.raw.levels import pack_normalised
 from eldata.records import Exposure, RawFrame, Sensor, exact_fraction
 from tests.planted_shading import shading_of
 from tests.raw.helpers import write_plain_dng

@@ -21,7 +21,8 @@ from eldata.datasets.synthetic import SyntheticPairs, SyntheticSample
 from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.raw import write_dng
-from eldata.raw.cfa import XTRANS_CFA, pack, pack_normalised, unpack
+from eldata.raw.cfa import XTRANS_CFA, pack, unpack
+from eldata.raw.levels import pack_normalised
 from eldata.sources.store import build_store, source_of_folder
 from tests.datasets.methods import METHODS
 from tests.noise.helpers import Law

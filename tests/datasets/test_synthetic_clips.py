@@ -16,11 +16,12 @@ from torch.utils.data import DataLoader, default_collate
 
 from eldata.datasets.clean import ArrayClips, RawClips
 from eldata.datasets.crops import Crop
-from eldata.datasets.synthetic_clips import SyntheticClips, SyntheticClipSample
+from eldata.datasets.synthetic import SyntheticClips, SyntheticClipSample
 from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import NoiseModel, NoiseParameters
 from eldata.raw import write_dng
-from eldata.raw.cfa import XTRANS_CFA, pack_normalised
+from eldata.raw.cfa import XTRANS_CFA
+from eldata.raw.levels import pack_normalised
 from tests.datasets.methods import METHODS
 from tests.noise.helpers import Law
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic

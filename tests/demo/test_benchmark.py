@@ -17,7 +17,7 @@ from scipy.stats import ttest_1samp, ttest_rel
 import eldata.demo.benchmark_frames
 from eldata.base.workers import Workers
 from eldata.datasets import DarkFrames, ELDDataset
-from eldata.demo import pictures
+from eldata.demo import benchmark_frames
 from eldata.demo.benchmark import run_benchmark
 from eldata.demo.benchmark_frames import BenchmarkPlan, benchmark_scenes, make_benchmark
 from eldata.demo.sensor import BENCHMARK_SENSORS
@@ -72,14 +72,14 @@ def test_splits_share_no_scene() -> None:
 
 
 def test_without_scikit_image_there_are_still_lifes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "find_spec", lambda _: None)
+    monkeypatch.setattr(benchmark_frames, "find_spec", lambda _: None)
     scenes = benchmark_scenes(10, 24)
     assert len({scene.still_life for scene in scenes}) == 34
 
 
-@pytest.mark.parametrize("name", [*pictures.TEST_PICTURES, *pictures.TRAINING_PICTURES])
+@pytest.mark.parametrize("name", [*benchmark_frames.TEST_PICTURES, *benchmark_frames.TRAINING_PICTURES])
 def test_pictures_are_linear_and_fill_the_frame(name: str) -> None:
-    light = pictures.picture_radiance(name, 96, 144)
+    light = benchmark_frames.picture_radiance(name, 96, 144)
     assert light.shape == (3, 96, 144)
     assert light.dtype == np.float32
     assert 0 <= light.min() < 0.2 < light.max() <= 1

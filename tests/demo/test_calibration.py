@@ -36,7 +36,7 @@ def page(found: Calibration) -> str:
 def patched(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(eldata.demo.calibration, "make_calibration_frames", SMALL)
     patch.setattr(eldata.demo.calibration, "calibration_page", page)
-    patch.setattr("eldata.reports.calibration.page.calibration_page", page)
+    patch.setattr("eldata.reports.calibration.calibration_page", page)
 
 
 @pytest.fixture(autouse=True)

@@ -12,8 +12,7 @@ from PIL import Image
 
 import eldata.demo.evaluation
 from eldata.cli.main import parser
-from eldata.demo.contact_sheet import write_contact_sheet
-from eldata.demo.evaluation import run_demo
+from eldata.demo.evaluation import run_demo, write_contact_sheet
 from eldata.demo.tree import make_tree
 from eldata.errors import EldataError
 

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import io
 import json
-import tarfile
 import zipfile
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -32,7 +31,7 @@ def fetch(
     """Fetch as a card with this one download says, into the data root whose folder of archives ``target`` lies in."""
     card = small_card(Download(address, size_bytes, direct=True, sha256=sha256))
     archives = kept_archives(card, target.parent.parent)
-    return fetcher(patience).fetch(archives, target.name, lambda path: path, size_bytes=size_bytes)
+    return fetcher(patience).fetch(archives, target.name, size_bytes=size_bytes)
 
 
 def noise(size: int, seed: int = 0) -> bytes:
@@ -53,16 +52,6 @@ def zipped(files: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes
     with zipfile.ZipFile(buffer, "w", method) as archive:
         for name, content in files.items():
             archive.writestr(name, content)
-    return buffer.getvalue()
-
-
-def tarred(files: dict[str, bytes], mode: str = "w:gz") -> bytes:
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode=mode) as archive:  # type: ignore[call-overload]
-        for name, content in files.items():
-            info = tarfile.TarInfo(name)
-            info.size = len(content)
-            archive.addfile(info, io.BytesIO(content))
     return buffer.getvalue()
 
 

@@ -2,76 +2,26 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
 import io
-import lzma
 import random
 import struct
-import tarfile
 import warnings
 import zipfile
 import zlib
 from typing import TYPE_CHECKING
 
-from tests.download.helpers import noise, sevenzipped, tarred, zipped
+from tests.download.helpers import noise, sevenzipped, zipped
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 FILES = {f"Sony/short/0000{number}_00_0.1s.ARW": noise(700 + number, number) for number in range(3)}
-LONG = {f"Sony/{'deep/' * 30}{'n' * 120}.ARW": b"x" * 600, "Sony/a": b"a" * 50}
 EXTREMES = (0, 1, 127, 255, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**62, 2**63 - 1, 2**64 - 1)
-
-
-def tar_of(files: dict[str, bytes], form: int, more: dict[str, str] | None = None) -> bytes:
-    """A tar file in one of the three formats, with more pax records for each member."""
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w", format=form) as archive:
-        for name, content in files.items():
-            info = tarfile.TarInfo(name)
-            info.size = len(content)
-            info.pax_headers = more or {}
-            archive.addfile(info, io.BytesIO(content))
-    return buffer.getvalue()
-
-
-def header(name: str, size: int, kind: bytes = tarfile.REGTYPE) -> bytes:
-    """One block with a valid checksum, whatever it states; a size below 0 too."""
-    info = tarfile.TarInfo(name)
-    info.type, info.size = kind, max(size, 0)
-    block = bytearray(info.tobuf(tarfile.GNU_FORMAT)[:512])
-    if size < 0:
-        block[124:136] = b"\xff" + size.to_bytes(11, "big", signed=True)
-    return sealed(block)
-
-
-def sealed(block: bytes | bytearray) -> bytes:
-    """A header block with its checksum made right."""
-    blank = bytes(block[:148]) + b" " * 8 + bytes(block[156:512])
-    return blank[:148] + f"{sum(blank):06o}\0 ".encode() + blank[156:]
-
-
-def sparse(name: str, *, real_size: int, pieces: int = 1) -> bytes:
-    """A member in GNU's old sparse format."""
-    block = bytearray(header(name, 512, tarfile.GNUTYPE_SPARSE))
-    for index in range(min(pieces, 4)):
-        block[386 + 24 * index : 410 + 24 * index] = f"{index * 1024:011o}\0{512:011o}\0".encode()
-    block[483:495] = b"\x80" + real_size.to_bytes(11, "big")
-    return sealed(block) + b"x" * 512 + bytes(1024)
 
 
 SOUND: dict[str, Callable[[], bytes]] = {
     "zip": lambda: zipped(FILES),
     "zip-stored": lambda: zipped(FILES, zipfile.ZIP_STORED),
-    "ustar": lambda: tar_of(FILES, tarfile.USTAR_FORMAT),
-    "gnu": lambda: tar_of(LONG, tarfile.GNU_FORMAT),
-    "pax": lambda: tar_of(LONG, tarfile.PAX_FORMAT, {"comment": "no", "mtime": "1.5"}),
-    "sparse": lambda: sparse("Sony/a", real_size=4096),
-    "pax-sparse": lambda: tar_of(FILES, tarfile.PAX_FORMAT, {"GNU.sparse.map": "0,1", "GNU.sparse.size": "9"}),
-    "tar.gz": lambda: tarred(FILES),
-    "tar.bz2": lambda: tarred(FILES, "w:bz2"),
-    "tar.xz": lambda: tarred(FILES, "w:xz"),
     "7z": lambda: sevenzipped(FILES),
     "7z-plain": lambda: plain_sevenzip(FILES),
 }
@@ -92,25 +42,13 @@ def plain_sevenzip(files: dict[str, bytes]) -> bytes:
 # --- damage -----------------------------------------------------------------------------------------------------------
 
 
-OUTER: dict[str, tuple[Callable[[bytes], bytes], Callable[[bytes], bytes]]] = {
-    "tar.gz": (gzip.decompress, gzip.compress),
-    "tar.bz2": (bz2.decompress, bz2.compress),
-    "tar.xz": (lzma.decompress, lzma.compress),
-}
-
-
 def damaged_archive(kind: str, content: bytes, seed: int) -> bytes:
     """Sound content with one to four seeded changes; half the time with the checksums of headers made right again."""
     rng = random.Random(seed)  # noqa: S311 # to be repeated
-    outer = OUTER.get(kind) if rng.random() < 0.5 else None
-    if outer is not None:
-        content = outer[0](content)
     data = bytearray(content)
     for _ in range(rng.randint(1, 4)):
         data = _changed(rng, data, kind)
-    if rng.random() < 0.5:
-        data = _repaired(kind, data)
-    return outer[1](bytes(data)) if outer is not None else bytes(data)
+    return bytes(_repaired(kind, data) if rng.random() < 0.5 else data)
 
 
 def _place(rng: random.Random, data: bytearray, kind: str) -> int:
@@ -121,8 +59,6 @@ def _place(rng: random.Random, data: bytearray, kind: str) -> int:
     if kind.startswith("7z") and rng.random() < 0.7:
         at = 32 + int.from_bytes(data[12:20], "little") if rng.random() < 0.7 else 0
         return min(at + rng.randrange(80), len(data) - 1)
-    if rng.random() < 0.7:
-        return min(512 * rng.randrange(len(data) // 512 + 1) + rng.randrange(160), len(data) - 1)
     return rng.randrange(len(data))
 
 
@@ -154,37 +90,16 @@ def _changed(rng: random.Random, data: bytearray, kind: str) -> bytearray:
 
 def _repaired(kind: str, data: bytearray) -> bytearray:
     """Data whose headers pass their checksums, so that what they say is believed."""
-    if kind.startswith("zip"):
+    if kind.startswith("zip") or len(data) < 32:
         return data
-    if kind.startswith("7z"):
-        if len(data) < 32:
-            return data
-        offset, size = struct.unpack_from("<QQ", data, 12)
-        header_crc = zlib.crc32(data[32 + offset : 32 + offset + size]) if offset < len(data) else 0
-        struct.pack_into("<L", data, 28, header_crc)
-        struct.pack_into("<L", data, 8, zlib.crc32(data[12:32]))
-        return data
-    for at in range(0, len(data) - 511, 512):
-        if data[at + 257 : at + 262] == b"ustar":
-            data[at : at + 512] = sealed(data[at : at + 512])
+    offset, size = struct.unpack_from("<QQ", data, 12)
+    header_crc = zlib.crc32(data[32 + offset : 32 + offset + size]) if offset < len(data) else 0
+    struct.pack_into("<L", data, 28, header_crc)
+    struct.pack_into("<L", data, 8, zlib.crc32(data[12:32]))
     return data
 
 
 # --- made to harm -----------------------------------------------------------------------------------------------------
-
-END = bytes(1024)
-
-
-def _pax(name: str, records: bytes) -> bytes:
-    padded = records + bytes(-len(records) % 512)
-    return header("pax", len(records), tarfile.XHDTYPE) + padded + header(name, 1) + b"x" + bytes(511) + END
-
-
-def _record(text: bytes) -> bytes:
-    length = len(text) + 2
-    while len(str(length)) + 1 + len(text) + 1 != length:
-        length += 1
-    return str(length).encode() + b" " + text + b"\n"
 
 
 def _seven_zip(body: bytes) -> bytes:
@@ -223,23 +138,8 @@ def _overlapping() -> bytes:
 
 HOSTILE: dict[str, Callable[[], bytes]] = {
     "a name of 300 characters": lambda: zipped({"Sony/" + "n" * 300: b"x"}),
-    "a name of 255 characters that are 510 bytes": lambda: tarred({"Sony/" + "\u00e4" * 250: b"x"}),
-    "a path of 60,000 characters": lambda: tarred({"n/" * 30_000 + "a": b"x"}),
-    "a sparse member of an exabyte": lambda: sparse("Sony/a", real_size=2**60, pieces=4),
-    "a pax sparse map that is not numbers": lambda: _pax(
-        "a", _record(b"GNU.sparse.map=x,y") + _record(b"GNU.sparse.size=z")
-    ),
-    "a million pax records": lambda: _pax("a", _record(b"comment=x") * 1_000_000),
-    "a pax header without an end": lambda: _pax("a", b"9" * 900_000),
-    "a pax size without an end": lambda: _pax("a", _record(b"size=" + b"9" * 9000)),
-    "a pax record of length 0": lambda: _pax("a", b"0 a=b\n"),
-    "ten thousand headers about one member": lambda: header("././@LongLink", 2, b"L") * 10_000,
-    "ten thousand long names": lambda: (header("././@LongLink", 2, b"L") + b"a\0" + bytes(510)) * 10_000 + END,
-    "a header of a gigabyte": lambda: gzip.compress(header("x", 2**30, b"L") + bytes(2**20)),
-    "a member of less than nothing": lambda: header("a", -512) + END,
-    "a long name of less than nothing": lambda: header("././@LongLink", -1024, b"L") + END,
-    "a member of a zettabyte": lambda: header("a", 2**70) + END,
-    "a gigabyte of zeros": lambda: lzma.compress(header("a", 2**30) + bytes(2**28), preset=0),
+    "a name of 255 characters that are 510 bytes": lambda: zipped({"Sony/" + "\u00e4" * 250: b"x"}),
+    "a path of 60,000 characters": lambda: zipped({"n/" * 30_000 + "a": b"x"}),
     "a zip64 size of exabytes": lambda: _zip64(2**62),
     "a zip64 size beyond 64 bits": lambda: _zip64(2**64 - 1),
     "members over each other": _overlapping,

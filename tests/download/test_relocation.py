@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from eldata.download.relocation import Relocation, count_listed, find_relocation
+from eldata.download.installing import Relocation, count_listed, find_relocation
 from eldata.errors import ArchiveError
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 

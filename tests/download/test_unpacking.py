@@ -7,20 +7,17 @@ import shutil
 import signal
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from eldata.download.archives import Archive, open_archive
 from eldata.download.unpacking import STAGING, Unpacked, unpack_archive
 from eldata.errors import ArchiveError, DownloadError
-from tests.download.helpers import contents, noise, sevenzipped, tarred, tree, zipped
+from tests.download.helpers import contents, noise, sevenzipped, tree, zipped
 from tests.download.test_archives import PACKERS
 from tests.syncing import OnDisk
-from tests.waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from tests.waiting import PATIENCE_S, until
 
 FILES = contents()
 NAMES = tuple(sorted(FILES))
@@ -57,7 +54,7 @@ def test_members_go_where_they_are_told(tmp_path: Path) -> None:
     assert tree(tmp_path / "SID") == {"y/z/a": b"a"}
 
 
-@pytest.mark.parametrize("name", ["zip", "tar.gz", "7z"])
+@pytest.mark.parametrize("name", ["zip", "7z"])
 @pytest.mark.parametrize("change", ["content", "size", "folder", "link"])
 def test_what_differs_is_left_alone(name: str, change: str, tmp_path: Path) -> None:
     archive = archive_of(tmp_path, PACKERS[name](FILES))
@@ -105,22 +102,19 @@ def test_a_staging_folder_that_is_a_link_is_not_followed(tmp_path: Path) -> None
     assert tree(tmp_path / "SID") == FILES
 
 
-@pytest.mark.parametrize("pack", [zipped, tarred, sevenzipped])
-def test_damage_in_the_middle_leaves_whole_files_alone(pack: object, tmp_path: Path) -> None:
-    packer = PACKERS[{"zipped": "zip-stored", "tarred": "tar.gz", "sevenzipped": "7z"}[pack.__name__]]  # type: ignore[attr-defined]
+@pytest.mark.parametrize("name", ["zip-stored", "7z"])
+def test_damage_in_the_middle_leaves_whole_files_alone(name: str, tmp_path: Path) -> None:
     files = contents(100_000)
-    content = bytearray(packer(files))
+    content = bytearray(PACKERS[name](files))
     content[len(content) * 2 // 3] ^= 1
     path = tmp_path / "set.archive"
     path.write_bytes(content)
-    with pytest.raises(ArchiveError, match=r"damaged|end mark is missing"):
+    with pytest.raises(ArchiveError, match="damaged"):
         unpack_all(open_archive(path), tmp_path / "SID")
-    if (tmp_path / "SID").exists():
-        found = tree(tmp_path / "SID")
-        assert found.items() < files.items()
-        if packer is not PACKERS["tar.gz"]:  # which is read through before the first file is written
-            assert found
-        assert (tmp_path / "SID" / STAGING).is_dir() == bool(found)
+    found = tree(tmp_path / "SID")
+    assert found
+    assert found.items() < files.items()
+    assert (tmp_path / "SID" / STAGING).is_dir()
 
 
 def test_too_little_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,7 +128,7 @@ def test_too_little_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert unpack_all(archive, tmp_path / "SID").identical == NAMES[:1]  # what is there needs no room
 
 
-@pytest.mark.parametrize("pack", [zipped, tarred, sevenzipped])
+@pytest.mark.parametrize("pack", [zipped, sevenzipped])
 def test_a_disk_that_fills_up(pack: object, tmp_path: Path) -> None:
     files = {"a": noise(1000), "b": noise(90_000, 1), "c": noise(1000, 2)}
     archive = archive_of(tmp_path, pack(files))  # type: ignore[operator]
@@ -161,37 +155,46 @@ def test_no_space_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert tree(tmp_path / "SID") == {}
 
 
-# A run that stops by itself at the third file, halfway through it, to be killed there.
-UNPACK = """
-import os, sys, time
+# What lets a run stop in the middle of the third file, to be killed there: in whichever process writes it.
+SLOW = """
+import os, time
 from pathlib import Path
-from eldata.download import unpacking
-from eldata.download.archives import open_archive
+from eldata.download import members
 
-class Slow(unpacking._NewFile):
-    made = 0
+class Slow(members._Staged):
+    begun = 0
+    def __init__(self, new):
+        super().__init__(new)
+        Slow.begun += 1
     def write(self, piece):
-        if Slow.made == 2:
+        if Slow.begun == 3:
             super().write(piece[:1000])
-            print("half", flush=True)
+            Path(os.environ["HALF"]).touch()
             time.sleep(600)
-        super().write(piece)
-    def finish(self):
-        super().finish()
-        Slow.made += 1
+        return super().write(piece)
 
-unpacking._NewFile = Slow
+members._Staged = Slow
+"""
+UNPACK = """
+import sys
+from pathlib import Path
+from eldata.download.archives import open_archive
+from eldata.download.unpacking import unpack_archive
+
 archive = open_archive(Path(sys.argv[1]))
-unpacking.unpack_archive(archive, {member.name: member.name for member in archive.files}, Path(sys.argv[2]))
+unpack_archive(archive, {member.name: member.name for member in archive.files}, Path(sys.argv[2]))
 """
 
 
 def start_and_stop_halfway(archive: Archive, folder: Path, sent: signal.Signals) -> None:
+    half, slow = archive.path.with_name("half"), archive.path.with_name("slow")
+    slow.mkdir()
+    (slow / "sitecustomize.py").write_text(SLOW)
+    environment = os.environ | {"PYTHONPATH": f"{slow}{os.pathsep}{Path.cwd()}", "HALF": str(half)}
     command = [sys.executable, "-c", UNPACK, str(archive.path), str(folder)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, env=environment)
     try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"half\n"
+        until(half.exists)
         with pytest.raises(DownloadError, match="another process is unpacking there"):
             unpack_all(archive, folder)
         process.send_signal(sent)
@@ -202,7 +205,7 @@ def start_and_stop_halfway(archive: Archive, folder: Path, sent: signal.Signals)
 
 @pytest.mark.kill
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
-@pytest.mark.parametrize("name", ["zip", "tar.gz", "7z"])
+@pytest.mark.parametrize("name", ["zip", "7z"])
 def test_a_killed_run_is_gone_on_with(sent: signal.Signals, name: str, tmp_path: Path) -> None:
     archive = archive_of(tmp_path, PACKERS[name](FILES))
     folder = tmp_path / "SID"

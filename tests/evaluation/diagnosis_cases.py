@@ -19,18 +19,16 @@ from scipy import ndimage
 from skimage.restoration import denoise_bilateral, denoise_nl_means, denoise_tv_chambolle
 
 from eldata.base.tables import markdown_table
-from eldata.baselines.classical import BASELINES
-from eldata.baselines.signal_noise import SignalNoise
+from eldata.baselines.classical import BASELINES, SignalNoise
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
-from eldata.evaluation.diagnosis import mistake_in
-from eldata.evaluation.inspected_frame import Circumstances
-from eldata.evaluation.suspicions import Inspection, sketch, suspicions_of
+from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch, suspicions_of
+from eldata.evaluation.diagnosis.places import Circumstances
 from eldata.isp.preview import preview
 from eldata.metrics.image_score import score_by
 from eldata.protocols.named import PROTOCOLS
-from eldata.raw.cfa import XTRANS_CFA, Clip, pack, pack_normalised, unpack
-from eldata.raw.levels import with_levels
+from eldata.raw.cfa import XTRANS_CFA, pack, unpack
+from eldata.raw.levels import Clip, pack_normalised, with_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -38,7 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.demo.camera import SimulatedCamera
-    from eldata.evaluation.suspicions import Suspicion
+    from eldata.evaluation.diagnosis import Suspicion
     from eldata.metrics.image_score import Score
     from eldata.protocols.protocol import Protocol
     from eldata.records import Sensor

@@ -19,10 +19,10 @@ from eldata.base.workers import Workers
 from eldata.cli.main import main
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate, evaluate_all, load_prediction, save_prediction, units
+from eldata.evaluation.diagnosis import Suspicion
 from eldata.evaluation.evaluate import perform
-from eldata.evaluation.published_comparison import comparison_table
+from eldata.evaluation.published.comparison import comparison_table
 from eldata.evaluation.request import make_request
-from eldata.evaluation.suspicions import Suspicion
 from eldata.manifest.catalogue import load_manifest, shipped_manifest
 from eldata.manifest.table import save_records
 from eldata.protocols import PROTOCOLS
@@ -83,7 +83,7 @@ def test_all_does_not_depend_on_jobs(own: OwnSet, preds: Path) -> None:
 
 def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for the white level per channel, for which rawpy decodes once more."""
-    from eldata.evaluation import compared_frames
+    from eldata.evaluation import frames
     from eldata.raw import reading
 
     decoded, loaded = [], []
@@ -98,7 +98,7 @@ def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest
         return genuine_load(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(reading, "read_raw", read)
-    monkeypatch.setattr(compared_frames, "load_prediction", load)
+    monkeypatch.setattr(frames, "load_prediction", load)
     evaluate_all(preds, manifest=own.manifest, root=own.root)
     assert sorted(decoded) == ["s0/clean.dng", "s1/clean.dng"]
     assert len(loaded) == len(set(loaded)) == 4

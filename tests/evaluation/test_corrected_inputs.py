@@ -13,7 +13,7 @@ from eldata.cli.main import main
 from eldata.errors import ArgumentError, EldataError, ShadingError
 from eldata.evaluation import EvaluationResult, evaluate, load_results, save_prediction
 from eldata.evaluation.comparison import Method, compare
-from eldata.evaluation.seen_methods import images_of
+from eldata.evaluation.looking import images_of
 from eldata.metrics import psnr
 from eldata.noise import DarkShading
 from eldata.protocols import get_protocol
@@ -173,7 +173,9 @@ def test_pictures_are_of_what_each_result_states(planted: tuple[Tree, Path], tmp
     assert main(["compare", *files, *arguments, "--html", str(tmp_path / "page.html"), "--pictures"]) == 0
     comparison = compare(methods)
     assert len(list((tmp_path / "page-pictures").glob("*-input.jpg"))) == len(comparison.images)
-    images = images_of(comparison, dataset_folder=tree.files, predictions=[None, None], dark_shading=file)
+    images = images_of(
+        comparison.results, comparison.images, dataset_folder=tree.files, predictions=[None, None], dark_shading=file
+    )
     seen = images[0].decoded()
     for values, method, scores in zip(seen.predictions, methods, comparison.images[0], strict=True):
         assert psnr(values, seen.reference) == pytest.approx(scores.psnr_db, abs=1e-4), method.name

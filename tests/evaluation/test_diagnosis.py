@@ -12,7 +12,7 @@ import pytest
 
 from eldata.cli.main import main
 from eldata.evaluation import evaluate, evaluate_all, load_results
-from eldata.evaluation.suspicions import (
+from eldata.evaluation.diagnosis import (
     EACH,
     MOST_FACTORS,
     Inspection,
@@ -24,7 +24,7 @@ from eldata.evaluation.suspicions import (
 )
 from eldata.protocols.named import PROTOCOLS
 from eldata.raw import bayer_cfa, pack, unpack
-from eldata.reports.evaluation.page import write_evaluation_page
+from eldata.reports.evaluation import write_evaluation_page
 from tests.cases import in_one_test
 from tests.evaluation import diagnosis_cases as cases
 from tests.evaluation.helpers import Tree, place, small_tree

@@ -15,7 +15,7 @@ import pytest
 import tifffile
 
 from eldata import SyntheticPairs, verify
-from eldata.calibration.one_image import estimate_profile
+from eldata.calibration.one_photograph.estimate import estimate_profile
 from eldata.datasets import CalibrationFrames, DarkFrames, PairDataset, RawFiles
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.errors import EldataError

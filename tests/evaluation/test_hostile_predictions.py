@@ -22,7 +22,8 @@ from eldata.base.isolation import isolation
 from eldata.base.npy import NpyError, read_npy_header
 from eldata.base.png import read_png
 from eldata.errors import EldataError, PredictionError
-from eldata.evaluation.predictions import find_predictions, load_colours, load_prediction, prediction_space
+from eldata.evaluation.layouts import find_predictions
+from eldata.evaluation.predictions import load_colours, load_prediction, prediction_space
 from tests.evaluation import awkward_predictions
 from tests.evaluation import hostile_predictions as hostile
 from tests.evaluation.awkward_predictions import AWKWARD
@@ -70,10 +71,7 @@ def test_no_other_file_is_shown(outcomes: dict[str, Any]) -> None:
     ("name", "words"),
     [
         ("shape-of-terabytes.npy", ["(4, 32, 48) (packed) or (64, 96) (mosaic)", "found (4, 1000000, 1000000)"]),
-        (
-            "type-of-records.npy",
-            ["expected float in [0, 1] or uint16", "[('a', '<f4', (1000000, 1000000))]", "convert"],
-        ),
+        ("type-of-records.npy", ["not a .npy file of numbers", "write it again"]),
         ("right-shape-and-one-byte-less.npy", ["declares 24576 bytes of values and has 24575", "write it again"]),
         ("named-pipe.npy", ["is a named pipe, not a file"]),
         ("link-to-a-device.h5", ["is a device, not a file"]),
@@ -153,6 +151,7 @@ ODD: dict[str, Callable[[Path, NDArray[Any]], None]] = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:Reading `.npy`")  # of Python 2
 @pytest.mark.parametrize("name", ODD)
 def test_odd_files_are_read_as_they_were(name: str, tmp_path: Path) -> None:
     path = tmp_path / f"x.{name.partition('-')[0]}"
@@ -210,8 +209,7 @@ def test_headers_that_numpy_writes(kind: str, shape: tuple[int, ...], tmp_path: 
         np.save(tmp_path / "x.npy", array)
         with (tmp_path / "x.npy").open("rb") as file:
             header = read_npy_header(file)
-            assert header.descr == str(np.lib.format.dtype_to_descr(array.dtype))
-            assert (header.shape, header.dtype) == (shape, array.dtype if array.dtype.kind in "fubc" else None)
+            assert (header.shape, header.dtype) == (shape, array.dtype)
             assert file.tell() == (tmp_path / "x.npy").stat().st_size - array.nbytes
 
 

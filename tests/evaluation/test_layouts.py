@@ -11,10 +11,8 @@ import pytest
 
 from eldata.errors import ManifestError
 from eldata.evaluation import EXTENSIONS, evaluate, evaluate_all, save_prediction
-from eldata.evaluation.layouts import Expected, layout_in_words, nearest_in_words
-from eldata.evaluation.predictions import dataset_itself
-from eldata.evaluation.results import problem_lines
-from eldata.evaluation.scores import EvaluationProblem
+from eldata.evaluation.layouts import Expected, dataset_itself, layout_in_words, nearest_in_words
+from eldata.evaluation.scores import EvaluationProblem, problem_lines
 from eldata.manifest.catalogue import shipped_manifest
 
 if TYPE_CHECKING:

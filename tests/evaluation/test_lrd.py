@@ -12,7 +12,7 @@ import rawpy
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata.evaluation import evaluate, save_prediction
-from eldata.evaluation.table import groups_of
+from eldata.evaluation.scores import groups_of
 from eldata.manifest.catalogue import shipped_card, shipped_manifest
 from eldata.protocols import PROTOCOLS, default_protocol, get_protocol
 from tests.lrd_tree import SENSOR, write_frames

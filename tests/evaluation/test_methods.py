@@ -17,14 +17,14 @@ import pytest
 from eldata import evaluate, evaluate_all
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate_methods, units
+from eldata.evaluation.comparison.folders import named_folders, requests_of
 from eldata.evaluation.evaluate import perform_each
-from eldata.evaluation.methods import named_folders, requests_of
 from eldata.raw.cfa import pack
 from tests.evaluation.own_set import GBRG, OwnSet, build_own_set, mosaic_of
 
 if TYPE_CHECKING:
     from eldata.evaluation import EvaluationResult
-    from eldata.evaluation.compared_frames import ComparedFrame
+    from eldata.evaluation.frames import ComparedFrame
 
 SIZE = (60, 84)
 

@@ -27,8 +27,8 @@ from eldata.protocols import (
     load_protocol,
     protocols_for,
 )
-from eldata.protocols.choosing import of_digest
 from eldata.protocols.digests import NEUTRAL, canonical
+from eldata.protocols.named import of_digest
 from eldata.protocols.protocol import CHOICES
 from eldata.protocols.words import FIELDS, HEADER, described, summary
 from tests.evaluation.helpers import scored_pairs

@@ -13,10 +13,9 @@ import pytest
 from eldata.errors import FileError, ManifestError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.published import COLUMNS, load_published, published_rows
-from eldata.evaluation.published_comparison import comparison_table
+from eldata.evaluation.published.comparison import comparison_table
 from eldata.evaluation.results import EvaluationResult
-from eldata.evaluation.scores import UnitScore
-from eldata.evaluation.table import TableRow
+from eldata.evaluation.scores import TableRow, UnitScore
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.protocols import PROTOCOLS
@@ -32,11 +31,8 @@ def row(camera: str | None, ratio: float | None, pairs: int, psnr_db: float, ssi
     return TableRow(camera, ratio, pairs, pairs, {"psnr_db": psnr_db, "ssim": ssim})
 
 
-def result_on(
-    dataset: str, protocol: str, table: list[TableRow], subset: str | None = None, **provenance: Any
-) -> EvaluationResult:
-    """A result that was read back, without its scores."""
-    stated = {
+def provenance(dataset: str, protocol: str, subset: str | None, **more: Any) -> dict[str, Any]:
+    return {
         "dataset": dataset,
         "cameras": "all",
         "subset": subset,
@@ -45,9 +41,16 @@ def result_on(
         "manifest_sha256": "sha256:" + "a" * 64,
         "eldata": "0.2.0",
         "scenes_shared": True,
-        **provenance,
+        **more,
     }
+
+
+def result_on(
+    dataset: str, protocol: str, table: list[TableRow], subset: str | None = None, **more: Any
+) -> EvaluationResult:
+    """A result that was read back, without its scores."""
     rules = StatedProtocol(PROTOCOLS[protocol].kind, PROTOCOLS[protocol].as_dict())
+    stated = provenance(dataset, protocol, subset, **more)
     return EvaluationResult(rules, stated, (), tuple(table), table[-1].pairs, (), (), ())
 
 
@@ -242,59 +245,52 @@ def test_other_pairs_of_the_same_number_are_refused() -> None:
     assert "published over other pairs than yours, as many" in refused(text)
 
 
+LOST = [SONY_ELD[0], replace(SONY_ELD[1], scored=29)]
+OTHERS = "NikonD850 x100, x200; CanonEOS70D x100, x200; CanonEOS700D x100, x200 (27.52 to 42.27 dB): not in your table"
+FUJI = [row("FujifilmXT2", 100.0, 41, 39.0, 0.95), row(None, None, 94, 38.0, 0.9)]
+UNKNOWN = "under no protocol that is known for certain"
+VIDEOS = [TableRow(None, None, 49, 49, {"psnr_db": 36.0, "ssim": 0.9, "st_rred": 0.4})]
+
+
 @pytest.mark.parametrize(
-    ("subset", "words"), [("test-first", "subset test-first"), (None, "no named subset"), ("all", "subset all")]
+    ("found", "words", "shown"),
+    [
+        *(
+            (result_on("sid-sony", "sid", SONY_SID, name), f"published for subset eval-first; yours is {words}", 0)
+            for name, words in (("test-first", "subset test-first"), (None, "no named subset"), ("all", "subset all"))
+        ),
+        (
+            result_on("sid-sony", "sid", SONY_SID, "eval-first", excluded_flags={"misaligned": 5}),
+            "yours leaves out pairs: misaligned (5)",
+            0,
+        ),
+        (result_on("eld", "eld", SONY_ELD, excluded_flags={"misaligned": 0}), OTHERS, 2),
+        # A group with a missing pair alone is not compared.
+        (result_on("eld", "eld", LOST), "SonyA7S2 x200 (34.06 to 43.42 dB): yours has scores of 29 of 30 pairs", 1),
+        # A manifest of your own may call itself eld: the number of pairs gives it away.
+        (
+            result_on("eld", "eld", [row("SonyA7S2", 100.0, 24, 46.0, 0.98)]),
+            "published over 30 pairs; yours is over 24",
+            0,
+        ),
+        (result_on("eld", "eld", SONY_ELD, cameras=["SonyA7S2"]), OTHERS, 2),
+        *(
+            (result_on("sid-fuji", protocol, FUJI, "test-first"), f"{UNKNOWN}: which part of the frame", 0)
+            for protocol in ("sid", "sid-uncorrected")
+        ),
+        # No published protocol of clips is certain.
+        (
+            result_on("drv-raw", "drv-raw", VIDEOS, "test", ids=None),
+            "SonyRX100M6 all factors (32.73 to 37.24 dB): under no protocol",
+            0,
+        ),
+    ],
 )
-def test_another_subset(subset: str | None, words: str) -> None:
-    text = comparison_table(result_on("sid-sony", "sid", SONY_SID, subset))
-    assert f"published for subset eval-first; yours is {words}" in refused(text)
-    assert "> yours" not in text
-
-
-def test_pairs_that_a_flag_left_out() -> None:
-    some = result_on("sid-sony", "sid", SONY_SID, "eval-first", excluded_flags={"misaligned": 5})
-    assert "yours leaves out pairs: misaligned (5)" in refused(comparison_table(some))
-    assert "> yours" not in comparison_table(some)
-    none = result_on("eld", "eld", SONY_ELD, excluded_flags={"misaligned": 0})
-    assert comparison_table(none).count("> yours") == 2
-
-
-def test_a_group_with_a_missing_pair_alone_is_not_compared() -> None:
-    table = [SONY_ELD[0], replace(SONY_ELD[1], scored=29)]
-    text = comparison_table(result_on("eld", "eld", table))
-    assert text.count("> yours") == 1
-    assert "SonyA7S2 x200 (34.06 to 43.42 dB): yours has scores of 29 of 30 pairs" in refused(text)
-
-
-def test_a_smaller_set_under_the_same_name() -> None:
-    """A manifest of your own may call itself eld: the number of pairs gives it away."""
-    text = comparison_table(result_on("eld", "eld", [row("SonyA7S2", 100.0, 24, 46.0, 0.98)]))
-    assert "published over 30 pairs; yours is over 24" in refused(text)
-    assert "> yours" not in text
-
-
-def test_cameras_that_are_not_in_the_result() -> None:
-    text = comparison_table(result_on("eld", "eld", SONY_ELD, cameras=["SonyA7S2"]))
-    assert (
-        "NikonD850 x100, x200; CanonEOS70D x100, x200; CanonEOS700D x100, x200 (27.52 to 42.27 dB): not in your table"
-    ) in refused(text)
-
-
-def test_numbers_of_an_uncertain_protocol_are_never_compared() -> None:
-    table = [row("FujifilmXT2", 100.0, 41, 39.0, 0.95), row(None, None, 94, 38.0, 0.9)]
-    for protocol in ("sid", "sid-uncorrected"):
-        text = comparison_table(result_on("sid-fuji", protocol, table, "test-first"))
-        assert "None compares with this result." in text
-        assert "under no protocol that is known for certain: which part of the frame" in refused(text)
-
-
-def test_clips() -> None:
-    """No published protocol of clips is certain, so nothing compares, and the text says why."""
-    means = TableRow(None, None, 49, 49, {"psnr_db": 36.0, "ssim": 0.9, "st_rred": 0.4})
-    result = result_on("drv-raw", "drv-raw", [means], "test", ids=None)
-    text = comparison_table(result)
-    assert "> yours" not in text
-    assert "SonyRX100M6 all factors (32.73 to 37.24 dB): under no protocol" in refused(text)
+def test_what_does_not_compare_is_refused_with_the_reason(found: EvaluationResult, words: str, shown: int) -> None:
+    text = comparison_table(found)
+    assert words in refused(text)
+    assert text.count("> yours") == shown
+    assert ("None compares with this result." in text) == (not shown)
 
 
 def test_a_dataset_without_published_numbers() -> None:
@@ -314,17 +310,8 @@ def scored(dataset: str, protocol: str, subset: str, psnr_db: float) -> Evaluati
         pair.path: UnitScore(pair.path, pair.camera, pair.scene, float(pair.iso or 0), float(pair.ratio), dict(values))
         for pair in pairs
     }
-    provenance = {
-        "dataset": dataset,
-        "cameras": "all",
-        "subset": subset,
-        "excluded_flags": {},
-        "protocol_digest": rules.digest,
-        "manifest_sha256": manifest.digest,
-        "eldata": "0.2.0",
-        "scenes_shared": True,
-    }
-    return EvaluationResult.of(rules, provenance, pairs, scores)
+    stated = provenance(dataset, protocol, subset, manifest_sha256=manifest.digest)
+    return EvaluationResult.of(rules, stated, pairs, scores)
 
 
 def test_a_result_and_its_json_give_the_same(tmp_path: Path) -> None:
@@ -449,13 +436,6 @@ def test_a_number_twice(tmp_path: Path) -> None:
         load_published(tmp_path)
 
 
-def test_a_wrong_header(tmp_path: Path) -> None:
-    write(tmp_path, [])
-    (tmp_path / "eld.csv").write_text("method,psnr\n", encoding="utf-8")
-    with pytest.raises(ManifestError, match=r"line 1: expected the columns source,table,.*; found 'method,psnr'"):
-        load_published(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("sources", "reason"),
     [
@@ -475,16 +455,22 @@ def test_malformed_sources_are_named(tmp_path: Path, sources: Any, reason: str) 
     assert reason in str(caught.value)
 
 
-def test_files_that_are_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ManifestError, match=r"sources\.json: cannot be read"):
-        load_published(tmp_path)
-    (tmp_path / "sources.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(ManifestError, match="holds no published numbers"):
-        load_published(tmp_path)
-    (tmp_path / "sources.json").write_text("{", encoding="utf-8")
-    with pytest.raises(ManifestError, match="is not JSON"):
-        load_published(tmp_path)
-    (tmp_path / "sources.json").write_text(json.dumps(SOURCES), encoding="utf-8")
-    (tmp_path / "eld.csv").write_bytes(b"\xff\xfe")
-    with pytest.raises(ManifestError, match="is not UTF-8"):
+@pytest.mark.parametrize(
+    ("sources", "csv", "reason"),
+    [
+        (None, None, "sources.json: cannot be read"),
+        ("{}", None, "holds no published numbers"),
+        ("{", None, "is not JSON"),
+        (json.dumps(SOURCES), b"\xff\xfe", "is not UTF-8"),
+        (json.dumps(SOURCES), b"method,psnr\n", r"line 1: expected the columns source,table,.*; found 'method,psnr'"),
+    ],
+)
+def test_files_that_are_not_there_or_no_tables(
+    tmp_path: Path, sources: str | None, csv: bytes | None, reason: str
+) -> None:
+    if sources is not None:
+        (tmp_path / "sources.json").write_text(sources, encoding="utf-8")
+    if csv is not None:
+        (tmp_path / "eld.csv").write_bytes(csv)
+    with pytest.raises(ManifestError, match=reason):
         load_published(tmp_path)

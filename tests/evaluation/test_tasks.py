@@ -21,8 +21,8 @@ from eldata.demo.tree import make_tree
 from eldata.errors import ArgumentError, FileError
 from eldata.evaluation import Task, evaluate, evaluate_all, load_results, save_prediction
 from eldata.evaluation.comparison import Method, compare
-from eldata.reports.compare.page import write_comparison_page
-from eldata.reports.evaluation.page import write_evaluation_page
+from eldata.reports.comparison import write_comparison_page
+from eldata.reports.evaluation import write_evaluation_page
 from tests.evaluation import oracle, published_code
 from tests.evaluation.own_set import OwnSet, build_own_set
 from tests.reports.evaluations import result_data, written
@@ -311,5 +311,5 @@ def test_the_example_hands_renderings_to_torchmetrics_lpips(tmp_path: Path, monk
             assert (pixels.min() >= 0, pixels.max() <= 1) == (True, True)
         assert image.task == pytest.approx(np.abs(first - second).mean(), rel=1e-5)
     (metric,) = (metric for metric in found.kind.metrics if metric.name == "task")
-    assert (metric.label, metric.higher_is_better) == ("LPIPS", False)
+    assert (metric.label, metric.better) == ("LPIPS", "lower")
     assert found.provenance["task"]["version"].startswith("torchmetrics ")

@@ -14,18 +14,18 @@ import pytest
 import rawpy
 
 from eldata.cli.main import main
-from eldata.datasets.drv import DRVDataset, DRVRawDataset
+from eldata.datasets.drv import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
 from eldata.evaluation import EvaluationResult, evaluate, load_results, save_clip_prediction
 from eldata.evaluation.comparison import Method, compare
+from eldata.evaluation.looking import images_of
 from eldata.evaluation.saved import saved_result
-from eldata.evaluation.seen_methods import images_of
 from eldata.manifest.catalogue import shipped_card
 from eldata.manifest.drv import scan_raw
 from eldata.metrics import PEAK_ELD, psnr, st_rred
 from eldata.protocols import PROTOCOLS, default_protocol, get_protocol, kinds
 from eldata.raw.cfa import unpack
-from eldata.reports.compare.page import write_comparison_page
+from eldata.reports.comparison import write_comparison_page
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
 from tests.evaluation import published_code
 from tests.raw.helpers import BAYER
@@ -125,7 +125,7 @@ def test_raw_scores_are_those_of_the_published_code(phases: tuple[str, str], tmp
     for clip, sensor in sensors.items():
         write_raw_clip(tmp_path / "DRV", clip, 12, sensor=sensor)
     manifest = scan_raw(tmp_path / "DRV").save(tmp_path / "drv-raw.csv")
-    dataset = DRVRawDataset(tmp_path / "DRV", split="test", frames="evaluation")
+    dataset = DRVDataset(tmp_path / "DRV", form="raw", split="test", frames="evaluation")
     stills, frames = {}, {}
     for record in dataset.records:
         with rawpy.imread(str(tmp_path / f"DRV/long/{record.scene}/DSC00001.ARW")) as raw:
@@ -380,7 +380,7 @@ def test_pictures_of_clips_show_a_frame_of_each(
     assert main(["compare", *files, *arguments, "--html", str(tmp_path / "page.html"), "--pictures"]) == 0
     comparison = compare(methods)
     assert len(list((tmp_path / "page-pictures").glob("*-reference.jpg"))) == len(comparison.images)
-    images = images_of(comparison, dataset_folder=drv.data, predictions=[predictions, own])
+    images = images_of(comparison.results, comparison.images, dataset_folder=drv.data, predictions=[predictions, own])
     for image, (scores, _) in zip(images, comparison.images, strict=True):
         worst = min(frame.psnr_db for frame in scores.frames)
         seen = image.decoded()

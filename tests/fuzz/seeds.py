@@ -6,15 +6,16 @@ import io
 import json
 import struct
 import tempfile
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.raw.files import RAW_EXTENSIONS
 from eldata.records import Exposure, PairRecord, Sensor
+from eldata.sources.store.format import PackedFile, StoredFrame, facts_line
 from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
@@ -280,8 +281,10 @@ def texts() -> list[Seed]:
         "color_bias": [[0.0, 1.0, 2.0, 3.0]] * 3,
         "Profile-1": {"G_scale": fit, "g_scale": fit, "R_scale": fit},
     }
-    exposure = json.dumps({"iso": "100", "exposure_s": "1/30", "f_number": None})
-    sensor = json.dumps(asdict(Sensor("make", "model", ((0, 1), (3, 2)), (0.0,) * 4, 16383.0, 4, 4)))
+    sensor = Sensor("make", "model", ((0, 1), (3, 2)), (0.0,) * 4, 16383.0, 4, 4)
+    exposure, file = Exposure(Fraction(100), Fraction(1, 30)), PackedFile(1, "x", "x")
+    known: dict[str, int] = {}
+    frames = [StoredFrame(f"{number:06d}", "a", "bias", sensor, exposure, "x", file) for number in range(2)]
     curve = b"# a curve\n0 0\n0.25 0.5\n0.5 0.7\n1 1\n"
     grid = " ".join(f"{value:g}" for value in np.linspace(0, 1, 16))
     dorf = f"one\nkind\nI =\n{grid}\nB =\n{grid}\n" * 2
@@ -314,7 +317,7 @@ def texts() -> list[Seed]:
         "seconds.txt": ("seconds", b"1/60"),
         "index.json": ("index", (GOOD / "shards" / "index.json").read_bytes()),
         "facts.json": ("facts", _facts().encode()),
-        "attributes.txt": ("store", f"{exposure}\n{sensor}".encode()),
+        "facts.jsonl": ("store", b"".join(facts_line(frame, known) for frame in frames)),
     }
     found |= {f"result-{name}.json": ("result", json.dumps(data).encode()) for name, data in _results().items()}
     return [Seed(name, reader, content) for name, (reader, content) in found.items()]
@@ -324,15 +327,14 @@ def texts() -> list[Seed]:
 
 
 def archives() -> list[Seed]:
-    """Zip, tar and 7z, in each of their compressions."""
+    """Zip, in each of its compressions, and 7z."""
     import zipfile
 
-    from tests.download.helpers import contents, sevenzipped, tarred, zipped
+    from tests.download.helpers import contents, sevenzipped, zipped
 
     files = {name: content * 2 for name, content in contents(400).items()}
     methods = {"stored": 0, "deflated": 8, "bzip2": 12, "lzma": 14}
     found = {f"{name}.zip": zipped(files, method) for name, method in methods.items()}
-    found |= {f"{mode or 'plain'}.tar": tarred(files, f"w:{mode}") for mode in ("", "gz", "bz2", "xz")}
     found["one.7z"] = sevenzipped(files)
     wide = io.BytesIO()
     with zipfile.ZipFile(wide, "w") as archive, archive.open(next(iter(files)), "w", force_zip64=True) as member:

@@ -105,11 +105,11 @@ def _archive(path: Path) -> object:
 
 
 def _store(path: Path) -> object:
-    from eldata.sources.store.frames import StoreFrames
+    from eldata.sources.store.read import StoreFrames
 
     source = StoreFrames(path)
     for held in source.store.every:
-        np.array(source.frame(held.path).mosaic)
+        source.frame(held.path).whole()
     return source
 
 
@@ -161,7 +161,7 @@ def _parameters(path: Path) -> object:
 
 
 def _protocol(path: Path) -> object:
-    from eldata.protocols.custom import load_protocol
+    from eldata.protocols.named import load_protocol
 
     return load_protocol(path)
 
@@ -260,16 +260,13 @@ def _facts(path: Path) -> object:
         raise ArgumentError("not a sample's facts") from error
 
 
-def _store_attributes(path: Path) -> object:
-    from eldata.sources.store.format import stored
+def _store_facts(path: Path) -> object:
+    from eldata.sources.store.format import frames_in
 
-    first, _, second = path.read_bytes().decode(errors="surrogateescape").partition("\n")
-    attributes = {"path": "a", "role": "bias", "sha256": "x", "exposure": first, "sensor": second}
-    attributes["file"] = '{"size_bytes": 1, "sha256": "x", "decoder": "x"}'
     try:
-        return stored("0", attributes, ())
+        return frames_in(path.read_bytes())
     except (ValueError, LookupError, TypeError) as error:  # as documented: its caller names the store
-        raise ArgumentError("not a frame's attributes") from error
+        raise ArgumentError("not the facts of frames") from error
 
 
 # --- the drill ------------------------------------------------------------------------------------------------------
@@ -355,7 +352,7 @@ KINDS: dict[str, Kind] = {
             "seconds": _seconds,
             "index": _index,
             "facts": _facts,
-            "store": _store_attributes,
+            "store": _store_facts,
             **{
                 name: partial(_response, name=name)
                 for name in ("read_response_table", "read_published_response", "read_dorf", "read_curve_model")
@@ -369,8 +366,7 @@ KINDS: dict[str, Kind] = {
         {"archive": _archive},
         {
             ".zip": (containers.zip_record, containers.zip_record, containers.named),
-            ".7z": (containers.sevenzip, containers.sevenzip),
-            "": (containers.tar_record, containers.tar_record, containers.named),
+            "": (containers.sevenzip, containers.sevenzip),
         },
     ),
     "predictions": Kind(
@@ -384,7 +380,7 @@ KINDS: dict[str, Kind] = {
             "": (*tiffs.CHANGES, tiffs.crowded),
         },
     ),
-    "stores": Kind(seeds.stores, {"store": _store}, {}, isolated=True),
+    "stores": Kind(seeds.stores, {"store": _store}, {}),
     "shards": Kind(seeds.shards, {"shard": _shard}, {".tar": (containers.tar_record, containers.npy)}),
     "shadings": Kind(seeds.shadings, {"shading": _shading}, {"": (containers.zip_record, containers.npy)}),
     "drill": Kind(_drill_seeds, {"drill": _drill}, {"": (_unchanged,)}),

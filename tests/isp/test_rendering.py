@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from eldata.errors import ArgumentError
-from eldata.isp.rendering import CameraColour, Gamma, Rendering
+from eldata.isp.rendering import CameraColour, Gamma, Rendering, render_pair_for_scoring
 from eldata.isp.response import ResponseCurve
-from eldata.isp.srgb_pairs import render_pair_for_scoring
 from eldata.raw.colour import camera_to_srgb
 from tests.raw.helpers import BAYER, XTRANS, make_sensor
 

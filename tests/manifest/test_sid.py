@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.errors import ArgumentError, ManifestError
-from eldata.manifest.card import load_card, save_card
+from eldata.manifest.card import Subset, find_subset, load_card, save_card
 from eldata.manifest.catalogue import Manifest, shipped_folder, shipped_manifest
 from eldata.manifest.pairs import select_pairs
-from eldata.manifest.subsets import Subset, find_subset
 from eldata.manifest.table import save_records
 from eldata.manifest.verify import verify
 from manifests.published_sid import published_sid

@@ -16,8 +16,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eldata.base.fields import TextFile, cell_of_text, text_of_cell
+from eldata.base.fields import TextFile
 from eldata.base.files import sha256_of
+from eldata.base.tables import cell_of_text, text_of_cell
 from eldata.errors import EldataError, ManifestError
 from eldata.manifest.table import (
     COLUMNS,

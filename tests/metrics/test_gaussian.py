@@ -15,7 +15,7 @@ from skimage.metrics import structural_similarity
 
 from eldata.errors import ArgumentError
 from eldata.metrics import _images, ssim
-from eldata.metrics._gaussian_kernels import WEIGHTS
+from eldata.metrics._kernels import WEIGHTS
 
 Image = npt.NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.noise import _kernels, _tables, compiled
+from eldata.noise import _random_kernels, _tables, compiled
 from eldata.noise.compiled import expose_compiled
 from eldata.noise.components import Components
 from eldata.noise.exposures import Adc, Exposures
@@ -264,11 +264,12 @@ def _quantile(v: NDArray[np.float64], shape: float) -> NDArray[np.float64]:
 
 def _tukey_lambda(words: NDArray[np.uint64], shape: float) -> NDArray[np.float32]:
     """Ask the kernel for the draws of given words."""
-    exponent = np.array([shape if abs(shape) > _kernels.LAMBDA_FLOOR else _kernels.LAMBDA_FLOOR], dtype=np.float32)
+    floor = _random_kernels.LAMBDA_FLOOR
+    exponent = np.array([shape if abs(shape) > floor else floor], dtype=np.float32)
     out = np.empty(words.size, dtype=np.float32)
     power = compiled._power_coefficients(exponent)[0]
     high, low = (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
-    _kernels.tukey_lambda_draws(high, low, exponent[0], power, np.empty_like(out), out)
+    _random_kernels.tukey_lambda_draws(high, low, exponent[0], power, np.empty_like(out), out)
     return out
 
 
@@ -298,7 +299,7 @@ def test_gaussian_arithmetic_is_accurate_and_reaches_seven_sigma() -> None:
     words = _extreme_words()
     high, low = (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
     drawn = np.empty(words.size, dtype=np.float32)
-    _kernels.gaussian_draws(high, low, drawn)
+    _random_kernels.gaussian_draws(high, low, drawn)
     u = ((words >> np.uint64(24)).astype(np.float64) + 0.5) * 2.0**-40
     angle = ((words & np.uint64(0xFFFFFF)).astype(np.float64) + 0.5) * 2.0**-24
     radius = np.sqrt(-2 * np.log(u))

@@ -16,15 +16,14 @@ from scipy import stats
 
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters, shipped_profiles
-from eldata.noise.gain_modes import LogLogFit
-from eldata.noise.profile import ProfileRow
+from eldata.noise.gain_modes import LogLogFit, ProfileRow
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from eldata.noise.randomness import Generator
+    from eldata.noise.parameters import Generator
 
 CAMERAS = ("CanonEOS5D4", "CanonEOS700D", "CanonEOS70D", "NikonD850", "NikonD850-2", "SonyA7S2")
 FITS = ("tukey_lambda_fit", "gauss_fit", "row_fit")

@@ -154,7 +154,7 @@ def noticed(path: Path, whole: Whole) -> str:
     if np.array_equal(frame.mosaic, whole.mosaic) and frame.exposure == whole.exposure:
         return "harmless"
     try:
-        check_streams(path)
+        check_streams(path, read_directories(path))
     except RawFileError:
         return "full"
     return "silent"

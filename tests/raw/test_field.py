@@ -14,7 +14,7 @@ import tifffile
 from eldata.errors import ArgumentError, RawFileError, UnusableRawError
 from eldata.isp import render_libraw
 from eldata.raw import pack, read_header, read_raw, write_dng
-from eldata.raw.reading import count_images
+from eldata.raw.libraw import count_images
 from eldata.raw.tiff import read_directories
 from eldata.raw.unsupported import refuse_unsupported
 from tests.raw.helpers import BAYER, EXPOSURE, active_area, letters, make_sensor, random_mosaic, write_plain_dng

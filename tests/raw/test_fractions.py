@@ -21,10 +21,17 @@ from hypothesis import strategies as st
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import pack_normalised, read_raw, write_dng
 from eldata.raw.black_levels import BlackLevel, VisibleArea, dng_black_level
-from eldata.raw.colour import camera_to_srgb
-from eldata.raw.neutrals import neutral_of, private_data, white_balance_of
-from eldata.raw.rationals import RATIONAL, SRATIONAL, nearest_fraction
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_LEVEL, BLACK_REPEAT, PHOTOMETRIC, Directory
+from eldata.raw.colour import camera_to_srgb, neutral_of, private_data, white_balance_of
+from eldata.raw.tiff import (
+    ACTIVE_AREA,
+    BLACK_LEVEL,
+    BLACK_REPEAT,
+    PHOTOMETRIC,
+    RATIONAL,
+    SRATIONAL,
+    Directory,
+    nearest_fraction,
+)
 from eldata.records import ExactFloat, Sensor, exact_fraction, exact_number
 from tests.raw.helpers import (
     BAYER,

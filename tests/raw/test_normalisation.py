@@ -12,8 +12,14 @@ from hypothesis import strategies as st
 
 from eldata.errors import ArgumentError
 from eldata.raw import denormalise, normalise, pack, pack_normalised, packed_shape, unpack
-from eldata.raw.cfa import packed_black_level_dn
-from eldata.raw.levels import FRAME_LEVELS, FrameLevels, packed_frame, white_level_dn, with_levels
+from eldata.raw.levels import (
+    FRAME_LEVELS,
+    FrameLevels,
+    packed_black_level_dn,
+    packed_frame,
+    white_level_dn,
+    with_levels,
+)
 from eldata.records import Exposure, RawFrame
 from tests.cases import in_one_test
 from tests.raw.helpers import (

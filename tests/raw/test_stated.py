@@ -17,8 +17,9 @@ import pytest
 import rawpy
 
 from eldata.errors import RawFileError
-from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
+from eldata.raw import exif, exposure_ratio, read_header, read_raw, reading, write_dng
 from eldata.raw.exif import exif_tags, header_of
+from eldata.raw.files import raw_facts
 from eldata.records import Exposure
 from tests.raw.crw import crw, heap, write_crw
 from tests.raw.helpers import EXPOSURE, Tag, make_sensor, random_mosaic, write_plain_dng
@@ -318,3 +319,32 @@ def test_a_real_dng() -> None:
     assert frame.mosaic.shape == (64, 96)
     # Its Orientation is 2, mirrored: the mosaic stands as the sensor was read out.
     assert frame.mosaic[0, :4].tolist() == list(struct.unpack_from("<4H", DNG.read_bytes(), 6992))
+
+
+# --- once -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("decode", [False, True])
+def test_tables_and_exif_of_a_file_are_parsed_once(
+    decode: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For a header, its pixels and every check of damage together."""
+    calls: list[str] = []
+
+    def count(module: Any, name: str) -> None:
+        work = getattr(module, name)
+
+        def counted(path: Path) -> Any:
+            calls.append(name)
+            return work(path)
+
+        monkeypatch.setattr(module, name, counted)
+
+    count(reading, "read_directories")
+    count(exif, "exif_tags")
+    mosaic, sensor = random_mosaic(60, 64), make_sensor()
+    write_dng(tmp_path / "a.dng", mosaic, sensor, EXPOSURE, compression="lossless-jpeg")
+    header, found = raw_facts(tmp_path / "a.dng", decode=decode)
+    assert sorted(calls) == ["exif_tags", "read_directories"]
+    assert header.exposure == EXPOSURE
+    assert (found is not None) == decode

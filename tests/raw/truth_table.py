@@ -20,7 +20,7 @@ import numpy as np
 from eldata.errors import EldataError
 from eldata.raw.dng import write_dng
 from eldata.raw.exif import exif_tags, header_of
-from eldata.raw.extensions import RAW_EXTENSIONS
+from eldata.raw.files import RAW_EXTENSIONS
 from eldata.raw.reading import read_raw
 
 if TYPE_CHECKING:

@@ -7,23 +7,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.calibration.acceptance.reproduction import reproduction
 from eldata.calibration.camera import joined
-from eldata.calibration.colour_bias import ChannelMeans, colour_bias
-from eldata.calibration.defects import BiasStack, fixed_pattern
+from eldata.calibration.core.bias_figures import BiasSums
+from eldata.calibration.core.defects import BiasStack, fixed_pattern
+from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
+from eldata.calibration.core.single_frame import FlatFrames, single_frame_plot, spatial_photon_transfer
+from eldata.calibration.core.spectra import power_spectrum
 from eldata.calibration.iso_results import IsoCalibration
-from eldata.calibration.photon_transfer import FlatFrames, FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.read_noise import Residuals, probability_plot, read_noise
-from eldata.calibration.reproduction import reproduction
-from eldata.calibration.row_noise import LineMeans, row_noise
-from eldata.calibration.single_frame import single_frame_plot
-from eldata.calibration.spectrum import power_spectrum
 from eldata.records import Sensor
 from tests.calibration.simulation import Body, Camera
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.photon_transfer import PhotonTransfer
+    from eldata.calibration.core.photon_transfer import PhotonTransfer
     from eldata.calibration.results import Calibration
 
 SHAPE = (264, 384)
@@ -49,12 +47,11 @@ def measured(iso: float, camera: Camera, *, frames: int = 6, levels: Sequence[fl
     for frame in bias:
         stack.add(frame)
     fixed = fixed_pattern(stack)
-    lines, residuals, means = LineMeans(fixed), Residuals(fixed), ChannelMeans(camera.cfa, defects=fixed.defects)
+    sums = BiasSums(fixed)
     for frame in bias:
-        lines.add(frame)
-        residuals.add(frame)
-        means.add(frame)
-    histogram = residuals.histogram()
+        sums.add(frame)
+    sums.fixed_pattern()
+    figures = sums.figures(sensor.black_level_dn)
     transfer, spatial = _transfers(body, sensor, levels) if levels else (None, None)
     found = IsoCalibration(
         iso=iso,
@@ -63,10 +60,10 @@ def measured(iso: float, camera: Camera, *, frames: int = 6, levels: Sequence[fl
         flat_frames=0 if transfer is None else transfer.frames,
         transfer=transfer,
         spatial=spatial,
-        bias=colour_bias(means, sensor.black_level_dn),
-        rows=row_noise(lines),
-        read=read_noise(histogram),
-        plot=probability_plot(histogram),
+        bias=figures.bias,
+        rows=figures.rows,
+        read=figures.read,
+        plot=figures.plot,
         pattern=fixed.summary,
         spectrum_dn2=power_spectrum(bias[0], fixed),
         reproduction=None,

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.noise.diagnostics import diagnose, sample_parameters
+from eldata.calibration.acceptance.theory import diagnose, sample_parameters
 from eldata.noise.profile import CameraProfile
 
 if TYPE_CHECKING:
-    from eldata.noise.findings import Diagnostics
+    from eldata.calibration.acceptance.verdicts import Diagnostics
 
 
 @pytest.fixture(scope="session")

@@ -14,14 +14,14 @@ from PIL import Image
 from eldata.cli.main import main
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.ordering import cameras_in_order, natural
-from eldata.evaluation.references import rendered_reference
+from eldata.evaluation.looking import images_of, place_of_difference
+from eldata.evaluation.originals import rendered_reference
 from eldata.evaluation.reproduction import units_again
 from eldata.evaluation.saved import load_results
-from eldata.evaluation.seen_methods import images_of, place_of_difference
+from eldata.evaluation.scores import cameras_in_order, natural
 from eldata.evaluation.statistics import holm
-from eldata.reports.compare import pictures
-from eldata.reports.compare.page import write_comparison_page
+from eldata.reports import pictures
+from eldata.reports.comparison import write_comparison_page
 from tests.capture.checklist_browser import Browser, Page
 from tests.evaluation.helpers import Tree, perturbed, place, small_tree
 from tests.reports.pages import assert_well_formed, checked
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.evaluation.comparison import Comparison
-    from eldata.evaluation.seen_methods import MethodsImage
+    from eldata.evaluation.looking import ScoredImage
 
 CROP = (12, 16)
 IMAGES = 12  # two cameras, one scene, three ISOs, two factors
@@ -54,7 +54,7 @@ class Compared:
     folder: Path
     files: tuple[Path, Path]
     comparison: Comparison
-    images: tuple[MethodsImage, ...]
+    images: tuple[ScoredImage, ...]
 
     @property
     def page(self) -> Path:
@@ -76,7 +76,13 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Compared:
     methods = [Method(path.stem, load_results(path)[0]) for path in files]
     comparison = compare(methods)
     dataset, units = units_again(methods[0].result, manifest=tree.manifest, root=tree.root)
-    images = images_of(comparison, dataset_folder=dataset, predictions=[folder / "near", folder / "far"], units=units)
+    images = images_of(
+        comparison.results,
+        comparison.images,
+        dataset_folder=dataset,
+        predictions=[folder / "near", folder / "far"],
+        units=units,
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pictures, "CROP", CROP)
         write_comparison_page(comparison, folder / "page.html", images=images)
@@ -136,7 +142,7 @@ def test_renderings_are_compared_as_they_are(compared: Compared, tmp_path: Path)
     assert comparison.images
     dataset, units = units_again(methods[0].result, manifest=tree.manifest, root=tree.root)
     folders = [tmp_path / method.name for method in methods]
-    images = images_of(comparison, dataset_folder=dataset, predictions=folders, units=units)
+    images = images_of(comparison.results, comparison.images, dataset_folder=dataset, predictions=folders, units=units)
     write_comparison_page(comparison, tmp_path / "page.html", images=images)
     made = tmp_path / "page-pictures"
     names = {path.name.partition("-")[2] for path in made.iterdir()}

@@ -13,18 +13,19 @@ import pytest
 import scipy.integrate
 import scipy.stats
 
-from eldata.errors import ArgumentError
-from eldata.noise import diagnostics as module
-from eldata.noise.components import PAPER_MODELS
-from eldata.noise.diagnostics import (
+from eldata.calibration.acceptance import theory as module
+from eldata.calibration.acceptance.theory import (
     diagnose,
     sample_parameters,
     tukey_lambda_kurtosis,
     tukey_lambda_quantile,
 )
-from eldata.noise.findings import SIGNALS_E, Diagnostics, TheoryCheck, parameter_rows
+from eldata.calibration.acceptance.verdicts import SIGNALS_E, Diagnostics, TheoryCheck, parameter_rows
+from eldata.errors import ArgumentError
+from eldata.noise.components import PAPER_MODELS
 from eldata.noise.parameters import NoiseParameters
-from eldata.noise.profile import CameraProfile, shipped_profiles
+from eldata.noise.profile import CameraProfile
+from eldata.noise.profile_files import shipped_profiles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -20,7 +20,7 @@ from eldata.errors import ArgumentError, EldataError, PredictionError
 from eldata.evaluation.combined import CombinedResult
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.looking import seen_frames, worst_and_best
+from eldata.evaluation.looking import worst_and_best, worst_and_best_images
 from eldata.evaluation.saved import saved_result
 from eldata.isp.preview import brightening, preview
 from eldata.plots.axes import drawable
@@ -28,11 +28,10 @@ from eldata.protocols import fields_digest
 from eldata.protocols.kinds import IMAGES
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
-from eldata.reports.compare.page import comparison_page
-from eldata.reports.evaluation import pictures
-from eldata.reports.evaluation.page import evaluation_page, write_evaluation_page
-from eldata.reports.evaluation.pictures import CROP, EACH, Layer, ShownImage, ShownImages, shown_images
-from eldata.reports.evaluation.plots import score_plots
+from eldata.reports import pictures
+from eldata.reports.comparison import comparison_page
+from eldata.reports.evaluation import EACH, evaluation_page, score_plots, write_evaluation_page
+from eldata.reports.pictures import CROP, Layer, ShownImage, ShownImages, show_images
 from tests.evaluation.helpers import Tree, place, small_tree
 from tests.reports.evaluations import result, result_data, table_of
 from tests.reports.pages import HOSTILE, assert_well_formed, checked
@@ -304,13 +303,13 @@ def pixels(layer: Layer) -> NDArray[np.float64]:
 @pytest.fixture
 def finest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures whose codec moves a pixel by about one code."""
-    monkeypatch.setattr(pictures, "_JPEG_QUALITIES", (100,))
+    monkeypatch.setattr(pictures, "_QUALITIES", (100,))
 
 
 @pytest.mark.usefixtures("finest")
 def test_pictures_show_what_was_scored(evaluated: EvaluationResult, tree: Tree, predictions: Path) -> None:
     """Against the same steps written plainly."""
-    shown = shown_images(seen_frames(evaluated, EACH, dataset_folder=tree.files, predictions=predictions))
+    shown = show_images(worst_and_best_images(evaluated, EACH, dataset_folder=tree.files, predictions=predictions))
     assert [image.rank for image in shown.images] == ["Worst"] * EACH + ["Best"] * EACH
     pairs = {pair.path: pair for pair in evaluated.pairs}
     for image in shown.images:
@@ -348,7 +347,7 @@ def test_errors_are_bright_where_they_are(
 
     place(folder, tree, spoilt)
     one = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol="eld-uncorrected")
-    shown = shown_images(seen_frames(one, EACH, dataset_folder=tree.files, predictions=folder))
+    shown = show_images(worst_and_best_images(one, EACH, dataset_folder=tree.files, predictions=folder))
     for image in shown.images:
         error = pixels(image.layers[-1]).mean(axis=2)
         inside = np.zeros(error.shape, dtype=bool)
@@ -361,10 +360,10 @@ def test_a_crop_comes_with_the_whole(
     evaluated: EvaluationResult, tree: Tree, predictions: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = evaluated
-    entire = shown_images(seen_frames(one, EACH, dataset_folder=tree.files, predictions=predictions))
+    entire = show_images(worst_and_best_images(one, EACH, dataset_folder=tree.files, predictions=predictions))
     monkeypatch.setattr(pictures, "CROP", (16, 24))
     monkeypatch.setattr(pictures, "_WHOLE_WIDTH", 24)
-    shown = shown_images(seen_frames(one, EACH, dataset_folder=tree.files, predictions=predictions))
+    shown = show_images(worst_and_best_images(one, EACH, dataset_folder=tree.files, predictions=predictions))
     for image, full in zip(shown.images, entire.images, strict=True):
         assert (image.size, image.full_size) == ((16, 24), (32, 48))
         assert image.crop_box == (25.0, 25.0, 50.0, 50.0)
@@ -380,7 +379,7 @@ def test_a_crop_comes_with_the_whole(
 
 def test_the_input_as_a_baseline(tree: Tree, tmp_path: Path) -> None:
     one = evaluate(None, manifest=tree.manifest, root=tree.root, baseline="input")
-    shown = shown_images(seen_frames(one, EACH, dataset_folder=tree.files, predictions=None))
+    shown = show_images(worst_and_best_images(one, EACH, dataset_folder=tree.files, predictions=None))
     for image in shown.images:
         layers = {layer.key: layer for layer in image.layers}
         if abs(image.score.rescale - 1) < 0.02:
@@ -392,7 +391,7 @@ def test_the_input_as_a_baseline(tree: Tree, tmp_path: Path) -> None:
 
 def test_renderings_are_shown_as_they_are(tree: Tree, tmp_path: Path) -> None:
     """Under a protocol of sRGB: predictions that are the reference's rendering, a little darker."""
-    from eldata.evaluation.references import rendered_reference
+    from eldata.evaluation.originals import rendered_reference
 
     folder = tmp_path / "preds"
 
@@ -403,7 +402,7 @@ def test_renderings_are_shown_as_they_are(tree: Tree, tmp_path: Path) -> None:
     place(folder, tree, dark)
     one = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol="sid2018", allow_missing=True)
     assert one.images
-    shown = shown_images(seen_frames(one, EACH, dataset_folder=tree.files, predictions=folder))
+    shown = show_images(worst_and_best_images(one, EACH, dataset_folder=tree.files, predictions=folder))
     for image in shown.images:
         layers = {layer.key: layer for layer in image.layers}
         assert list(layers) == ["prediction", "reference", "error"]
@@ -446,7 +445,7 @@ def test_pictures_get_smaller_until_they_fit(
     evaluated: EvaluationResult, tree: Tree, predictions: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def size() -> int:
-        shown = shown_images(seen_frames(evaluated, EACH, dataset_folder=tree.files, predictions=predictions))
+        shown = show_images(worst_and_best_images(evaluated, EACH, dataset_folder=tree.files, predictions=predictions))
         return sum(len(layer.jpeg) for image in shown.images for layer in image.layers)
 
     best = size()

@@ -9,10 +9,10 @@ import pytest
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.saved import saved_result
-from eldata.reports.compare.page import write_comparison_page
-from eldata.reports.evaluation import pictures
-from eldata.reports.evaluation.page import evaluation_page, write_evaluation_page
-from eldata.reports.evaluation.pictures import ShownImages
+from eldata.reports import pictures
+from eldata.reports.comparison import write_comparison_page
+from eldata.reports.evaluation import evaluation_page, write_evaluation_page
+from eldata.reports.pictures import ShownImages
 from tests.capture.checklist_browser import Browser, Page
 from tests.evaluation.helpers import place, small_tree
 from tests.reports.evaluations import result

@@ -1,3 +1,3 @@
-from .exporting import export as export
+from .codes import export as export
 from .hub import export_hub as export_hub
 from .writing import ExportReport as ExportReport

@@ -1,4 +1,4 @@
-"""What each published repository reads: names, lists and infos, after its own code.
+"""One call: a set's pairs as one published repository's code reads them, names, lists and infos, after that code.
 
 LED: commit ee3d372, led/data/paired_raw_dataset.py. ELD: commit 53d5408, dataset/sid_dataset.py and util/lmdb_data.py.
 SID: commit 0448b58, train_Sony.py and the lists in dataset/. PMN: commit d207d3e, get_dataset_infos.py and
@@ -7,25 +7,34 @@ data_process/real_datasets.py.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+import io
+import pickle
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any, Literal, Unpack, get_args
+
+import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, RawFileError, check_choice
+from eldata.integrations.exports.frames import balance_multipliers, exported_pairs, matrix_to_srgb
 from eldata.integrations.exports.naming import (
     LARGEST_RATIO,
     eld_numbers,
     numbers_of,
     sid_names,
 )
-from eldata.integrations.exports.writing import ExportPlan
+from eldata.integrations.exports.writing import ExportPlan, write_export
+from eldata.manifest.eld import nearest_reference
 from eldata.manifest.table import number_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from fractions import Fraction
-    from pathlib import Path
 
-    from eldata.integrations.exports.frames import ExportPair
+    from eldata.base.workers import AnyWorkers
+    from eldata.integrations.exports.frames import ExportFrame, ExportPair
+    from eldata.integrations.exports.writing import ExportReport, Linking
+    from eldata.manifest.pairs import Choice
 
     PairsByCamera = Mapping[str, Sequence[ExportPair]]
 
@@ -36,20 +45,63 @@ _PMN_SUFFIXES = (".arw", ".dng")
 _SID_RATIOS = (100, 250, 300)
 
 
-def planned(code: Code, pairs: PairsByCamera) -> ExportPlan:
-    """Return what one repository's code is to be given of pairs.
+def export(
+    code: Code,
+    folder: Path | str,
+    name: str = "",
+    *,
+    manifest: Path | str | None = None,
+    root: Path | str | None = None,
+    link: Linking = "symbolic",
+    workers: AnyWorkers = 1,
+    **choice: Unpack[Choice],
+) -> ExportReport:
+    """Write what a published repository's code reads of a set: links under its names, and its lists or infos.
+
+    Parameters
+    ----------
+    code
+        ``"led"``, ``"pmn"``, ``"eld"`` or ``"sid"``: the code of the repository of that name.
+    folder
+        Where to write. Nothing in it is overwritten, and what is there as wanted is left.
+    name
+        A set that eldata knows.
+    manifest
+        A manifest's CSV file, in place of the name.
+    root
+        The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
+    link
+        ``"symbolic"`` or ``"hard"`` links to the files, or ``"copy"``. PMN's infos name the files themselves.
+    workers
+        Number of processes that read the files' headers, or an executor.
+    choice
+        Which pairs.
 
     Raises
     ------
     ArgumentError
-        If its names or infos cannot say what the manifest does.
-    RawFileError
-        If a file does not state ISO and exposure time.
+        If an argument is unknown, or the code's names cannot say what the manifest does.
+    ManifestError
+        If there is no such set, or the manifest is malformed.
+    DatasetError
+        If files are missing or cannot be read.
+    EldataError
+        If something else lies where a link or list is to be; nothing is written then.
+
+    Examples
+    --------
+    >>> from eldata.integrations.exports import export
+    >>> manifest = "eldata-demo/manifests/eld-demo.csv"
+    >>> report = export("led", "for-led", manifest=manifest, root="eldata-demo/data")
+    >>> report.pairs, report.lists[0]
+    (24, 'DemoAlpha/DemoAlpha_list.txt')
     """
+    check_choice("code", code, CODES)
+    _, pairs = exported_pairs(name, manifest=manifest, root=root, with_sensors=code == "pmn", workers=workers, **choice)
     plan = ExportPlan()
     for camera, own in pairs.items():
         _PLANS[code](plan, camera, own)
-    return plan
+    return write_export(Path(folder), plan, sum(map(len, pairs.values())), link)
 
 
 # --- LED --------------------------------------------------------------------------------------------------------------
@@ -147,17 +199,15 @@ def _sid(plan: ExportPlan, camera: str, pairs: Sequence[ExportPair]) -> None:
 
 
 def _pmn(plan: ExportPlan, camera: str, pairs: Sequence[ExportPair]) -> None:
-    from eldata.integrations.exports.pmn_infos import eld_info, pickled, sid_evaltest_info, sid_train_info
-
     other = [pair.noisy for pair in pairs if pair.noisy.file.suffix.lower() not in _PMN_SUFFIXES]
     if other:
         raise ArgumentError(f"{other[0].file}: PMN's code opens .arw and .dng alone; eldata's own datasets read all")
     training = [pair for pair in pairs if pair.record.split == "train"]
     scored = [pair for pair in pairs if pair.record.split != "train"]
     if training:
-        plan.lists[f"{camera}/infos/SID_train.info"] = pickled(sid_train_info(training))
+        plan.lists[f"{camera}/infos/SID_train.info"] = _pickled(_sid_train_info(training))
     if scored:
-        plan.lists[f"{camera}/infos/SID_evaltest.info"] = pickled(sid_evaltest_info(scored))
+        plan.lists[f"{camera}/infos/SID_evaltest.info"] = _pickled(_sid_evaltest_info(scored))
         counts = [sum(pair.record.ratio == ratio for pair in scored) for ratio in _SID_RATIOS]
         if counts != [40, 40, 49]:
             plan.remarks.append(
@@ -165,11 +215,94 @@ def _pmn(plan: ExportPlan, camera: str, pairs: Sequence[ExportPair]) -> None:
                 f"300; here there are {', '.join(map(str, counts))} of these, and {len(scored)} in all"
             )
     scenes = _numbered_scenes(scored or pairs)
-    plan.lists[f"{camera}/infos/ELD_{camera}.info"] = pickled(eld_info(scored or pairs, scenes.values()))
+    plan.lists[f"{camera}/infos/ELD_{camera}.info"] = _pickled(_eld_info(scored or pairs, scenes.values()))
     plan.usage.append(
         f"{camera}: {camera}/infos here takes the place of PMN's infos (ELD_{camera}.info under the name that its "
         "ELD_Dataset has, ELD_SonyA7S2.info); H, W, wp and bl of the runfile are those of your camera"
     )
+
+
+def _sid_train_info(pairs: Sequence[ExportPair]) -> list[dict[str, Any]]:
+    """Return one entry a reference: its facts, ``long``, and ``short`` and ``ratio`` of all of its noisy frames."""
+    noisy_of: dict[str, list[ExportPair]] = {}
+    for pair in pairs:
+        noisy_of.setdefault(pair.reference.path, []).append(pair)
+    return [
+        _facts(own[0].reference)
+        | {
+            "ratio": np.array([_ratio(pair.record.ratio) for pair in own]),
+            "long": str(own[0].reference.file),
+            "short": [str(pair.noisy.file) for pair in own],
+        }
+        for own in noisy_of.values()
+    ]
+
+
+def _sid_evaltest_info(pairs: Sequence[ExportPair]) -> list[dict[str, Any]]:
+    """Return one entry a pair, by ratio: PMN's code cuts the list where the ratio changes."""
+    return [
+        _facts(pair.reference)
+        | {"ratio": _ratio(pair.record.ratio), "long": str(pair.reference.file), "short": str(pair.noisy.file)}
+        for pair in sorted(pairs, key=lambda pair: pair.record.ratio)
+    ]
+
+
+def _eld_info(pairs: Sequence[ExportPair], scenes: Iterable[Mapping[int, str]]) -> list[list[dict[str, Any]]]:
+    """Return for each scene an entry a number, from 1 on without a gap: PMN's code counts places, not names.
+
+    Numbers without a frame have their reference's entry, which stands for no ISO and ratio that is asked for.
+    """
+    frames = {frame.path: frame for pair in pairs for frame in (pair.reference, pair.noisy)}
+    ratio_of = {pair.noisy.path: _ratio(pair.record.ratio) for pair in pairs}
+    infos = []
+    for numbered in scenes:
+        last = max(numbered)
+        paths = [numbered.get(number, numbered.get(nearest_reference(number))) for number in range(1, last + 1)]
+        known = next(path for path in paths if path is not None)
+        entries = [path or known for path in paths]
+        infos.append(
+            [
+                _facts(frames[path]) | {"ratio": ratio_of.get(path, 1), "data": str(frames[path].file)}
+                for path in entries
+            ]
+        )
+    return infos
+
+
+def _facts(frame: ExportFrame) -> dict[str, Any]:
+    iso, seconds = frame.exposure.iso, frame.exposure.exposure_s
+    if iso is None or seconds is None:
+        raise RawFileError(frame.file, "states no ISO or no exposure time, which PMN's infos have")
+    return {
+        "ISO": int(iso),
+        "ExposureTime": float(seconds),
+        "name": PurePosixPath(frame.path).stem,
+        "wb": balance_multipliers(frame.sensor),
+        "ccm": matrix_to_srgb(frame.sensor),
+    }
+
+
+def _ratio(ratio: Fraction) -> int | float:
+    return ratio.numerator if ratio.denominator == 1 else float(ratio)
+
+
+class _Pickler(pickle.Pickler):
+    """Writes arrays as calls of ``numpy.array``, which every numpy has.
+
+    What numpy 2 writes of itself names modules that the numpy of PMN's code, below 1.20, does not have.
+    """
+
+    def reducer_override(self, value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return np.array, (value.tolist(), value.dtype.str)
+        return NotImplemented
+
+
+def _pickled(content: Any) -> bytes:
+    """Return a list of infos pickled, for any Python 3 and any numpy."""
+    out = io.BytesIO()
+    _Pickler(out, protocol=2).dump(content)
+    return out.getvalue()
 
 
 # --- what they share --------------------------------------------------------------------------------------------------

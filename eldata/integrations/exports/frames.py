@@ -6,15 +6,20 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, Unpack
 
+import numpy as np
+
 from eldata.base.files import file_problem, folder_problem, inside
 from eldata.base.workers import Failed, Workers, require_files
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import known_manifest, load_manifest
 from eldata.manifest.pairs import Choice, select_pairs
+from eldata.raw.colour import camera_to_srgb
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from eldata.base.workers import AnyWorkers
     from eldata.manifest.catalogue import Manifest
@@ -104,3 +109,19 @@ def _all_read(outcomes: Iterable[ExportFrame | Failed[str]]) -> list[ExportFrame
     if failed:
         raise DatasetError(f"{failed[0].reason}" + (f"; so are {len(failed) - 1} more" if len(failed) > 1 else ""))
     return [outcome for outcome in every if not isinstance(outcome, Failed)]
+
+
+# --- a sensor's colours as published code has them beside a frame: float32, nan where unknown -------------------------
+
+
+def balance_multipliers(sensor: Sensor | None) -> NDArray[np.float32]:
+    """Return the multipliers of R, G1, B and G2 as shot, G1 = 1: (4,); nan if the file states none."""
+    stated = None if sensor is None else sensor.white_balance
+    return np.array((np.nan,) * 4 if stated is None else tuple(map(float, stated)), np.float32)
+
+
+def matrix_to_srgb(sensor: Sensor | None) -> NDArray[np.float32]:
+    """Return the matrix from white-balanced camera R, G, B to linear sRGB: (3, 3); nan if the file states none."""
+    if sensor is None or sensor.xyz_to_camera is None:
+        return np.full((3, 3), np.nan, np.float32)
+    return camera_to_srgb(sensor.xyz_to_camera).astype(np.float32)

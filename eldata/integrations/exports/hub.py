@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Unpack
 
 from tqdm import tqdm
 
-from eldata.base.fields import csv_text, names_of
+from eldata.base.fields import names_of
 from eldata.base.files import folder_problem, json_text
+from eldata.base.tables import csv_text
 from eldata.errors import ArgumentError, DatasetError
 from eldata.integrations.exports.hub_card import PAIR_COLUMNS, HubLayout, HubSplit, hub_page
 from eldata.integrations.exports.writing import ExportPlan, write_export

@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError, RawFileError
-from eldata.evaluation.ordering import natural
+from eldata.evaluation.scores import natural
 from eldata.manifest.eld import REFERENCE_NUMBERS, nearest_reference
 
 if TYPE_CHECKING:

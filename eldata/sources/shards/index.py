@@ -26,10 +26,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.fields import TextFile
-from eldata.errors import FileError
+from eldata.errors import ArgumentError, FileError
 from eldata.raw.levels import FRAME_LEVELS, FrameLevels
 from eldata.records import PairRecord
-from eldata.sources.file_facts import exact, exposure_data, exposure_of, more_of_sensor, parsed, sensor_data, sensor_of
+from eldata.sources.file_facts import exact, exposure_data, exposure_of, more_of_sensor, sensor_data, sensor_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -212,7 +212,7 @@ def parse_facts(content: bytes) -> Facts:
     ValueError, LookupError, TypeError, ArithmeticError
         If they are not what :func:`facts_text` makes.
     """
-    data = parsed("the facts", content)
+    data = TextFile("the facts", ArgumentError, content=content).json().data
     record = data["record"]
     iso, exposure_s = (exact(record[name]) for name in ("iso", "exposure_s"))
     texts = {name: record[name] for name in ("path", "reference", "camera", "scene", "split")}

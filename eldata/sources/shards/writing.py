@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
@@ -13,23 +14,23 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata import __version__
+from eldata.base.arguments import keywords
 from eldata.base.fields import TextFile
 from eldata.base.files import atomic_write, check_same_work, remove_leftovers, sha256_of, write_json, write_text
-from eldata.base.keywords import keywords
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.pairs import Choice
-from eldata.sources.pairs import checked_ratio
+from eldata.raw.cfa import cfa_from, packed_area, packing_sites
+from eldata.sources.frames import checked_ratio
 from eldata.sources.shards.index import FORMAT, INDEX, VERSION, Facts, Shard, ShardIndex, Side, index_text, key_of
 from eldata.sources.shards.members import END, to_bytes
-from eldata.sources.shards.tiles import grid, whole
-from eldata.sources.store.frames import StoreFrames
+from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from eldata.records import PairRecord
+    from eldata.raw.cfa import CfaRows
+    from eldata.records import PairRecord, Sensor
     from eldata.sources.frames import Frame
-    from eldata.sources.shards.tiles import Tile
 
 # What was begun, so that only the same work goes on in the folder; gone soon after the index is there.
 BEGUN = ".begun.json"
@@ -57,7 +58,7 @@ class _Planned(NamedTuple):
 
     def content(self, number: int) -> bytes:
         """Return the sample's part of a shard."""
-        noisy, reference = (frame.mosaic[self.tile.slices] for frame in self.frames)
+        noisy, reference = (frame.read(*self.tile.slices).copy() for frame in self.frames)
         return to_bytes(key_of(number), self.facts, noisy, reference)
 
 
@@ -83,7 +84,7 @@ def write_shards(
     folder
         A local folder, new or empty, or one in which the same work was begun.
     tile, overlap
-        Side of the samples and what neighbours share, in packed pixels (:func:`eldata.sources.shards.tiles.grid`); tile
+        Side of the samples and what neighbours share, in packed pixels (:func:`grid`); tile
         ``None`` writes whole frames.
     samples_per_shard
         The last shard has the rest.
@@ -202,3 +203,75 @@ def _found(path: Path, samples: Iterable[bytes]) -> Shard | None:
         return shard if sha256_of(path) == shard.sha256 else None
     except OSError as error:
         raise EldataError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """A part of a mosaic, in its pixels, and the CFA that it starts with."""
+
+    top: int
+    left: int
+    height: int
+    width: int
+    cfa: CfaRows
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Index of the tile: ``mosaic[tile.slices]``."""
+        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
+
+    def sensor(self, sensor: Sensor) -> Sensor:
+        """Return a frame's sensor as that of the tile."""
+        return replace(sensor, cfa=self.cfa, height=self.height, width=self.width)
+
+
+def whole(sensor: Sensor) -> list[Tile]:
+    """Return the one tile that is the whole frame, pixels that packing drops included."""
+    return [Tile(0, 0, sensor.height, sensor.width, sensor.cfa)]
+
+
+def grid(name: str, sensor: Sensor, tile: int, overlap: int) -> list[Tile]:
+    """Return the tiles that cover all that packing keeps of a frame, row by row.
+
+    Each has ``tile`` packed pixels a side and one period of the CFA more, so that a crop of the whole side can still be
+    turned. They are spread evenly, the last of a row or column ends with the frame: most overlap by more.
+
+    Parameters
+    ----------
+    name
+        Of the frame, for errors.
+    sensor
+        Size and CFA.
+    tile, overlap
+        In packed pixels, even for X-Trans.
+
+    Raises
+    ------
+    ArgumentError
+        If a length is out of its range, or odd for X-Trans.
+    DatasetError
+        If the frame is smaller than a tile.
+    """
+    period = len(sensor.cfa)
+    scale = packing_sites(sensor.cfa).scale
+    if tile < 2 or not 0 <= overlap < tile:
+        raise ArgumentError(f"tile must be 2 or more and overlap from 0 up to below it; found {tile}, {overlap}")
+    side, stride = tile * scale, (tile - overlap) * scale
+    if side % period or stride % period:
+        raise ArgumentError(f"tile and overlap must be even for X-Trans; found {tile}, {overlap}")
+    side += period
+    area = packed_area((sensor.height, sensor.width), sensor.cfa)
+    if side > min(area.height, area.width):
+        raise DatasetError(
+            f"{name}: {area.height} x {area.width} pixels are too few for a tile of {side} x {side} (tile={tile}); "
+            "take smaller tiles, or whole frames"
+        )
+    cfa = cfa_from(sensor.cfa, area.top, area.left)
+    starts = [_starts(length - side, stride, period) for length in (area.height, area.width)]
+    return [Tile(area.top + top, area.left + left, side, side, cfa) for top, left in product(*starts)]
+
+
+def _starts(last: int, stride: int, period: int) -> list[int]:
+    """Return places from 0 to ``last``, spread evenly, at most a stride apart; all are multiples of the period."""
+    steps = -(-last // stride)
+    return [last // period * step // steps * period for step in range(steps)] + [last]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import zlib
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -18,18 +19,20 @@ from eldata.base.files import check_same_work, inside
 from eldata.base.png import read_rgb16
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import EldataError
-from eldata.manifest.clip_checks import is_png
+from eldata.manifest.patterns import is_png
 from eldata.sources.store.format import (
     FORMAT,
     VERSION,
     PackedFile,
-    chunk_shape,
-    filters,
-    frame_attributes,
-    rgb_attributes,
+    StoredFrame,
+    StoredRgb,
+    facts_line,
+    frame_key,
+    frames_in,
+    layout,
 )
 from eldata.sources.store.journal import journaled, remove_stale_journal
-from eldata.sources.store.table import TABLE, frame_key, store_table
+from eldata.sources.store.read import texts_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,9 +40,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.records import Role
-    from eldata.sources.store.format import Compression
+    from eldata.sources.store.format import AnyStored, Compression
     from eldata.sources.store.journal import JournaledFile
     from eldata.sources.store.sources import Source
+
+
+# HDF5's earliest format: later ones mark a file as open, and refuse it after a kill. Pixels begin where a mapping's
+# numbers do.
+_OPTIONS: dict[str, Any] = {"libver": "earliest", "alignment_threshold": 4096, "alignment_interval": 64}
+_FACTS_CHUNK = 1 << 14  # of which the journal keeps the last one, frame by frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,14 +98,14 @@ def build_store(
     """
     path = Path(path)
     workers = Workers.of(workers)
-    options = filters(compression)
+    layout((), compression)  # refuses what is not there
     part = path.with_name(f"{path.name}.part")
     if path.exists():
         remove_stale_journal(part)
         raise EldataError(f"{path}: is there already; remove it, or name another file")
     with journaled(part) as file:
         try:
-            resumed, pixel_bytes = _fill(file, source, compression, options, workers)
+            resumed, pixel_bytes = _fill(file, source, compression, workers)
             file.finish(path)
         except OSError as error:
             if error.filename not in (None, str(part)):
@@ -112,34 +121,30 @@ def _fill(
     file: JournaledFile,
     source: Source,
     compression: Compression,
-    options: Mapping[str, Any],
     workers: Workers,
 ) -> tuple[int, int]:
     """Bring the part to its end; return how many frames were there before, and the bytes of all pixels."""
     is_new, header = file.is_new, _header(source, compression)
     store: h5py.File | None = None
     try:
-        # HDF5's earliest format: later ones mark a file as open, and refuse it after a kill.
-        store = h5py.File(file.path, "w" if is_new else "r+", driver="fileobj", fileobj=file, libver="earliest")
+        store = h5py.File(file.path, "w" if is_new else "r+", driver="fileobj", fileobj=file, **_OPTIONS)
         if is_new:
             _begin(store, source, header)
             _commit(store, file)
         else:
             same = ("format", "version", "files_digest", "compression")
-            check_same_work(file.path, store.attrs, {name: header[name] for name in same})
-        frames = store["frames"]
-        resumed = len(frames)
-        waiting = source.files[resumed:]  # frames are written in order
-        decoded = workers.read_ahead(partial(_decoded, source.folder.absolute()), waiting)
+            check_same_work(file.path, texts_of(store.attrs), {name: header[name] for name in same})
+        facts = FactsWriter(store)
+        resumed = facts.count
+        waiting = enumerate(source.files[resumed:], resumed)  # frames are written in order
+        decoded = workers.read_ahead(partial(_decoded, source.folder.absolute()), [*waiting])
         bar = tqdm(total=len(source.files), initial=resumed, desc="packing", unit="file", disable=None, leave=False)
         with bar, closing(decoded):  # type: ignore[type-var] # a generator, declared as an iterator
-            for number, (pixels, attributes) in enumerate(decoded, resumed):
-                shape = chunk_shape(pixels.shape)
-                dataset = frames.create_dataset(frame_key(number), data=pixels, chunks=shape, **options)
-                dataset.attrs.update(attributes)
+            for pixels, frame in decoded:
+                write_frame(store, pixels, frame, facts, compression)
                 _commit(store, file)
                 bar.update()
-        pixel_bytes = sum(frame.size * frame.dtype.itemsize for frame in frames.values())
+        pixel_bytes = sum(frame.size * frame.dtype.itemsize for frame in store["frames"].values())
         finish(store)
         _commit(store, file)
         store.close()
@@ -156,14 +161,36 @@ def _fill(
     return resumed, pixel_bytes
 
 
+class FactsWriter:
+    """Appends what a store states of its frames beside their pixels; ``count`` frames are there."""
+
+    def __init__(self, store: h5py.File) -> None:
+        self._facts = store["facts"]
+        self._known: dict[str, int] = {}
+        frames, rgb = frames_in(self._facts[:].tobytes())
+        for frame in frames:
+            facts_line(frame, self._known)
+        self.count = len(frames) + len(rgb)
+
+    def add(self, frame: AnyStored) -> None:
+        """Append a line."""
+        line, end = np.frombuffer(facts_line(frame, self._known), np.uint8), len(self._facts)
+        self._facts.resize((end + len(line),))
+        self._facts[end:] = line
+        self.count += 1
+
+
+def write_frame(
+    store: h5py.File, pixels: NDArray[np.uint16], frame: AnyStored, facts: FactsWriter, compression: Compression
+) -> None:
+    """Write the next frame."""
+    store["frames"].create_dataset(frame.key, data=pixels, **layout(pixels.shape, compression))
+    facts.add(frame)
+
+
 def finish(store: h5py.File) -> None:
-    """Write the table of a store's frames, and that it is complete."""
-    frames = store["frames"]
-    if TABLE in store:  # whoever was ended here begins again
-        del store[TABLE]
-    table = store_table([dict(frames[frame_key(number)].attrs) for number in range(len(frames))])
-    if table is not None:
-        store.create_dataset(TABLE, data=table)
+    """Write that a store is complete."""
+    store.attrs["facts_crc32"] = zlib.crc32(store["facts"][:].tobytes())
     store.attrs["complete"] = True
 
 
@@ -182,8 +209,9 @@ def _header(source: Source, compression: Compression) -> dict[str, Any]:
 
 
 def _begin(store: h5py.File, source: Source, header: Mapping[str, Any]) -> None:
-    store.attrs.update(header)
+    store.attrs.update({name: np.bytes_(value) if isinstance(value, str) else value for name, value in header.items()})
     store.create_group("frames")
+    store.create_dataset("facts", (0,), np.uint8, maxshape=(None,), chunks=(_FACTS_CHUNK,))
     if source.listing is not None:
         for name, content in zip(("csv", "json"), source.listing, strict=True):
             store.create_dataset(f"manifest/{name}", data=np.frombuffer(content, np.uint8))
@@ -194,18 +222,20 @@ def _commit(store: h5py.File, file: JournaledFile) -> None:
     file.commit()
 
 
-def _decoded(folder: Path, listed: tuple[str, Role]) -> tuple[NDArray[np.uint16], dict[str, str]]:
+def _decoded(folder: Path, unit: tuple[int, tuple[str, Role]]) -> tuple[NDArray[np.uint16], AnyStored]:
     from eldata.raw.reading import read_raw
 
-    path, role = listed
-    file = inside(folder, path)
+    number, (path, role) = unit
+    key, file = frame_key(number), inside(folder, path)
     require_files(file)
     if is_png(path):
         planes = np.ascontiguousarray(read_rgb16(file).transpose(2, 0, 1))
-        return planes, rgb_attributes(path, role, pixels_digest(planes), PackedFile.of(file))
-    frame = read_raw(file)
-    pixels = frame.whole_dn("a store")
-    return pixels, frame_attributes(path, role, frame, pixels_digest(pixels), PackedFile.of(file))
+        _, height, width = planes.shape
+        return planes, StoredRgb(key, path, role, height, width, pixels_digest(planes), PackedFile.of(file))
+    raw = read_raw(file)
+    pixels = raw.whole_dn("a store")
+    stated = raw.sensor, raw.exposure, pixels_digest(pixels), PackedFile.of(file), raw.channel_white_levels_dn
+    return pixels, StoredFrame(key, path, role, *stated)
 
 
 def pixels_digest(frame: NDArray[np.uint16]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ from tqdm import tqdm
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.manifest.verify_report import DatasetReport, Problem, VerifyReport
 from eldata.sources.store.build import pixels_digest
-from eldata.sources.store.format import StoreError, chunk_shape
+from eldata.sources.store.format import StoreError
 from eldata.sources.store.read import PixelReader, open_store, opened
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.manifest.verify_report import Level
-    from eldata.sources.store.format import Store, StoredFrame, StoredRgb
+    from eldata.sources.store.format import AnyStored, Store
 
 _ADVICE = "copy or pack the store again"
 
@@ -34,7 +33,7 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
         The store.
     level
         ``"quick"`` and ``"metadata"``: it opens, is complete, holds as many frames as were packed, each of its stated
-        size, its table says what their attributes do, and both frames of each pair are there. ``"full"``: also the
+        size, and both frames of each pair are there. ``"full"``: also the
         checksum of each frame's pixels.
     workers
         Number of threads, or an executor that reads the pixels (:mod:`eldata.base.workers`).
@@ -42,7 +41,7 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     Raises
     ------
     StoreError
-        If it is not a store, truncated, not complete, or of a newer version.
+        If it is not a store, truncated, not complete, or of another version.
     ArgumentError
         If it is compressed and hdf5plugin is not installed.
     """
@@ -65,24 +64,24 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
 
 
 def structure_problems(store: Store) -> Iterator[Problem]:
-    """Yield where frames are not of their stated size in whole chunks of uint16, and which pairs lack a reference."""
-    stated = {frame.key: frame for frame in open_store(store.path, by_table=False).every}
+    """Yield where frames are not of their stated size in whole pixels of uint16, and which pairs lack a reference."""
     with opened(store.path) as file:
         for frame in store.every:
-            if frame.key not in stated:
-                yield Problem(store.dataset, frame.path, "table", "nothing", f"a frame {frame.key}", _ADVICE)
+            if frame.key not in file["frames"]:
+                yield Problem(store.dataset, frame.path, "pixels", f"a frame {frame.key}", "nothing", _ADVICE)
                 continue
-            for name, expected, found in _differences(stated[frame.key], frame):
-                yield Problem(store.dataset, frame.path, f"{name} in the table", expected, found, _ADVICE)
             dataset, shape = file["frames"][frame.key], frame.shape
             found, expected = f"{dataset.dtype} {dataset.shape}", f"uint16 {shape}"
             if found != expected:
                 yield Problem(store.dataset, frame.path, "pixels", expected, found, _ADVICE)
                 continue
-            chunks = math.prod(-(-side // of_chunk) for side, of_chunk in zip(shape, chunk_shape(shape), strict=True))
-            written = dataset.id.get_num_chunks()
-            if written != chunks:
-                yield Problem(store.dataset, frame.path, "pixels", f"{chunks} chunks", str(written), _ADVICE)
+            if dataset.chunks is None:
+                expected, found = "one piece", "nothing" if dataset.id.get_offset() is None else "one piece"
+            else:
+                chunks = math.prod(-(-side // of_chunk) for side, of_chunk in zip(shape, dataset.chunks, strict=True))
+                expected, found = f"{chunks} chunks", f"{dataset.id.get_num_chunks()} chunks"
+            if found != expected:
+                yield Problem(store.dataset, frame.path, "pixels", expected, found, _ADVICE)
     if store.manifest is not None:
         held = {frame.path for frame in store.every}
         for record in store.manifest.records:
@@ -90,19 +89,10 @@ def structure_problems(store: Store) -> Iterator[Problem]:
                 yield Problem(store.dataset, record.path, "reference", record.reference, "nothing", _ADVICE)
 
 
-def _differences(one: StoredFrame | StoredRgb, other: StoredFrame | StoredRgb) -> Iterator[tuple[str, str, str]]:
-    """Yield name and both values of the fields in which two records of a frame differ."""
-    for name in (field.name for field in fields(other)):
-        values = getattr(one, name, None), getattr(other, name)
-        if values[0] != values[1]:
-            yield name, str(values[0]), str(values[1])
-
-
-def _pixels(dataset: str, reader: PixelReader, frame: StoredFrame | StoredRgb) -> list[Problem]:
+def _pixels(dataset: str, reader: PixelReader, frame: AnyStored) -> list[Problem]:
     require_files(reader.path)
     try:
-        *planes, height, width = frame.shape
-        found = pixels_digest(reader.borrow(frame.key, range(height), range(width), tuple(planes)))
+        found = pixels_digest(reader.read(frame.key, slice(None), slice(None)))
     except StoreError as error:
         found = error.reason
     if found == frame.sha256:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import math
+import mmap
 import os
 import threading
 import weakref
-from contextlib import contextmanager, suppress
+import zlib
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,101 +17,67 @@ import h5py
 import numpy as np
 
 from eldata.base.files import file_problem
-from eldata.base.garbage import no_search_for_cycles
-from eldata.base.isolation import Limits, guarded_file, isolating
-from eldata.base.scratch import scratch
-from eldata.errors import ArgumentError, EldataError
+from eldata.base.memory import no_search_for_cycles, scratch
+from eldata.errors import DatasetError, EldataError
 from eldata.manifest.catalogue import load_manifest
-from eldata.raw._kernels import gather
-from eldata.raw.cfa import pack, packing_sites
-from eldata.records import Records
-from eldata.sources.store.chunks import chunk_table, read_part, read_parts
+from eldata.manifest.pairs import select_pairs
+from eldata.protocols.named import default_protocol
+from eldata.records import FrameRecord, Records
+from eldata.sources.frames import Frame, part_shape
 from eldata.sources.store.format import (
     COMPRESSIONS,
     FORMAT,
     VERSION,
     Store,
-    StoredFrame,
     StoredRgb,
     StoreError,
-    filters,
-    stored,
+    frames_in,
+    layout,
 )
-from eldata.sources.store.table import TABLE, frames_in_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from eldata.manifest.catalogue import Manifest
-    from eldata.raw.cfa import CfaRows
-    from eldata.sources.store.chunks import ChunkTable
+    from eldata.manifest.pairs import Choice
+    from eldata.raw.levels import FrameLevels
+    from eldata.records import PairRecord
+    from eldata.sources.store.format import AnyStored
 
 # A finished store is never written again, so readers need no lock, which some network disks do not have. But HDF5 opens
 # a file twice in one process only if both ask for the same: h5py's own default, or what the user's code says.
 _LOCKING = (False, None, True, "best-effort")
 # Enough for the chunks of a few rows of a crop; a read visits each chunk once. HDF5 frees it with the frame.
 _CHUNK_CACHE_BYTES = 1 << 20
-# Frames whose chunks' places are kept: 3 kB each at 12 megapixels. To look them up takes a millisecond.
-_MOST_TABLES = 4096
-_MOST_MANIFEST_BYTES = 256 << 20  # what the reader of text files takes
-_MOST_CHUNK_PIXELS = 1 << 22  # ours have 256 x 256
-_MOST_PIXELS = 1 << 29  # of a frame; RGB counts three times
-_TRIAL_LIMITS = Limits(seconds=20.0)  # and a second a MiB: to read a frame's attributes takes up to a millisecond
+# Frames that a process keeps open: to look one up takes HDF5 a tenth of a millisecond.
+_MOST_OPEN = 4096
 
 
-def open_store(path: Path | str, *, by_table: bool = True) -> Store:
-    """Read what a store holds, without pixels: from its table, if it has one and ``by_table`` is not switched off.
-
-    There are damaged files in whose attributes HDF5 runs for ever; where isolation is on
-    (:func:`eldata.isolation`), as it is in commands, they are an error too.
+def open_store(path: Path | str) -> Store:
+    """Read what a store holds, without pixels.
 
     Raises
     ------
     StoreError
-        If the file is missing, truncated, damaged, not a store, not complete, or of a newer version.
+        If the file is missing, truncated, damaged, not a store, not complete, or of another version.
     ArgumentError
         If it is compressed and hdf5plugin is not installed.
     """
     path = Path(path)
-    if isolating():
-        seconds = _TRIAL_LIMITS.seconds + (path.stat().st_size >> 20 if path.is_file() else 0)
-        limits = replace(_TRIAL_LIMITS, seconds=seconds)
-        guarded_file(_try if by_table else _try_attributes, path, StoreError, limits=limits)
-    return _held(path, by_table=by_table)
-
-
-def _try(path: Path) -> None:
-    """Read what a store holds, to see that it can be read."""
-    _held(path, by_table=True)
-
-
-def _try_attributes(path: Path) -> None:
-    """Read the same from the attributes of its frames."""
-    _held(path, by_table=False)
-
-
-def _held(path: Path, *, by_table: bool) -> Store:
     with opened(path) as file, no_search_for_cycles():
         try:
-            _check_outline(file)
             manifest = _manifest(path, file)
-            frames_group = file["frames"]
-            held: list[StoredFrame | StoredRgb] = (
-                [*_listed(file)]
-                if by_table and TABLE in file
-                else [_stored(key, frames_group) for key in sorted(frames_group)]
-            )
-            dataset, listed = str(file.attrs["dataset"]), int(file.attrs["files"])
+            frames, rgb = frames_in(_facts(file))
+            listed, there = int(file.attrs["files"]), len(file["frames"])
+            header = texts_of(file.attrs)
+            dataset, compression = header["dataset"], header["compression"]
         except (OSError, RuntimeError, ValueError, LookupError, TypeError, EldataError) as error:
-            raise StoreError(path, f"is damaged ({error}); copy or pack it again") from error
-        compression = file.attrs["compression"]  # known: it was opened with it
-    if len(held) != listed:
-        raise StoreError(path, f"is damaged: expected {listed} frames, found {len(held)}; copy or pack it again")
-    frames = Records(frame for frame in held if isinstance(frame, StoredFrame))
-    rgb = tuple(frame for frame in held if isinstance(frame, StoredRgb))
-    return Store(path, dataset, compression, manifest, frames, rgb)
+            raise _damaged(path, error) from error
+    if not len(frames) + len(rgb) == listed == there:
+        raise _damaged(path, f"expected {listed} frames, found {min(len(frames) + len(rgb), there)}")
+    return Store(path, dataset, compression, manifest, Records(frames), tuple(rgb))
 
 
 def opened(path: Path) -> h5py.File:
@@ -122,14 +89,22 @@ def opened(path: Path) -> h5py.File:
         raise StoreError(path, "is not an HDF5 file; eldata pack makes stores")
     file = _open(path)
     try:
-        _check_header(path, dict(file.attrs))
+        _check_header(path, texts_of(file.attrs))
     except BaseException as error:  # Ctrl-C too: the caller gets no file that it could close
         file.close()
         if isinstance(error, EldataError) or not isinstance(error, Exception):
             raise
         # HDF5 looks at what it reads while it reads it, and h5py raises many kinds.
-        raise StoreError(path, f"is damaged ({error}); copy or pack it again") from error
+        raise _damaged(path, error) from error
     return file
+
+
+def texts_of(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a store's attributes, whose texts lie in them as bytes: texts of any length HDF5 keeps in a heap.
+
+    That is searched by what it says of itself, where it is damaged for ever.
+    """
+    return {name: value.decode() if isinstance(value, bytes) else value for name, value in attributes.items()}
 
 
 def _open(path: Path, lockings: Sequence[Any] = _LOCKING) -> h5py.File:
@@ -142,78 +117,34 @@ def _open(path: Path, lockings: Sequence[Any] = _LOCKING) -> h5py.File:
         raise StoreError(path, f"{reason} ({error}); copy or pack it again") from error
 
 
-def _check_header(path: Path, attributes: dict[str, Any]) -> None:
-    if attributes.get("format") != FORMAT:
+def _check_header(path: Path, header: Mapping[str, Any]) -> None:
+    if header.get("format") != FORMAT:
         raise StoreError(path, "is an HDF5 file, but not a store of eldata; eldata pack makes stores")
-    version = int(attributes["version"])
-    if version > VERSION:
+    version = int(header["version"])
+    if version != VERSION:
+        advice = "install a newer one" if version > VERSION else "pack it again"
         raise StoreError(
             path,
-            f"is a store of version {version}, written by {attributes.get('written_by')}; this eldata reads up to "
-            f"version {VERSION}: install a newer one",
+            f"is a store of version {version}, written by {header.get('written_by')}; this eldata reads version "
+            f"{VERSION}: {advice}",
         )
-    if not attributes.get("complete"):
+    if not header.get("complete"):
         raise StoreError(path, "is not complete; the eldata pack command that began it goes on with it")
-    compression = next((name for name in COMPRESSIONS if name == attributes.get("compression")), None)
+    compression = next((name for name in COMPRESSIONS if name == header.get("compression")), None)
     if compression is None:
-        raise StoreError(path, f"has the unknown compression {attributes.get('compression')!r}; is it damaged?")
-    filters(compression)  # HDF5 must know it before it reads, in each process
+        raise StoreError(path, f"has the unknown compression {header.get('compression')!r}; is it damaged?")
+    layout((), compression)  # HDF5 must know it before it reads, in each process
 
 
-def _check_outline(file: h5py.File) -> None:
-    """Refuse a file whose groups or texts are links, which could lead to other files, or too large."""
-    for name in ("frames", "manifest", TABLE):
-        _check_held(file, name)
-    if TABLE in file and file[TABLE].size > _MOST_MANIFEST_BYTES:
-        raise ValueError(f"{TABLE} declares {file[TABLE].size} bytes")
-    if "manifest" in file:
-        for name in file["manifest"]:
-            _check_held(file["manifest"], name)
-            if file["manifest"][name].size > _MOST_MANIFEST_BYTES:
-                raise ValueError(f"manifest/{name} declares {file['manifest'][name].size} bytes")
+def _damaged(path: Path, what: object) -> StoreError:
+    return StoreError(path, f"is damaged ({what}); copy or pack it again")
 
 
-def _listed(file: h5py.File) -> list[StoredFrame]:
-    """Return the frames that the table lists; each is looked at as it is read (:func:`_frame`)."""
-    frames = frames_in_table(file[TABLE][:].tobytes())
-    if len(frames) != len(file["frames"]):
-        raise ValueError(f"{TABLE} lists {len(frames)} frames, and there are {len(file['frames'])}")
-    for shape in {frame.shape for frame in frames}:
-        _check_pixels(TABLE, shape)
-    return frames
-
-
-def _check_held(group: h5py.Group, name: str) -> None:
-    """Refuse what is not in this file itself: links, and data sets whose pixels lie in other files."""
-    if name in group and group.get(name, getclass=True, getlink=True) is not h5py.HardLink:
-        raise ValueError(f"{name!r} is a link")
-    if group.get(name, getclass=True) is not h5py.Dataset:
-        return
-    properties = group[name].id.get_create_plist()
-    if properties.get_layout() == h5py.h5d.VIRTUAL or properties.get_external_count():
-        raise ValueError(f"the pixels of {name!r} lie in other files")
-
-
-def _stored(key: str, frames: h5py.Group) -> StoredFrame | StoredRgb:
-    """Return a frame, of a size that a camera has: its pixels are read into memory of that size."""
-    frame = _frame(frames, key)
-    held = stored(key, frame.attrs, frame.shape)
-    _check_pixels(f"frame {key}", held.shape)
-    return held
-
-
-def _frame(frames: h5py.Group, key: str) -> h5py.Dataset:
-    """Return a frame's HDF5 dataset, which lies in this file, in chunks of a size that is read at once."""
-    _check_held(frames, key)
-    frame = frames[key]
-    if frame.chunks is not None and math.prod(frame.chunks) > _MOST_CHUNK_PIXELS:
-        raise ValueError(f"frame {key} has chunks of {frame.chunks} pixels")
-    return frame
-
-
-def _check_pixels(name: str, shape: tuple[int, ...]) -> None:
-    if not 0 < math.prod(shape) <= _MOST_PIXELS:
-        raise ValueError(f"{name} declares {shape} pixels")
+def _facts(file: h5py.File) -> bytes:
+    facts: bytes = file["facts"][:].tobytes()
+    if zlib.crc32(facts) != file.attrs["facts_crc32"]:
+        raise ValueError("what it states of its frames is not what was written")
+    return facts
 
 
 def _manifest(path: Path, file: h5py.File) -> Manifest | None:
@@ -223,12 +154,15 @@ def _manifest(path: Path, file: h5py.File) -> Manifest | None:
     return replace(load_manifest(path / "manifest.csv", (rows, card)), path=path)
 
 
+# --- pixels -------------------------------------------------------------------------------------------------------
+
+
 class PixelReader:
     """Reads parts of a store's frames, in any process and in several threads at once.
 
-    The file is opened in each process that reads, on its first read. It is never shared: a fork closes it first, and a
-    pickled reader opens it again. Memory does not grow with the store: a thread keeps one chunk, a process the places
-    of the chunks of the frames that it read last.
+    An uncompressed store is mapped. HDF5 reads a compressed one, under its lock. Either way the file is opened in each
+    process that reads, on its first read: a fork closes HDF5's, and a pickled reader opens it again. Memory does not
+    grow with the store.
     """
 
     def __init__(self, path: Path) -> None:
@@ -237,72 +171,33 @@ class PixelReader:
         self._lock = threading.Lock()
         _READERS.add(self)
 
-    def read(self, key: str, rows: range, columns: range, planes: tuple[int, ...] = ()) -> NDArray[np.uint16]:
-        """Return a part of a frame, (rows, columns) uint16 in DN; of several ``planes``, (planes, rows, columns).
+    def read(self, key: str, rows: slice, columns: slice) -> NDArray[np.uint16]:
+        """Return a part of a frame, (..., rows, columns) in DN, not to be written to.
+
+        Of a compressed store it lies in memory that the thread's next read overwrites: the pages of new memory cost as
+        much as the reading.
 
         Raises
         ------
         StoreError
             If the store cannot be read.
         """
-        pixels = np.empty((*planes, len(rows), len(columns)), np.uint16)
-        self._fill(pixels, key, rows, columns)
-        return pixels
-
-    def borrow(self, key: str, rows: range, columns: range, planes: tuple[int, ...] = ()) -> NDArray[np.uint16]:
-        """Return a part as :meth:`read` does, in memory that this thread's next call overwrites.
-
-        The pages of new memory cost as much as the reading.
-        """
-        shape = *planes, len(rows), len(columns)
-        size = math.prod(shape)
-        pixels: NDArray[np.uint16] = scratch("borrowed", 2 * size).bytes.view(np.uint16)[:size].reshape(shape)
-        self._fill(pixels, key, rows, columns)
-        return pixels
-
-    def pack(self, key: str, rows: range, columns: range, cfa: CfaRows, out: NDArray[np.uint16]) -> None:
-        """Write a part of a mosaic, whose CFA it is, into ``out`` (C, h, w), packed: chunk by chunk from the cache.
-
-        Raises
-        ------
-        StoreError
-            If the store cannot be read.
-        """
-        sites = packing_sites(cfa)
-        scale, period = sites.scale, sites.period
         with self._problems(key):
-            held, table = self._chunks(key)
-            borders = (rows.start, columns.start, sites.top, sites.left)
-            if table is None or any(border % period for border in (*borders, table.height, table.width)):
-                # Chunks cut through periods, or only HDF5 can read them: the part is put together first.
-                pack(self.borrow(key, rows, columns), cfa, out=out)
-                return
-            for top, left, part in read_parts(held.number, table, 0, rows, columns):
-                height, width = part.shape
-                target = out[:, top // scale : (top + height) // scale, left // scale : (left + width) // scale]
-                gather(part, target, sites.table, period, sites.sub)
-
-    def _fill(self, pixels: NDArray[np.uint16], key: str, rows: range, columns: range) -> None:
-        with self._problems(key):
-            held, table = self._chunks(key)
-            if table is None:
-                part = ..., slice(rows.start, rows.stop), slice(columns.start, columns.stop)
-                with self._lock:
-                    _frame(held.file["frames"], key).read_direct(pixels, part)
-                return
-            for number, plane in enumerate(pixels[None] if pixels.ndim == 2 else pixels):
-                read_part(held.number, table, number, rows, columns, plane)
-
-    def _chunks(self, key: str) -> tuple[_Opened, ChunkTable | None]:
-        with self._lock:
-            self._opened = self._opened or _Opened(self.path)
-            return self._opened, self._opened.table(key)
+            with self._lock:
+                self._opened = self._opened or _Opened(self.path)
+                frame = self._opened.frame(key)
+            if isinstance(frame, np.ndarray):
+                return frame[..., rows, columns]
+            pixels = scratch("stored", (*frame.shape[:-2], *part_shape(frame.shape, rows, columns)), frame.dtype)
+            if pixels.size:
+                frame.read_direct(pixels, (..., rows, columns))
+            return pixels
 
     @contextmanager
     def _problems(self, key: str) -> Iterator[None]:
         try:
             yield
-        except (OSError, RuntimeError, KeyError, IndexError, ValueError) as error:
+        except (OSError, RuntimeError, KeyError, IndexError, ValueError, TypeError) as error:
             if isinstance(error, EldataError):
                 raise
             raise StoreError(self.path, f"frame {key} is damaged ({error}); copy or pack it again") from error
@@ -312,7 +207,7 @@ class PixelReader:
         with self._lock:
             if self._opened is not None:
                 self._opened.file.close()
-            self._opened = None  # a thread that is reading holds its descriptor until it is done
+            self._opened = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {"path": self.path}
@@ -322,16 +217,32 @@ class PixelReader:
 
 
 class _Opened:
-    """A store's file, and a descriptor of it, which is closed when nobody holds it any more."""
+    """A store's file, and its mapping if it is not compressed, which lives as long as arrays on it."""
 
     def __init__(self, path: Path) -> None:
         self.file = file = opened(path)
-        self.table = lru_cache(_MOST_TABLES)(lambda key: chunk_table(_frame(file["frames"], key).id))
-        self.number = os.open(path, os.O_RDONLY)
+        with path.open("rb") as descriptor:
+            content = mmap.mmap(descriptor.fileno(), 0, access=mmap.ACCESS_READ)
 
-    def __del__(self) -> None:
-        with suppress(AttributeError, OSError):  # it was not opened
-            os.close(self.number)
+        def frame(key: str) -> NDArray[np.uint16] | h5py.Dataset:
+            dataset = file["frames"][key]
+            if dataset.chunks is not None:
+                _check_chunks(dataset)
+                return dataset
+            offset = dataset.id.get_offset()
+            if offset is None:
+                raise ValueError("it has no pixels")
+            return np.ndarray(dataset.shape, dataset.dtype, content, offset)
+
+        self.frame = lru_cache(_MOST_OPEN)(frame)
+
+
+def _check_chunks(dataset: h5py.Dataset) -> None:
+    """Refuse a chunk of no bytes, whose checksum HDF5 looks for before its beginning."""
+    sizes: list[int] = []
+    dataset.id.chunk_iter(lambda chunk: sizes.append(chunk.size))
+    if not all(sizes):
+        raise ValueError("a chunk has no bytes")
 
 
 _READERS: weakref.WeakSet[PixelReader] = weakref.WeakSet()
@@ -346,8 +257,8 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_before_fork)
 
 
-class StoredMosaic:
-    """A frame's pixels, (H, W) uint16 in DN or (3, H, W); ``mosaic[rows, columns]`` reads just that part of them."""
+class StoredPixels:
+    """A frame's pixels in a store, (H, W) or (3, H, W) uint16."""
 
     dtype = np.dtype(np.uint16)
 
@@ -356,24 +267,93 @@ class StoredMosaic:
         self._key = key
         self.shape = shape
 
-    def __getitem__(self, part: tuple[Any, ...]) -> NDArray[np.uint16]:
-        return self._reader.read(self._key, *self._ranges(part), self.shape[:-2])
+    def read(self, rows: slice, columns: slice) -> NDArray[np.uint16]:
+        """Read a part: :meth:`PixelReader.read`."""
+        return self._reader.read(self._key, rows, columns)
 
-    def borrow(self, part: tuple[Any, ...]) -> NDArray[np.uint16]:
-        """Read a part into memory that the next call of this thread overwrites."""
-        return self._reader.borrow(self._key, *self._ranges(part), self.shape[:-2])
 
-    def pack(self, part: tuple[slice, slice], cfa: CfaRows, out: NDArray[np.uint16]) -> None:
-        """Write a part of a mosaic, whose CFA it is, into ``out`` (C, h, w), packed, in DN."""
-        self._reader.pack(self._key, *self._ranges(part), cfa, out)
+# --- the source of frames -----------------------------------------------------------------------------------------
 
-    def _ranges(self, part: tuple[Any, ...]) -> tuple[range, range]:
-        rows, columns = (range(*wanted.indices(side)) for wanted, side in zip(part[-2:], self.shape[-2:], strict=True))
-        if rows.step != 1 or columns.step != 1:
-            raise ArgumentError("a stored mosaic is read without steps")
-        return rows, columns
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        if copy is False:
-            raise ValueError("a stored mosaic cannot be read without new memory")
-        return self[:, :].astype(dtype or self.dtype, copy=False)
+class StoreFrames:
+    """The frames of a store: a :class:`~eldata.sources.frames.FrameSource` that reads only the parts it is asked for.
+
+    Raises
+    ------
+    StoreError
+        If the file is not a store, truncated, not complete, or of another version.
+    """
+
+    reads_parts = True
+
+    def __init__(self, path: Path | str) -> None:
+        self.store = open_store(path)
+        self.path = self.store.path
+        self._reader = PixelReader(self.path)
+        self._held: dict[str, AnyStored] = {frame.path: frame for frame in self.store.every}
+        self._before = f"{self.path.as_posix()}/"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_held": {}}  # of this process's objects
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _held={frame.path: frame for frame in state["store"].every})
+
+    @property
+    def records(self) -> tuple[FrameRecord, ...]:
+        """The rows of the manifest whose files are held; of clean frames those that they would have."""
+        if self.store.manifest is None:
+            return tuple(FrameRecord(frame.path, frame.role, frame.sensor.model) for frame in self.store.frames)
+        return tuple(record for record in self.store.manifest.records if record.path in self._held)
+
+    def frame(self, path: str) -> Frame:
+        """Open a frame by its path, with or without the store's before it.
+
+        Raises
+        ------
+        DatasetError
+            If the store does not hold it.
+        """
+        held = self._held.get(path.removeprefix(self._before))
+        if held is None:
+            raise DatasetError(f"{self.path}: holds no frame {path!r}; pack the dataset again")
+        name = f"{self._before}{held.path}"
+        pixels = StoredPixels(self._reader, held.key, held.shape)
+        if isinstance(held, StoredRgb):
+            return Frame.of_rgb(pixels, name)
+        return Frame.of_raw(pixels, held.sensor, name, held.exposure, held.channel_white_levels_dn)
+
+    @property
+    def levels(self) -> FrameLevels:
+        """The levels of its frames unless others are asked for: those of the protocol that its set's card names."""
+        manifest = self.store.manifest
+        return "metadata" if manifest is None else default_protocol(manifest.card).frame_levels
+
+    def pairs(self, choice: Choice) -> tuple[PairRecord, ...]:
+        """Return the pairs that are held and chosen.
+
+        Raises
+        ------
+        DatasetError
+            If the store holds clean frames or clips, or only a part of the chosen subset.
+        ArgumentError
+            If a value is unknown, or no pair is left.
+        """
+        manifest = self.store.manifest
+        if manifest is None:
+            raise DatasetError(f"{self.path}: holds clean frames, not pairs; read it with StoredFrames")
+        subset = choice.get("subset")
+        if subset is not None:  # counted on the whole manifest: a store of a part may lack some
+            wanted = {pair.path for pair in select_pairs(manifest.records, manifest.card.subsets, subset=subset)}
+            lacking = sorted(wanted - set(self._held))
+            if lacking:
+                raise DatasetError(
+                    f"{self.path}: lacks {len(lacking)} of the {len(wanted)} pairs of the subset {subset!r}, such as "
+                    f"{lacking[0]}; pack the whole dataset, or that subset"
+                )
+            held = [record for record in self.records if record.role != "noisy" or record.path in wanted]
+        else:
+            held = list(self.records)
+        rest = choice.copy()
+        rest["subset"] = None  # it is chosen
+        return select_pairs(held, (), **rest)

@@ -9,17 +9,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Unpack
 
-from eldata.base.keywords import keywords
+from eldata.base.arguments import keywords
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import card_text
 from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest
-from eldata.manifest.clip_checks import is_png
 from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.pairs import Choice, select_pairs
-from eldata.manifest.patterns import expand, is_pattern
+from eldata.manifest.patterns import expand, is_pattern, is_png
 from eldata.manifest.table import table_text
-from eldata.raw.extensions import raws_below
+from eldata.raw.files import raws_below
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from eldata.base.workers import UnseenFileError
+from eldata.calibration.audit.frames import FramesError
 from eldata.calibration.camera import calibrate
-from eldata.calibration.frame_checks import FramesError
 from eldata.datasets.drv import DRVDataset
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.evaluation.evaluate import evaluate

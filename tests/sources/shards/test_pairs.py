@@ -292,6 +292,7 @@ def test_the_buffer_holds_crops_alone(frames: Path) -> None:
     for item in items:
         assert item.pair.input is not None
         for array in (item.pair.input.mosaic, item.pair.target.mosaic):
+            assert isinstance(array, np.ndarray)
             assert (array.shape, array.base, array.flags.owndata) == ((16, 16), None, True)
 
 

@@ -19,8 +19,7 @@ from eldata.raw import read_raw
 from eldata.raw.cfa import packed_area
 from eldata.sources.shards import ShardError, members, verify_shards, write_shards, writing
 from eldata.sources.shards.index import INDEX, index_text, parse_index
-from eldata.sources.shards.tiles import grid
-from eldata.sources.shards.writing import BEGUN
+from eldata.sources.shards.writing import BEGUN, grid
 from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, CFAS, layout_of, make_sensor, start_of
 

@@ -80,12 +80,12 @@ _STOPS = """
 import pathlib, sys, time
 from eldata.sources.store import build
 decoded = build._decoded
-def stopping(folder, listed):
-    if listed[0] == sys.argv[1]:
+def stopping(folder, unit):
+    if unit[1][0] == sys.argv[1]:
         pathlib.Path(sys.argv[2]).touch()
         while True:
             time.sleep(60)
-    return decoded(folder, listed)
+    return decoded(folder, unit)
 build._decoded = stopping
 from eldata.cli.main import main
 sys.exit(main(sys.argv[3:]))

@@ -1,0 +1,97 @@
+"""What callers hand over: keywords that are typed once, objects that a person names, tensors."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from operator import attrgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from eldata.base.visible import in_line
+from eldata.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+Function = TypeVar("Function", bound="Callable[..., Any]")
+
+
+def keywords(owner: str, given: Mapping[str, Any], *kinds: type) -> list[Any]:
+    """Return keyword arguments by kind: for each TypedDict a dictionary of those that it names.
+
+    Parameters
+    ----------
+    owner
+        Name of the function or class, for messages.
+    given
+        What it was called with.
+    kinds
+        TypedDicts whose fields are the known names.
+
+    Raises
+    ------
+    TypeError
+        If a name is unknown (the message lists the known ones).
+    """
+    known = [tuple(kind.__annotations__) for kind in kinds]
+    for name in given:
+        if not any(name in names for names in known):
+            every = ", ".join(name for names in known for name in names)
+            raise TypeError(f"{owner} got an unexpected keyword argument {name!r}; known are {every}")
+    return [{name: given[name] for name in names if name in given} for names in known]
+
+
+def spell_keywords(kind: type) -> Callable[[Function], Function]:
+    """Return a decorator by which an editor and ``help()`` show each of a function's keyword arguments.
+
+    The function takes them as ``**options: Unpack[kind]``, a TypedDict; one that is left out has the default that its
+    documentation says, which the signature shows as ``...``.
+    """
+
+    def spell(function: Function) -> Function:
+        signature = inspect.signature(function)
+        *named, others = signature.parameters.values()
+        types = {name: getattr(of, "__forward_arg__", of) for name, of in kind.__annotations__.items()}
+        spelt = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=..., annotation=of)
+            for name, of in types.items()
+            if name not in signature.parameters
+        ]
+        if others.kind is not inspect.Parameter.VAR_KEYWORD:
+            raise TypeError(f"{function.__qualname__} takes no other keyword arguments")
+        function.__signature__ = signature.replace(parameters=[*named, *spelt])  # type: ignore[attr-defined]
+        return function
+
+    return spell
+
+
+def named_object(place: str) -> Any:
+    """Return what ``package.module:name`` names; modules of the current folder are found, as ``python -m`` finds them.
+
+    Raises
+    ------
+    ArgumentError
+        If the text is not such a name, the module cannot be imported, or it has nothing of that name.
+    """
+    module_name, _, name = place.partition(":")
+    if not module_name or not name:
+        raise ArgumentError(f"{place!r} names nothing in a module; expected package.module:name")
+    if "" not in sys.path and str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
+    try:
+        module = importlib.import_module(module_name)
+    except Exception as error:  # whatever the module does as it is imported
+        said = str(error) if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
+        raise ArgumentError(in_line(f"{place}: the module {module_name} cannot be imported: {said}")) from error
+    try:
+        return attrgetter(name)(module)
+    except AttributeError:
+        raise ArgumentError(f"{place}: the module {module_name} has no {name}") from None
+
+
+def is_tensor(value: object) -> bool:
+    """Tell whether ``value`` is a torch tensor, without importing torch where it is not used."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(value, torch.Tensor)

@@ -1,0 +1,410 @@
+"""What the audit sees in bias frames: from pairs of them, in which everything that stays cancels exactly.
+
+The frames are taken two by two. The half of a pair's squared difference is the noise's variance whatever the fixed
+pattern, and two pairs know nothing of each other: if all pixels have the same noise, the size of a pixel's difference
+in one pair says nothing about that in another, and nothing about the pixel's level in the other frames. Both hold
+exactly, for noise of any distribution.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.calibration.core._frames import channels_of, checked_mosaic
+from eldata.calibration.core.row_noise import check_same_frames
+from eldata.calibration.core.spectra import TILE
+from eldata.errors import DatasetError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.calibration.core.defects import FixedPattern
+
+BLOCK = 48
+"""Pixels a side of the blocks by whose scatter errors are told: whole periods of every CFA."""
+
+OUTLIERS = (3, 4, 5, 6)
+"""Standard deviations from which on a value counts as an outlier of that size."""
+
+# Bands hold standardised values in sixteenths of a standard deviation, and end at eight of them, so that no single
+# outlier decides anything.
+_UNITS = 16
+_LIMIT = 8 * _UNITS - 1
+_AWAY = 36  # columns beyond the reach of any filter in a raw file: whole periods of Bayer and of X-Trans
+_CLIP = 4 * _UNITS  # of the differences whose squares are summed: heavy tails then do no harm
+_MOST_PIXELS = 1 << 22  # of a frame; of larger ones evenly spread bands of rows are looked at
+_LEVEL_UNITS = 16  # of a pixel's level, to a spread
+_MOST_PAIRS = 63  # their sizes fit a byte a pixel
+_LAGS = np.array([(0, 1), (0, 2), (1, -2), (1, -1), (1, 0), (1, 1), (1, 2), (2, -2), (2, -1), (2, 0), (2, 1), (2, 2)])
+# What pixels far apart share, in the same row, in the same column, and in neither: drift, and what rounding makes of
+# row noise that is larger than the pixels' own.
+_FAR = np.array([(0, _AWAY), (0, _AWAY + 12), (12, 0), (18, 0), (1, _AWAY), (2, _AWAY), (1, -_AWAY), (2, -_AWAY)])
+_FAR_KINDS = np.array([0, 0, 1, 1, 2, 2, 2, 2])
+_NEIGHBOURS = 8
+
+
+def spread_bands(shape: tuple[int, ...], most: int) -> list[slice]:
+    """Return bands of 48 rows, whole periods of the CFA, evenly spread over a frame."""
+    rows, width = shape[0] // BLOCK, shape[1]
+    step = max(1, math.ceil(rows * BLOCK * width / most))
+    return [slice(place * BLOCK, (place + 1) * BLOCK) for place in range(0, rows, step)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BiasStatistics:
+    """What pairs of bias frames show, by block of 48 x 48 pixels; the noise's variance counts as 1.
+
+    Attributes
+    ----------
+    pairs
+        Of frames.
+    sigma_dn
+        Standard deviation of the noise of a frame, with rounding.
+    level_dn
+        (rows, columns): mean of the block over its channels' means.
+    variance
+        (rows, columns): of the noise over time, clipped at four standard deviations.
+    level_score, level_freedom
+        (rows, columns): sums of deviation of level times deviation of variance, and of squared deviations of level, of
+        the pixels of a block from its mean. The level is that in the other frames, over ``spread_dn``.
+    lower_score, lower_freedom
+        (rows, columns): the same of those pixels whose level is below the mean.
+    bend_score
+        (rows, columns): sums of squared deviation of level times deviation of variance, less what the noise in the
+        levels of noisier pixels gives: the third joint cumulant of level, level and variance. Where many pixels have a
+        dark signal it is small beside ``level_score``; where few have one it is large.
+    pixels
+        (rows, columns): sound pixels.
+    spread_dn
+        Standard deviation of the pixels' levels.
+    dsnu_dn
+        The part of it that stays.
+    unlikeness
+        (rows, columns): covariance between the sizes that a pixel's differences have in two pairs, over the squared
+        mean size. Where pixels differ in noise, it is the squared coefficient of variation of that noise.
+    sizes
+        Number of differences by size, in steps.
+    totals
+        (256,) number of pixels by the sum of the sizes over all pairs.
+    neighbours
+        How the noise depends on that of the neighbours.
+    """
+
+    pairs: int
+    sigma_dn: float
+    level_dn: NDArray[np.float64] = field(repr=False)
+    variance: NDArray[np.float64] = field(repr=False)
+    level_score: NDArray[np.float64] = field(repr=False)
+    level_freedom: NDArray[np.float64] = field(repr=False)
+    lower_score: NDArray[np.float64] = field(repr=False)
+    lower_freedom: NDArray[np.float64] = field(repr=False)
+    bend_score: NDArray[np.float64] = field(repr=False)
+    pixels: NDArray[np.float64] = field(repr=False)
+    spread_dn: float
+    dsnu_dn: float
+    unlikeness: NDArray[np.float64] = field(repr=False)
+    sizes: NDArray[np.int64] = field(repr=False)
+    totals: NDArray[np.int64] = field(repr=False)
+    neighbours: NeighbourStatistics
+
+
+class BiasAudit:
+    """Accumulates :class:`BiasStatistics` of the bias frames that made a fixed pattern.
+
+    The memory is a copy of every second frame and a byte a pixel, of 4 megapixels at most.
+
+    Parameters
+    ----------
+    fixed
+        The first pass's result. Add the same frames again, each once.
+
+    Raises
+    ------
+    DatasetError
+        If the frames are smaller than 256 x 256 pixels.
+    """
+
+    def __init__(self, fixed: FixedPattern) -> None:
+        height, width = fixed.total_dn.shape
+        self._columns = width // BLOCK
+        if height < TILE or width < TILE:
+            raise DatasetError(f"the audit needs frames of {TILE} x {TILE} pixels or more; found {height} x {width}")
+        self._fixed = fixed
+        self._bands = spread_bands(fixed.total_dn.shape, _MOST_PIXELS)
+        self._pairs = min(fixed.frames // 2, _MOST_PAIRS)
+        self._step = math.ceil((_LIMIT + 1) / (255 // self._pairs + 1))
+        sigma = np.sqrt(np.maximum(fixed.temporal_variance_dn2, 1e-6))
+        self._sigma_dn = math.sqrt(float(np.mean(sigma**2)))
+        self._of_difference = (_UNITS / (math.sqrt(2) * sigma)).astype(np.float32)
+        self._of_frame = (_UNITS / (math.sqrt(fixed.frames * (fixed.frames - 1)) * sigma)).astype(np.float32)
+        spread = np.hypot(sigma / math.sqrt(fixed.frames - 2), fixed.summary.dsnu_dn)
+        self._spread_dn = float(spread.mean())
+        channels = np.tile(fixed.pattern, self._columns * BLOCK // len(fixed.pattern))
+        self._level_scale = (_LEVEL_UNITS / ((fixed.frames - 2) * spread)).astype(np.float32)[channels]
+        measured = [self._levels(rows) for rows in self._bands]
+        self._level_dn = np.stack([levels for levels, _ in measured])
+        self._pixels = np.stack([pixels for _, pixels in measured])
+        self._added = 0
+        self._first: NDArray[np.uint16] | None = None
+        blocks = len(self._bands), self._columns
+        self._squares, self._score, self._freedom, self._bend = np.zeros((4, *blocks))
+        self._lower_score, self._lower_freedom = np.zeros((2, *blocks))
+        self._size_sums, self._size_squares, self._size_products = np.zeros((3, *blocks))
+        self._sizes = np.zeros(_LIMIT // self._step + 1, dtype=np.int64)
+        self._totals = np.zeros((len(self._bands), BLOCK, width), dtype=np.uint8)
+        self._neighbours = Neighbours(fixed.pattern)
+
+    def _levels(self, rows: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the mean of the sound pixels of a band by block and channel, and by block how many they are."""
+        fixed, width = self._fixed, self._columns * BLOCK
+        sound = ~fixed.defects[rows, :width]
+        total = fixed.total_dn[rows, :width] * sound
+        sums, counts = np.zeros((2, self._columns, channels_of(fixed.pattern)))
+        period = len(fixed.pattern)
+        for (y, x), channel in np.ndenumerate(fixed.pattern):
+            site = slice(y, None, period), slice(x, None, period)
+            for added, values in ((sums, total), (counts, sound)):
+                added[:, channel] += values[site].sum(axis=0, dtype=np.int64).reshape(self._columns, -1).sum(axis=1)
+        return sums / np.maximum(counts, 1) / fixed.frames, counts.sum(axis=1)
+
+    def add(self, mosaic: NDArray[np.uint16]) -> None:
+        """Add a bias frame."""
+        height, width = self._fixed.total_dn.shape
+        checked_mosaic(mosaic, (height, width), len(self._fixed.pattern))
+        self._added += 1
+        if self._added > 2 * self._pairs:
+            return
+        if self._first is None:
+            self._first = np.stack([mosaic[rows] for rows in self._bands])
+            return
+        for index, rows in enumerate(self._bands):
+            self._add_band(index, rows, self._first[index], mosaic[rows])
+        self._first = None
+
+    def _add_band(self, index: int, rows: slice, first: NDArray[np.uint16], second: NDArray[np.uint16]) -> None:
+        from eldata.calibration.audit._kernels import add_sizes, standardised, variance_and_level
+
+        fixed, frames = self._fixed, self._fixed.frames
+        total, defects, pattern = fixed.total_dn[rows], fixed.defects[rows], fixed.pattern
+        band = np.empty(total.shape, dtype=np.int16)
+        for frame in (first, second):
+            standardised(frames, frame, total, defects, pattern, self._of_frame, _LIMIT, band)
+            self._neighbours.add_frame(band)
+        standardised(1, first, second, defects, pattern, self._of_difference, _LIMIT, band)
+        self._neighbours.add_difference(band)
+
+        phases = np.arange(self._columns * BLOCK) % len(pattern)
+        by_column = np.repeat((frames - 2) * self._level_dn[index], BLOCK, axis=0)  # (columns, channels)
+        level = by_column[np.arange(len(phases)), pattern[:, phases]].astype(np.float32)
+        sums = np.zeros((self._columns, 10), dtype=np.int64)
+        variance_and_level(band, total, first, second, defects, level, self._level_scale, BLOCK, _CLIP, sums)
+        squares, levels, levels_squared, products, bends, *of_lower = sums.T.astype(np.float64)
+        pixels = np.maximum(self._pixels[index], 1)
+        mean = levels / pixels
+        self._squares[index] += squares
+        self._score[index] += products - mean * squares
+        self._freedom[index] += levels_squared - mean * levels
+        self._bend[index] += bends - 2 * mean * products + (2 * mean**2 - levels_squared / pixels) * squares
+        pixels, squares, levels, levels_squared, products = np.maximum(of_lower[0], 1), *of_lower[1:]
+        self._lower_score[index] += products - levels * squares / pixels
+        self._lower_freedom[index] += levels_squared - levels**2 / pixels
+
+        sizes = np.zeros((self._columns, 2), dtype=np.int64)
+        add_sizes(band, self._step, BLOCK, self._totals[index], self._sizes, sizes)
+        self._size_sums[index] += sizes[:, 0]
+        self._size_squares[index] += sizes[:, 1]
+        self._size_products[index] += sizes[:, 0].astype(np.float64) ** 2
+
+    def _squares_of_totals(self, band: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """Return the sum of the squares by block of a band."""
+        squares = (band.astype(np.int64) ** 2).reshape(BLOCK, self._columns, BLOCK)
+        totals: NDArray[np.int64] = squares.sum(axis=(0, 2))
+        return totals
+
+    def statistics(self) -> BiasStatistics:
+        """Return what was found.
+
+        Raises
+        ------
+        DatasetError
+            If the frames added are not those of the fixed pattern.
+        """
+        fixed, pairs, width = self._fixed, self._pairs, self._columns * BLOCK
+        check_same_frames(self._added, fixed)
+        # By band: numpy counts in copies of eight bytes a pixel.
+        totals = np.zeros(256, dtype=np.int64)
+        for of_band, rows in zip(self._totals, self._bands, strict=True):
+            totals += np.bincount(of_band[~fixed.defects[rows]], minlength=256)
+        pixels = np.maximum(self._pixels, 2)
+        # Defects have no size, and so add to no sum; only to the count of size 0.
+        sizes = self._sizes.copy()
+        sizes[0] -= pairs * sum(np.count_nonzero(fixed.defects[rows]) for rows in self._bands)
+        squares = np.stack([self._squares_of_totals(of_band[:, :width]) for of_band in self._totals])
+        # Products of sizes in two different pairs: of the same pixel, and of any two pixels of the block.
+        same = squares - self._size_squares
+        both = self._size_sums**2 - self._size_products
+        covariance = (same / pixels - (both - same) / (pixels * (pixels - 1))) / (pairs * (pairs - 1))
+        # A size stands for a step, whose middle lies half of one above it.
+        mean = float(sizes @ np.arange(sizes.size) / sizes.sum()) + 0.5
+        # The variance varies by four times as much as the size squared. A level has that of n - 2 frames' mean.
+        of_noise = 4 * covariance / mean**2 * pixels * pairs * self._sigma_dn**2
+        of_noise /= (fixed.frames - 2) * self._spread_dn**2
+        return BiasStatistics(
+            pairs=pairs,
+            sigma_dn=self._sigma_dn,
+            level_dn=(self._level_dn - np.array(fixed.level_dn)).mean(axis=2),
+            variance=self._squares / (pairs * pixels) / _UNITS**2,
+            level_score=self._score / _UNITS**2 / _LEVEL_UNITS,
+            level_freedom=self._freedom / _LEVEL_UNITS**2,
+            lower_score=self._lower_score / _UNITS**2 / _LEVEL_UNITS,
+            lower_freedom=self._lower_freedom / _LEVEL_UNITS**2,
+            bend_score=self._bend / _UNITS**2 / _LEVEL_UNITS**2 - of_noise,
+            pixels=np.maximum(self._pixels, 1),
+            spread_dn=self._spread_dn,
+            dsnu_dn=float(np.mean(fixed.summary.dsnu_dn)),
+            unlikeness=covariance / mean**2,
+            sizes=sizes,
+            totals=totals,
+            neighbours=self._neighbours.statistics(),
+        )
+
+
+# --- neighbours -----------------------------------------------------------------------------------------------------
+#
+# A sensor's pixels draw their read and shot noise independently. A camera that filters its raw files leaves traces:
+# noise reduction or resampling correlates neighbours, and a filter against hot pixels ("star-eater") leaves no value
+# far above all of its neighbours. Row noise does not count: each row's mean is taken off in each channel first.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NeighbourStatistics:
+    """How the pixels' noise depends on that of their neighbours.
+
+    Attributes
+    ----------
+    lags
+        (lags, 2): rows and columns between two pixels; one of each two opposite directions.
+    correlation
+        Of the temporal noise of pixels so far apart, less that of pixels 36 columns or 12 rows apart or more.
+    error
+        Standard error of each correlation, where there is none.
+    outlier_wins
+        (2, 4, 2): of values below and above their pixel's mean, by more than 3, 4, 5 and 6 standard deviations, how
+        many have a neighbour of their colour that goes further to their side than all eight of a pixel 36 columns
+        away, and of how many it is the other way round. Without a filter the two are equal but for chance.
+    skewness, skewness_error
+        Mean of the third powers of the values in standard deviations, and its standard error where there is none.
+    """
+
+    lags: NDArray[np.int64] = field(repr=False)
+    correlation: NDArray[np.float64]
+    error: float
+    outlier_wins: NDArray[np.int64]
+    skewness: float
+    skewness_error: float
+
+
+class Neighbours:
+    """Accumulates standardised bands for :class:`NeighbourStatistics`.
+
+    Parameters
+    ----------
+    pattern
+        The CFA's period, channel indices.
+    """
+
+    def __init__(self, pattern: NDArray[np.int64]) -> None:
+        self._offsets = _same_colour(pattern)
+        self._reach = int(np.abs(self._offsets).max())
+        self._lags = np.concatenate([_LAGS, _FAR])
+        self._products = np.zeros(len(self._lags), dtype=np.int64)
+        self._pairs = np.zeros(len(self._lags))
+        self._rows_took = np.array([_taken(pattern, int(across)) if not down else 0.0 for down, across in self._lags])
+        self._induced = np.zeros(len(self._lags))
+        self._squares = self._pixels = 0
+        self._wins = np.zeros((2, len(OUTLIERS), 2), dtype=np.int64)
+        self._powers = np.zeros(2)
+        self._values = 0
+
+    @property
+    def is_filled(self) -> bool:
+        """Whether anything that changes was added."""
+        return self._squares > 0
+
+    def add_difference(self, band: NDArray[np.int16]) -> None:
+        """Add rows of the standardised difference of two frames; they start with the pattern's first."""
+        from eldata.calibration.audit._kernels import lag_products
+
+        height, width = band.shape
+        lag_products(band, self._lags, self._products)
+        self._squares += int(np.einsum("ij,ij->", band, band, dtype=np.int64))
+        self._pixels += band.size
+        pairs = (height - self._lags[:, 0]) * (width - np.abs(self._lags[:, 1]))
+        self._pairs += pairs
+        self._induced += pairs * self._rows_took / width
+
+    def add_frame(self, band: NDArray[np.int16]) -> None:
+        """Add rows of one frame less its pixels' means, standardised: what a filter has done to outliers."""
+        from eldata.calibration.audit._kernels import outlier_neighbours
+
+        outlier_neighbours(
+            band, self._offsets, self._reach, _AWAY, np.array(OUTLIERS) * _UNITS, self._wins, self._powers
+        )
+        self._values += band.size
+
+    def statistics(self) -> NeighbourStatistics:
+        """Return what was found.
+
+        Raises
+        ------
+        DatasetError
+            If nothing changes from frame to frame.
+        """
+        if not self.is_filled:
+            raise DatasetError("no pixel changes from frame to frame: the frames are copies of one another")
+        variance = self._squares / self._pixels
+        correlation = self._products / (self._pairs * variance) - self._induced / self._pairs
+        near = len(_LAGS)
+        kinds = np.where(_LAGS[:, 0] == 0, 0, np.where(_LAGS[:, 1] == 0, 1, 2))
+        far = np.array([correlation[near:][kind == _FAR_KINDS].mean() for kind in range(3)])
+        # The product of two independent values has the variance of the one times that of the other, whatever their
+        # tails. The mean of the far ones adds to it.
+        error = np.sqrt((1 + 1 / np.bincount(_FAR_KINDS)[kinds]) / self._pairs[:near])
+        return NeighbourStatistics(
+            lags=_LAGS,
+            correlation=correlation[:near] - far[kinds],
+            error=float(error.max()),
+            outlier_wins=self._wins[:, ::-1].cumsum(axis=1)[:, ::-1],
+            skewness=float(self._powers[0]) / _UNITS**3 / max(self._values, 1),
+            # The values of a pixel add up to nothing, which makes the sum scatter a little less.
+            skewness_error=math.sqrt(self._powers[1]) / _UNITS**3 / max(self._values, 1),
+        )
+
+
+def _same_colour(pattern: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the offsets of the eight nearest pixels of the same colour, (row, column, 8, 2)."""
+    colour = np.where(pattern == 3, 1, pattern)  # both greens of Bayer
+    period = len(pattern)
+    places = sorted(
+        ((dy, dx) for dy in range(-4, 5) for dx in range(-4, 5) if dy or dx),
+        key=lambda place: (math.hypot(*place), place),
+    )
+
+    def nearest(row: int, column: int) -> list[tuple[int, int]]:
+        alike = (
+            (dy, dx) for dy, dx in places if colour[(row + dy) % period, (column + dx) % period] == colour[row, column]
+        )
+        return [place for place, _ in zip(alike, range(_NEIGHBOURS), strict=False)]
+
+    return np.array([[nearest(row, column) for column in range(period)] for row in range(period)])
+
+
+def _taken(pattern: NDArray[np.int64], across: int) -> float:
+    """Return the correlation that taking off the mean of each row and channel makes at a lag, times the columns."""
+    share = np.array([[np.count_nonzero(row == channel) for channel in row] for row in pattern]) / len(pattern)
+    alike = np.roll(pattern, -across, axis=1) == pattern
+    return -float(np.where(alike, 1 / share, 0.0).mean())

@@ -1,0 +1,122 @@
+"""Compiled loops over one frame. All sums are of integers: exact, and the same in any order of frames.
+
+``residual`` below is ``n x - sum over frames of x``: n times the deviation from the pixel's own mean, an integer.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.base.compiled import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@kernel
+def block_moments(
+    total: NDArray[np.uint32],
+    defects: NDArray[np.bool_],
+    side: int,
+    count: NDArray[np.int64],
+    sums: NDArray[np.int64],
+    squares: NDArray[np.float64],
+) -> None:
+    """Write count, sum and sum of squared deviations of the sound pixels of each block of ``side`` x ``side``.
+
+    The arrays hold one site of the CFA.
+    """
+    height, width = total.shape
+    for i in range(count.shape[0]):
+        for j in range(count.shape[1]):
+            rows = range(i * side, min((i + 1) * side, height))
+            columns = range(j * side, min((j + 1) * side, width))
+            number: Any = 0
+            added: Any = 0
+            for row in rows:
+                for column in columns:
+                    if not defects[row, column]:
+                        number += 1
+                        added += np.int64(total[row, column])
+            mean = added / max(number, 1)
+            squared = 0.0
+            for row in rows:
+                for column in columns:
+                    if not defects[row, column]:
+                        squared += (total[row, column] - mean) ** 2
+            count[i, j], sums[i, j], squares[i, j] = number, added, squared
+
+
+@kernel
+def channel_histograms(
+    mosaic: NDArray[np.uint16], defects: NDArray[np.bool_], pattern: NDArray[np.int64], counts: NDArray[np.int64]
+) -> None:
+    """Count the sound pixels by group of rows, channel and value in ``counts``; its last value takes all beyond."""
+    period = pattern.shape[0]
+    groups, last = counts.shape[0], counts.shape[2] - 1
+    for row in range(mosaic.shape[0]):
+        group = (row // 2) % groups
+        for phase in range(period):
+            channel = pattern[row % period, phase]
+            for column in range(phase, mosaic.shape[1], period):
+                if not defects[row, column]:
+                    value = np.int64(mosaic[row, column])
+                    counts[group, channel, value if value < last else last] += 1
+
+
+@kernel
+def residual_sums(
+    mosaic: NDArray[np.uint16],
+    total: NDArray[np.uint32],
+    defects: NDArray[np.bool_],
+    frames: int,
+    pattern: NDArray[np.int64],
+    row_sums: NDArray[np.int64],
+    row_squares: NDArray[np.int64],
+    column_sums: NDArray[np.int64],
+) -> None:
+    """Add the residuals by (row, channel) and by (column, channel), and their squares by row."""
+    period = pattern.shape[0]
+    for row in range(mosaic.shape[0]):
+        squares: Any = 0
+        for phase in range(period):
+            channel = pattern[row % period, phase]
+            sums: Any = 0
+            for column in range(phase, mosaic.shape[1], period):
+                if not defects[row, column]:
+                    value = frames * np.int64(mosaic[row, column]) - np.int64(total[row, column])
+                    sums += value
+                    squares += value * value
+                    column_sums[column, channel] += value
+            row_sums[row, channel] += sums
+        row_squares[row] += squares
+
+
+@kernel
+def residual_histogram(
+    mosaic: NDArray[np.uint16],
+    total: NDArray[np.uint32],
+    defects: NDArray[np.bool_],
+    frames: int,
+    offsets: NDArray[np.int64],
+    step: int,
+    counts: NDArray[np.int64],
+) -> None:
+    """Count the residuals less ``offsets`` (row, column phase) in cells of an odd ``step``, by group of rows.
+
+    Cell j of ``counts`` (group, cells) is centred on (j - cells // 2) step; the first and last take all beyond.
+    """
+    period = offsets.shape[1]
+    groups, last = counts.shape[0], counts.shape[1] - 1
+    start = (counts.shape[1] // 2) * step + step // 2
+    for row in range(mosaic.shape[0]):
+        group = (row // 2) % groups
+        for phase in range(period):
+            shift = start - offsets[row, phase]
+            for column in range(phase, mosaic.shape[1], period):
+                if not defects[row, column]:
+                    value = frames * np.int64(mosaic[row, column]) - np.int64(total[row, column]) + shift
+                    place = value // step if value > 0 else 0
+                    counts[group, place if place < last else last] += 1

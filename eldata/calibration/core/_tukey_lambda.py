@@ -1,0 +1,256 @@
+"""The Tukey-lambda distribution, the model of residuals, and the probability-plot correlation on a histogram."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.base.compiled import kernel
+from eldata.noise.parameters import tukey_lambda_variance
+
+if TYPE_CHECKING:
+    from typing import TypeAlias
+
+    from numpy.typing import NDArray
+
+    Values: TypeAlias = NDArray[np.floating[Any]]
+    Nodes: TypeAlias = tuple[Values, Values]
+
+LOWEST, HIGHEST = -0.49, 1.0
+"""Shapes that are searched: finite variance, up to nearly uniform."""
+
+NOTHING: Nodes = (np.zeros(1), np.ones(1))
+"""A discrete distribution, as nodes and weights: of what is always 0."""
+
+_HERMITE = np.polynomial.hermite_e.hermegauss(15)
+_LEGENDRE = np.polynomial.legendre.leggauss(4)
+_TABLE = np.linspace(0.0, 9.0, 1201)  # arsinh(x / standard deviation): to 4000 standard deviations
+_SIZE = 1 << 14  # cells of the distribution of the other frames' share
+_CELLS = 16  # of it, per standard deviation of one frame's share
+_MOST_FRAMES = 500  # with more, that share counts as normal
+
+
+@kernel
+def tukey_lambda_tail(x: Any, shape: float) -> Any:
+    """Return P(X > x) for scale 1: the v with ((1 - v)^l - v^l) / l = x, by Newton's method in ln((1 - v) / v).
+
+    It starts at the solution of (1 - exp(-l t)) / l = x and approaches from one side, as x(t) is convex or concave.
+    """
+    if x < 0.0:
+        return 1.0 - tukey_lambda_tail(-x, shape)
+    flat = abs(shape) < 1e-9
+    if flat:
+        return 1.0 / (1.0 + np.exp(x))
+    if shape * x >= 1.0:
+        return 0.0
+    t = -np.log1p(-shape * x) / shape
+    for _ in range(50):
+        v = 1.0 / (1.0 + np.exp(t))
+        power = (1.0 - v) ** shape
+        fall = np.exp(-shape * t)
+        value = -power * np.expm1(-shape * t) / shape
+        # dx/dt = v (1 - v) ((1 - v)^(l - 1) + v^(l - 1)), with v^l = power fall
+        slope = power * (v + (1.0 - v) * fall)
+        step = (x - value) / slope
+        t = max(t + step, 0.0)
+        if abs(step) < 1e-13 * (1.0 + t):
+            break
+    return 1.0 / (1.0 + np.exp(t))
+
+
+@kernel
+def smoothed_tails(
+    x: NDArray[np.floating[Any]],
+    shape: float,
+    scale: float,
+    nodes: NDArray[np.floating[Any]],
+    weights: NDArray[np.floating[Any]],
+) -> Any:
+    """Return P(scale X + U > x), U being the discrete distribution of nodes and weights."""
+    tails = np.zeros(x.size)
+    for i in range(x.size):
+        for j in range(nodes.size):
+            tails[i] += weights[j] * tukey_lambda_tail((x[i] - nodes[j]) / scale, shape)
+    return tails
+
+
+@kernel
+def tail_from_table(x: float, unit: float, step: float, table: NDArray[np.floating[Any]]) -> Any:
+    """Return a symmetric distribution's P(X > x) from ln P on a grid of even steps in arsinh(x / unit), by cubics."""
+    place = np.arcsinh(abs(x) / unit) / step
+    last = table.size - 3
+    i = min(max(int(place), 1), last)
+    f = min(place - i, 2.0)
+    a, b, c, d = table[i - 1], table[i], table[i + 1], table[i + 2]
+    value = (
+        -f * (f - 1.0) * (f - 2.0) / 6.0 * a
+        + (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0 * b
+        - (f + 1.0) * f * (f - 2.0) / 2.0 * c
+        + (f + 1.0) * f * (f - 1.0) / 6.0 * d
+    )
+    tail = np.exp(value)
+    return tail if x >= 0.0 else 1.0 - tail
+
+
+@kernel
+def mixture_tails(
+    edges: NDArray[np.floating[Any]],
+    own: float,
+    nodes: NDArray[np.floating[Any]],
+    weights: NDArray[np.floating[Any]],
+    unit: float,
+    step: float,
+    table: NDArray[np.floating[Any]],
+) -> Any:
+    """Return P(own X + Z > edge) for each edge, with X from its table and Z discrete: nodes and weights."""
+    tails = np.zeros(edges.size)
+    for i in range(edges.size):
+        for j in range(nodes.size):
+            tails[i] += weights[j] * tail_from_table((edges[i] - nodes[j]) / own, unit, step, table)
+    return tails
+
+
+class TailTable:
+    """Tails of ``scale X + U`` with X of a Tukey-lambda distribution and U discrete, from a table in steps of ``unit``.
+
+    ``unit`` is the standard deviation of the sum.
+    """
+
+    def __init__(self, unit: float, shape: float, scale: float, nodes: Nodes = NOTHING) -> None:
+        self.unit = unit
+        tails = smoothed_tails(unit * np.sinh(_TABLE), shape, scale, *nodes)
+        self._logs = np.log(np.maximum(tails, 1e-40))
+
+    def tails(self, edges: Values, others: Nodes = NOTHING, own: float = 1.0) -> Values:
+        """Return P(own times the sum + Z > edge) for each edge, Z discrete."""
+        found: Values = mixture_tails(
+            np.ascontiguousarray(edges), own, *others, self.unit, float(_TABLE[1]), self._logs
+        )
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualModel:
+    """The distribution of one residual: ``own Y + Z`` with ``Y = sigma X + U``.
+
+    X is Tukey lambda, U the rounding, uniform over ``rounding_dn``. Z is what the means that were taken off hold of
+    other pixels' noise: of the n - 1 other frames in the same pixel (their exact distribution, by FFT: heavy tails
+    show through a mean of ten), and of the row's other pixels (normal, with the exact variance).
+    """
+
+    frames: int
+    row_pixels: float
+    rounding_dn: float
+
+    @property
+    def own(self) -> float:
+        """Share of the pixel's own noise."""
+        return (1 - 1 / self.frames if self.frames > 1 else 1.0) * (1 - 1 / self.row_pixels)
+
+    def tails(self, edges: Values, shape: float, sigma: float) -> Values:
+        """Return P(residual > edge) for each edge."""
+        unit = math.sqrt(sigma**2 * tukey_lambda_variance(shape) + self.rounding_dn**2 / 12)
+        table = TailTable(unit, shape, sigma, (_LEGENDRE[0] * (self.rounding_dn / 2), _LEGENDRE[1] / 2))
+        return table.tails(edges, self._others(table), self.own)
+
+    def probabilities(self, edges: Values, shape: float, sigma: float) -> Values:
+        """Return P of each cell of abs(residual): between the edges (the first is 0) and beyond the last."""
+        tails = self.tails(edges, shape, sigma)
+        tails[0] = 0.5
+        return np.maximum(-2 * np.diff(tails, append=0.0), 1e-300)
+
+    def _others(self, table: TailTable) -> Nodes:
+        """Return Z as nodes and weights."""
+        unit = table.unit
+        variance = self.own * (1 - self.own) * unit**2
+        if variance <= 0:
+            return NOTHING
+        if not 1 < self.frames <= _MOST_FRAMES:
+            return _HERMITE[0] * math.sqrt(variance), _HERMITE[1] / _HERMITE[1].sum()
+        share = (1 - 1 / self.row_pixels) / self.frames
+        width = share * unit / _CELLS
+        edges = (np.arange(_SIZE // 2) + 0.5) * width
+        tails = table.tails(edges, own=share)
+        half = -np.diff(tails, append=0.0)
+        cells = np.zeros(_SIZE)
+        cells[0] = 1 - 2 * tails[0]
+        cells[1 : _SIZE // 2] = half[:-1]
+        cells[-1 : _SIZE // 2 : -1] = half[:-1]
+        of_row = variance - (self.frames - 1) * (share * unit) ** 2
+        frequency = 2 * math.pi * np.fft.rfftfreq(_SIZE, width)
+        transform = np.fft.rfft(cells).real ** (self.frames - 1) * np.exp(-0.5 * max(of_row, 0.0) * frequency**2)
+        density = np.maximum(np.fft.fftshift(np.fft.irfft(transform, _SIZE)), 0.0)
+        return _compressed((np.arange(_SIZE) - _SIZE // 2) * width, density, math.sqrt(variance))
+
+
+def _compressed(values: Values, weights: Values, spread: float) -> tuple[Values, Values]:
+    """Replace a distribution by two nodes for each of some intervals, of the same mean and variance."""
+    core = np.arange(-6.0, 6.01, 0.75)
+    far = 6.0 * 1.35 ** np.arange(1.0, 20.0)
+    limits = np.concatenate([-far[::-1], core, far]) * spread
+    starts = np.unique(np.concatenate([[0], np.searchsorted(values, limits)]))
+    starts = starts[starts < len(values)]
+    totals = np.add.reduceat(weights, starts)
+    kept = totals > 1e-13
+    safe = np.where(kept, totals, 1.0)
+    means = np.add.reduceat(weights * values, starts) / safe
+    deviations = np.sqrt(np.maximum(np.add.reduceat(weights * values**2, starts) / safe - means**2, 0.0))
+    nodes = np.concatenate([(means - deviations)[kept], (means + deviations)[kept]])
+    shares = np.concatenate([totals[kept], totals[kept]]) / (2 * totals[kept].sum())
+    return nodes, shares
+
+
+def correlation(values: Values, counts: Values, shape: float) -> tuple[float, float]:
+    """Return correlation and slope of the probability plot of a histogram against Tukey lambda.
+
+    ``values`` ascend and no count is 0. Each cell is compared with the mean of the quantile function over its share of
+    the probability, whose integral is ``(p^(l + 1) + (1 - p)^(l + 1) - 1) / (l (l + 1))``.
+    """
+    total = float(counts.sum())
+    below = np.concatenate([[0.0], np.cumsum(counts)]) / total
+    above = np.concatenate([np.cumsum(counts[::-1])[::-1], [0.0]]) / total
+    weights = counts / total
+    blocks = np.diff(_integral(below, above, shape))
+    # The quantile's spread inside a cell, by quadrature; without the outermost cells, where it has no bound.
+    inside = 0.0
+    means = blocks[1:-1] / weights[1:-1]
+    for node, share in zip((_LEGENDRE[0] + 1) / 2, _LEGENDRE[1] / 2, strict=True):
+        low = np.log(below[1:-2] + node * weights[1:-1])
+        high = np.log(above[2:-1] + (1 - node) * weights[1:-1])
+        quantiles = (np.expm1(shape * low) - np.expm1(shape * high)) / shape if shape else low - high
+        inside += share * float(weights[1:-1] @ (quantiles - means) ** 2)
+    return _plot(values, weights, blocks, inside)
+
+
+def normal_correlation(values: Values, counts: Values) -> tuple[float, float]:
+    """Return correlation and slope of the normal probability plot: the quantile's integral is minus the density."""
+    from scipy.special import ndtri
+
+    total = float(counts.sum())
+    below, above = np.cumsum(counts)[:-1] / total, np.cumsum(counts[::-1])[::-1][1:] / total
+    quantiles = np.where(below < above, ndtri(below), -ndtri(above))
+    density = np.concatenate([[0.0], np.exp(-0.5 * quantiles**2) / math.sqrt(2 * math.pi), [0.0]])
+    blocks, weights = -np.diff(density), counts / total
+    second = np.concatenate([[0.0], below - quantiles * density[1:-1], [1.0]])  # the integral of the square
+    inside = float((np.diff(second) - blocks**2 / weights)[1:-1].sum())
+    return _plot(values, weights, blocks, inside)
+
+
+def _integral(below: Values, above: Values, shape: float) -> Values:
+    with np.errstate(divide="ignore"):
+        logs = np.log(below), np.log(above)
+    terms = np.zeros_like(below)
+    for share, log in zip((below, above), logs, strict=True):
+        log = np.where(share > 0, log, 0.0)  # noqa: PLW2901 - 0 ln 0 is 0
+        terms += share * (np.expm1(shape * log) / shape if shape else log)
+    return terms / (shape + 1)
+
+
+def _plot(values: Values, weights: Values, blocks: Values, inside: float) -> tuple[float, float]:
+    centred = values - float(weights @ values)
+    cross = float(centred @ blocks)
+    squares = float(blocks @ (blocks / weights)) + inside
+    return cross / math.sqrt(squares * float(weights @ centred**2)), cross / squares

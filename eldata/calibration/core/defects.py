@@ -1,0 +1,344 @@
+"""What stays from bias frame to bias frame: hot and stuck pixels, dark-signal non-uniformity, shading.
+
+The first pass over the bias frames. Its result tells the others which pixels to leave out, and holds the exact sum of
+the frames, from which the second pass (row noise, read noise) takes each pixel's deviation from its own mean.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.base.numbers import counted
+from eldata.calibration.core._frames import FrameSums
+from eldata.errors import ArgumentError, DatasetError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from eldata.raw.cfa import Cfa
+
+MINIMUM_FRAMES = 4
+"""Bias frames that the calibration needs; ten or more are advised."""
+
+_MOST_FRAMES = 16_384  # twice their sum fits 31 bits
+_CLIPPED_SHARE = 0.01  # of pixels that reach 0
+_OUTER = (0.9, 1.645), (0.99, 2.576)  # shares of normal values, and how many standard deviations they lie within
+_LEAST_REACH = 2.0  # standard deviations below its mean that a residual must be able to go
+_BLOCK = 16  # periods of the CFA a side, for the local level
+_SQUARED_PIXELS = 1 << 22  # of a frame with more, a seventh tells the variance over time: every
+_STEP = 7  # seventh period of its rows
+
+
+@dataclass(frozen=True, slots=True)
+class PatternSummary:
+    """What stays from bias frame to bias frame, in numbers.
+
+    Attributes
+    ----------
+    defects, off_level, stuck
+        Pixels that were left out; those off their neighbourhood's level; those that never change (a pixel may be both).
+    pixels
+        Of a frame.
+    dsnu_dn, dsnu_error_dn
+        Dark-signal non-uniformity, per channel: the standard deviation of the sound pixels' fixed levels around their
+        local level, and its standard error; 0 where the frames' own noise explains all of it.
+    shading_dn
+        (channels, rows, columns): level of blocks of 16 x 16 CFA periods over the channel's mean.
+    """
+
+    defects: int
+    off_level: int
+    stuck: int
+    pixels: int
+    dsnu_dn: tuple[float, ...]
+    dsnu_error_dn: tuple[float, ...]
+    shading_dn: NDArray[np.float64] = field(repr=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FixedPattern:
+    """What the mean of the bias frames shows.
+
+    Attributes
+    ----------
+    pattern
+        The CFA's period, channel indices.
+    frames
+        Number of frames.
+    total_dn
+        (H, W) exact sum of the frames.
+    defects
+        (H, W) True where a pixel is hot, cold or stuck.
+    threshold_dn
+        Distance from the local level that makes a defect, per channel.
+    level_dn
+        Mean of the sound pixels, per channel.
+    temporal_variance_dn2
+        Mean variance over time of the sound pixels, per channel; with row noise and quantisation. Of large frames, of
+        those in a seventh of the rows.
+    shading_error_dn
+        Noise of an entry of the summary's shading, per channel.
+    summary
+        Defects, non-uniformity and shading.
+    """
+
+    pattern: NDArray[np.int64] = field(repr=False)
+    frames: int
+    total_dn: NDArray[np.uint32] = field(repr=False)
+    defects: NDArray[np.bool_] = field(repr=False)
+    threshold_dn: tuple[float, ...]
+    level_dn: tuple[float, ...]
+    temporal_variance_dn2: tuple[float, ...]
+    shading_error_dn: tuple[float, ...]
+    summary: PatternSummary
+
+    @property
+    def reach_dn(self) -> float:
+        """How far below its mean a residual can go before some pixels' recorded values end at 0, by any frame's.
+
+        A residual is (1 - 1/n) of its own value less what the other frames put in, within five standard deviations.
+        """
+        own = 1 - 1 / self.frames
+        return own * min(self.level_dn) - 5 * math.sqrt(own * (1 - own) * max(self.temporal_variance_dn2))
+
+    @property
+    def clips_at_black(self) -> bool:
+        """Whether the noise reaches 0, where recorded values end, so that residuals are not those of the noise."""
+        return self.reach_dn < _LEAST_REACH * math.sqrt(max(self.temporal_variance_dn2))
+
+    @property
+    def mean_dn(self) -> NDArray[np.float32]:
+        """The mean frame, (H, W)."""
+        return (self.total_dn / self.frames).astype(np.float32)
+
+
+class BiasStack(FrameSums):
+    """Accumulates bias frames for :func:`fixed_pattern`: the memory of some four mosaics, for any number of frames.
+
+    Parameters
+    ----------
+    cfa
+        The CFA of pixel (0, 0).
+    """
+
+    def __init__(self, cfa: Cfa) -> None:
+        super().__init__(cfa)
+
+    def add(self, mosaic: NDArray[np.uint16]) -> None:
+        """Add a bias frame."""
+        if self.frames >= _MOST_FRAMES:
+            raise ArgumentError(f"a stack takes {_MOST_FRAMES} frames at most")
+        shape = self._check(mosaic).shape
+        if self.frames == 1:
+            self.total = np.zeros(shape, dtype=np.uint32)
+            self.lowest = np.full(shape, 65535, dtype=np.uint16)
+            self.highest = np.zeros(shape, dtype=np.uint16)
+            step = _STEP if mosaic.size > _SQUARED_PIXELS else 1
+            self.squared_rows = np.flatnonzero(np.arange(shape[0]) // len(self.pattern) % step == 0)
+            self.squares = np.zeros((len(self.squared_rows), shape[1]), dtype=np.int64)
+        self.total += mosaic
+        np.minimum(self.lowest, mosaic, out=self.lowest)
+        np.maximum(self.highest, mosaic, out=self.highest)
+        wide = mosaic[self.squared_rows].astype(np.int64)
+        self.squares += np.multiply(wide, wide, out=wide)
+
+    @property
+    def scatter(self) -> NDArray[np.int64]:
+        """Each pixel's variance over time, times n (n - 1), in ``squared_rows``, which have the frame's own CFA."""
+        total = self.total[self.squared_rows].astype(np.int64)
+        np.multiply(total, total, out=total)
+        np.subtract(self.frames * self.squares, total, out=total)
+        return total
+
+
+def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
+    """Find the defects and measure the fixed pattern.
+
+    A pixel is a defect if its trimmed mean over time (its lowest and highest value left out, so that one extreme draw
+    of heavy-tailed read noise is not taken for a hot pixel) lies more than ``threshold`` robust standard deviations
+    (1.4826 times the median absolute deviation) off the median of its neighbourhood, or if it never changes although
+    the noise should move it.
+
+    Dark-signal non-uniformity: ``DSNU^2 = Var(mean frame) - sigma_t^2 / n`` inside blocks, with sigma_t^2 the mean
+    variance over time (EMVA 1288's correction for n frames).
+
+    Raises
+    ------
+    ArgumentError
+        If the threshold is not positive.
+    DatasetError
+        If there are too few frames, or nearly all pixels never change.
+    """
+    from eldata.calibration.core._kernels import block_moments
+
+    if not threshold > 0:
+        raise ArgumentError(f"the threshold is a positive number of standard deviations; found {threshold}")
+    if stack.frames < MINIMUM_FRAMES:
+        raise DatasetError(
+            f"found {counted(stack.frames, 'bias frame')}: to tell what stays from what changes, "
+            f"{MINIMUM_FRAMES} are needed, ten or more advised, all at one ISO"
+        )
+    pattern, channels, frames = stack.pattern, stack.channels, stack.frames
+    total, lowest, highest = stack.total, stack.lowest, stack.highest
+
+    scatter = stack.scatter
+    is_cut = float((lowest == 0).mean()) > _CLIPPED_SHARE
+    defects = _stuck(stack, scatter)
+    stuck = int(defects.sum())
+    off_level = 0
+
+    def limit(channel: int) -> float:
+        """Mark the channel's pixels that are off their neighbourhood's level, and return what counts as off."""
+        nonlocal off_level
+        distances = []
+        for site in _sites(pattern, channel):
+            trimmed = total[site].astype(np.int32)
+            trimmed -= lowest[site]
+            trimmed -= highest[site]
+            distances.append((site, _from_median(trimmed)))
+        per_dn = 2 * (frames - 2)
+        every = np.concatenate([distance.ravel() for _, distance in distances])
+        spread = 1.4826 * float(np.median(every, overwrite_input=True)) / per_dn
+        if is_cut:  # half of the pixels or more may lie within a fraction of the noise of the median, which is near 0
+            spread = max(spread, *(float(np.quantile(every, share)) / per_dn / size for share, size in _OUTER))
+        far = threshold * max(spread, 1 / frames)
+        for site, distance in distances:
+            off = distance > far * per_dn
+            defects[site] |= off
+            off_level += int(off.sum())
+        return far
+
+    limits = [limit(channel) for channel in range(channels)]
+    defect_rows = defects[stack.squared_rows]
+
+    # One grid for all sites: of a frame whose size is not a multiple of a block's, some may have none in the last row.
+    side = _BLOCK * len(pattern)
+    grid = tuple(-(-length // side) for length in defects.shape)
+
+    def measure(channel: int) -> _Channel:
+        blocks: list[tuple[NDArray[Any], ...]] = []
+        added, squared, counted = 0, 0.0, 0
+        for site in _sites(pattern, channel):
+            exact = scatter[site][~defect_rows[site]]
+            added, counted = added + int(exact.sum()), counted + exact.size
+            squared += float(np.square(exact, dtype=np.float64).sum())
+            (count, sums), squares = np.zeros((2, *grid), dtype=np.int64), np.zeros(grid)
+            block_moments(total[site], defects[site], _BLOCK, count, sums, squares)
+            blocks.append((count, sums / np.maximum(count, 1) / frames, squares / frames**2))
+        if counted < 2:
+            raise DatasetError(f"channel {channel} has no sound pixel left: raise the threshold ({threshold:g})")
+        freedom = frames * (frames - 1)
+        variance = added / freedom / counted
+        variance_error = math.sqrt(max(squared / counted - (added / counted) ** 2, 0.0) / counted) / freedom
+        pixels = sum(block[0] for block in blocks)
+        level = sum(block[0] * block[1] for block in blocks) / np.maximum(pixels, 1)
+        mean = float((level * pixels).sum() / np.sum(pixels))
+        dsnu, dsnu_error = _non_uniformity(blocks, variance / frames, variance_error / frames)
+        shading = _with_edges(np.where(pixels > 0, level - mean, 0.0), np.asarray(pixels))
+        return _Channel(variance, mean, dsnu, dsnu_error, shading, max(float(np.median(pixels)), 1.0))
+
+    measured = [measure(channel) for channel in range(channels)]
+    return FixedPattern(
+        pattern=pattern,
+        frames=frames,
+        total_dn=total,
+        defects=defects,
+        threshold_dn=tuple(limits),
+        level_dn=tuple(one.level for one in measured),
+        temporal_variance_dn2=tuple(one.variance for one in measured),
+        shading_error_dn=tuple(math.sqrt((one.variance / frames + one.dsnu**2) / one.block_pixels) for one in measured),
+        summary=PatternSummary(
+            defects=int(defects.sum()),
+            off_level=off_level,
+            stuck=stuck,
+            pixels=defects.size,
+            dsnu_dn=tuple(one.dsnu for one in measured),
+            dsnu_error_dn=tuple(one.dsnu_error for one in measured),
+            shading_dn=np.stack([one.shading for one in measured]),
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    """What one channel's sound pixels show; ``block_pixels`` is how many pixels a block of the shading has."""
+
+    variance: float
+    level: float
+    dsnu: float
+    dsnu_error: float
+    shading: NDArray[np.float64]
+    block_pixels: float
+
+
+Site = tuple[slice, slice]
+
+
+def _sites(pattern: NDArray[np.int64], channel: int) -> Iterator[Site]:
+    period = len(pattern)
+    for y, x in np.argwhere(pattern == channel):
+        yield slice(y, None, period), slice(x, None, period)
+
+
+def _from_median(values: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return twice the distance from the median of blocks, in place of the values.
+
+    Blocks over an edge are filled up as in a mirror.
+    """
+    height, width = values.shape
+    over = -height % _BLOCK, -width % _BLOCK
+    padded = np.pad(values, ((0, over[0]), (0, over[1])), mode="symmetric") if any(over) else values
+    blocks = padded.reshape(len(padded) // _BLOCK, _BLOCK, -1, _BLOCK).swapaxes(1, 2)
+    ordered, half = blocks.copy(order="C").reshape(*blocks.shape[:2], -1), _BLOCK**2 // 2
+    ordered.partition(half, axis=2)
+    twice = ordered[..., half] + ordered[..., :half].max(axis=2)
+    blocks *= 2
+    blocks -= twice[..., None, None]
+    np.abs(blocks, out=blocks)
+    return padded[:height, :width]
+
+
+def _with_edges(levels: NDArray[np.float64], pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the levels of blocks, those of a last row or column without a pixel from the one before."""
+    for of_edge, counts in ((levels, pixels), (levels.T, pixels.T)):
+        if len(of_edge) > 1 and not counts[-1].any():
+            of_edge[-1] = of_edge[-2]
+    return levels
+
+
+def _stuck(stack: BiasStack, scatter: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return the pixels that never change, if the noise of the others makes that improbable."""
+    lowest, highest, frames = stack.lowest, stack.highest, stack.frames
+    constant = lowest == highest
+    share = float(constant.mean())
+    if share > 0.99:
+        raise DatasetError(
+            "nearly all pixels have the same value in every frame: the frames are copies of one another, or nearly all "
+            "of the noise lies below black, where it is clipped; calibrate raw files whose black level lies above 0"
+        )
+    middle = float(np.median(scatter[::7, ::5]))
+    sigma = math.sqrt(middle / (frames * (frames - 1)) / 0.9)
+    # All n values alike: below (1 / (sigma sqrt(2 pi)))^(n - 1) / sqrt(n) for Gaussian noise of sigma > 1/2 DN.
+    chance = (1 / (sigma * math.sqrt(2 * math.pi))) ** (frames - 1) / math.sqrt(frames) if sigma > 0.5 else 1.0
+    # What is 0 throughout may be noise below black.
+    return constant & (highest > 0) if chance < 1e-4 else np.zeros_like(constant)
+
+
+def _non_uniformity(blocks: list[tuple[NDArray[Any], ...]], noise: float, noise_error: float) -> tuple[float, float]:
+    """Return the pooled DSNU and its standard error: of the blocks' variances, by their scatter, and of the noise."""
+    freedom = np.concatenate([np.maximum(block[0] - 1, 0).ravel() for block in blocks])
+    squares = np.concatenate([block[2].ravel() for block in blocks])
+    excess = float(squares.sum() / freedom.sum()) - noise
+    deviations = squares - freedom * (excess + noise)
+    used = int(np.count_nonzero(freedom))
+    of_blocks = math.sqrt(float(np.square(deviations).sum()) * used / max(used - 1, 1)) / float(freedom.sum())
+    error = math.hypot(of_blocks, noise_error)
+    if excess <= 0:
+        return 0.0, math.sqrt(error)
+    return math.sqrt(excess), min(error / (2 * math.sqrt(excess)), math.sqrt(error))

@@ -1,0 +1,249 @@
+"""What the estimates assume, and what became of it: each check leaves a finding for each figure that it touches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, Literal
+
+from eldata.base.tables import with_error
+from eldata.errors import ArgumentError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator, Mapping
+
+Figure = Literal["gain", "read noise", "row noise", "colour bias"]
+"""What a calibration measures at one ISO. Read noise is lambda, sigma_TL and sigma_G."""
+
+SYMBOLS: Final[Mapping[Figure, str]] = {
+    "gain": "K",
+    "read noise": "lambda, sigma_TL, sigma_G",
+    "row noise": "sigma_row",
+    "colour bias": "the colour bias",
+}
+
+
+def named(figures: Collection[Figure]) -> str:
+    """Return the figures' symbols as a list."""
+    return ", ".join(symbol for figure, symbol in SYMBOLS.items() if figure in figures)
+
+
+Effect = Literal["withheld", "wider", "remark"]
+
+CHANCE: Final = 1e-5
+"""That a check of bias frames speaks without a reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One check of one ISO's frames that an assumption did not pass.
+
+    Attributes
+    ----------
+    check
+        Its name, as docs/calibration.md lists it.
+    figures
+        The figures that rest on the assumption; empty for a remark.
+    effect
+        ``"withheld"``: the figures are not given. ``"wider"``: their errors are made larger by ``allowance``.
+        ``"remark"``: the figures hold, and a person should know.
+    statistic, threshold
+        What the check measured, and beyond what it speaks.
+    text
+        What was seen, and what to do about it, in a sentence or two. What becomes of the figures is added to it.
+    allowance
+        What is added in quadrature to the standard errors of effect ``"wider"``, as a share of the figure; of lambda as
+        it is, of the colour bias in DN. Of effect ``"withheld"``: what would be, if the finding is accepted.
+    is_accepted
+        Whether the figures would be withheld, and are given because somebody has accepted the check.
+    """
+
+    check: str
+    figures: tuple[Figure, ...]
+    effect: Effect
+    statistic: float
+    threshold: float
+    text: str
+    allowance: float = 0.0
+    is_accepted: bool = False
+
+    def of(self, effect: Effect, figures: tuple[Figure, ...], allowance: float = 0.0) -> Finding:
+        """Return it with what becomes of figures."""
+        return replace(self, effect=effect, figures=figures, allowance=allowance)
+
+    @property
+    def is_acceptable(self) -> bool:
+        """Whether withheld figures can be given with a larger error: not if they may be off by all of themselves."""
+        is_small = 0 < self.allowance < (math.inf if self.figures == ("colour bias",) else 1)
+        return self.effect == "withheld" and self.check in ACCEPTABLE and is_small
+
+    @property
+    def option(self) -> str:
+        """How ``eldata calibrate`` is told to accept this check."""
+        return f'--accept "{self.check}"'
+
+    @property
+    def remark(self) -> str:
+        """The text, and what becomes of the figures for it."""
+        if self.effect == "remark" or not self.figures:
+            return self.text
+        fate = f"withheld: {named(self.figures)}"
+        if self.is_acceptable:
+            fate += f"; to have it all the same, with a larger error: {self.option}"
+        elif self.is_accepted:
+            fate = f"accepted, with a larger error: {named(self.figures)}"
+        elif self.effect == "wider":
+            fate = f"errors made larger: {named(self.figures)}"
+        return f"{self.text} ({fate})"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What is looked at in the frames, and what of the figures rests on it.
+
+    Attributes
+    ----------
+    name
+        As docs/calibration.md lists it.
+    assumes
+        What holds where the check does not speak.
+    figures
+        What it withholds or gives with a larger error; empty: it only says what a person should know.
+    most_allowed
+        The share of a figure beyond which it is not given; up to it, its error allows for it. Infinite: it is never
+        withheld, since the figures are those of the distribution of the family that is most like the noise.
+    is_acceptable
+        Whether a person may have what it withholds all the same: it knows how far off the figure may be.
+    """
+
+    name: str
+    assumes: str
+    figures: tuple[Figure, ...] = ()
+    most_allowed: float = 0.05
+    is_acceptable: bool = False
+
+    def seen(self, statistic: float, threshold: float, text: str) -> Finding:
+        """Return a remark."""
+        return Finding(self.name, (), "remark", statistic, threshold, text)
+
+    def judged(
+        self, statistic: float, threshold: float, text: str, shares: Mapping[Figure, tuple[float, float]]
+    ) -> Iterator[Finding]:
+        """Yield what follows from what was seen, given by what share it may put each figure off, and its own error."""
+        seen = self.seen(statistic, threshold, text)
+        off = {figure: share for figure, (share, _) in shares.items() if share > self.most_allowed}
+        wider = {figure: share for figure, (share, error) in shares.items() if error < share <= self.most_allowed}
+        for effect, figures in (("withheld", off), ("wider", wider)):
+            if figures:
+                yield seen.of(effect, tuple(figures), max(figures.values()))  # type: ignore[arg-type] # the two words
+        if not off and not wider:
+            yield seen
+
+
+_READ: Final = ("read noise",)
+_READ_AND_BIAS: Final = ("read noise", "colour bias")
+_TOO_WIDE: Final = 0.1
+"""Of K: beyond it, no error says how wrong it may be."""
+
+LIGHT: Final = Check("light", "where bias frames are brighter, noise is not larger", _READ_AND_BIAS, is_acceptable=True)
+DARK_SIGNAL: Final = Check(
+    "dark signal", "a pixel's level tells nothing of its noise", _READ_AND_BIAS, is_acceptable=True
+)
+CORRELATED: Final = Check(
+    "correlated noise", "neighbouring pixels share no noise", ("read noise", "row noise"), is_acceptable=True
+)
+FILTERED: Final = Check("filtered outliers", "outliers have neighbours like those of others", _READ, is_acceptable=True)
+COARSE: Final = Check("coarse values", "every whole DN occurs", _READ, is_acceptable=True)
+BANDING: Final = Check("banding", "no frequency stands out of the rows' offsets", ("row noise",), is_acceptable=True)
+ROW_DRIFT: Final = Check("slow row drift", "the rows' offsets are white", ("row noise",), is_acceptable=True)
+BENT: Final = Check(
+    "bent photon transfer", "variance is a line of the signal", ("gain",), _TOO_WIDE, is_acceptable=True
+)
+CHANNELS_GAINS: Final = Check("channels' gains", "all channels have one K", ("gain",), _TOO_WIDE, is_acceptable=True)
+FLATS_CORRELATED: Final = Check(
+    "correlation in flats", "neighbouring pixels share no noise", ("gain",), _TOO_WIDE, is_acceptable=True
+)
+UNLIKE: Final = Check("unlike pixels", "all pixels have one noise", _READ, math.inf)
+LOPSIDED: Final = Check("lopsided noise", "noise goes as far to both sides", _READ, math.inf)
+EDGES: Final = Check("edges in flats", "flats show a smooth wall")
+SATURATION: Final = Check("saturation", "values go up to the recorded white level")
+UNEVEN: Final = Check("pairs of unequal brightness", "both flats of a pair have one light")
+TRANSFER: Final = Check("photon transfer", "flats have a line of variance over signal", ("gain",))
+SHAPE: Final = Check("shape of the read noise", "the fit tells the shape", ("read noise", "row noise"))
+FIT: Final = Check("fit of the read noise", "residuals follow the Tukey-lambda family", ("read noise", "row noise"))
+ROUNDING: Final = Check("rounding moves black", "the mean of rounded values is the level", ("colour bias",))
+CLIPPED: Final = Check("clipped black", "noise is recorded on both sides", ("read noise", "row noise", "colour bias"))
+BEHIND_CLIP: Final = Check("pattern behind the clip", "pixels' levels are normal", _READ_AND_BIAS)
+STEP: Final = Check("a step in a joint fit", "one line over K holds for all ISOs")
+
+CHECKS: Final = (
+    *(LIGHT, DARK_SIGNAL, CORRELATED, FILTERED, COARSE, BANDING, ROW_DRIFT, BENT, CHANNELS_GAINS, FLATS_CORRELATED),
+    *(UNLIKE, LOPSIDED, EDGES, SATURATION, UNEVEN, TRANSFER, SHAPE, FIT, ROUNDING, CLIPPED, BEHIND_CLIP, STEP),
+)
+"""Every one that there is."""
+
+ACCEPTABLE: Final = tuple(check.name for check in CHECKS if check.is_acceptable)
+"""Checks that know how far off a figure may be that they withhold: it can be accepted with that for its error."""
+
+
+def checked_acceptance(accept: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of checks to be accepted; :class:`ArgumentError` if one of them is not a check that can be."""
+    names = (accept,) if isinstance(accept, str) else tuple(accept)
+    for name in names:
+        if name not in ACCEPTABLE:
+            raise ArgumentError(
+                f"{name!r} is not a check whose withheld figures can be accepted; known are "
+                f"{', '.join(map(repr, ACCEPTABLE))}{did_you_mean(str(name), ACCEPTABLE)}"
+            )
+    return names
+
+
+@dataclass(frozen=True, slots=True)
+class GivenFigure:
+    """A figure as it is given.
+
+    Attributes
+    ----------
+    value
+        The figure.
+    error
+        Its standard error with all allowances; nan if it is not known.
+    is_stated
+        Whether it was not measured: somebody has said so.
+    """
+
+    value: float
+    error: float
+    is_stated: bool = False
+
+    @property
+    def text(self) -> str:
+        """The figure with its error in as many digits as they bear; a stated one says that it is."""
+        return with_error(self.value, self.error) + (" (stated)" if self.is_stated else "")
+
+
+def given(findings: Iterable[Finding], figure: Figure, value: float, error: float, scale: float) -> GivenFigure | None:
+    """Return a figure with what findings add to its error, each a share of ``scale``; ``None`` if it is withheld."""
+    of_it = [one for one in findings if figure in one.figures]
+    if any(one.effect == "withheld" for one in of_it):
+        return None
+    return GivenFigure(value, math.hypot(error, *(one.allowance * scale for one in of_it if one.effect == "wider")))
+
+
+def with_accepted(findings: Iterable[Finding], accept: Collection[str]) -> tuple[Finding, ...]:
+    """Return findings that give with a larger error what accepted checks among them would withhold."""
+    return tuple(
+        replace(one, effect="wider", is_accepted=True) if one.is_acceptable and one.check in accept else one
+        for one in findings
+    )
+
+
+def withheld(findings: Iterable[Finding]) -> frozenset[Figure]:
+    """Return the figures that are not given."""
+    return frozenset(figure for one in findings if one.effect == "withheld" for figure in one.figures)
+
+
+def widened(findings: Iterable[Finding]) -> frozenset[Figure]:
+    """Return the figures that are given with a larger error."""
+    found = tuple(findings)
+    return frozenset(figure for one in found if one.effect == "wider" for figure in one.figures) - withheld(found)

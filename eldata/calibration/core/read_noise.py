@@ -1,0 +1,412 @@
+"""Read noise: shape lambda and scale sigma_TL of the Tukey-lambda distribution, from all pixels of all bias frames.
+
+Nothing is sorted: the second pass over the bias frames counts the residuals in cells of a twentieth of their standard
+deviation, and both estimators work on those counts.
+
+A residual is a pixel's value less its own mean over the n frames, the channel's drift in this frame and the row's
+offset. Taking off the pixel's mean removes every fixed pattern, whatever its distribution, but mixes the noise of n
+frames, which makes tails look lighter: the kurtosis shrinks by ((1 - 1/n)^4 + (n - 1)/n^4) / (1 - 1/n)^2, a fifth at
+n = 10. The model is therefore of the residual, not of the noise: the pixel's own share of Tukey lambda plus rounding,
+and the other frames' share with its own distribution (:class:`eldata.calibration.core._tukey_lambda.ResidualModel`).
+
+Noise of a column that changes from frame to frame stays in the read noise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.calibration.core.findings import FIT, ROUNDING, SHAPE
+from eldata.errors import ArgumentError, DatasetError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.calibration.core._residual_fit import ResidualFit, ResidualHistogram
+    from eldata.calibration.core._tukey_lambda import ResidualModel
+    from eldata.calibration.core.defects import PatternSummary
+    from eldata.calibration.core.findings import Figure, Finding
+    from eldata.calibration.core.row_noise import ColourBias, OffsetResponse
+
+_TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
+_MOST_ERROR = 0.15  # of lambda, and of sigma_TL as a share: beyond, neither figure nor error means anything
+_BY_CHANCE = 1e-6  # of the fit's chi^2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadNoise:
+    """Read noise of one ISO.
+
+    Shape and scale are those of the maximum likelihood with rounding as it is, whatever the fixed pattern; the errors
+    say what rounding leaves of them.
+
+    Attributes
+    ----------
+    tukey_lambda, tukey_lambda_error
+        Shape and its standard error, from the scatter between groups of rows.
+    sigma_tl_dn, sigma_tl_error_dn
+        Scale (not the standard deviation) without the rounding's share, and its standard error, DN.
+    sigma_gauss_dn, sigma_gauss_error_dn
+        Standard deviation of the read noise without the rounding's share, and its standard error: the Gaussian model.
+        Of the residuals themselves, but for the outermost thousand: of heavy tails a few pixels would decide it. Their
+        share is that of the fitted distribution.
+    ppcc_lambda, ppcc_sigma_tl_dn
+        Shape of the highest probability-plot correlation and the plot's slope, with the model's own answer to the same
+        question compared with the truth it was made with, so that rounding and the mean over frames are allowed for.
+    ppcc_lambda_plain, ppcc_sigma_plain_dn
+        The same without that: what the published procedure gives on these residuals.
+    curve
+        (2, points): shapes and correlations, the PPCC plot.
+    r_squared_tl, r_squared_gauss
+        Of the probability plots of the residuals against Tukey lambda at its best shape and against the normal one.
+    chi2_per_dof, chi2_freedom
+        Of the fitted distribution over the cells with 25 residuals or more, and how many of these count.
+    residuals
+        How many there were.
+    beyond
+        How many lay outside of the histogram (more than 400 standard deviations).
+    converged
+        Whether the fit came to an end.
+    response
+        By how much row means move with row offsets, where rounding makes that uneven; else ``None``.
+    shift_dn
+        By how much rounding moves the mean of pixels whose levels share a fraction of a DN, at most.
+    """
+
+    tukey_lambda: float
+    tukey_lambda_error: float
+    sigma_tl_dn: float
+    sigma_tl_error_dn: float
+    sigma_gauss_dn: float
+    sigma_gauss_error_dn: float
+    ppcc_lambda: float
+    ppcc_sigma_tl_dn: float
+    ppcc_lambda_plain: float
+    ppcc_sigma_plain_dn: float
+    curve: NDArray[np.float64] = field(repr=False)
+    r_squared_tl: float
+    r_squared_gauss: float
+    chi2_per_dof: float
+    chi2_freedom: int
+    residuals: int
+    converged: bool
+    beyond: int = 0
+    response: OffsetResponse | None = field(default=None, repr=False)
+    shift_dn: float = 0.0
+
+    @property
+    def largest_error(self) -> float:
+        """Of lambda, and of sigma_TL as a share of it."""
+        return max(self.tukey_lambda_error, self.sigma_tl_error_dn / self.sigma_tl_dn)
+
+    @property
+    def highest_correlation(self) -> float:
+        """The curve at ``ppcc_lambda_plain``."""
+        return float(np.interp(self.ppcc_lambda_plain, *self.curve))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbabilityPlot:
+    """Quantiles of the residuals beside those of the two distributions (figure "TL-PPCC").
+
+    Attributes
+    ----------
+    ordered_dn
+        Quantiles of the residuals, evenly spaced in the normal quantile out to the outermost hundred residuals.
+    normal, tukey_lambda
+        Quantiles of the standard normal and of the Tukey-lambda distribution of ``shape`` at the same levels.
+    shape
+        Lambda of the highest probability-plot correlation on these residuals.
+    slope_normal_dn, slope_tukey_lambda_dn
+        Of the two least-squares lines through the origin that all residuals, not just these points, make.
+    """
+
+    ordered_dn: NDArray[np.float64] = field(repr=False)
+    normal: NDArray[np.float64] = field(repr=False)
+    tukey_lambda: NDArray[np.float64] = field(repr=False)
+    shape: float
+    slope_normal_dn: float
+    slope_tukey_lambda_dn: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadFigures:
+    """What an estimator of the read noise gives.
+
+    Attributes
+    ----------
+    read, plot
+        The figures, and their probability plots.
+    bias
+        The colour bias, of levels behind the clip if black is clipped.
+    findings
+        What the way of recording leaves of the figures.
+    residuals
+        Where they are the way: what the figures are of.
+    """
+
+    read: ReadNoise
+    plot: ProbabilityPlot
+    bias: ColourBias
+    findings: tuple[Finding, ...] = ()
+    residuals: ResidualHistogram | None = None
+
+
+def read_noise(histogram: ResidualHistogram) -> ReadNoise:
+    """Estimate lambda and sigma_TL (equation of N_read ~ TL(lambda; mu_c, sigma_TL)).
+
+    Start: the shape of the highest probability-plot correlation (PPCC) on the histogram. Then interval-censored maximum
+    likelihood of the residual's distribution, ``sum over cells of c ln P(cell; lambda, sigma)``, by Fisher scoring.
+    Its covariance is ``I^-1 J I^-1`` with the information I and the scatter J of the score between groups of rows.
+
+    Raises
+    ------
+    ArgumentError
+        If the histogram is malformed.
+    DatasetError
+        If it holds too few residuals, or all in a few cells.
+    """
+    from eldata.calibration.core._residual_fit import ResidualCells, residual_fit
+    from eldata.calibration.core._tukey_lambda import HIGHEST, LOWEST, ResidualModel, correlation, normal_correlation
+
+    counts = histogram.counts
+    if counts.ndim != 2 or counts.shape[1] % 2 == 0 or not histogram.cell_dn > 0:
+        raise ArgumentError(
+            "a histogram is (groups, an odd number of cells) with cells of positive width; found shape "
+            f"{counts.shape}, width {histogram.cell_dn}"
+        )
+    if histogram.frames < 1 or not histogram.row_pixels > 1:
+        raise ArgumentError(
+            f"residuals are of 1 frame or more and rows of 2 pixels or more; found {histogram.frames} and "
+            f"{histogram.row_pixels}"
+        )
+    total = counts.sum(axis=0)
+    inner = total[1:-1]
+    beyond = int(total[0] + total[-1])
+    number = int(total.sum())
+    if number < 1000 or np.count_nonzero(inner) < 5:
+        raise DatasetError(
+            f"{number} residuals in {np.count_nonzero(inner)} cells do not show a distribution: give more pixels, and "
+            "frames whose noise is not lost in rounding"
+        )
+    values = histogram.values_dn[1:-1]
+    plain_lambda, plain_sigma, curve = ppcc(values, inner)
+
+    model = ResidualModel(histogram.frames, histogram.row_pixels, histogram.rounding_dn)
+    cells = ResidualCells.of(counts, histogram.cell_dn, histogram.reach_dn)
+    variance = float(inner @ values**2) / float(inner.sum())
+    start = (min(max(plain_lambda, LOWEST + 0.1), HIGHEST - 0.1), max(plain_sigma, 0.05 * math.sqrt(variance)))
+    deviation = math.sqrt(variance / model.own)
+    fit = residual_fit(cells, model, histogram.fractions, start, deviation)
+    shape, sigma = fit.shape, fit.scale
+    covariance = fit.covariance
+    errors = np.sqrt(np.diag(covariance))
+
+    # What the same probability plot says of the fitted model, whose truth is known.
+    expected = _expected(histogram, model, fit)
+    model_lambda, model_sigma, _ = ppcc(values, expected * number)
+    best, _ = correlation(values[inner > 0], inner[inner > 0].astype(np.float64), plain_lambda)
+    normal, _ = normal_correlation(values[inner > 0], inner[inner > 0].astype(np.float64))
+    gauss, gauss_error = _standard_deviation(histogram, model, fit)
+    chi2, freedom = fit.chi2_per_dof(cells)
+    return ReadNoise(
+        tukey_lambda=shape,
+        tukey_lambda_error=float(errors[0]),
+        sigma_tl_dn=sigma,
+        sigma_tl_error_dn=float(errors[1]) * sigma,
+        sigma_gauss_dn=gauss,
+        sigma_gauss_error_dn=gauss_error,
+        ppcc_lambda=plain_lambda + shape - model_lambda,
+        ppcc_sigma_tl_dn=plain_sigma * sigma / model_sigma,
+        ppcc_lambda_plain=plain_lambda,
+        ppcc_sigma_plain_dn=plain_sigma,
+        curve=curve,
+        r_squared_tl=best**2,
+        r_squared_gauss=normal**2,
+        chi2_per_dof=chi2,
+        chi2_freedom=freedom,
+        residuals=number,
+        beyond=beyond,
+        converged=fit.converged,
+        response=None if fit.rounded is None else fit.rounded.response,
+        shift_dn=0.0 if fit.rounded is None else fit.rounded.shift_dn,
+    )
+
+
+def read_noise_findings(read: ReadNoise, bias: ColourBias, pattern: PatternSummary) -> tuple[Finding, ...]:
+    """Return what the fit shows of its own assumptions, and what rounding does to the colour bias.
+
+    The fit's chi^2 has as many degrees of freedom as cells, less the parameters. What it is above 1 per degree, the
+    errors are to be larger: a misfit of that size along the direction that a parameter moves would shift it so far.
+    """
+    from scipy.special import chdtri
+
+    found: list[Finding] = []
+    limit = float(chdtri(read.chi2_freedom, _BY_CHANCE)) / read.chi2_freedom
+    misfit = math.sqrt(read.chi2_per_dof - 1) if read.chi2_per_dof > limit else 0.0
+    error = math.hypot(1.0, misfit) * read.largest_error
+    # Where rounding hides offsets, how many of them it hides hangs on the read noise.
+    figures: tuple[Figure, ...] = ("read noise",) if read.response is None else ("read noise", "row noise")
+    if not read.converged or not error < _MOST_ERROR:
+        found.append(
+            SHAPE.seen(
+                error if read.converged else math.inf,
+                _MOST_ERROR,
+                "rounding to whole DN, or too few pixels, leave too little of the read noise to tell its shape: use a "
+                "raw mode of more bits, more frames, or the figures of a higher ISO",
+            ).of("withheld", figures)
+        )
+    elif misfit:
+        text = (
+            f"the residuals do not follow the fitted Tukey-lambda distribution (chi2 per degree of freedom "
+            f"{read.chi2_per_dof:.1f}, by chance at most {limit:.1f}): the read noise is of another family, often "
+            "random telegraph noise; look at its plots"
+        )
+        allowance = misfit * read.largest_error
+        found.append(FIT.seen(read.chi2_per_dof, limit, text).of("wider", figures, allowance))
+    errors = [error for error in bias.standard_error_dn if math.isfinite(error)]
+    shift = read.shift_dn * math.exp(-2 * (math.pi * min(pattern.dsnu_dn)) ** 2)
+    if errors and shift > min(errors):
+        found.append(
+            ROUNDING.seen(
+                shift,
+                min(errors),
+                f"the read noise is quiet and the pixels' levels hardly differ, so that rounding moves their mean by "
+                f"up to {shift:.2g} DN",
+            ).of("wider", ROUNDING.figures, shift)
+        )
+    return tuple(found)
+
+
+def probability_plot(histogram: ResidualHistogram, read: ReadNoise, *, points: int = 121) -> ProbabilityPlot:
+    """Return the points of the two probability plots that :func:`read_noise` has taken its R^2 of ``read`` from."""
+    from scipy.special import ndtr, ndtri
+
+    from eldata.calibration.core._tukey_lambda import normal_correlation
+
+    inner = histogram.counts[:, 1:-1].sum(axis=0)
+    number = int(inner.sum())
+    values, shape = histogram.values_dn[1:-1], read.ppcc_lambda_plain
+    reach = float(-ndtri(100 / number)) if number > 1000 else 1.28
+    normal = np.linspace(-reach, reach, points)
+    levels = ndtr(normal)
+    below = (np.cumsum(inner) - inner / 2) / number  # at the cells' centres
+    filled = inner > 0
+    tails = 1 - levels
+    quantiles = np.log(levels / tails) if abs(shape) < 1e-9 else (levels**shape - tails**shape) / shape
+    return ProbabilityPlot(
+        ordered_dn=np.interp(levels, below[filled], values[filled]),
+        normal=normal,
+        tukey_lambda=quantiles,
+        shape=shape,
+        slope_normal_dn=normal_correlation(values[filled], inner[filled].astype(np.float64))[1],
+        slope_tukey_lambda_dn=read.ppcc_sigma_plain_dn,
+    )
+
+
+def ppcc(
+    values: NDArray[np.float64], counts: NDArray[Any], *, points: int = 41
+) -> tuple[float, float, NDArray[np.float64]]:
+    """Return the shape of the highest probability-plot correlation, the plot's slope there, and the curve.
+
+    The grouped form of :func:`scipy.stats.ppcc_max` with the Tukey-lambda family.
+
+    Parameters
+    ----------
+    values
+        Ascending values.
+    counts
+        How often each occurred.
+    points
+        Of the curve, (2, points): shapes from -0.45 to 0.55 and correlations.
+    """
+    from scipy.optimize import minimize_scalar
+
+    from eldata.calibration.core._tukey_lambda import correlation
+
+    used = counts > 1e-12 * np.max(counts)
+    values, weights = values[used], np.asarray(counts, dtype=np.float64)[used]
+    shapes = np.linspace(-0.45, 0.55, points)
+    curve = np.array([correlation(values, weights, float(shape))[0] for shape in shapes])
+    best = int(curve.argmax())
+    around = (float(shapes[max(best - 1, 0)]), float(shapes[min(best + 1, points - 1)]) + (best == points - 1) * 1.4)
+    found = minimize_scalar(
+        lambda shape: -correlation(values, weights, float(shape))[0],
+        bounds=around,
+        method="bounded",
+        options={"xatol": 1e-6},
+    )
+    shape = float(found.x)
+    return shape, correlation(values, weights, shape)[1], np.stack([shapes, curve])
+
+
+def _expected(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualFit) -> NDArray[np.float64]:
+    """Return the probability of each inner cell of the histogram."""
+    from eldata.calibration.core._residual_fit import ResidualCells, folded
+
+    both = folded(histogram.counts).sum(axis=0)
+    half = histogram.counts.shape[1] // 2
+    cells = min(half, int(np.count_nonzero(both[:half].cumsum() < histogram.counts[:, 1:-1].sum())) + 1)
+    starts = np.arange(cells + 1)
+    edges = np.maximum(starts - 0.5, 0.0) * histogram.cell_dn
+    probabilities = model.probabilities(edges, fit.shape, fit.scale)
+    if fit.rounded is not None:
+        each = ResidualCells(starts, np.zeros((1, cells + 1)), histogram.cell_dn)
+        probabilities = np.maximum(probabilities + each.of_lattice(fit.rounded.change, histogram.frames), 0.0)
+    side = np.zeros(half)
+    side[:cells] = probabilities[:cells]
+    return np.concatenate([side[:0:-1] / 2, side[:1], side[1:] / 2])
+
+
+def _standard_deviation(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualFit) -> tuple[float, float]:
+    """Return the standard deviation of the noise without the rounding's share, and its error between groups.
+
+    The mean square of the residuals is the measured one up to where :data:`_TAIL` lie further out, and the fitted one
+    beyond: the mean square of heavy tails hangs on a few pixels, and of shapes below -1/4 it has no error.
+    """
+    from eldata.calibration.core._residual_fit import centred, folded
+
+    both = folded(histogram.counts)
+    numbers = both.sum(axis=1)
+    number = float(numbers.sum())
+    tail = np.cumsum(both.sum(axis=0)[::-1])[::-1]
+    far = int(np.count_nonzero(tail >= _TAIL))
+    far = max(1, int(min(far, histogram.reach_dn / histogram.cell_dn, both.shape[1] - 1)))
+    squares_of_cells = (np.arange(both.shape[1]) * histogram.cell_dn) ** 2
+    if histogram.squares_dn2 is None:
+        # A cell's width adds its own twelfth of a square.
+        squares = both[:, :far] @ (squares_of_cells[:far] - histogram.cell_dn**2 / 12)
+    else:
+        squares = histogram.squares_dn2 - both[:, far:] @ squares_of_cells[far:]
+    edge = (far - 0.5) * histogram.cell_dn
+
+    def beyond(shape: float, sigma: float) -> float:
+        """Return the mean of r^2 where abs(r) > edge, by parts: 2 (edge^2 P(edge) + integral of 2 r P(r))."""
+        points = edge * np.exp(np.linspace(0.0, 8.0, 800))
+        tails = model.tails(points, shape, sigma)
+        return 2 * (edge**2 * float(tails[0]) + 2 * float(np.trapezoid(points**2 * tails, np.log(points))))
+
+    step = 1e-3
+    slope = np.array(
+        [
+            (beyond(fit.shape + step, fit.scale) - beyond(fit.shape - step, fit.scale)) / (2 * step),
+            (beyond(fit.shape, fit.scale * (1 + step)) - beyond(fit.shape, fit.scale * (1 - step))) / (2 * step),
+        ]
+    )
+    mean = float(squares.sum()) / number + beyond(fit.shape, fit.scale)
+    by_rounding = histogram.rounding_dn**2 / 12
+    if fit.rounded is not None:
+        points = np.arange(fit.rounded.change.size) / histogram.frames
+        mean += float(fit.rounded.change @ np.where(points > edge, points, 0.0) ** 2)
+        by_rounding += fit.rounded.variance_dn2 / model.own
+    sigma = math.sqrt(max(mean / model.own - by_rounding, 0.0))  # 1/own undoes what the means took
+    by_group = centred(squares, numbers) / number + fit.influence @ (slope - fit.rounded_slope)
+    groups = len(by_group)
+    if groups < 2 or sigma == 0:
+        return sigma, math.nan
+    error = math.sqrt(float(by_group @ by_group) * groups / (groups - 1)) / model.own
+    return sigma, error / (2 * sigma)

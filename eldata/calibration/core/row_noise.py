@@ -1,0 +1,415 @@
+"""Row noise sigma_row: the standard deviation of one random offset per mosaic row and frame; column noise likewise.
+
+And the colour bias mu_c: by how much the mean of a bias frame differs from the recorded black level, per channel.
+
+The second pass over the bias frames, after :mod:`eldata.calibration.core.defects`: each pixel's own mean over the
+frames is taken off, which removes every fixed row and column pattern; the factor n / (n - 1) makes up for what that
+takes from the noise.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.calibration.core._frames import (
+    channels_of,
+    checked_black_level,
+    checked_mosaic,
+    classes_of_rows,
+    sums_by_line,
+)
+from eldata.calibration.core.spectra import smoothed_power
+from eldata.errors import DatasetError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import TypeAlias
+
+    from numpy.typing import NDArray
+
+    from eldata.calibration.core.defects import FixedPattern
+
+    Values: TypeAlias = NDArray[np.floating[Any]]
+    LineSums: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+
+_NODE_DN = 0.04  # spacing of row offsets: what turns a dozen times per DN is still resolved
+_NODES_REACH = 5.0
+
+SHAPIRO_VALUES = 5000
+"""The Shapiro-Wilk test's p is accurate up to this many values; more are thinned evenly."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OffsetResponse:
+    """By how much the recorded values of a row move, on average over its pixels, when an offset moves what is recorded.
+
+    Attributes
+    ----------
+    offsets_dn
+        A grid of offsets, ascending.
+    seen_dn
+        (kinds of rows, offsets): the mean recorded values less those at offset 0.
+    shares
+        Of the kinds of rows.
+    relative_error
+        Standard error of the standard deviation that :meth:`sigma_dn` returns, by what is not known of the response.
+    """
+
+    offsets_dn: Values = field(repr=False)
+    seen_dn: Values = field(repr=False)
+    shares: Values = field(repr=False)
+    relative_error: float = 0.0
+
+    def seen(self, nodes: Values) -> Values:
+        """Return what is recorded, (kinds of rows, nodes)."""
+        return np.stack([np.interp(nodes, self.offsets_dn, of_kind) for of_kind in self.seen_dn])
+
+    def seen_variance_dn2(self, sigma_dn: float) -> float:
+        """Return the variance of what is recorded under normal offsets of this standard deviation."""
+        nodes, chances = normal_nodes(sigma_dn)
+        seen = self.seen(nodes)
+        return float(self.shares @ (seen**2 @ chances - (seen @ chances) ** 2))
+
+    def sigma_dn(self, seen_variance_dn2: float) -> float:
+        """Return the standard deviation of the normal offsets of which this variance is recorded."""
+        from scipy.optimize import brentq
+
+        if seen_variance_dn2 <= 0:
+            return 0.0
+        highest = float(self.offsets_dn[-1]) / _NODES_REACH
+        if self.seen_variance_dn2(highest) <= seen_variance_dn2:
+            return math.sqrt(seen_variance_dn2)
+        return float(brentq(lambda sigma: self.seen_variance_dn2(sigma) - seen_variance_dn2, 0.0, highest, xtol=1e-9))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LineNoise:
+    """Noise of the rows, or of the columns.
+
+    Attributes
+    ----------
+    sigma_dn, sigma_error_dn
+        Standard deviation and its standard error, DN; 0 where the pixels' own noise explains all of it, with the error
+        then the scale that would just have been seen.
+    variance_dn2, variance_error_dn2
+        Of the lines' recorded means, less the share of the pixels' noise; may be negative.
+    fixed_sigma_dn
+        Standard deviation of the fixed pattern of the lines (shading included), the noise's share taken off.
+    shapiro_p, shapiro_values
+        P-value of the Shapiro-Wilk test of normality, and of how many values.
+    excess_kurtosis
+        Of the line means; 0 for a normal distribution.
+    quantiles, ordered_dn
+        Normal probability plot: theoretical quantiles and ordered line means.
+    r_squared
+        Of that plot.
+    frequency, power_dn2
+        Average periodogram of the lines, cycles per line and DN^2; white noise of variance s^2 gives s^2 throughout.
+    deviations_dn
+        (frames, lines): the line means themselves.
+    fixed_dn
+        (lines,): the fixed pattern.
+    """
+
+    sigma_dn: float
+    sigma_error_dn: float
+    variance_dn2: float
+    variance_error_dn2: float
+    fixed_sigma_dn: float
+    shapiro_p: float
+    shapiro_values: int
+    excess_kurtosis: float
+    quantiles: NDArray[np.float64] = field(repr=False)
+    ordered_dn: NDArray[np.float64] = field(repr=False)
+    r_squared: float
+    frequency: NDArray[np.float64] = field(repr=False)
+    power_dn2: NDArray[np.float64] = field(repr=False)
+    deviations_dn: NDArray[np.float64] = field(repr=False)
+    fixed_dn: NDArray[np.float64] = field(repr=False)
+
+    @property
+    def normal_line_dn(self) -> tuple[float, float]:
+        """Slope and level of the straight line through the normal probability plot, DN."""
+        slope, level = np.polyfit(self.quantiles, self.ordered_dn, 1)
+        return float(slope), float(level)
+
+    def smoothed_power_dn2(self, period: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the periodogram in neighbouring frequencies together, for a CFA of this period."""
+        return smoothed_power(self.frequency, self.power_dn2, period)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowNoise:
+    """Row and column noise, and the variance of the pixels around their rows.
+
+    Attributes
+    ----------
+    rows, columns
+        Of mosaic rows over all their channels, and of mosaic columns.
+    pixel_variance_dn2
+        Variance of a pixel over time around its row's offset; with quantisation.
+    frames
+        Number of frames.
+    """
+
+    rows: LineNoise
+    columns: LineNoise
+    pixel_variance_dn2: float
+    frames: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColourBias:
+    """Colour bias per CFA channel, DN: R, G1, B, G2 for Bayer, R, G, B for X-Trans.
+
+    Attributes
+    ----------
+    bias_dn
+        Mean of all frames minus black level.
+    standard_error_dn
+        From the scatter of the frames' means, with n - 1 degrees of freedom. It holds drift from frame to frame,
+        which the next one cannot see.
+    row_error_dn
+        From the scatter of row means inside the frames; it also holds a fixed row pattern.
+    frame_bias_dn
+        (frames, channels): each frame's own.
+    frames
+        Number of frames.
+    """
+
+    bias_dn: tuple[float, ...]
+    standard_error_dn: tuple[float, ...]
+    row_error_dn: tuple[float, ...]
+    frame_bias_dn: NDArray[np.float64] = field(repr=False)
+    frames: int
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the CFA's channels."""
+        return ("R", "G1", "B", "G2") if len(self.bias_dn) == 4 else ("R", "G", "B")
+
+
+class LineMeans:
+    """Accumulates what bias frames show by row, column and channel, for :func:`row_noise` and :func:`colour_bias`.
+
+    Parameters
+    ----------
+    fixed
+        The first pass's result. Add the same frames again, each once.
+
+    Attributes
+    ----------
+    rows_dn, columns_dn
+        Mean of each line over its channels, each channel less its own mean in the frame; an entry per frame, as all.
+    means_dn, row_variances_dn2
+        Mean of each channel, and its variance by the scatter of its row means.
+    squares
+        Sum over pixels and frames of the squared deviation from the pixel's mean and its row's, DN^2.
+    """
+
+    def __init__(self, fixed: FixedPattern) -> None:
+        self.fixed = fixed
+        self.row_pixels, self.column_pixels = sums_by_line(~fixed.defects, fixed.pattern)
+        self.row_totals, self.column_totals = sums_by_line(np.where(fixed.defects, 0, fixed.total_dn), fixed.pattern)
+        self.rows_dn: list[NDArray[np.float64]] = []
+        self.columns_dn: list[NDArray[np.float64]] = []
+        self.means_dn: list[NDArray[np.float64]] = []
+        self.row_variances_dn2: list[NDArray[np.float64]] = []
+        self.squares = 0.0
+
+    def add(self, mosaic: NDArray[np.uint16]) -> LineSums:
+        """Add a bias frame, and return its sums."""
+        found = line_sums(mosaic, self.fixed)
+        rows, squares, columns = found
+        frames = self.fixed.frames
+        sums = rows.sum(axis=1)
+        pixels = self.row_pixels.sum(axis=1)
+        self.squares += float((squares - sums**2 / np.maximum(pixels, 1)).sum()) / frames**2
+        self.rows_dn.append(_line_means(rows / frames, self.row_pixels))
+        self.columns_dn.append(_line_means(columns / frames, self.column_pixels))
+        values = (rows + self.row_totals) // frames  # of the pixels themselves, exactly
+        of_channel = self.row_pixels.sum(axis=0)
+        mean = values.sum(axis=0) / of_channel
+        # Cluster-robust variance of a ratio: rows are the clusters.
+        deviations = values - self.row_pixels * mean
+        count = np.count_nonzero(self.row_pixels, axis=0)
+        self.means_dn.append(mean)
+        self.row_variances_dn2.append((deviations**2).sum(axis=0) / of_channel**2 * count / np.maximum(count - 1, 1))
+        return found
+
+
+def check_same_frames(added: int, fixed: FixedPattern) -> None:
+    """Raise a DatasetError unless the second pass saw as many frames as the first."""
+    if added != fixed.frames:
+        raise DatasetError(
+            f"{added} frames were added and the fixed pattern comes from {fixed.frames}: add the same frames again"
+        )
+
+
+def line_sums(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> LineSums:
+    """Return sums of one frame's residuals (n times the deviation from the pixel's mean) over its sound pixels.
+
+    By (row, channel), their squares by row, and by (column, channel).
+    """
+    from eldata.calibration.core._kernels import residual_sums
+
+    height, width = fixed.total_dn.shape
+    checked_mosaic(mosaic, (height, width), len(fixed.pattern))
+    channels = channels_of(fixed.pattern)
+    rows, columns = np.zeros((height, channels), dtype=np.int64), np.zeros((width, channels), dtype=np.int64)
+    squares = np.zeros(height, dtype=np.int64)
+    residual_sums(mosaic, fixed.total_dn, fixed.defects, fixed.frames, fixed.pattern, rows, squares, columns)
+    return rows, squares, columns
+
+
+def _line_means(sums: NDArray[np.float64], pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the mean of each line over its channels, each channel less its own mean in the frame."""
+    level = sums.sum(axis=0) / np.maximum(pixels.sum(axis=0), 1)
+    means: NDArray[np.float64] = (sums - pixels * level).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
+    return means
+
+
+def row_noise(means: LineMeans, response: OffsetResponse | None = None) -> RowNoise:
+    """Estimate sigma_row (and the columns' sigma) from the line means over time.
+
+    With r the mean of one mosaic row over its channels, less the channels' means and the row's mean over the n frames,
+    ``sigma_row^2 = sum r^2 / nu - sigma_pixel^2 / n_columns``, nu = (n - 1) (rows - classes of rows): the maximum
+    likelihood for normal offsets, made unbiased, less what the mean of finitely many pixels scatters.
+    Its variance is ``2 (sum r^2 / nu)^2 / nu``.
+
+    Parameters
+    ----------
+    means
+        Of the same frames as the fixed pattern's.
+    response
+        By how much recorded means move with offsets, where that is not simply by as much: rounding hides offsets in
+        quiet noise or enlarges them (:attr:`~eldata.calibration.core.read_noise.ReadNoise.response`). The offsets are
+        then those whose recorded variance this is.
+
+    Raises
+    ------
+    DatasetError
+        If the frames added are not those of the fixed pattern.
+    """
+    fixed, frames = means.fixed, means.fixed.frames
+    check_same_frames(len(means.rows_dn), fixed)
+    pixels = means.row_pixels.sum(axis=1)
+    # Per pixel and row 1/n and 1/m of the freedom are gone.
+    freedom = (frames - 1) * float(np.maximum(pixels - 1, 0).sum())
+    pixel_variance = means.squares / freedom
+    lines = (
+        (means.rows_dn, means.row_pixels, means.row_totals, fixed.pattern),
+        (means.columns_dn, means.column_pixels, means.column_totals, fixed.pattern.T),
+    )
+    of_rows, of_columns = (
+        _line_noise(np.array(deviations), counts, sums / frames, pattern, pixel_variance, response)
+        for deviations, counts, sums, pattern in lines
+    )
+    return RowNoise(
+        rows=of_rows,
+        columns=of_columns,
+        pixel_variance_dn2=pixel_variance,
+        frames=frames,
+    )
+
+
+def _line_noise(
+    deviations: NDArray[np.float64],
+    pixels: NDArray[np.int64],
+    fixed_sums: NDArray[np.float64],
+    pattern: NDArray[np.int64],
+    pixel_variance: float,
+    response: OffsetResponse | None,
+) -> LineNoise:
+    from scipy import stats
+
+    counts = pixels.sum(axis=1)
+    used = counts > 0
+    deviations = deviations[:, used]
+    frames, lines = deviations.shape
+    freedom = (frames - 1) * (lines - classes_of_rows(pattern))
+    if freedom < 2:
+        raise DatasetError("too few sound rows or columns are left: raise the threshold of the defects")
+    scatter = float((deviations**2).sum()) / freedom
+    of_pixels = pixel_variance * float((1 / counts[used]).mean())
+    variance, variance_error = scatter - of_pixels, scatter * math.sqrt(2 / freedom)
+    sigma, error = _sigma(variance, variance_error, response)
+    values = deviations.ravel() * math.sqrt(frames / (frames - 1))
+    thinned = values[np.linspace(0, values.size - 1, min(values.size, SHAPIRO_VALUES)).astype(np.int64)]
+    (quantiles, ordered), (_, _, correlation) = stats.probplot(thinned)
+    fixed = _line_means(fixed_sums, pixels)
+    fixed_variance = float((fixed[used] ** 2).sum()) / (lines - classes_of_rows(pattern)) - scatter / frames
+    return LineNoise(
+        sigma_dn=sigma,
+        sigma_error_dn=error,
+        variance_dn2=variance,
+        variance_error_dn2=variance_error,
+        fixed_sigma_dn=math.sqrt(max(fixed_variance, 0.0)),
+        shapiro_p=float(stats.shapiro(thinned).pvalue),
+        shapiro_values=thinned.size,
+        excess_kurtosis=float(stats.kurtosis(values)),
+        quantiles=quantiles,
+        ordered_dn=ordered,
+        r_squared=float(correlation) ** 2,
+        frequency=np.asarray(np.fft.rfftfreq(lines), dtype=np.float64),
+        power_dn2=(np.abs(np.fft.rfft(deviations, axis=1)) ** 2).mean(axis=0) / lines * (frames / (frames - 1)),
+        deviations_dn=deviations,
+        fixed_dn=fixed,
+    )
+
+
+def _sigma(variance: float, error: float, response: OffsetResponse | None) -> tuple[float, float]:
+    """Return the standard deviation of offsets whose recorded variance is given with its error, and its error."""
+    highest = _offset_sigma(error, response)
+    if variance <= 0:
+        return 0.0, highest
+    sigma = _offset_sigma(variance, response)
+    step = 1e-3 * variance
+    slope = (_offset_sigma(variance + step, response) - _offset_sigma(variance - step, response)) / (2 * step)
+    of_response = 0.0 if response is None else response.relative_error * sigma
+    return sigma, math.hypot(min(error * slope, highest), of_response)
+
+
+def _offset_sigma(variance: float, response: OffsetResponse | None) -> float:
+    return math.sqrt(variance) if response is None else response.sigma_dn(variance)
+
+
+def colour_bias(means: LineMeans, black_level_dn: Sequence[float]) -> ColourBias:
+    """Return mu_c: the mean of each channel over all frames minus its recorded black level.
+
+    The standard error of the pooled mean is the frames' standard deviation over sqrt(n).
+
+    Raises
+    ------
+    ArgumentError
+        If there is not one black level per channel.
+    DatasetError
+        If the frames added are not those of the fixed pattern.
+    """
+    check_same_frames(len(means.means_dn), means.fixed)
+    table = np.array(means.means_dn)
+    frames, channels = table.shape
+    bias = table - checked_black_level(black_level_dn, channels)
+    scatter = bias.std(axis=0, ddof=1) / math.sqrt(frames)
+    by_rows = np.sqrt(np.array(means.row_variances_dn2).sum(axis=0)) / frames
+    return ColourBias(
+        bias_dn=tuple(bias.mean(axis=0).tolist()),
+        standard_error_dn=tuple(scatter.tolist()),
+        row_error_dn=tuple(by_rows.tolist()),
+        frame_bias_dn=bias,
+        frames=frames,
+    )
+
+
+def normal_nodes(sigma: float) -> tuple[Values, Values]:
+    """Return nodes and weights of a normal distribution, fine enough for what turns a dozen times per DN."""
+    if sigma < 1e-4:
+        return np.zeros(1), np.ones(1)
+    count = 2 * math.ceil(max(_NODES_REACH * sigma / _NODE_DN, 12)) + 1
+    nodes = np.linspace(-_NODES_REACH, _NODES_REACH, count)
+    shares = np.exp(-0.5 * nodes**2)
+    return nodes * sigma, shares / shares.sum()

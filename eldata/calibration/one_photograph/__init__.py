@@ -1,0 +1,1 @@
+"""A camera profile from one raw photograph."""

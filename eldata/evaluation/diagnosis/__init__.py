@@ -1,0 +1,282 @@
+"""What is wrong with predictions, as far as references show: mistakes that, undone, would raise their scores.
+
+A few frames of each camera and factor are looked at (:func:`chosen_frames`). On some blocks of each, the orders of
+channels, shifts, flips and curves that mistakes leave behind are tried (:func:`mistake_in`); what stands out there is
+undone on the whole frame and scored as the protocol does. What most frames show alike is a suspicion
+(:func:`suspicions_of`).
+
+A prediction that is merely poor is not to be accused. So a mistake has to be worth at least a decibel (a shift half of
+one), most frames have to show the same one, and a curve has to be the mistake's own: the mean prediction at each level
+of the reference lies on it, which neither noise nor the lifted shadows of clipped inputs do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass
+from statistics import fmean
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.evaluation.diagnosis.places import GAIN_DB, Blocks, best_place, inner_entries
+from eldata.evaluation.diagnosis.values import best_curve, is_copied_input
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from typing import TypeAlias
+
+    from numpy.typing import NDArray
+
+    from eldata.evaluation.diagnosis.places import Circumstances
+
+    Array: TypeAlias = NDArray[Any]
+
+EACH, MOST_FACTORS = 3, 4
+"""How many frames of a camera and factor are looked at, and as many times of a camera with more factors."""
+
+_SHARE = 2 / 3  # of the frames looked at that have to show the same mistake
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """A mistake that would explain the score of one prediction.
+
+    Attributes
+    ----------
+    words
+        What it is: ``as if packed R, G1, G2, B``.
+    psnr_db, without_db
+        The score, and that with the mistake undone; ``None`` if it cannot be, or the score does not show it.
+    """
+
+    words: str
+    psnr_db: float
+    without_db: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inspection:
+    """A frame whose prediction was looked at.
+
+    Attributes
+    ----------
+    path, camera, ratio
+        Of its pair.
+    psnr_db
+        What it scored.
+    mistake
+        What it shows by itself, if anything.
+    prediction, reference
+        Both in a few hundred values (:func:`sketch`): a prediction of another frame shows among the others.
+    """
+
+    path: str
+    camera: str
+    ratio: float | None
+    psnr_db: float
+    mistake: Mistake | None
+    prediction: NDArray[np.float32]
+    reference: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Suspicion:
+    """A mistake that most of the predictions looked at show.
+
+    Attributes
+    ----------
+    words
+        What it is.
+    where
+        The camera, or camera and factor, that it is limited to; empty: all.
+    shown, looked
+        How many predictions show it, of how many looked at there.
+    psnr_db, without_db
+        Means over those that show it: the score, and that with the mistake undone, if known.
+    example
+        The noisy frame of one of them.
+    """
+
+    words: str
+    where: str
+    shown: int
+    looked: int
+    psnr_db: float
+    without_db: float | None
+    example: str
+
+    def __str__(self) -> str:
+        where = f"{self.where}: " if self.where else ""
+        score = f"{self.psnr_db:.2f} dB"
+        if self.without_db is not None:
+            score += f" becomes {self.without_db:.2f}"
+        return f"SUSPECT: {where}{self.words}: {score} in {self.shown} of {self.looked} looked at"
+
+
+# --- one frame -------------------------------------------------------------------------------------------------------
+
+
+def mistake_in(prediction: Array, target: Array, psnr_db: float, now: Circumstances) -> Mistake | None:
+    """Return the mistake that would explain the score of a prediction, if there is one that stands out.
+
+    Parameters
+    ----------
+    prediction, target
+        (C, h, w) of the whole frame; the prediction as it was loaded.
+    psnr_db
+        What it scored.
+    now
+        How it was scored.
+    """
+    blocks = Blocks.of(target, now.protocol.crop(target.shape)) if math.isfinite(psnr_db) else None
+    if blocks is None:
+        return None
+    p, g = blocks.cut(prediction), blocks.cut(target)
+    inner = inner_entries(g)
+    if float(inner.max()) - float(inner.min()) < 1e-6:  # nothing to tell by
+        return None
+    if float(p.max()) == float(p.min()) and float(prediction.max()) == float(prediction.min()):
+        return Mistake(f"every value is {float(p.flat[0]):.4g}", psnr_db)
+    if is_copied_input(p, inner, blocks, now):
+        return Mistake("as if the noisy input, amplified, were copied", psnr_db)
+    found: list[tuple[float, Mistake]] = []
+    for candidate in (best_curve(p, g, now), best_place(prediction, blocks, p, inner, now)):
+        if candidate is None:
+            continue
+        if candidate.undo is None:
+            found.append((GAIN_DB, Mistake(candidate.words, psnr_db)))
+            continue
+        undone = np.ascontiguousarray(candidate.undo(prediction), prediction.dtype)
+        without_db = now.score(undone).psnr_db
+        if without_db - psnr_db >= candidate.least_db:
+            found.append((without_db - psnr_db, Mistake(candidate.words, psnr_db, without_db)))
+    return max(found, key=lambda one: one[0])[1] if found else None
+
+
+# --- which frames, and what they say together -------------------------------------------------------------------------
+
+_GOLDEN = (math.sqrt(5) - 1) / 2
+
+
+def chosen_frames(frames: Iterable[tuple[str, str, float | None, float]]) -> frozenset[str]:
+    """Return the paths of the frames to look at: up to :data:`EACH` of each camera and factor, spread over ISOs.
+
+    Of a camera with more than :data:`MOST_FACTORS` factors they are spread over these too, and as many as of so many.
+
+    Parameters
+    ----------
+    frames
+        Path, camera, factor and ISO of each.
+    """
+    cameras: dict[str, dict[float, list[tuple[float, str]]]] = defaultdict(lambda: defaultdict(list))
+    for path, camera, ratio, iso in frames:
+        cameras[camera][ratio or 0.0].append((iso, path))
+    parts: list[tuple[list[tuple[float, str]], int]] = []
+    for camera in sorted(cameras):
+        groups = [sorted(cameras[camera][ratio]) for ratio in sorted(cameras[camera])]
+        if len(groups) <= MOST_FACTORS:
+            parts += [(members, EACH) for members in groups]
+        else:
+            parts.append(([member for members in groups for member in members], EACH * MOST_FACTORS))
+    return frozenset(path for turn, (members, most) in enumerate(parts) for path in _spread(members, most, turn))
+
+
+def _spread(members: Sequence[tuple[float, str]], most: int, turn: int) -> Iterator[str]:
+    """Yield paths from all over a list, others each turn and not at equal distances: there the scenes repeat."""
+    count = min(most, len(members))
+    for index in range(count):
+        part = (turn + index + 0.5) * _GOLDEN % 1
+        yield members[int((index + part) / count * len(members))][1]
+
+
+def suspicions_of(inspections: Sequence[Inspection]) -> tuple[Suspicion, ...]:
+    """Return the mistakes that most frames show alike: of all, else of a camera, else of a camera and factor.
+
+    A prediction of another frame is a mistake wherever it occurs.
+    """
+    found = _exchanged(inspections)
+    least = min(2, len(inspections))
+    shared = _shared(inspections, "", least)
+    if shared is not None:
+        return (*found, shared)
+    for camera, of in _grouped(inspections, lambda one: one.camera).items():
+        shared = _shared(of, camera, least)
+        if shared is not None:
+            found.append(shared)
+            continue
+        for ratio, those in _grouped(of, lambda one: one.ratio).items():
+            shared = _shared(those, camera if ratio is None else f"{camera} x{ratio:g}", least)
+            if shared is not None:
+                found.append(shared)
+    return tuple(found)
+
+
+def sketch(image: Array) -> NDArray[np.float32]:
+    """Return the means over channels at the points of a grid, clipped to [0, 1], with mean 0 and length 1.
+
+    Parameters
+    ----------
+    image
+        (C, h, w).
+    """
+    rows, columns = (
+        np.linspace(0, size - 1, count).astype(int) for size, count in zip(image.shape[1:], _SKETCH, strict=True)
+    )
+    points = np.clip(image[:, rows[:, None], columns], 0, 1)
+    values: NDArray[np.float32] = points.mean(axis=0, dtype=np.float32).ravel()
+    values -= values.mean()
+    length = np.float32(np.linalg.norm(values))
+    if length > 0:
+        values /= length
+    return values
+
+
+_SKETCH = (24, 36)
+_LIKE, _LIKER = 0.7, 0.3  # the correlation with another reference, at least, and by how much it is the higher one
+
+
+def _exchanged(inspections: Sequence[Inspection]) -> list[Suspicion]:
+    """Return the suspicion that predictions are those of other frames, if some are like another one's reference."""
+    references = np.stack([one.reference for one in inspections]) if inspections else np.empty((0, 0))
+    found = []
+    for one in inspections:
+        likeness = references @ one.prediction
+        other = int(likeness.argmax())
+        if likeness[other] >= max(_LIKE, float(one.reference @ one.prediction) + _LIKER):
+            found.append((one, inspections[other]))
+    if not found:
+        return []
+    first, its = found[0]
+    words = f"as if of another frame: that of {first.path} is like the reference of {its.path}"
+    score = fmean([one.psnr_db for one, _ in found])
+    return [Suspicion(words, "", len(found), len(inspections), score, None, first.path)]
+
+
+def _grouped(inspections: Sequence[Inspection], key: Callable[[Inspection], Any]) -> dict[Any, list[Inspection]]:
+    groups: dict[Any, list[Inspection]] = defaultdict(list)
+    for one in inspections:
+        groups[key(one)].append(one)
+    return groups
+
+
+def _shared(inspections: Sequence[Inspection], where: str, least: int) -> Suspicion | None:
+    """Return the mistake that most of these frames show, if there is one."""
+    showing: dict[str, list[tuple[str, Mistake]]] = defaultdict(list)
+    for one in inspections:
+        if one.mistake is not None:
+            showing[one.mistake.words].append((one.path, one.mistake))
+    words, most = max(showing.items(), key=lambda item: len(item[1]), default=("", []))
+    if not most or len(most) < max(_SHARE * len(inspections), least):
+        return None
+    without = [mistake.without_db for _, mistake in most if mistake.without_db is not None]
+    return Suspicion(
+        words=words,
+        where=where,
+        shown=len(most),
+        looked=len(inspections),
+        psnr_db=fmean([mistake.psnr_db for _, mistake in most]),
+        without_db=fmean(without) if len(without) == len(most) else None,
+        example=most[0][0],
+    )

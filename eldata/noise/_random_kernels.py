@@ -1,0 +1,368 @@
+"""Compiled random numbers of the noise model: a counter-based generator, and the draws.
+
+A word is 64 random bits, a function of two stream keys and a counter alone. The stream keys come from (key, image,
+component), the counter is the pixel's index in its image (or the mosaic row), so no result depends on threads, tiles
+or batches. The loops run over strips that stay in the L1 cache. Every operation is an IEEE one in a fixed order (no
+fast-math, no fused multiply-add), so the bits are the same on any machine; only Poisson means beyond the tables use
+the C library's log and lgamma, to accept or reject.
+
+Draws, and how exact they are:
+
+- Poisson: alias tables with probabilities within 2^-32 (``_tables.py``), the remainder of the mean, below 1/32, by
+  inversion in float64 with 32-bit numbers; from :data:`TABLE_LIMIT` on transformed rejection in float64.
+- Tukey lambda: 64-bit uniforms, one bit for the sign and 63 for the tail, never 0 or 1. So the tail reaches to
+  probabilities of 2^-65, and both tails are alike. The quantile is float32 arithmetic for lambda from -1 to 2:
+  absolute error below 5e-7 within 0.5 of the median; beyond, relative error below 1e-6 + 1e-7 abs(lambda ln v),
+  v being the tail's probability.
+- Gaussian: Box-Muller with 40 bits for the radius, which ends at 7.54 standard deviations (the tail beyond has 5e-14),
+  and 24 bits for the angle. Float32 arithmetic: absolute error below 3e-6, or 1e-7 over the radius if that is more
+  (for one draw in 2000).
+- Uniform: 24 bits, symmetric around 0.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.base.compiled import kernel
+from eldata.noise._tables import COARSE_BITS, COARSE_STEP, FINE_BITS, FINE_STEPS, TABLE_LIMIT, WIDER_FROM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+LAMBDA_FLOOR = 1e-20
+"""Smaller shape parameters count as this one, whose quantile is the logistic one to the last bit."""
+
+POWER_TERMS = 10
+"""Coefficients of the polynomial for (1 - v)^lambda on [0, 1/2]."""
+
+STRIP = 512
+"""Pixels that are drawn at a time."""
+
+SHOT, SHOT_REST, SHOT_LARGE, READ, ROW = range(5)
+"""Components that have their own stream."""
+
+_F = np.float32
+_U4 = np.uint32
+_U8 = np.uint64
+
+# The odd constants of the SplitMix64 generator.
+_WEYL = _U8(0x9E3779B97F4A7C15)
+_MIX_1 = _U8(0xBF58476D1CE4E5B9)
+_MIX_2 = _U8(0x94D049BB133111EB)
+_S27, _S30, _S31, _S32 = _U8(27), _U8(30), _U8(31), _U8(32)
+
+# Layout of the tables.
+_FINE_COUNT_BITS = _U4((COARSE_STEP * FINE_STEPS).bit_length() - 1)
+_FINE_MASK = _U4(COARSE_STEP * FINE_STEPS - 1)
+_FINE_BITS = _U4(FINE_BITS)
+_FINE_SHIFT = _U4(32 - FINE_BITS)
+_FINE_LOW = _U4((1 << (32 - FINE_BITS)) - 1)
+_WIDER_1, _WIDER_2, _WIDER_3 = (_U4(first) for first in WIDER_FROM)
+_BITS_0, _BITS_1, _BITS_2, _BITS_3 = (_U4(COARSE_BITS + more) for more in range(4))
+_SHIFT_0, _SHIFT_1, _SHIFT_2, _SHIFT_3 = (_U4(32 - COARSE_BITS - more) for more in range(4))
+_START_1 = WIDER_FROM[0] << COARSE_BITS
+_START_2 = _START_1 + ((WIDER_FROM[1] - WIDER_FROM[0]) << (COARSE_BITS + 1))
+_START_3 = _START_2 + ((WIDER_FROM[2] - WIDER_FROM[1]) << (COARSE_BITS + 2))
+# Coarse table c starts at (c << bits) minus the one of these that belongs to its width.
+_BACK_1 = _U4((WIDER_FROM[0] << (COARSE_BITS + 1)) - _START_1)
+_BACK_2 = _U4((WIDER_FROM[1] << (COARSE_BITS + 2)) - _START_2)
+_BACK_3 = _U4((WIDER_FROM[2] << (COARSE_BITS + 3)) - _START_3)
+_LOW_16 = _U4(0xFFFF)
+_SHIFT_16 = _U4(16)
+_LOW_0, _LOW_1, _LOW_2, _LOW_3 = (_U4((1 << (32 - COARSE_BITS - more)) - 1) for more in range(4))
+_SIGN = _U4(0x80000000)
+_SIGN_OFF = _U4(0x7FFFFFFF)
+
+_ZERO, _HALF, _ONE, _TWO = _F(0), _F(0.5), _F(1), _F(2)
+_LIMIT = _F(TABLE_LIMIT)
+_STEPS = _F(FINE_STEPS)
+_STEP = _F(1 / FINE_STEPS)
+_TO_24 = _F(2.0**-24)
+_TO_32 = _F(2.0**-32)
+_TO_40 = _F(2.0**-40)
+_TO_64 = _F(2.0**-64)
+_FROM_32 = _F(2.0**32)
+_QUARTER = _F(0.25)
+
+# ln: exponent and mantissa in [sqrt(1/2), sqrt(2)), then 2 artanh((m - 1) / (m + 1)), error of the fit 2.4e-10.
+_ROOT_HALF = np.int32(0x3F3504F3)
+_MANTISSA = np.int32(0x7FFFFF)
+_SHIFT_23 = np.int32(23)
+_LN2 = _F(math.log(2))
+_LN_0, _LN_1, _LN_2, _LN_3 = _F(2), _F(0.66666816), _F(0.39974752), _F(0.29926655)
+
+# exp(x) - 1 = 2^n (exp(r) - 1) + 2^n - 1; the polynomial is (exp(r) - 1) / r for abs(r) <= ln(2) / 2, error 1.1e-8.
+_LOG2_E = _F(1 / math.log(2))
+_LN2_HIGH = _F(0.693359375)  # 10 bits, so that n times it is exact
+_LN2_LOW = _F(math.log(2) - 0.693359375)
+_ROUNDER = _F(1.5 * 2**23)  # adding and subtracting it rounds to an integer
+_EXPONENT_BIAS = np.int32(127)
+_EXP_0, _EXP_1, _EXP_2 = _F(1), _F(0.50000001), _F(0.16666505)
+_EXP_3, _EXP_4, _EXP_5 = _F(0.04166624), _F(0.00836919), _F(0.00139486)
+_EXP_LOWEST = _F(-80)  # exp(x) - 1 is -1 long before
+
+# sin(2 pi q) / q in q^2 for abs(q) <= 1/4, error 2.7e-8.
+_SIN_0, _SIN_1, _SIN_2 = _F(6.28318528), _F(-41.34168072), _F(81.60248511)
+_SIN_3, _SIN_4 = _F(-76.58139641), _F(39.76161703)
+
+
+@kernel
+def _mixed(z: Any) -> Any:
+    z = (z ^ (z >> _S30)) * _MIX_1
+    z = (z ^ (z >> _S27)) * _MIX_2
+    return z ^ (z >> _S31)
+
+
+@kernel
+def stream(key: Any, image: Any, component: int) -> Any:
+    """Return the two keys of a stream."""
+    z = _mixed(_mixed(_mixed(key + _WEYL) + _U8(image) * _WEYL) + _U8(component + 1) * _WEYL)
+    return z, _mixed(z + _WEYL)
+
+
+@kernel
+def _finished(z: Any, second: Any) -> Any:
+    """SplitMix64's output function, with a second key between its two multiplications.
+
+    The second key makes each stream another function, where plain SplitMix64 has one cycle that streams could share.
+    """
+    z = ((z ^ (z >> _S30)) * _MIX_1) ^ second
+    z = (z ^ (z >> _S27)) * _MIX_2
+    return z ^ (z >> _S31)
+
+
+@kernel
+def word_of(first: Any, second: Any, counter: Any) -> Any:
+    """Return word ``counter`` of a stream."""
+    return _finished(first + counter * _WEYL, second)
+
+
+@kernel
+def words(high: NDArray[np.uint32], low: NDArray[np.uint32], first: Any, second: Any, counter: Any) -> None:
+    """Write consecutive words, in halves: what follows is then 32-bit vector code."""
+    state = first + counter * _WEYL
+    for j in range(high.size):
+        word = _finished(state, second)
+        high[j] = _U4(word >> _S32)
+        low[j] = _U4(word)
+        state += _WEYL
+
+
+@kernel
+def _ln(x: Any) -> Any:
+    """Return ln(x) of a positive, normal float32; relative error 1.5e-7, or 6e-8 absolute if that is more."""
+    bits = _F(x).view(np.int32) - _ROOT_HALF
+    exponent = _F(np.int32(bits >> _SHIFT_23))
+    mantissa = np.int32((bits & _MANTISSA) + _ROOT_HALF).view(np.float32)
+    s = (mantissa - _ONE) / (mantissa + _ONE)
+    z = s * s
+    return exponent * _LN2 + s * (_LN_0 + z * (_LN_1 + z * (_LN_2 + z * _LN_3)))
+
+
+@kernel
+def tukey_lambda_draws(
+    high: NDArray[np.uint32],
+    low: NDArray[np.uint32],
+    shape: Any,
+    power: NDArray[np.float32],
+    tail: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Write the Tukey-lambda draw of each word: the quantile of v = its low 63 bits, or the mirrored one.
+
+    With t = ln(v / (1 - v)), Q(v) = (v^l - (1 - v)^l) / l = (1 - v)^l (exp(l t) - 1) / l, which cancels nowhere.
+    ``shape`` is l, ``power`` the polynomial for (1 - v)^l, ``tail`` room for v. Short loops, which the compiler
+    vectorises; one long one it does not.
+    """
+    inverse = _ONE / shape
+    for j in range(out.size):
+        v = _F(_U4(high[j] & _SIGN_OFF)) * _TO_32 + (_F(low[j]) + _HALF) * _TO_64
+        tail[j] = v
+        out[j] = v / (_ONE - v)
+    for j in range(out.size):
+        out[j] = _ln(out[j])
+    for j in range(out.size):
+        x = shape * out[j]
+        x = max(_EXP_LOWEST, x)
+        n = (x * _LOG2_E + _ROUNDER) - _ROUNDER
+        r = (x - n * _LN2_HIGH) - n * _LN2_LOW
+        p = _EXP_0 + r * (_EXP_1 + r * (_EXP_2 + r * (_EXP_3 + r * (_EXP_4 + r * _EXP_5))))
+        two_n = np.int32((np.int32(n) + _EXPONENT_BIAS) << _SHIFT_23).view(np.float32)
+        out[j] = two_n * ((r * inverse) * p) + (two_n - _ONE) * inverse
+    p_0, p_1, p_2, p_3, p_4 = power[0], power[1], power[2], power[3], power[4]
+    p_5, p_6, p_7, p_8, p_9 = power[5], power[6], power[7], power[8], power[9]
+    for j in range(out.size):
+        v = tail[j]
+        p = p_4 + v * (p_5 + v * (p_6 + v * (p_7 + v * (p_8 + v * p_9))))
+        q = out[j] * (p_0 + v * (p_1 + v * (p_2 + v * (p_3 + v * p))))
+        out[j] = q if high[j] < _SIGN else -q
+
+
+@kernel
+def gaussian_draw(high: Any, low: Any) -> Any:
+    """Return the standard normal draw of a word (Box-Muller; the high 40 bits give the radius)."""
+    u = _F(high) * _TO_32 + (_F(_U4(low >> _U4(24))) + _HALF) * _TO_40
+    radius = np.sqrt(-_TWO * _ln(u))
+    angle = (_F(np.int32(low & _U4(0xFFFFFF)) - np.int32(0x800000)) + _HALF) * _TO_24  # in turns, (-1/2, 1/2)
+    q = (angle if angle > _ZERO else -angle) - _QUARTER
+    z = q * q
+    return radius * (q * (_SIN_0 + z * (_SIN_1 + z * (_SIN_2 + z * (_SIN_3 + z * _SIN_4)))))
+
+
+@kernel
+def gaussian_draws(high: NDArray[np.uint32], low: NDArray[np.uint32], out: NDArray[np.float32]) -> None:
+    """Write the standard normal draw of each word."""
+    for j in range(out.size):
+        out[j] = gaussian_draw(high[j], low[j])
+
+
+@kernel
+def large_poisson(mean: float, first: Any, second: Any, pixel: Any) -> float:
+    """Return a Poisson draw for a mean above 10: Hörmann's transformed rejection with squeeze (PTRS, 1993).
+
+    32 attempts stand ready for each pixel; each fails with probability 0.13 at most.
+    """
+    b = 0.931 + 2.53 * math.sqrt(mean)
+    a = 0.02483 * b - 0.059
+    v_r = 0.9277 - 3.6224 / (b - 2.0)
+    for attempt in range(32):
+        counter = pixel * _U8(64) + _U8(2 * attempt)
+        u = (np.float64(word_of(first, second, counter) >> _U8(12)) + 0.5) * 2.0**-52 - 0.5
+        v = (np.float64(word_of(first, second, counter + _U8(1)) >> _U8(12)) + 0.5) * 2.0**-52
+        us = 0.5 - abs(u)
+        k = np.floor((2.0 * a / us + b) * u + mean + 0.43)  # math.floor is an int64, which ends at 9e18
+        if us >= 0.07 and v <= v_r:
+            return float(k)
+        if k < 0 or (us < 0.013 and v > us):
+            continue
+        inverse_alpha = 1.1239 + 1.1328 / (b - 3.4)
+        if math.log(v * inverse_alpha / (a / (us * us) + b)) <= k * math.log(mean) - mean - math.lgamma(k + 1.0):
+            return float(k)
+    return mean
+
+
+@kernel
+def split_means(mean: NDArray[np.float32], digits: NDArray[np.uint32], rest: NDArray[np.float32]) -> int:
+    """Split the means into fine steps and the rest; return how many are beyond the tables (or NaN), taken as 0."""
+    beyond = 0
+    for j in range(mean.size):
+        inside = mean[j] < _LIMIT
+        value = mean[j] if inside else _ZERO
+        beyond += 0 if inside else 1
+        steps = np.int32(value * _STEPS)
+        digits[j] = _U4(steps)
+        rest[j] = value - _F(steps) * _STEP
+    return beyond
+
+
+@kernel
+def find_columns(
+    high: NDArray[np.uint32],
+    low: NDArray[np.uint32],
+    digits: NDArray[np.uint32],
+    coarse: NDArray[np.uint32],
+    fine: NDArray[np.uint32],
+) -> None:
+    """Write the index of each pixel's column in the coarse and in the fine tables."""
+    for j in range(high.size):
+        index = _U4(digits[j] >> _FINE_COUNT_BITS)
+        number = high[j]
+        place = _U4(_U4(index << _BITS_0) + _U4(number >> _SHIFT_0))
+        place = _U4(_U4(_U4(index << _BITS_1) + _U4(number >> _SHIFT_1)) - _BACK_1) if index >= _WIDER_1 else place
+        place = _U4(_U4(_U4(index << _BITS_2) + _U4(number >> _SHIFT_2)) - _BACK_2) if index >= _WIDER_2 else place
+        place = _U4(_U4(_U4(index << _BITS_3) + _U4(number >> _SHIFT_3)) - _BACK_3) if index >= _WIDER_3 else place
+        coarse[j] = place
+        fine[j] = _U4(_U4(_U4(digits[j] & _FINE_MASK) << _FINE_BITS) + _U4(low[j] >> _FINE_SHIFT))
+
+
+@kernel
+def fetch(
+    coarse: NDArray[np.uint32],
+    fine: NDArray[np.uint32],
+    coarse_table: NDArray[np.uint64],
+    fine_table: NDArray[np.uint64],
+    coarse_entry: NDArray[np.uint64],
+    fine_entry: NDArray[np.uint64],
+) -> None:
+    """Read the tables: only this is not vector code."""
+    for j in range(coarse.size):
+        coarse_entry[j] = coarse_table[coarse[j]]
+        fine_entry[j] = fine_table[fine[j]]
+
+
+@kernel
+def choose(
+    high: NDArray[np.uint32],
+    low: NDArray[np.uint32],
+    digits: NDArray[np.uint32],
+    coarse_entry: NDArray[np.uint64],
+    fine_entry: NDArray[np.uint64],
+    out: NDArray[np.float32],
+) -> None:
+    """Write the sum of the two values that the entries give."""
+    for j in range(high.size):
+        index = _U4(digits[j] >> _FINE_COUNT_BITS)
+        below = _LOW_0
+        below = _LOW_1 if index >= _WIDER_1 else below
+        below = _LOW_2 if index >= _WIDER_2 else below
+        below = _LOW_3 if index >= _WIDER_3 else below
+        entry = _U4(coarse_entry[j])
+        value = entry if _U4(high[j] & below) < _U4(coarse_entry[j] >> _S32) else _U4(entry >> _SHIFT_16)
+        entry = _U4(fine_entry[j])
+        more = entry if _U4(low[j] & _FINE_LOW) < _U4(fine_entry[j] >> _S32) else _U4(entry >> _SHIFT_16)
+        out[j] = _F(np.int32(_U4(_U4(value & _LOW_16) + _U4(more & _LOW_16))))
+
+
+@kernel
+def mark_rest(number: NDArray[np.uint32], rest: NDArray[np.float32], marks: NDArray[np.uint8]) -> None:
+    """Mark the pixels whose rest may give an event: P(at least one) = 1 - exp(-r) < r."""
+    for j in range(number.size):
+        marks[j] = np.uint8(number[j] < _U4(np.int32(rest[j] * _FROM_32)))
+
+
+@kernel
+def add_rest(
+    marks: NDArray[np.uint8],
+    marks_of_8: NDArray[np.uint64],
+    number: NDArray[np.uint32],
+    rest: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Add the rest's events at the marked pixels: as many as there are k >= 1 with u < P(at least k)."""
+    for block in range(marks_of_8.size):
+        if marks_of_8[block] == _U8(0):
+            continue
+        for j in range(8 * block, min(8 * block + 8, number.size)):
+            if marks[j] == 0:
+                continue
+            r = np.float64(rest[j])
+            u = np.float64(number[j]) * 2.0**-32
+            tail = r * (1.0 - r / 2.0 * (1.0 - r / 3.0 * (1.0 - r / 4.0 * (1.0 - r / 5.0 * (1.0 - r / 6.0)))))
+            probability = 1.0 - tail
+            k = 0
+            while u < tail:
+                k += 1
+                probability *= r / k
+                tail -= probability
+            out[j] += _F(k)
+
+
+@kernel
+def add_large(mean: NDArray[np.float32], out: NDArray[np.float32], first: Any, second: Any, pixel: Any) -> None:
+    """Draw where the mean is beyond the tables; infinity and NaN stay."""
+    for j in range(out.size):
+        if not mean[j] < _LIMIT:
+            out[j] = mean[j]
+            if mean[j] < np.inf:
+                out[j] = _F(large_poisson(np.float64(mean[j]), first, second, pixel + _U8(j)))
+
+
+@kernel
+def add_uniform(value: NDArray[np.float32], number: NDArray[np.uint32]) -> None:
+    """Add U(-1/2, 1/2), from the high 24 bits."""
+    for j in range(value.size):
+        value[j] += (_F(np.int32(_U4(number[j] >> _U4(8))) - np.int32(0x800000)) + _HALF) * _TO_24

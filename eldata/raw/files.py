@@ -1,0 +1,83 @@
+"""Raw files by their names, and whether one decodes and is whole, without its pixels.
+
+Light: numpy and the decoder are loaded only where, and in the process in which, a file is looked into.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eldata.base.files import folder_problem
+from eldata.base.isolation import guarded_file
+from eldata.errors import DatasetError, RawFileError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from eldata.records import RawHeader, Sensor
+
+# Lower case, with the dot.
+RAW_EXTENSIONS = frozenset((
+    ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".gpr", ".iiq", ".k25", ".kdc", ".mef", ".mos",
+    ".mrw", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f",
+))  # fmt: skip
+
+# Rendered pictures that cameras and phones write in place of a raw file, or beside it.
+PICTURES = frozenset((".jpg", ".jpeg", ".heic", ".heif", ".hif", ".webp", ".avif"))
+
+
+def raws_below(folder: Path) -> list[Path]:
+    """Return the camera raws of a folder at any depth, sorted.
+
+    Raises
+    ------
+    DatasetError
+        If there is none, or no such folder.
+    """
+    paths = list(folder.rglob("*")) if folder.is_dir() else []
+    found = sorted(path for path in paths if path.suffix.lower() in RAW_EXTENSIONS)
+    if not found:
+        raise no_raws(folder, (path.name for path in paths if path.is_file()))
+    return found
+
+
+def no_raws(folder: Path, names: Iterable[str]) -> DatasetError:
+    """Return the error that a folder is not there, or has files of these names, none of them a camera raw."""
+    problem = folder_problem(folder)
+    if problem is not None:
+        return DatasetError(f"{folder}: {problem}; give a folder of camera raws")
+    found = Counter(Path(name).suffix.lower() for name in names if not name.startswith("."))
+    (suffix, count), *_ = found.most_common(1) or [("", 0)]
+    if suffix in PICTURES:
+        counted = f"but {count} picture{'s' if count > 1 else ''} ({suffix})"
+        return DatasetError(
+            f"{folder}: holds no camera raw file, {counted}, which the camera or a phone has rendered and which are no "
+            "longer linear: use the raw files that it writes beside them (DNG, ARW, CR3, NEF and the like)"
+        )
+    others = f", but {count} {suffix or 'without extension'}" if count else ", and nothing else"
+    return DatasetError(f"{folder}: holds no camera raw file{others}")
+
+
+def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
+    """Return a raw file's header and, if it is to be decoded, its sensor, or why it does not decode or is damaged.
+
+    The header has what there is to remark of the file; one whose black level takes its pixels is decoded for it.
+
+    Every check that finds damage is made (:mod:`eldata.raw.damage`), so it takes about twice as long as decoding where
+    the file has lossless JPEGs.
+
+    Raises
+    ------
+    RawFileError
+        Like :func:`eldata.raw.read_header`.
+    """
+    return guarded_file(partial(_facts, decode=decode), path, RawFileError)
+
+
+def _facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
+    from eldata.raw.reading import facts_of
+
+    return facts_of(path, decode=decode)

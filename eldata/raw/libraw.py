@@ -1,0 +1,193 @@
+"""LibRaw: opening a raw file with it, which of its images and areas it sees, and the CFA that it makes of them.
+
+Fork and threads
+----------------
+Each read tells the OpenMP runtime inside rawpy's wheel to use the calling thread alone. So no thread pool is
+left behind for a forked worker to wait for, and reading is safe in DataLoader workers under fork and spawn.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import io
+import struct
+from contextlib import contextmanager
+from functools import cache
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eldata.errors import RawFileError, UnusableRawError
+from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
+from eldata.raw.exif import check_container
+from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, CFA_PATTERN, image_directories
+from eldata.raw.unsupported import unsupported_cfa
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    import rawpy
+
+    from eldata.raw.cfa import CfaRows
+    from eldata.raw.tiff import Directory
+
+_MOST_IMAGES = 16  # of a pixel shift: cameras take up to 16
+
+
+@contextmanager
+def opened_raw(
+    path: Path, directories: Sequence[Directory], what: str = "decode", image: int = 0
+) -> Iterator[rawpy.RawPy]:
+    """Open a raw file, whose directories are given, with LibRaw.
+
+    Its errors say that it cannot do ``what``; ``image`` as of :func:`read_raw`.
+
+    Raises
+    ------
+    RawFileError
+        If LibRaw does not know the file or refuses it, then or inside the block.
+    """
+    import rawpy
+
+    check_container(path)
+    _set_openmp_threads()(1)  # a setting of the calling thread, so it is made for each read
+    # Not rawpy.imread: it warns in every forked process, of what the line above removes.
+    raw = rawpy.RawPy()
+    try:
+        raw.set_unpack_params(shot_select=image)  # before it is opened: which of a DNG's images, is chosen then
+        if any(one.wide_cfa for one in directories):
+            raw.open_buffer(io.BytesIO(_with_narrow_cfa(path, directories)))
+        else:
+            _open(raw, path)
+        yield raw
+    except rawpy.LibRawFileUnsupportedError as error:
+        raise RawFileError(path, "is not a raw file that LibRaw knows") from error
+    except rawpy.LibRawError as error:
+        reason = error.args[0] if error.args else error
+        # "Unsufficient memory" is mostly said of sizes that cannot be, without asking for any.
+        text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
+        raise RawFileError(path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
+    finally:
+        raw.close()
+
+
+def _with_narrow_cfa(path: Path, directories: Sequence[Directory]) -> bytes:
+    """Return a file whose CFAPatterns are of bytes: LibRaw takes the bytes of 16-bit numbers for numbers."""
+    content = bytearray(path.read_bytes())
+    for one in directories:
+        if one.wide_cfa is not None:
+            numbers = bytes(min(int(number), 255) for number in one.values[CFA_PATTERN])
+            struct.pack_into(f"{one.order}HHI", content, one.wide_cfa, CFA_PATTERN, 1, len(numbers))
+            at = one.wide_cfa + 8
+            if len(numbers) > 4:
+                (at,) = struct.unpack_from(f"{one.order}I", content, at)
+            content[at : at + len(numbers)] = numbers
+    return bytes(content)
+
+
+def _open(raw: rawpy.RawPy, path: Path) -> None:
+    try:
+        raw.open_file(str(path))
+    except UnicodeEncodeError:  # rawpy knows names in UTF-8 alone
+        with path.open("rb") as file:
+            raw.open_buffer(file)
+
+
+@cache
+def _set_openmp_threads() -> Callable[[int], object]:
+    """Return omp_set_num_threads of the runtime that rawpy's wheel brings; or a function that does nothing."""
+    import rawpy
+
+    package = Path(rawpy.__file__).parent
+    for library in sorted((package.parent / "rawpy.libs").glob("libgomp*")):
+        return ctypes.CDLL(str(library)).omp_set_num_threads
+    return lambda _: None
+
+
+def check_sizes(path: Path, raw: rawpy.RawPy) -> None:
+    """Refuse impossible sizes before memory is taken for the pixels."""
+    sizes, held = raw.sizes, path.stat().st_size
+    raw_pixels = sizes.raw_height * sizes.raw_width
+    if held * 8 < raw_pixels:
+        raise RawFileError(path, f"truncated: {held} bytes cannot hold {raw_pixels} pixels")
+    inside = sizes.top_margin + sizes.height <= sizes.raw_height and sizes.left_margin + sizes.width <= sizes.raw_width
+    if not (inside and sizes.height and sizes.width):
+        raise RawFileError(
+            path,
+            f"damaged: its visible area of {sizes.height} x {sizes.width} pixels from {sizes.top_margin}, "
+            f"{sizes.left_margin} on does not lie inside its {sizes.raw_height} x {sizes.raw_width} pixels",
+        )
+
+
+def check_libraw_decodes(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> None:
+    """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
+    for main in stated_images(raw, directories)[:1]:
+        found = "floating-point or interleaved pixels" if main.is_float or main.interleaved != (1, 1) else ""
+        if any(len(set(main.values.get(tag, ()))) > 1 for tag in BLACK_DELTAS):
+            found = "black levels by row or column"
+        if found:
+            todo = "pack it and use eldata.isp.Rendering"
+            raise UnusableRawError(path, f"has {found}, of which LibRaw makes a wrong picture", todo)
+
+
+# --- images -----------------------------------------------------------------------------------------------------------
+
+
+def stated_images(raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[Directory, ...]:
+    """Return the directories of the images that LibRaw sees one of."""
+    return image_directories(directories, (raw.sizes.raw_height, raw.sizes.raw_width))
+
+
+def count_images(path: Path) -> int:
+    """Return how many images LibRaw knows in a file of another format; each but the first is decoded for it."""
+    import rawpy
+
+    for count in range(1, _MOST_IMAGES):
+        raw = rawpy.RawPy()
+        try:
+            raw.set_unpack_params(shot_select=count)
+            _open(raw, path)
+            raw.unpack()
+        except rawpy.LibRawRequestForNonexistentImageError:
+            return count
+        except rawpy.LibRawError:  # there is one more, whatever is wrong with it
+            return count + 1
+        finally:
+            raw.close()
+    return _MOST_IMAGES
+
+
+# --- colour filter array ----------------------------------------------------------------------------------------------
+
+
+def visible_cfa(path: Path, raw: rawpy.RawPy, main: Directory | None) -> tuple[CfaRows, tuple[int, ...]]:
+    """Return the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
+    stated = None if main is None else stated_cfa(raw, main)
+    if stated is not None and packing_sites(stated[0]).block > 1:
+        return stated
+    names = raw.color_desc.decode("ascii", "replace")
+    try:
+        pattern = raw.raw_pattern
+    except NotImplementedError as error:  # what rawpy raises for a CFA that it has no pattern for
+        raise RawFileError(path, f"unsupported colour filter array ({error})") from error
+    period = 0 if pattern is None else len(pattern)
+    top, left = raw.sizes.top_margin, raw.sizes.left_margin
+    sites = [[raw.raw_color(top + y, left + x) for x in range(period)] for y in range(period)]
+    letters = ["".join(names[index] for index in row) for row in sites]
+    cfa = cfa_of_letters(letters)
+    if cfa is None:
+        raise unsupported_cfa(path, letters)
+    libraw_index = dict(zip(chain(*cfa), chain(*sites), strict=True))
+    return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
+
+
+def stated_cfa(raw: rawpy.RawPy, main: Directory) -> tuple[CfaRows, tuple[int, ...]] | None:
+    """Return what :func:`visible_cfa` does, from the tags beside the pixels; None if they state none that works."""
+    whole, names = cfa_of_letters(main.cfa_letters or ()), raw.color_desc.decode("ascii", "replace")
+    if whole is None or not set("RGB") <= set(names):
+        return None
+    # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
+    top, left = map(int, main.values.get(ACTIVE_AREA, (0, 0))[:2])
+    cfa = cfa_from(whole, raw.sizes.top_margin - top, raw.sizes.left_margin - left)
+    indices = (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))
+    return cfa, indices[: packing_sites(cfa).levels]

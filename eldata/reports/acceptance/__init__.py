@@ -1,1 +1,0 @@
-"""The page of a noise model's acceptance test."""

@@ -1,0 +1,432 @@
+"""Plots and pictures of what was measured at one ISO: those with which the paper judges its noise model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.calibration.acceptance.verdicts import LIMIT
+from eldata.plots.axes import (
+    MARKERS,
+    deviation_band,
+    draw_quantiles,
+    evenly,
+    legend_above,
+    log_ticks,
+    plain_ticks,
+    thinned,
+)
+from eldata.plots.gains import transfer_lines
+from eldata.plots.pictures import block_means, grey_png, limits
+from eldata.reports.figures import draw_plot
+from eldata.reports.html import digits, measured, plot_words
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from eldata.calibration.acceptance.reproduction import Reproduction
+    from eldata.calibration.audit.structure import MeasuredStructure
+    from eldata.calibration.core.findings import GivenFigure
+    from eldata.calibration.core.photon_transfer import PhotonTransfer
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain
+    from eldata.noise.structure import RowSpectrum
+    from eldata.plots.axes import Theme
+    from eldata.reports.figures import Plot
+
+GAUSSIAN_LAMBDA = 0.14
+"""The shape at which the Tukey-lambda distribution is nearest to the normal one."""
+
+_SINGLE_FRAMES_SHOWN = 48
+_ROOM_ABOVE = 1.7
+_AROUND_MAXIMUM = 0.27  # of lambda
+_FRAMES_SHOWN = 32
+_SHADING_SHOWN = 72  # rows or columns
+_FREQUENCIES_LABELLED = (1e-4, 1e-3, 0.01, 0.1, 0.5)
+
+
+def estimated(figure: GivenFigure | None, unit: str = "") -> str:
+    """Return a figure with its error and unit, or "withheld"."""
+    if figure is None:
+        return "withheld"
+    return measured(figure.value, figure.error, unit) + (" (stated)" if figure.is_stated else "")
+
+
+def _plot(kind: str, one: IsoGain, alt: str, draw: Callable[..., object], **options: Any) -> Plot:
+    """Return a plot of one ISO, with the words of its kind."""
+    return draw_plot("calibration", kind, alt, draw, name=f"{kind}-{one.iso:g}", **options)
+
+
+# --- photon transfer ----------------------------------------------------------------------------------------------
+
+
+def transfer_plot(one: IsoGain, transfer: PhotonTransfer) -> Plot:
+    """Draw the variance over the signal, the fitted lines, and the deviations from them."""
+    spatial, spatial_gain = one.spatial, one.spatial_gain
+    worst = max((line.chi2_per_dof for line in transfer.channels if math.isfinite(line.chi2_per_dof)), default=math.nan)
+    alt = (
+        f"Variance against signal of the flats at ISO {one.iso:g}, by channel, with the fitted lines: K is "
+        f"{estimated(one.gain, 'DN/e⁻')}, chi² per degree of freedom at most "
+        f"{digits(worst, 2)}."
+    )
+    if spatial is not None and spatial_gain is not None:
+        alt += f" The published single-frame method gives {digits(spatial_gain.value, 4)} DN/e⁻."
+
+    def draw(main: Axes, below: Axes, theme: Theme) -> None:
+        furthest = transfer_lines(main, below, one.channels, transfer.channels, theme)
+        if spatial is not None:
+            _draw_single_frames(main, spatial, theme)
+            legend_above(main)
+        deviation_band(below, furthest, LIMIT, theme)
+        below.set_xlabel("signal [DN]")
+
+    more = "" if spatial is None else plot_words("calibration")["transfer"]["single_frames"]
+    return _plot("transfer", one, alt, draw, ratio=2.6, more=more)
+
+
+def _draw_single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> None:
+    """Draw the published method's points; those far above the others as arrows, or they would flatten the rest."""
+    signal = np.concatenate([line.signal_dn for line in spatial.channels])
+    variance = np.concatenate([line.variance_dn2 for line in spatial.channels])
+    shown = evenly(signal.size, _SINGLE_FRAMES_SHOWN)
+    signal, variance = signal[shown], variance[shown]
+    low, high = axes.get_ylim()
+    high *= _ROOM_ABOVE
+    beyond = variance > high
+    axes.set_ylim(low, high)
+    style: dict[str, Any] = {"linestyle": "none", "markersize": 6, "color": theme.ink}
+    inside = ~beyond
+    axes.plot(signal[inside], variance[inside], marker="o", markerfacecolor="none", label="single frames", **style)
+    if beyond.any():
+        axes.plot(signal[beyond], np.full(beyond.sum(), 0.97 * high), marker="^", label="beyond", **style)
+
+
+# --- colour bias --------------------------------------------------------------------------------------------------
+
+
+def bias_plot(one: IsoCalibration, given: Sequence[GivenFigure]) -> Plot:
+    """Draw the colour bias, and below how much the frames' own means scatter around it."""
+    bias = one.bias
+    channels = len(bias.channels)
+    found = ", ".join(f"{name} {estimated(figure, 'DN')}" for name, figure in zip(bias.channels, given, strict=True))
+    alt = (
+        f"Mean of the bias frames over the recorded black level at ISO {one.iso:g}: {found}; and the means of "
+        f"{bias.frames} single frames around it."
+    )
+
+    def draw(main: Axes, below: Axes, theme: Theme) -> None:
+        frames = evenly(bias.frames, _FRAMES_SHOWN)
+        across = np.linspace(-0.3, 0.3, frames.size) if frames.size > 1 else np.zeros(1)
+        main.axhline(0, color=theme.theory)
+        below.axhline(0, color=theme.theory, linewidth=1)
+        for channel in range(channels):
+            mean, error = given[channel].value, given[channel].error
+            style: dict[str, Any] = {"marker": MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
+            main.errorbar(channel, mean, yerr=error if math.isfinite(error) else None, capsize=4, **style)
+            below.plot(channel + across, bias.frame_bias_dn[frames, channel] - mean, markersize=3.5, **style)
+            own = bias.row_error_dn[channel] * math.sqrt(bias.frames)  # of one frame
+            if own > 0 and math.isfinite(own):
+                heights = np.linspace(-3, 3, 61)
+                width = 0.42 * np.exp(-(heights**2) / 2)
+                below.fill_betweenx(
+                    heights * own, channel - width, channel + width, color=theme.theory, alpha=0.2, linewidth=0
+                )
+        main.margins(y=0.25)
+        main.set_ylabel("mean [DN]")
+        below.set_ylabel("frame − mean [DN]")
+        below.set_xticks(range(channels), bias.channels)
+        below.set_xlim(-0.5, channels - 0.5)
+
+    return _plot("bias", one, alt, draw, ratio=1 / 1.4)
+
+
+# --- rows ---------------------------------------------------------------------------------------------------------
+
+
+def rows_plot(one: IsoCalibration) -> Plot:
+    """Draw the normal probability plot of the row means."""
+    rows = one.rows.rows
+    shown = thinned(rows.quantiles.size)
+    r_squared, p = digits(rows.r_squared, 5), digits(rows.shapiro_p, 2)
+    alt = (
+        f"Ordered row means against normal quantiles at ISO {one.iso:g}: R² {r_squared}, Shapiro-Wilk p {p} of "
+        f"{rows.shapiro_values} values, excess kurtosis {digits(rows.excess_kurtosis, 2)}."
+    )
+    draw = partial(
+        draw_quantiles,
+        expected=rows.quantiles[shown],
+        found=rows.ordered_dn[shown],
+        line=rows.normal_line_dn,
+        names=("normal", "row means"),
+        labels=("normal quantile", "row mean [DN]"),
+        note=f"R² {r_squared}\nShapiro-Wilk p {p}",
+    )
+    return _plot("rows", one, alt, draw)
+
+
+def line_spectrum_plot(one: IsoCalibration) -> Plot:
+    """Draw the periodograms of row and column means, over what the pixels alone would give."""
+    rows, columns = one.rows.rows, one.rows.columns
+    alt = (
+        f"Power of row and column means over what pixel noise alone gives, at ISO {one.iso:g}: σ row "
+        f"{estimated(one.sigma_row_dn, 'DN')}, σ column {estimated(one.sigma_column_dn, 'DN')}."
+    )
+
+    def draw(axes: Axes, theme: Theme) -> None:
+        variance = one.rows.pixel_variance_dn2 or 1.0
+        of_pixels = variance / columns.deviations_dn.shape[1]
+        for line, alone, colour, style, name in (
+            (columns, variance / rows.deviations_dn.shape[1], theme.ink, ":", "columns"),
+            (rows, of_pixels, theme.found, "-", "rows"),
+        ):
+            frequency, power = line.smoothed_power_dn2(len(one.sensor.cfa))
+            axes.plot(frequency, power / alone, style, color=colour, label=name)
+        if one.sigma_row_dn is not None:
+            white = 1 + one.sigma_row_dn.value**2 / of_pixels
+            axes.axhline(white, color=theme.theory, label="white noise of σ row")
+        axes.axhline(1, color=theme.theory, linewidth=1, linestyle="--", label="pixels alone")
+        _set_up_power(axes)
+        axes.set(xlabel="frequency [cycles per line]", ylabel="power / pixels' own")
+        axes.legend(loc="best", ncols=2)
+
+    return _plot("line-spectrum", one, alt, draw)
+
+
+def _set_up_power(axes: Axes) -> None:
+    """Set up a logarithmic axis of power with room for the legend."""
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    low, high = low / 1.3, high * max(1.6, (high / low) ** 0.35)
+    axes.set_ylim(low, high)
+    log_ticks(axes.yaxis, max(1, round(math.log10(high / low))))
+
+
+def row_bands_plot(one: IsoCalibration, structure: MeasuredStructure, spectrum: RowSpectrum) -> Plot:
+    """Draw the bands and waves that W makes, over the spectrum of the row means that they come from."""
+    rows, columns = one.rows.rows, one.rows.columns
+    waves = "".join(f", a wave of {digits(1 / wave.frequency_per_row)} rows" for wave in spectrum.waves)
+    low, high = min(spectrum.power_dn2), max(spectrum.power_dn2)
+    powers = f"power {digits(high)} DN²" if low == high else f"powers from {digits(low)} to {digits(high)} DN²"
+    bands = len(spectrum.power_dn2)
+    alt = (
+        f"Spectrum of the row means at ISO {one.iso:g}, and what component W makes: {bands} band{'s'[: bands > 1]}, "
+        f"{powers}{waves}."
+    )
+
+    def draw(axes: Axes, theme: Theme) -> None:
+        of_pixels = one.rows.pixel_variance_dn2 / columns.deviations_dn.shape[1]
+        frequency, power = rows.smoothed_power_dn2(len(one.sensor.cfa))
+        axes.plot(frequency, power, "o", markersize=3, color=theme.found, label="row means")
+        edges = np.array(spectrum.edges_per_row)
+        made = of_pixels + np.array(spectrum.power_dn2)
+        axes.stairs(made, edges, baseline=None, color=theme.theory, linewidth=1.8, label="W and pixels")
+        middles = np.sqrt(edges[:-1] * edges[1:])
+        axes.errorbar(middles, made, yerr=structure.band_errors_dn2, fmt="none", color=theme.theory, capsize=3)
+        axes.axhline(of_pixels, color=theme.theory, linewidth=1, linestyle="--", label="pixels alone")
+        for number, wave in enumerate(spectrum.waves):
+            label = "_" if number else "wave"
+            axes.axvline(wave.frequency_per_row, color=theme.ink, linewidth=1.2, linestyle=":", label=label)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        plain_ticks(axes.xaxis, [at for at in _FREQUENCIES_LABELLED if edges[0] <= at])
+        bottom, top = axes.get_ylim()
+        log_ticks(axes.yaxis, max(1, round(math.log10(top / bottom))))
+        axes.set(xlabel="frequency [cycles per row]", ylabel="power [DN²]")
+        legend_above(axes)
+
+    return _plot("row-bands", one, alt, draw)
+
+
+# --- read noise ---------------------------------------------------------------------------------------------------
+
+
+def ppcc_plot(one: IsoCalibration, shape: GivenFigure) -> Plot:
+    """Draw the correlation of the probability plot over the shape, and the shape that is given."""
+    read = one.read
+    alt = (
+        f"Correlation of the probability plot over the shape λ at ISO {one.iso:g}: highest at "
+        f"{digits(read.ppcc_lambda_plain)} on the residuals, {digits(read.ppcc_lambda)} allowing for rounding and the "
+        f"mean over frames; λ by maximum likelihood {estimated(shape)}."
+    )
+
+    def draw(axes: Axes, theme: Theme) -> None:
+        shapes, correlations = read.curve
+        best, at = read.highest_correlation, read.ppcc_lambda_plain
+        axes.plot(shapes, correlations, color=theme.found)
+        axes.axvline(at, color=theme.theory, label=f"maximum {digits(at, 2)}")
+        axes.plot(at, max(best, float(correlations.max())), "o", color=theme.theory)
+        reported = f"reported {digits(shape.value, 2)}"
+        axes.axvline(shape.value, color=theme.ink, linestyle="--", label=reported)
+        axes.axvline(GAUSSIAN_LAMBDA, color=theme.ink, linewidth=1, linestyle=":", label="Gaussian 0.14")
+        # The far left falls so deep that the maximum would not be seen.
+        floor = float(correlations[np.abs(shapes - at) < _AROUND_MAXIMUM].min())
+        axes.set_ylim(floor, best + 0.1 * (best - floor))
+        axes.set(xlabel="λ", ylabel="correlation")
+        legend_above(axes)
+
+    return _plot("ppcc", one, alt, draw)
+
+
+def read_noise_plots(one: IsoCalibration) -> tuple[Plot, Plot]:
+    """Draw the probability plots of the residuals against the normal and the Tukey-lambda distribution."""
+    plot, (gauss, tukey) = one.plot, (digits(r, 6) for r in (one.read.r_squared_gauss, one.read.r_squared_tl))
+    shape = "" if one.tukey_lambda is None else f" of shape {digits(plot.shape)}"
+    start = "Quantiles of the read noise against"
+    alt = f"{start} normal ones at ISO {one.iso:g}: R² {gauss}."
+    of_shape = f"{start} those of the Tukey-lambda distribution{shape} at ISO {one.iso:g}: R² {tukey}."
+
+    def probability_plot(
+        kind: str, said: str, expected: NDArray[np.float64], slope: float, r_squared: str, family: str
+    ) -> Plot:
+        draw = partial(
+            draw_quantiles,
+            expected=expected,
+            found=plot.ordered_dn,
+            line=(slope, 0.0),
+            names=(family, "read noise"),
+            labels=(f"{family} quantile", "read noise [DN]"),
+            note=f"R² {r_squared}",
+        )
+        return _plot(kind, one, said, draw)
+
+    return (
+        probability_plot("gaussian", alt, plot.normal, plot.slope_normal_dn, gauss, "normal"),
+        probability_plot(
+            "tukey-lambda", of_shape, plot.tukey_lambda, plot.slope_tukey_lambda_dn, tukey, "Tukey-lambda"
+        ),
+    )
+
+
+# --- real against simulated ---------------------------------------------------------------------------------------
+
+
+def reproduced_plots(one: IsoCalibration, found: Reproduction) -> tuple[Plot, Plot]:
+    """Draw the quantiles of a real bias frame over those of a simulated one, and the periodograms of their rows."""
+    r_squared = digits(found.r_squared, 6)
+    of_quantiles = (
+        f"Quantiles of the held-out bias frame against those of a simulated one at ISO {one.iso:g}, from 0.00001 to "
+        f"0.99999: R² {r_squared}."
+    )
+    quantiles = partial(
+        draw_quantiles,
+        expected=found.quantiles_simulated_dn,
+        found=found.quantiles_real_dn,
+        line=(1.0, 0.0),
+        names=("alike", "quantiles"),
+        labels=("simulated [DN]", "real [DN]"),
+        note=f"R² {r_squared}",
+    )
+    of_rows = (
+        f"Power of the row means of the held-out bias frame and of a simulated one at ISO {one.iso:g}. Standard "
+        f"deviation of the row means: real {digits(found.row_sigma_real_dn)} DN, simulated "
+        f"{digits(found.row_sigma_simulated_dn)} DN."
+    )
+
+    def rows(axes: Axes, theme: Theme) -> None:
+        frequency, real, simulated = found.smoothed_row_powers_dn2(len(one.sensor.cfa))
+        axes.plot(frequency, simulated, "--", color=theme.theory, label="simulated")
+        axes.plot(frequency, real, "-", color=theme.found, label="real")
+        _set_up_power(axes)
+        axes.set(xlabel="frequency [cycles per row]", ylabel="power [DN²]")
+        axes.legend(loc="upper right", ncols=2)
+
+    return (
+        _plot("reproduced-quantiles", one, of_quantiles, quantiles),
+        _plot("reproduced-rows", one, of_rows, rows),
+    )
+
+
+# --- pictures -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One picture, pixel by pixel: what it is called, what it shows in words, its PNG, its columns and rows."""
+
+    label: str
+    alt: str
+    png: bytes
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """Pictures on one scale: heading, what to look for, and what the darkest and the lightest grey stand for.
+
+    ``pixelated``: whether pixels are to stay squares when enlarged.
+    """
+
+    title: str
+    caption: str
+    pictures: tuple[Picture, ...]
+    black: str
+    white: str
+    pixelated: bool
+
+
+def _pictures(
+    kind: str,
+    planes: Iterable[tuple[str, str, NDArray[Any]]],
+    scale: tuple[float, float],
+    unit: str,
+    shown: tuple[float, float] | None = None,
+    **said: str,
+) -> Pictures:
+    """Return labelled and described planes on one scale, with the words of their kind.
+
+    ``shown`` is what the scale's ends are said to be, where these are not the values themselves.
+    """
+    words = plot_words("calibration")[kind]
+    black, white = (f"{digits(limit)} {unit}" for limit in shown or scale)
+    pictures = tuple(
+        Picture(label, alt, grey_png(plane, *scale), plane.shape[1], plane.shape[0]) for label, alt, plane in planes
+    )
+    return Pictures(words["title"], words["caption"].format(**said), pictures, black, white, pixelated=unit == "DN")
+
+
+def spectrum_picture(one: IsoCalibration) -> Pictures:
+    """Show the centred power spectrum of a bias frame, in which row noise is a line."""
+    spectrum = np.asarray(one.spectrum_dn2, dtype=np.float64)
+    lines = one.spectrum_lines
+    ground, rows, columns = lines.ground_dn2, lines.rows_dn2, lines.columns_dn2
+    low, high = limits([spectrum], 0.01, 0.999)
+    low = max(low, ground / 8, 1e-9)  # of a single tile, chance alone goes far down
+    high = max(high, 2 * low)
+    found = f"{digits(rows / ground)} times the ground" if ground > 0 else f"{digits(rows)} DN²"
+    across = f"{digits(columns / ground)} times" if ground > 0 else f"{digits(columns)} DN²"
+    alt = (
+        f"Centred power spectrum of a bias frame at ISO {one.iso:g}: the vertical line of rows is {found}, the "
+        f"horizontal one of columns {across}; the ground is {digits(ground)} DN²."
+    )
+    scale = (float(np.log(low)), float(np.log(high)))
+    plane = np.log(np.maximum(spectrum, low))
+    return _pictures("spectrum", [("", alt, plane)], scale, "DN²", (low, high), rows=found, columns=across)
+
+
+def reproduced_pictures(one: IsoCalibration, found: Reproduction) -> Pictures:
+    """Show the same piece of a real bias frame and of a simulated one, on one scale."""
+    frames, sigmas = (found.real_dn, found.simulated_dn), map(digits, found.shown_sigmas_dn)
+    planes = (
+        (name, f"Piece of the {name} bias frame at ISO {one.iso:g}, standard deviation {sigma} DN.", frame)
+        for name, frame, sigma in zip(("real", "simulated"), frames, sigmas, strict=True)
+    )
+    return _pictures("reproduced", planes, limits(frames, 0.002, 0.998), "DN")
+
+
+def shading_pictures(one: IsoCalibration) -> Pictures:
+    """Show the level of blocks of the sensor over each channel's mean."""
+    planes = [block_means(plane, max(1, -(-max(plane.shape) // _SHADING_SHOWN))) for plane in one.pattern.shading_dn]
+    limit = limits([abs(plane) for plane in planes], 0, 0.99)[1]
+    described = (
+        (name, f"Shading of {name} at ISO {one.iso:g}: blocks from {low} to {high} DN around the mean.", plane)
+        for name, plane in zip(one.bias.channels, planes, strict=True)
+        for low, high in [(digits(float(plane.min())), digits(float(plane.max())))]
+    )
+    return _pictures("shading", described, (-limit, limit), "DN")

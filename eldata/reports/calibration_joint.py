@@ -1,0 +1,258 @@
+"""Plots of a calibration over its ISOs: how the figures go together, and what the noise of pixels has in common."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from eldata.base.numbers import counted
+from eldata.calibration.audit.structure import COLUMN, DUTY, JUMP, PRNU, SHARE
+from eldata.plots.axes import MARKERS, bars, legend_above
+from eldata.plots.gains import bar, gain_over_iso, iso_axis, scale_over_gain
+from eldata.reports.calibration_iso import GAUSSIAN_LAMBDA
+from eldata.reports.figures import draw_plot
+from eldata.reports.html import digits, measured, plot_words
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from matplotlib.axes import Axes
+
+    from eldata.calibration.audit.structure import MeasuredStructure, StructureFigure
+    from eldata.calibration.core.findings import GivenFigure
+    from eldata.calibration.drawing import ScalePanel
+    from eldata.calibration.iso_results import IsoGain
+    from eldata.calibration.results import Calibration
+    from eldata.plots.axes import Theme
+    from eldata.reports.figures import Plot
+
+_CHANNEL_STEP = 0.07  # of ln ISO: side by side, where the channels' values are alike
+
+Point: TypeAlias = "tuple[float, float, float]"
+"""ISO, value and its standard error."""
+
+
+def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
+    """Draw every plot over the ISOs that there is data for."""
+    isos = calibration.isos
+    found = [_scale_plot(panel, _left_out(isos, "gain", panel.figure)) for panel in calibration.scale_panels]
+    with_gain = [one for one in calibration.all_isos if one.gain is not None]
+    if with_gain:
+        more = _left_out(calibration.all_isos, "gain")
+        found.append(_gain_plot(with_gain, calibration.usual_gain_per_iso, more))
+    shapes = [(one.iso, shape) for one in isos if (shape := one.tukey_lambda) is not None]
+    biases = [(one.iso, bias) for one in isos if (bias := one.colour_bias) is not None]
+    if shapes:
+        found.append(_lambda_plot(shapes, _left_out(isos, "read noise")))
+    if biases:
+        found.append(_bias_plot(isos[0].channels, biases, _left_out(isos, "colour bias")))
+    return (*found, *_structure_plots(calibration))
+
+
+def _left_out(isos: Sequence[IsoGain], *figures: str) -> str:
+    """Return which ISOs a plot lacks, since a figure that it needs is withheld, as a further sentence."""
+    names = [f"{one.iso:g}" for one in isos if not one.withheld.isdisjoint(figures)]
+    return f" Not shown, since withheld: ISO {', '.join(names)}." if names else ""
+
+
+def _scale_plot(panel: ScalePanel, more: str) -> Plot:
+    name, lines, points = panel.name, panel.lines, panel.points
+    scales = [scale for _, scale, _ in points]
+    span = f"from {digits(min(scales))} to {digits(max(scales))} DN"
+    alt = f"σ {name} over the gain K at {counted(len(points), 'ISO')}, {span}"
+    if not lines:
+        alt += "; too few for a line with its spread."
+    for mode, estimate in lines:
+        of_mode = f" of {mode}" if len(lines) > 1 else ""
+        alt += (
+            f", and the fitted line{of_mode} of slope {digits(estimate.fit.slope)} with bands of 1 and 2 residual "
+            f"deviations of {digits(estimate.fit.sigma)}; R² {digits(estimate.r_squared, 4)}"
+        )
+    alt += "." if lines else ""
+
+    def draw(axes: Axes, theme: Theme) -> None:
+        scale_over_gain(axes, name, [(line.fit, low, high) for line, low, high in panel.spans], points, theme)
+
+    caption = "caption" if lines else "without_line"
+    return draw_plot(
+        "calibration",
+        "scale",
+        alt,
+        draw,
+        name=f"sigma-{name.lower()}",
+        caption=caption,
+        more=more,
+        words={"name": name},
+    )
+
+
+def _plot_by_iso(
+    kind: str, isos: Sequence[float], alt: str, draw: Callable[..., object], *, ratio: float | None = None, more: str
+) -> Plot:
+    """Return a plot, with the words of its kind, whose (lower) axes have a logarithmic axis of ISOs."""
+
+    def draw_with_isos(*axes_and_theme: Any) -> None:
+        draw(*axes_and_theme)
+        iso_axis(axes_and_theme[-2], isos)
+
+    return draw_plot("calibration", kind, alt, draw_with_isos, ratio=ratio, more=more)
+
+
+def _gain_plot(known: Sequence[IsoGain], usual: float, more: str) -> Plot:
+    isos, gains = [one.iso for one in known], [one.gain_dn_per_e or 0.0 for one in known]
+    relative = [gain / iso / usual for gain, iso in zip(gains, isos, strict=True)]
+    errors = [0.0 if one.gain is None else bar(one.gain.error) for one in known]
+    apart = [error / iso / usual for error, iso in zip(errors, isos, strict=True)]
+    alt = (
+        f"K at {counted(len(known), 'ISO')}, {digits(min(gains), 4)} to {digits(max(gains), 4)} DN/e⁻. K / ISO stays "
+        f"within {max(abs(ratio - 1) for ratio in relative):.1%} of its median."
+    )
+
+    def draw(main: Axes, below: Axes, theme: Theme) -> None:
+        gain_over_iso(main, isos, gains, errors, usual, theme)
+        below.axhline(1, color=theme.theory, linewidth=1)
+        bars(below, isos, relative, apart, theme)
+        # With the bars: one that was made longer, for what a finding may cost, would pass the axes' ends.
+        reach = 1.1 * max(0.018, *(abs(ratio - 1) + error for ratio, error in zip(relative, apart, strict=True)))
+        below.set_ylim(1 - reach, 1 + reach)
+        below.set_ylabel("K / ISO [median]")
+
+    return _plot_by_iso("gain", isos, alt, draw, ratio=1.8, more=more)
+
+
+def _lambda_plot(given: Sequence[tuple[float, GivenFigure]], more: str) -> Plot:
+    isos, shapes = [iso for iso, _ in given], [shape.value for _, shape in given]
+    span = f"from {digits(min(shapes))} to {digits(max(shapes))}"
+    alt = f"Shape λ of the read noise at {counted(len(shapes), 'ISO')}, {span}."
+
+    def draw(axes: Axes, theme: Theme) -> None:
+        axes.axhline(GAUSSIAN_LAMBDA, color=theme.ink, linewidth=1, linestyle=":", label="Gaussian, 0.14")
+        axes.axhline(0, color=theme.theory, linewidth=1, label="logistic, 0")
+        bars(axes, isos, shapes, [bar(shape.error) for _, shape in given], theme)
+        axes.set_ylabel("λ")
+        axes.margins(y=0.1)
+        legend_above(axes)
+
+    return _plot_by_iso("lambda", isos, alt, draw, more=more)
+
+
+def _bias_plot(names: Sequence[str], given: Sequence[tuple[float, Sequence[GivenFigure]]], more: str) -> Plot:
+    isos = [iso for iso, _ in given]
+    values = [channel.value for _, bias in given for channel in bias]
+    span = f"from {digits(min(values))} to {digits(max(values))} DN"
+    alt = f"Colour bias by channel at {counted(len(isos), 'ISO')}, {span}."
+
+    def draw(axes: Axes, theme: Theme) -> None:
+        axes.axhline(0, color=theme.theory, linewidth=1)
+        for channel, name in enumerate(names):
+            aside = math.exp((channel - (len(names) - 1) / 2) * _CHANNEL_STEP)
+            axes.errorbar(
+                [iso * aside for iso in isos],
+                [bias[channel].value for _, bias in given],
+                yerr=[bar(bias[channel].error) for _, bias in given],
+                fmt=MARKERS[channel],
+                color=theme.channels[channel],
+                label=name,
+            )
+        axes.set_ylabel("colour bias [DN]")
+        axes.margins(y=0.1)
+        legend_above(axes)
+
+    return _plot_by_iso("biases", isos, alt, draw, more=more)
+
+
+# --- what the noise of pixels has in common -----------------------------------------------------------------------
+
+_NONE, _MISSING = "none seen", "not measured"
+
+
+def structure_numbers(structure: MeasuredStructure, withheld: frozenset[str]) -> tuple[tuple[str, str], ...]:
+    """Return the figures of one ISO by name, with their errors; ``withheld``: which kinds of its figures are."""
+    of_rows = "withheld" if "row noise" in withheld else _MISSING
+    spectrum, jumping = structure.row_spectrum, structure.telegraph
+    numbers = [("C: σ column", _told(COLUMN, structure, of_rows))]
+    if spectrum is None:
+        numbers.append(("W: rows", of_rows))
+    else:
+        is_banded = len(spectrum.power_dn2) > 1 or bool(spectrum.waves)
+        numbers += [
+            ("W: rows", "banded" if is_banded else "independent of each other"),
+            ("σ of the rows by W", f"{digits(math.sqrt(spectrum.variance_dn2))} DN"),
+            *(
+                (f"Wave of {digits(1 / wave.frequency_per_row)} rows", measured(wave.amplitude_dn, error, "DN"))
+                for wave, error in zip(spectrum.waves, structure.wave_errors_dn, strict=True)
+            ),
+        ]
+    numbers.append(("T: telegraph pixels", _told(SHARE, structure)))
+    if jumping is not None and jumping.share:
+        numbers += [
+            ("They jump by", _told(JUMP, structure)),
+            ("Share of frames at the upper level", _told(DUTY, structure)),
+            ("λ of the others, less that of all", digits(jumping.tukey_lambda_shift, 2)),
+            ("σ TL of the others, over that of all", digits(jumping.sigma_tl_ratio)),
+        ]
+    numbers.append(("F: PRNU", _told(PRNU, structure)))
+    return tuple(numbers)
+
+
+def _told(figure: StructureFigure, structure: MeasuredStructure, missing: str = _MISSING) -> str:
+    found = figure.of(structure)
+    return missing if found is None else _or_none(*found, figure.unit)
+
+
+def _or_none(value: float, error: float, unit: str) -> str:
+    return measured(value, error, unit) if value else _NONE
+
+
+def _structure_plots(calibration: Calibration) -> list[Plot]:
+    """Draw what was found over the ISOs: telegraph pixels, and the two patterns that have one figure."""
+    known = [(one.iso, one.structure) for one in calibration.isos if one.structure is not None]
+    columns, shares, jumps, responses = (
+        [(iso, *found) for iso, one in known if (found := figure.of(one)) is not None]
+        for figure in (COLUMN, SHARE, JUMP, PRNU)
+    )
+    plots = []
+    if shares:
+        plots.append(_plot_two_over_isos("telegraph", (shares, jumps), (SHARE.page_heading, JUMP.page_heading)))
+    if columns or responses:
+        profile = calibration.made_profile
+        pooled = None if profile is None else next((one.prnu for one in profile.structure), None)
+        level, labels = None if pooled is None else 100 * pooled, (COLUMN.page_heading, PRNU.page_heading)
+        plots.append(_plot_two_over_isos("patterns", (columns, responses), labels, level))
+    return plots
+
+
+def _plot_two_over_isos(
+    kind: str, points: tuple[Sequence[Point], Sequence[Point]], labels: tuple[str, str], level: float | None = None
+) -> Plot:
+    """Draw two figures over the ISOs, one above the other, and a line at a level in the lower one."""
+    by_iso = [", ".join(f"{_or_none(value, error, '')} at ISO {iso:g}" for iso, value, error in of) for of in points]
+    found = "; ".join(f"{label}: {listed}" for label, listed in zip(labels, by_iso, strict=True) if listed)
+
+    def draw(main: Axes, below: Axes, theme: Theme) -> None:
+        for axes, of_one, label in zip((main, below), points, labels, strict=True):
+            _draw_bars(axes, of_one, theme)
+            axes.set_ylabel(label)
+        if level is not None:
+            below.axhline(level, color=theme.theory, label=f"in the profile, {digits(level)}")
+            below.legend(loc="best")
+
+    isos = sorted({iso for of_one in points for iso, _, _ in of_one})
+    alt = f"{plot_words('calibration')[kind]['title']}. {found}."
+    return _plot_by_iso(kind, isos, alt, draw, ratio=1, more="")
+
+
+def _draw_bars(axes: Axes, points: Sequence[Point], theme: Theme) -> None:
+    """Draw values with their errors; what is not told from nothing as rings at 0, which have none."""
+    seen = [point for point in points if point[1]]
+    none = [iso for iso, value, _ in points if not value]
+    if seen:
+        isos, values, errors = zip(*seen, strict=True)
+        axes.errorbar(isos, values, yerr=errors, fmt="o", color=theme.found, capsize=3)
+    if none:
+        axes.plot(none, [0.0] * len(none), "o", color=theme.found, markerfacecolor="none")
+    if points:
+        axes.set_ylim(0 if not none else None, None)
+        axes.margins(y=0.2)
+    else:
+        axes.set_yticks([])

@@ -1,1 +1,0 @@
-"""The pages and plots that hold methods against each other."""

@@ -1,0 +1,356 @@
+"""A comparison of methods as one HTML page: tables, differences, every image, biggest wins and losses."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from eldata.base.files import write_text
+from eldata.base.tables import Strong
+from eldata.evaluation.comparison.tables import (
+    LABELS,
+    contests_note,
+    contests_table,
+    gains_table,
+    means_table,
+    signed_text,
+    statistics_note,
+    summary_of,
+)
+from eldata.evaluation.looking import scenes_of, scores_in_order
+from eldata.plots.pictures import heat_gradient
+from eldata.plots.scores import draw_points, mean_gains, short
+from eldata.reports.evaluation import FACTS, Cell, Table, fact_cells, field_text, number_cell
+from eldata.reports.figures import draw_plot
+from eldata.reports.html import digits, rendered_with_script, signed
+from eldata.reports.pictures import draw_images, picture_file
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+
+    from eldata.base.workers import Workers
+    from eldata.evaluation.comparison import Comparison, Method, Pairing
+    from eldata.evaluation.looking import ScoredImage
+    from eldata.evaluation.scores import UnitScore
+    from eldata.evaluation.statistics import Difference
+    from eldata.plots.axes import Theme
+    from eldata.reports.figures import Plot
+    from eldata.reports.pictures import DrawnImage, DrawnImages
+
+
+def write_comparison_page(
+    comparison: Comparison,
+    out: Path | str,
+    *,
+    images: Sequence[ScoredImage] = (),
+    whole: bool = False,
+    workers: Workers | None = None,
+) -> None:
+    """Write the page of a comparison, whole or not at all.
+
+    Parameters
+    ----------
+    comparison
+        Methods on their common images.
+    out
+        The file.
+    images
+        What to decode of each common image (:func:`eldata.evaluation.looking.images_of`): their pictures are drawn
+        into the folder ``<page>-pictures`` beside the page. Of none, the page has no pictures.
+    whole, workers
+        As for :func:`eldata.reports.pictures.draw_images`.
+
+    Raises
+    ------
+    RawFileError, PredictionError, EldataError
+        If a file is no longer what was scored, or the page cannot be written.
+    """
+    drawn = draw_images(images, out, whole=whole, workers=workers) if images else None
+    write_text(out, comparison_page(comparison, drawn))
+
+
+def comparison_page(comparison: Comparison, drawn: DrawnImages | None = None) -> str:
+    """Return the page; the same comparison gives the same text."""
+    first, *others = comparison.methods
+    return rendered_with_script(
+        "compare.html",
+        "compare.js",
+        picture_policy="" if drawn is None else " 'self' file:",
+        kind=comparison.kind,
+        title=f"{' and '.join(_names(others))} against {first.name}",
+        summary=f"{summary_of(comparison)}.",
+        warnings=comparison.warnings,
+        note=statistics_note(comparison),
+        means=_means_table(comparison),
+        sections=[_section(comparison, index) for index in range(len(others))],
+        contests=_differences_table(comparison) if comparison.contests else None,
+        contests_note=contests_note(comparison),
+        looking=None if drawn is None else _looking(comparison, drawn),
+        facets=_facets(comparison),
+        gradient=heat_gradient(),
+        rows=_rows(comparison),
+        methods=[
+            {"name": method.name, "id": f"method-{index}", "fields": _fields(method)}
+            for index, method in enumerate(comparison.methods, start=1)
+        ],
+    )
+
+
+def _names(methods: Sequence[Method]) -> list[str]:
+    names = [method.name for method in methods]
+    return names if len(names) < 3 else [", ".join(names[:-1]), names[-1]]
+
+
+def _fields(method: Method) -> list[tuple[str, str]]:
+    result = method.result
+    return [
+        ("file", result.source),
+        ("scored", f"{result.scored} of {result.expected} {result.kind.counted}"),
+        ("protocol", result.protocol.name),
+        *((name, field_text(value)) for name, value in result.provenance.items()),
+    ]
+
+
+# --- tables -------------------------------------------------------------------------------------------------------
+
+
+def _means_table(comparison: Comparison) -> Table:
+    means = means_table(comparison, "×")
+    rows = [
+        (
+            *map(Cell, row[:LABELS]),
+            *(Cell(signed(text), "best" if isinstance(text, Strong) else "") for text in row[LABELS:]),
+        )
+        for row in means.rows
+    ]
+    return Table(means.header, tuple(rows), rules=means.rules)
+
+
+def _section(comparison: Comparison, index: int) -> dict[str, Any]:
+    first, other = comparison.methods[0], comparison.methods[index + 1]
+    wins, losses = comparison.extremes(index)
+    return {
+        "title": f"{other.name} against {first.name}",
+        "id": f"gain-{index + 1}",
+        "verdict": _verdict(comparison.whole.gains[index]["psnr_db"], first.name, other.name),
+        "table": _differences_table(comparison, index),
+        "plots": gain_plots(comparison, index),
+        "wins": _extremes_table(wins, comparison),
+        "losses": _extremes_table(losses, comparison),
+    }
+
+
+def _differences_table(comparison: Comparison, index: int | None = None) -> Table:
+    """Return the differences of the method of this index among all but the first; without one, each against each."""
+    kind = comparison.kind
+    if index is None:
+        table, gains, labels, each = contests_table(comparison), [one.gains for one in comparison.contests], 2, 4
+    else:  # with the number of scenes after the labels
+        table, gains = gains_table(comparison, index, "×"), [group.gains[index] for group in comparison.groups]
+        labels, each = LABELS + 1, 3
+    rows = []
+    for of, texts in zip(gains, table.rows, strict=True):
+        looks = [""] * (len(texts) - labels)
+        for at, metric in enumerate(kind.metrics):
+            looks[each * at] = _look(of[metric.name].interval.sign * metric.sign)
+        cells = (
+            Cell("–" if text == "-" else signed(text), look) for text, look in zip(texts[labels:], looks, strict=True)
+        )
+        rows.append((*map(Cell, texts[:labels]), *cells))
+    return Table(table.header, tuple(rows), table.left, table.rules)
+
+
+def _look(sign: float) -> str:
+    """Return how a difference looks: better or worse, or neither."""
+    return "ok" if sign > 0 else "off" if sign < 0 else ""
+
+
+def _verdict(difference: Difference, first: str, other: str) -> str:
+    interval = difference.interval
+    if not math.isfinite(interval.mean):
+        return f"The mean difference of PSNR is not finite: a prediction equals its reference, of {first} or {other}."
+    size = f"{signed(signed_text(interval.mean, 2))} dB on average"
+    if not interval.is_known:
+        return f"{size}; {interval.scenes} scenes are too few for an interval."
+    reach = signed(f"{signed_text(interval.low, 2)} to {signed_text(interval.high, 2)}")
+    if interval.sign:
+        better = other if interval.sign > 0 else first
+        return f"{size} ({reach}): {better} is better by more than the choice of scenes explains."
+    return f"{size} ({reach}): the choice of scenes may explain all of it."
+
+
+def _row_name(place: int) -> str:
+    """Return the identifier of the row of the image at this place of the comparison."""
+    return f"image-{place + 1}"
+
+
+def _extremes_table(pairings: Sequence[Pairing], comparison: Comparison) -> Table | None:
+    """Return a table of wins or losses; ``None`` if there are none."""
+    if not pairings:
+        return None
+    kind = comparison.kind
+    places = {scores[0].path: place for place, scores in enumerate(comparison.images)}
+    rows = [
+        (
+            Cell(one.first.name, link=_row_name(places[one.first.path])),
+            *fact_cells(one.first, kind),
+            Cell(signed(signed_text(one.gain_db, 2))),
+            Cell(signed(signed_text(one.gain_ssim, 3))),
+        )
+        for one in pairings
+    ]
+    return Table((kind.unit, *(() if kind.is_of_clips else FACTS), "PSNR [dB]", "SSIM"), tuple(rows))
+
+
+def _rows(comparison: Comparison) -> Table:
+    kind = comparison.kind
+    first, *others = comparison.methods
+    header = [kind.unit, "camera", "scene", *(() if kind.is_of_clips else FACTS), f"{first.name} dB"]
+    for method in others:
+        header += [f"{method.name} dB", "difference"]
+    rows = []
+    every = list(zip(*(comparison.pairings(index) for index in range(len(others))), strict=True))
+    for place in comparison.worst_first():
+        of_image, base = every[place], every[place][0].first
+        row = [
+            Cell(base.name, link=_row_name(place), name=_row_name(place)),
+            *(Cell(text) for text in (base.camera, base.scene)),
+            *fact_cells(base, kind),
+            number_cell(base.psnr_db, f"{base.psnr_db:.2f}"),
+        ]
+        for one in of_image:
+            psnr, gain = one.other.psnr_db, one.gain_db
+            row += [number_cell(psnr, f"{psnr:.2f}"), number_cell(gain, signed_text(gain, 2), _look(gain))]
+        rows.append(tuple(row))
+    return Table(tuple(header), tuple(rows), left=(0, 1, 2))
+
+
+# --- pictures -----------------------------------------------------------------------------------------------------
+
+
+def _facets(comparison: Comparison) -> dict[str, list[str]]:
+    """Return the columns that images are filtered by, with their values in the order of the choice."""
+    scores = [of[0] for of in comparison.images]
+    found = {
+        "camera": [score.camera for score in scores_in_order(scores, comparison.methods[0].result.dataset)],
+        "scene": scenes_of(scores),
+    }
+    if not comparison.kind.is_of_clips:
+        isos, factors = zip(*(fact_cells(score, comparison.kind) for score in scores), strict=True)
+        for name, cells in (("ISO", isos), ("factor", factors)):
+            found[name] = [cell.text for cell in sorted(cells, key=lambda cell: float(cell.value or 0))]
+    return {name: list(dict.fromkeys(values)) for name, values in found.items()}
+
+
+def _looking(comparison: Comparison, drawn: DrawnImages) -> dict[str, Any]:
+    """Return what the viewer shows: its panels, and of each image addresses, sizes and words.
+
+    A panel has a key, what it is called, the key of the error below it, and the key of a keyboard that chooses it.
+    """
+    images = [
+        _looked_at(scores, image, comparison, drawn.folder)
+        for scores, image in zip(comparison.images, drawn.images, strict=True)
+    ]
+    panels = [
+        *([("input", "Input", "", "i")] if "input" in drawn.images[0].layers else []),
+        *(
+            (f"method-{index}", method.name, f"error-{index}", str(index) if index < 10 else "")
+            for index, method in enumerate(comparison.methods, start=1)
+        ),
+        ("reference", "Reference", "", "r"),
+    ]
+    return {
+        "panels": [dict(zip(("key", "name", "error", "digit"), panel, strict=True)) for panel in panels],
+        "first": images[comparison.worst_first()[0]],
+        "data": {_row_name(image["place"]): image for image in images},
+        "colours": comparison.methods[0].result.protocol.pixels,
+    }
+
+
+def _looked_at(scores: Sequence[UnitScore], image: DrawnImage, comparison: Comparison, folder: str) -> dict[str, Any]:
+    first, kind, (rows, columns) = scores[0], comparison.kind, image.part
+    iso, factor = (fact_cells(first, kind) or (Cell("–"), Cell("")))[:2]
+    facts = [f"{first.camera}, {first.scene}", f"ISO {iso.text}" if first.iso else "", factor.text]
+    facts.append(f"shown {image.brighter:g} times brighter" if image.brighter != 1 else "")
+    return {
+        "place": image.number - 1,
+        "name": first.name,
+        "facts": ", ".join(filter(None, facts)),
+        "scores": {
+            f"method-{index}": ", ".join(
+                f"{metric.format(score.values[metric.name])} {metric.unit or metric.label}" for metric in kind.metrics
+            )
+            for index, score in enumerate(scores, start=1)
+        },
+        "files": {layer: f"{folder}/{picture_file(image, layer)}" for layer in (*image.layers, "whole")},
+        "box": [columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start],
+        "size": [image.size[1], image.size[0]],
+        "limit": digits(image.error_limit, 2),
+    }
+
+
+# --- plots --------------------------------------------------------------------------------------------------------
+
+
+def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
+    """Return the plots of the method of this index among all but the first; none of no finite scores.
+
+    They show the mean differences of groups with their intervals; each image by both methods; and its difference over
+    the first one's score.
+    """
+    finite = [one for one in comparison.pairings(index) if one.is_finite]
+    if not finite:
+        return ()
+    kind, (first, other) = comparison.kind, (comparison.methods[at].name for at in (0, index + 1))
+    groups = [group for group in comparison.groups if math.isfinite(group.gains[index]["psnr_db"].interval.mean)]
+    both = [(one.first.ratio, one.first.psnr_db, one.other.psnr_db) for one in finite]
+    gains = [(one.first.ratio, one.first.psnr_db, one.gain_db) for one in finite]
+    values = [value for _, *scores in both for value in scores]
+    margin = 0.04 * (max(values) - min(values)) + 0.1
+    reach = min(values) - margin, max(values) + margin
+
+    def draw_groups(axes: Axes, theme: Theme) -> None:
+        means = [group.gains[index]["psnr_db"].interval.ends for group in groups]
+        mean_gains(axes, [group.name for group in groups], [(other, means)], theme)
+        axes.set_xlabel("difference of PSNR [dB]")
+
+    def draw_both(axes: Axes, theme: Theme) -> None:
+        axes.plot(reach, reach, color=theme.theory, linewidth=1)
+        draw_points(axes, both, theme, alpha=0.6)
+        axes.set(xlim=reach, ylim=reach)
+        axes.set_xlabel(f"{short(first)} [dB]", parse_math=False)
+        axes.set_ylabel(f"{short(other)} [dB]", parse_math=False)
+
+    def draw_gains(axes: Axes, theme: Theme) -> None:
+        axes.axhline(0, color=theme.theory, linewidth=1)
+        draw_points(axes, gains, theme, alpha=0.6)
+        axes.set_xlabel(f"{short(first)} [dB]", parse_math=False)
+        axes.set_ylabel("difference [dB]")
+
+    better = sum(one.gain_db > 0 for one in finite)
+    low, high = min(gain for _, _, gain in gains), max(gain for _, _, gain in gains)
+    words: dict[str, object] = {
+        "first": first,
+        "other": other,
+        "better": better,
+        "count": len(finite),
+        "unit": kind.unit,
+    }
+    words |= {"Unit": kind.unit.capitalize(), "units": kind.units, "Units": kind.units.capitalize()}
+    said = {
+        "gain-groups": (f"Mean difference of PSNR, {other} minus {first}, of {len(groups)} groups.", draw_groups),
+        "gain-scatter": (
+            f"PSNR of {other} against that of {first} on {len(finite)} {kind.units}; it is higher on {better}.",
+            draw_both,
+        ),
+        "gain-level": (
+            f"Difference of PSNR, from {low:.2f} to {high:.2f} dB, against the PSNR of {first}.",
+            draw_gains,
+        ),
+    }
+    return tuple(
+        draw_plot("compare", name, alt, draw, name=f"{name}-{index}", words=words) for name, (alt, draw) in said.items()
+    )

@@ -1,0 +1,386 @@
+"""An evaluation as one HTML page: the paper's table with intervals, plots, pictures, every image, provenance."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from eldata.base.files import write_text
+from eldata.base.numbers import counted
+from eldata.errors import ArgumentError
+from eldata.evaluation.looking import (
+    INTERVAL,
+    TOO_FEW,
+    columns_of,
+    factors_of,
+    finite_scores,
+    interval_note,
+    scores_in_order,
+    worst_and_best_images,
+)
+from eldata.evaluation.scores import factor_text, short_digest
+from eldata.plots.axes import number
+from eldata.plots.pictures import heat_gradient
+from eldata.plots.scores import draw_points, strips
+from eldata.protocols.words import FIELDS, in_words
+from eldata.reports.figures import draw_plot
+from eldata.reports.html import digits, rendered_with_script, signed
+from eldata.reports.pictures import ShownImage, ShownImages, show_images
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from matplotlib.axes import Axes
+
+    from eldata.base.figures import Figure
+    from eldata.evaluation.looking import Column, Grouping
+    from eldata.evaluation.results import EvaluationResult
+    from eldata.evaluation.scores import UnitScore
+    from eldata.evaluation.statistics import Interval
+    from eldata.plots.axes import Theme
+    from eldata.protocols.kinds import Kind
+    from eldata.reports.figures import Plot
+
+EACH: Final = 4
+"""How many of the worst and of the best are shown."""
+
+_USUAL = (0.8, 1.25)  # factors that errors of exposure come to
+
+
+def write_evaluation_page(
+    results: Sequence[EvaluationResult],
+    out: Path | str,
+    *,
+    dataset_folder: Path,
+    predictions: Path | None,
+    dark_shading: Path | None = None,
+    store: Path | None = None,
+) -> None:
+    """Write the page of an evaluation, whole or not at all.
+
+    Parameters
+    ----------
+    results
+        One, or the same predictions under several protocols: the first is shown in full, the others by their tables.
+    out
+        The file.
+    dataset_folder, predictions
+        Where the raw files and the predictions lie (``None`` of a baseline): the worst and the best are decoded once
+        more, to be shown.
+    dark_shading
+        The file of what was taken off the inputs, if anything was.
+    store
+        The store that was read in place of the dataset's files, if one was.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no result, or it was read back.
+    RawFileError, PredictionError, EldataError
+        If a file is no longer what was scored, or the page cannot be written.
+    """
+    if not results:
+        raise ArgumentError("a page is of one result or more; found none")
+    where = {"dataset_folder": dataset_folder, "dark_shading": dark_shading, "store": store}
+    images = worst_and_best_images(results[0], EACH, predictions=predictions, **where)
+    write_text(out, evaluation_page(results, show_images(images)))
+
+
+def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> str:
+    """Return the page; the same results and pictures give the same text."""
+    result, kind = results[0], results[0].kind
+    ids = {image.score.path: f"picture-{index}" for index, image in enumerate(shown.images, start=1)}
+    plots = score_plots(
+        scores_in_order(result.scores, result.dataset),
+        kind,
+        rescaled=result.rescales,
+        scenes_shared=result.scenes_shared,
+    )
+    sections = [("means", "Means")]
+    sections += [("distributions", "Distributions")] if plots else []
+    sections += [("pictures", "Worst and best")] if shown.images else []
+    sections += [("images", f"Every {kind.unit}")] if result.scores else []
+    return rendered_with_script(
+        "evaluation.html",
+        kind=kind,
+        result=result,
+        title=f"{_method(result)} on {result.dataset}",
+        subtitle=f"Protocol {result.protocol.name} ({short_digest(result.digest)}): {result.protocol.title}",
+        remarks=[
+            *map(str, result.suspicions),
+            *(note[:1].upper() + note[1:] for note in result.notes),
+        ],
+        tiles=_tiles(result),
+        sections=[*sections, ("provenance", "Provenance")],
+        table=table_with_intervals(result),
+        interval_note=interval_note(result),
+        protocols=_protocols(results) if len(results) > 1 else None,
+        others=[(other, table_with_intervals(other)) for other in results[1:]],
+        plots=plots,
+        shown=shown,
+        each=EACH,
+        error_limit=digits(shown.error_limit, 2),
+        gradient=heat_gradient(),
+        groups={
+            rank: [
+                (ids[image.score.path], image, _facts(image, result)) for image in shown.images if image.rank == rank
+            ]
+            for rank in dict.fromkeys(image.rank for image in shown.images)
+        },
+        rows=_rows(result, ids),
+        protocol_fields=[(name, _protocol_text(name, value)) for name, value in result.protocol.as_dict().items()],
+        provenance_fields=[(name, field_text(value)) for name, value in result.provenance.items()],
+    )
+
+
+# --- parts that the comparison's page shares ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A cell: its text, how it looks (a class of the style), what it sorts by, where it leads, its row's identifier."""
+
+    text: str
+    look: str = ""
+    value: str | None = None
+    link: str = ""
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Cells of a table; which columns stand to the left, which rows have a line above."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    left: tuple[int, ...] = (0,)
+    rules: tuple[int, ...] = ()
+
+
+def number_cell(value: float, text: str, look: str = "") -> Cell:
+    """Return a cell that sorts by its number; what is not known sorts last."""
+    return Cell(signed(text) if not math.isnan(value) else "–", look, json.dumps(value))
+
+
+FACTS = ("ISO", "factor")
+"""What :func:`fact_cells` states."""
+
+
+def fact_cells(score: UnitScore, kind: Kind) -> tuple[Cell, ...]:
+    """Return ISO and factor of an image; clips state none."""
+    if kind.is_of_clips:
+        return ()
+    iso = number_cell(score.iso, f"{score.iso:g}" if score.iso else "–")
+    return iso, number_cell(score.ratio or 0.0, factor_text(score.ratio, "×"))
+
+
+def field_text(value: Any) -> str:
+    """Return a field of a protocol or of a provenance as a page shows it."""
+    if isinstance(value, str):
+        return value or "–"
+    if isinstance(value, (list, dict)) and not value:
+        return "none"
+    if isinstance(value, list) and all(isinstance(item, (str, int, float)) for item in value):
+        return ", ".join(str(item) for item in value)
+    return "none" if value is None else json.dumps(value, ensure_ascii=False)
+
+
+def _protocol_text(name: str, value: Any) -> str:
+    """Return a field of a protocol in words, where there are any."""
+    return in_words(name, value) if name in FIELDS else field_text(value)
+
+
+# --- tables -------------------------------------------------------------------------------------------------------
+
+
+def table_with_intervals(result: EvaluationResult) -> Table:
+    """Return the paper's table with the number of scenes, and the interval after each mean."""
+    metrics, (counted, *heads) = result.kind.metrics, result.kind.heads
+    texts = []
+    for row in result.table:
+        coverage, *means = row.texts(result.kind)
+        found = [result.interval(row, metric.name) for metric in metrics]
+        cells = [coverage, str(found[0].scenes)]
+        for mean, interval, metric in zip(means, found, metrics, strict=True):
+            cells += [mean, _interval_text(interval, metric)]
+        texts.append(cells)
+    names = [counted, "scenes", *(name for head in heads for name in (head, INTERVAL))]
+    paper = result.laid_out(names, texts, "×")
+    rules = tuple(range(2, len(names), 2)) if paper.transposed else paper.rules
+    return Table(paper.header, _cells(paper.rows), rules=rules)
+
+
+def _cells(rows: Iterable[tuple[str, ...]]) -> tuple[tuple[Cell, ...], ...]:
+    return tuple(tuple(Cell("–" if text == "-" else text) for text in row) for row in rows)
+
+
+def _interval_text(interval: Interval, metric: Figure) -> str:
+    return signed(f"{metric.format(interval.low)} to {metric.format(interval.high)}") if interval.is_known else "–"
+
+
+def _protocols(results: Sequence[EvaluationResult]) -> Table:
+    kind = results[0].kind
+    rows = [
+        (result.protocol.name, short_digest(result.digest), *result.whole.texts(kind))
+        for result in results
+        if result.table
+    ]
+    return Table(("protocol", "digest", *kind.heads), _cells(rows))
+
+
+def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
+    kind = result.kind
+    rows = []
+    for score in scores_in_order(result.scores, result.dataset):
+        cells = [Cell(score.name, link=ids.get(score.path, "")), Cell(score.camera), Cell(score.scene)]
+        cells += fact_cells(score, kind)
+        for metric in kind.metrics:
+            value = score.values[metric.name]
+            cells.append(number_cell(value, metric.format_single(value)))
+        rows.append((*cells, number_cell(score.rescale, f"{score.rescale:.3f}")))
+    facts = () if kind.is_of_clips else FACTS
+    header = (kind.unit, "camera", "scene", *facts, *kind.heads[1:], "rescaled by")
+    return Table(header, tuple(rows), left=(0, 1, 2))
+
+
+# --- words --------------------------------------------------------------------------------------------------------
+
+
+def _method(result: EvaluationResult) -> str:
+    """Return what to call the predictions: their folder's name, or the baseline."""
+    predictions = str(result.provenance.get("predictions", ""))
+    if predictions.startswith("none: "):
+        return predictions.removeprefix("none: ").capitalize()
+    return PurePath(predictions).name or "Predictions"
+
+
+def _tiles(result: EvaluationResult) -> list[tuple[str, str, str]]:
+    """Return names, values and notes of what the page shows large."""
+    if not result.scores:
+        return []
+    tiles = []
+    for metric in result.kind.metrics:
+        interval = result.interval(result.whole, metric.name)
+        note = f"{INTERVAL.split()[0]}: {_interval_text(interval, metric)}" if interval.is_known else TOO_FEW
+        tiles.append((metric.label, f"{metric.format(interval.mean)} {metric.unit}".rstrip(), note))
+    cameras = len({score.camera for score in result.scores})
+    return [
+        *tiles,
+        (result.kind.units.capitalize(), str(result.scored), f"of {result.expected} {result.kind.counted}"),
+        ("Scenes", str(interval.scenes), f"of {counted(cameras, 'camera')}"),
+    ]
+
+
+def _facts(image: ShownImage, result: EvaluationResult) -> str:
+    score = image.score
+    parts = [
+        *(
+            f"{text} {metric.unit}" if metric.unit else f"{metric.label} {text}"
+            for metric in result.kind.metrics
+            for text in [metric.format(score.values[metric.name])]
+        ),
+        *([f"rescaled by {score.rescale:.3f}"] if result.rescales else []),
+        f"{score.camera}, {score.scene}",
+        *([f"ISO {score.iso:g}"] if score.iso else []),
+        *([factor_text(score.ratio, "×")] if score.ratio is not None else ["the frame with the lowest PSNR"]),
+        *([f"shown {image.brighter:g} times brighter"] if image.brighter != 1 else []),
+    ]
+    return ", ".join(parts)
+
+
+# --- plots of scores, one by one: by camera, ISO and factor, and the rescaling that was found ------------------------
+
+
+def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool, scenes_shared: bool) -> tuple[Plot, ...]:
+    """Return the plots of a result; none of no scores. Those of the rescaling only if the protocol rescales."""
+    finite = finite_scores(scores, kind)
+    if not finite:
+        return ()
+    left_out = len(scores) - len(finite)
+    note = f" Not drawn: {left_out} without a finite score." if left_out else ""
+    groupings: tuple[Grouping, ...] = ("camera", "iso") if any(score.iso for score in finite) else ("camera",)
+    plots = [
+        _strips_plot(metric, columns_of(finite, by, scenes_shared=scenes_shared), by, kind, note)
+        for by in groupings
+        for metric in kind.metrics
+    ]
+    positive = [score for score in finite if math.isfinite(score.rescale) and score.rescale > 0]
+    if rescaled and positive:
+        plots += _rescaling_plots(positive, kind, scenes_shared=scenes_shared)
+    return tuple(plots)
+
+
+def _strips_plot(metric: Figure, columns: Sequence[Column], by: Grouping, kind: Kind, note: str) -> Plot:
+    """Draw the values of each group in a column."""
+    scores = [score for column in columns for score in column.scores]
+    groups = list(dict.fromkeys(column.group for column in columns))
+    values = [score.values[metric.name] for score in scores]
+
+    def draw(axes: Axes, theme: Theme) -> None:
+        strips(axes, [column.to_draw(metric.name) for column in columns], theme)
+        axes.set_ylabel(metric.heading)
+
+    alt = (
+        f"{metric.heading} of {len(scores)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
+        f"{min(values):.4g} to {max(values):.4g}."
+    )
+    name = f"{re.sub(r'[^a-z0-9]+', '-', metric.label.lower())}-{by}"
+    by_what = f"{'ISO' if by == 'iso' else by}{'' if factors_of(scores) == [None] else ' and factor'}"
+    words = {"metric": metric.label, "groups": by_what, "unit": kind.unit, "note": note}
+    return draw_plot("evaluation", "by-group", alt, draw, name=name, words=words)
+
+
+def _rescaling_plots(scores: Sequence[UnitScore], kind: Kind, *, scenes_shared: bool) -> tuple[Plot, Plot]:
+    """Draw the factors by camera, and the PSNR over them."""
+    columns = columns_of(scores, "camera", scenes_shared=scenes_shared)
+    factors = [score.rescale for score in scores]
+    points = [(score.ratio, score.rescale, score.psnr_db) for score in scores]
+
+    def draw_factors(axes: Axes, theme: Theme) -> None:
+        _draw_exposure_band(axes, theme, horizontal=True)
+        strips(axes, [column.to_draw("rescale", mean=False) for column in columns], theme)
+        _set_up_factors(axes, factors)
+        axes.set_ylabel("rescaled by")
+
+    def draw_scores(axes: Axes, theme: Theme) -> None:
+        _draw_exposure_band(axes, theme, horizontal=False)
+        draw_points(axes, points, theme, alpha=0.7)
+        _set_up_factors(axes, factors, horizontal=True)
+        axes.set(xlabel="rescaled by", ylabel="PSNR [dB]")
+
+    alt = f"Factor of each of {len(factors)} predictions by camera, from {min(factors):.3g} to {max(factors):.3g}."
+    over = f"PSNR of {len(scores)} {kind.units} against the factor that each prediction was multiplied by."
+    return (
+        draw_plot("evaluation", "rescaling", alt, draw_factors, words={"units": kind.units}),
+        draw_plot("evaluation", "rescaling-psnr", over, draw_scores, words={"units": kind.units}),
+    )
+
+
+def _draw_exposure_band(axes: Axes, theme: Theme, *, horizontal: bool) -> None:
+    (axes.axhspan if horizontal else axes.axvspan)(*_USUAL, color=theme.theory, alpha=0.13, linewidth=0)
+    (axes.axhline if horizontal else axes.axvline)(1, color=theme.theory, linewidth=1)
+
+
+def _set_up_factors(axes: Axes, factors: Sequence[float], *, horizontal: bool = False) -> None:
+    """Set up a logarithmic axis of factors, wide enough for the band."""
+    low, high = min(0.7, *factors), max(1.43, *factors)
+    low, high = low / 1.05, high * 1.05
+    (axes.set_xscale if horizontal else axes.set_yscale)("log", base=2)
+    (axes.set_xlim if horizontal else axes.set_ylim)(low, high)
+    axis = axes.xaxis if horizontal else axes.yaxis
+    doublings = math.log2(high / low)
+    ticks = [0.7, 0.8, 0.9, 1, 1.1, 1.25, 1.4] if doublings < 1.3 else [0.5, 0.7, 1, 1.4, 2]
+    if doublings > 2.5:
+        step = max(1, math.ceil(doublings / 7))
+        exponents = np.arange(math.ceil(math.log2(low) / step), math.floor(math.log2(high) / step) + 1) * step
+        ticks = [float(2.0**exponent) for exponent in exponents]
+    axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _position: number(float(f"{value:.3g}"))))

@@ -1,0 +1,301 @@
+"""The diagnostics of a noise profile as one HTML page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from eldata.calibration.acceptance.verdicts import CHANNELS, LIMIT, SIGNALS_E, parameter_rows, read_fit
+from eldata.plots.axes import (
+    MARKERS,
+    deviation_band,
+    draw_quantiles,
+    fit_bands,
+    log_log,
+    log_ticks,
+    plain_ticks,
+    thinned,
+)
+from eldata.reports.figures import draw_plot
+from eldata.reports.html import rendered
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from typing import Any
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from eldata.calibration.acceptance.verdicts import Diagnostics, TheoryCheck
+    from eldata.plots.axes import Theme
+    from eldata.reports.figures import Plot
+
+
+def profile_page(diagnostics: Diagnostics) -> str:
+    """Return the page; the same diagnostics give the same text."""
+    groups = [
+        _Group.of(check, tuple(comparisons))
+        for check, comparisons in groupby(diagnostics.comparisons, lambda item: item.check)
+    ]
+    return rendered(
+        "profile.html",
+        diagnostics=diagnostics,
+        profile=diagnostics.profile,
+        parameters=parameter_rows(diagnostics.parameters),
+        groups=groups,
+        plots=plots(diagnostics),
+        channels=CHANNELS,
+        limit=LIMIT,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """A table: its caption, the heading and the labels of its first column, and the comparisons."""
+
+    title: str
+    heading: str
+    labels: tuple[str, ...]
+    comparisons: tuple[TheoryCheck, ...]
+
+    @classmethod
+    def of(cls, check: str, comparisons: tuple[TheoryCheck, ...]) -> _Group:
+        units = {item.unit for item in comparisons}
+        unit = comparisons[0].unit if len(units) == 1 else ""
+        title = check[:1].upper() + check[1:] + (f" [{unit}]" if unit not in ("", "1") else "")
+        labels = [item.symbol if unit else f"{item.symbol} [{item.unit}]" for item in comparisons]
+        # What all labels begin with is said once.
+        for heading, start in (("signal", "at "), ("quantile", "quantile ")):
+            if all(label.startswith(start) for label in labels):
+                return cls(title, heading, tuple(label.removeprefix(start) for label in labels), comparisons)
+        return cls(title, "quantity", tuple(labels), comparisons)
+
+    @property
+    def off(self) -> tuple[TheoryCheck, ...]:
+        return tuple(item for item in self.comparisons if item.verdict == "off")
+
+    @property
+    def worst(self) -> TheoryCheck:
+        return max(self.comparisons, key=lambda item: abs(item.deviation or 0.0))
+
+
+# --- plots -----------------------------------------------------------------------------------------------------------
+
+
+def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
+    """Draw every plot that the diagnostics have data for, in the order of the report."""
+    of_rows, read = f"{len(diagnostics.profile.rows)} calibration rows", _read_letters(diagnostics)
+    fit = (
+        "over the gain: the profile's line with its bands of 1 and 2 standard deviations, and where "
+        f"{len(diagnostics.draws)} sampled parameters fall."
+    )
+    biases = "Mean of a bias frame in R, G1, B and G2, found and expected. " + _worst(diagnostics.colour_bias)
+    below = 2.6  # of the heights, with deviations in standard errors below
+    wanted: list[tuple[str, str, Callable[..., None], float | None]] = [
+        ("mean", _over_signal_alt("Mean of D", diagnostics.mean), _draw_mean, below),
+        ("variance", _over_signal_alt("Variance of D", diagnostics.variance), _draw_variance, below),
+        ("colour-bias", biases, _draw_colour_bias, below),
+        ("row-means", f"Normal probability plot of the row means. {_worst(diagnostics.rows)}", _draw_row_means, None),
+        ("read-fit", f"σ {read} {fit}", partial(_draw_fit, "read"), None),
+        ("row-fit", f"σ row {fit}", partial(_draw_fit, "row"), None),
+        ("lambda-rows", f"Lambda of the profile's {of_rows} by ISO.", _draw_lambda_rows, None),
+        (
+            "bias-rows",
+            f"Colour bias of the profile's {of_rows} by ISO and channel.",
+            _draw_bias_rows,
+            None,
+        ),
+    ]
+    if diagnostics.quantiles_dn is not None:
+        alt = "Probability plot of the read noise alone against its model. " + _worst(diagnostics.read)
+        wanted.insert(4, ("read-noise", alt, partial(_draw_read_noise, diagnostics.quantiles_dn), below))
+    return tuple(
+        draw_plot("profile", kind, alt, partial(draw, diagnostics), ratio=ratio, words={"read": read})
+        for kind, alt, draw, ratio in wanted
+    )
+
+
+def _read_letters(diagnostics: Diagnostics) -> str:
+    return "G" if diagnostics.model.components.read == "gaussian" else "TL"
+
+
+def _over_signal_alt(what: str, comparisons: Sequence[TheoryCheck]) -> str:
+    return (
+        f"{what} against the signal from {SIGNALS_E[0]:g} to {SIGNALS_E[-1]:g} electrons, simulated and by the closed "
+        f"form. {_worst(comparisons)}"
+    )
+
+
+def _worst(comparisons: Sequence[TheoryCheck]) -> str:
+    deviations = [abs(item.deviation) for item in comparisons if item.deviation is not None]
+    if not deviations:
+        return "No standard errors."
+    return f"Largest deviation {max(deviations):.2g} standard errors."
+
+
+def _draw_deviations(below: Axes, comparisons: Sequence[TheoryCheck], at: Sequence[float], theme: Theme) -> None:
+    """Draw deviations in standard errors."""
+    points = [
+        (x, item.deviation, item.verdict) for x, item in zip(at, comparisons, strict=True) if item.deviation is not None
+    ]
+    deviation_band(below, max([0.0, *(abs(y) for _, y, _ in points)]), LIMIT, theme)
+    for verdict, marker in (("ok", "o"), ("off", "X")):
+        chosen = [(x, y) for x, y, which in points if which == verdict]
+        if chosen:
+            below.plot(*zip(*chosen, strict=True), marker, color=theme.found)
+
+
+def _draw_over_signal(
+    both: tuple[Axes, Axes],
+    comparisons: Sequence[TheoryCheck],
+    theory: Callable[[float], float],
+    label: str,
+    theme: Theme,
+) -> None:
+    """Draw something against the signal; both axes are logarithmic, but for the neighbourhood of 0."""
+    main, below = both
+    _draw_deviations(below, comparisons, SIGNALS_E, theme)
+    main.set_xscale("asinh", linear_width=1)
+    top = SIGNALS_E[-1]
+    grid = np.sinh(np.linspace(0, math.asinh(top), 120))
+    curve = [theory(float(signal)) for signal in grid]
+    main.plot(grid, curve, color=theme.theory, label="closed form")
+    found = [item.found for item in comparisons]
+    main.plot(SIGNALS_E, found, "o", color=theme.found, label="simulated")
+    values = [*found, *curve]
+    if min(values) > 0:
+        main.set_yscale("log")
+        log_ticks(main.yaxis, sum(1 for power in range(-9, 10) if min(values) < 10.0**power < max(values)))
+    else:
+        width = max(max(map(abs, values)) / top, 1e-6)
+        main.set_yscale("asinh", linear_width=width)
+        first = math.ceil(math.log10(2 * width))
+        powers = [10.0 ** (first + step) for step in range(6)]
+        plain_ticks(main.yaxis, [0, *powers, *(-power for power in powers)])
+        main.set_ylim(*main.get_ylim())
+    main.set_ylabel(label)
+    main.legend(loc="upper left")
+    below.set_xlabel("signal [e⁻]")
+    plain_ticks(below.xaxis, [0, 1, 3, 10, 30, 100, 300])
+    below.set_xlim(-0.2, top * 1.25)
+
+
+def _draw_mean(diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
+    _draw_over_signal((main, below), diagnostics.mean, diagnostics.expected_mean_dn, "mean of D [DN]", theme)
+
+
+def _draw_variance(diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
+    expected = diagnostics.expected_variance_dn2
+    _draw_over_signal((main, below), diagnostics.variance, expected, "variance of D [DN²]", theme)
+
+
+def _draw_colour_bias(diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
+    places = list(range(4))
+    _draw_deviations(below, diagnostics.colour_bias, places, theme)
+    for place, item in zip(places, diagnostics.colour_bias, strict=True):
+        # matplotlib leaves labels with an underscore out of the legend: one entry for four channels.
+        label = ("closed form", "simulated") if place == 0 else ("_", "_")
+        main.hlines(item.expected, place - 0.3, place + 0.3, color=theme.theory, linewidth=2, label=label[0])
+        main.errorbar(
+            place, item.found, yerr=item.standard_error, fmt="o", color=theme.found, capsize=4, label=label[1]
+        )
+    main.set_ylabel("mean [DN]")
+    main.margins(y=0.25)
+    main.legend(loc="best")
+    below.set_xticks(places, CHANNELS)
+    below.set_xlim(-0.5, 3.5)
+
+
+def _draw_row_means(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
+    means = diagnostics.row_means_dn
+    shown = thinned(means.size)
+    draw_quantiles(
+        axes,
+        theme,
+        expected=diagnostics.normal_quantiles[shown],
+        found=means[shown],
+        line=(diagnostics.rows[0].expected, 0.0),
+        names=("closed form", "simulated"),
+        labels=("normal quantile", "row mean [DN]"),
+    )
+
+
+def _draw_read_noise(
+    quantiles_dn: NDArray[np.float64], diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme
+) -> None:
+    _draw_deviations(below, diagnostics.read, [item.expected for item in diagnostics.read], theme)
+    expected, found = quantiles_dn
+    ends = expected[[0, -1]]
+    main.plot(ends, ends, color=theme.theory, label="closed form")
+    main.plot(expected, found, "o", markersize=3, color=theme.found, label="simulated")
+    main.set_ylabel("found quantile [DN]")
+    main.legend(loc="upper left")
+    family = {"G": "Gaussian", "TL": "Tukey-lambda"}[_read_letters(diagnostics)]
+    below.set_xlabel(f"{family} quantile [DN]")
+
+
+def _draw_fit(which: str, diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
+    """Draw a log-log fit by gain mode with its bands, the draws, the measured rows and the draw that is examined."""
+    modes, draws, read = diagnostics.profile.gain_modes, diagnostics.draws, _read_letters(diagnostics)
+    if which == "row":
+        name, field, fits = "row", "sigma_row_dn", [mode.row_fit for mode in modes]
+    else:
+        name, field = read, {"G": "sigma_gauss_dn", "TL": "sigma_tl_dn"}[read]
+        fits = [read_fit(mode, diagnostics.model.components) for mode in modes]
+    lines = [(fit, *mode.gain_range_dn_per_e) for fit, mode in zip(fits, modes, strict=True)]
+    fit_bands(axes, lines, theme)
+    gains, scales = [draw.gain_dn_per_e for draw in draws], [getattr(draw, field) for draw in draws]
+    axes.plot(gains, scales, "o", markersize=2.5, alpha=0.75, color=theme.found, label="sampled")
+    measured = [
+        (row.gain_dn_per_e, scale)
+        for row in diagnostics.profile.rows
+        if row.gain_dn_per_e is not None and (scale := getattr(row, field) or 0.0) > 0
+    ]
+    if measured:
+        axes.plot(*zip(*measured, strict=True), "D", color=theme.ink, markersize=5, label="measured")
+    ring: dict[str, Any] = {"markersize": 10, "markerfacecolor": "none", "markeredgewidth": 1.8, "color": theme.ink}
+    parameters = diagnostics.parameters
+    axes.plot(parameters.gain_dn_per_e, getattr(parameters, field), "o", label="examined here", **ring)
+    log_log(axes, name)
+    axes.legend(loc="upper left")
+
+
+def _set_up_isos(diagnostics: Diagnostics, axes: Axes) -> list[float]:
+    """Set up an axis of ISOs and return each row's place on it; of row numbers if an ISO is unknown."""
+    isos = [row.iso for row in diagnostics.profile.rows]
+    known = [iso for iso in isos if iso is not None]
+    if len(known) < len(isos):
+        axes.set_xlabel("calibration row")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        return [float(index + 1) for index in range(len(isos))]
+    axes.set_xscale("log")
+    axes.set_xlabel("ISO")
+    distinct = sorted(set(known))
+    step = math.ceil(len(distinct) / 5)
+    plain_ticks(axes.xaxis, distinct[::step])
+    return known
+
+
+def _draw_lambda_rows(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
+    places = _set_up_isos(diagnostics, axes)
+    axes.axhline(0, color=theme.theory, linewidth=1)
+    axes.plot(places, [row.tukey_lambda for row in diagnostics.profile.rows], "o", color=theme.found)
+    axes.set_ylabel("λ")
+
+
+def _draw_bias_rows(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
+    places = _set_up_isos(diagnostics, axes)
+    step = 0.07 if axes.get_xscale() == "log" else 0.0  # side by side, where the channels' values are alike
+    for channel, name in enumerate(CHANNELS):
+        beside = [place * math.exp((channel - 1.5) * step) for place in places]
+        style: dict[str, Any] = {"marker": MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
+        axes.plot(beside, [row.colour_bias_dn[channel] for row in diagnostics.profile.rows], label=name, **style)
+    axes.axhline(0, color=theme.theory, linewidth=1)
+    axes.set_ylabel("colour bias [DN]")
+    axes.legend(loc="best", ncols=2)

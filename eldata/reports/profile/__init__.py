@@ -1,1 +1,0 @@
-"""The pages and plots of a camera profile."""

@@ -1,0 +1,420 @@
+"""The pages of calibrations, profiles and acceptance tests: complete, self-contained, safe, the same each time."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from eldata.calibration.acceptance.results import Acceptance
+from eldata.calibration.acceptance.theory import diagnose, sample_parameters
+from eldata.calibration.audit.structure import MeasuredStructure
+from eldata.noise import NoiseModel
+from eldata.noise.structure import RowSpectrum, RowWave, TelegraphPixels
+from eldata.plots.pictures import block_means, grey_png
+from eldata.reports.acceptance import acceptance_page
+from eldata.reports.calibration import calibration_page
+from eldata.reports.html import digits, measured, prose, typeset
+from eldata.reports.profile import plots, profile_page
+from tests.calibration.judged import Specimen, judged
+from tests.calibration.simulation import XTRANS, Camera
+from tests.reports import calibrations
+from tests.reports.calibrations import camera_at
+from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser
+from tests.waiting import PATIENCE_S
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from eldata.calibration.acceptance.verdicts import Diagnostics
+    from eldata.calibration.iso_results import IsoCalibration
+    from eldata.calibration.results import Calibration
+    from eldata.noise.profile import CameraProfile
+
+DRAWINGS, PICTURES = 9, 1 + 2 + 4  # of an ISO that has everything: spectrum, two frames, shading by channel
+
+
+@pytest.fixture(scope="module")
+def isos() -> tuple[IsoCalibration, ...]:
+    """Three ISOs with all that there can be, the noise of the middle one off the line."""
+    off = camera_at(800.0, sigma_tl=2.9, sigma_row=0.4, prnu=0.003)
+    cameras = {100.0: camera_at(100.0), 800.0: off, 6400.0: camera_at(6400.0, shading=4.0)}
+    return tuple(calibrations.measured(iso, camera) for iso, camera in cameras.items())
+
+
+@pytest.fixture(scope="module")
+def calibration(isos: tuple[IsoCalibration, ...]) -> Calibration:
+    wary = ("K comes from 2 pairs of flats; 4 levels or more are advised", "R2 of the Tukey-lambda plot is 0.9")
+    first, second, third = isos
+    return replace(
+        calibrations.calibration((replace(first, remarks=wary[:1]), second, replace(third, remarks=wary))),
+        remarks=("sigma_row was 0 at 1 ISO, which its fit leaves out",),
+    )
+
+
+@pytest.fixture(scope="module")
+def page(calibration: Calibration) -> str:
+    return calibration_page(calibration)
+
+
+@pytest.fixture(scope="module")
+def sparse(isos: tuple[IsoCalibration, ...]) -> str:
+    """Two ISOs and a hostile name: one without flats, comparison, row noise or errors, one without a second method."""
+    bare = calibrations.measured(200.0, camera_at(200.0, sigma_row=0.0, dsnu=0.0, column_pattern=0.0), frames=4)
+    quiet = replace(bare.rows.rows, sigma_dn=0.0, sigma_error_dn=0.03, fixed_sigma_dn=0.0)
+    bare = replace(
+        bare,
+        transfer=None,
+        spatial=None,
+        flat_frames=0,
+        rows=replace(bare.rows, rows=quiet),
+        read=replace(bare.read, tukey_lambda_error=math.nan, sigma_gauss_error_dn=math.nan),
+        bias=replace(bare.bias, standard_error_dn=(math.nan,) * 4),
+        pattern=replace(bare.pattern, shading_dn=np.zeros_like(bare.pattern.shading_dn)),
+        remarks=(HOSTILE, "long" * 100),
+    )
+    return calibration_page(calibrations.calibration((bare, replace(isos[1], spatial=None)), HOSTILE))
+
+
+@pytest.fixture(scope="module")
+def xtrans() -> str:
+    """One ISO of a camera with three channels."""
+    camera = camera_at(800.0, cfa=XTRANS, bias=(1.0, -1.0, 0.5))
+    return calibration_page(calibrations.calibration([calibrations.measured(800.0, camera)]))
+
+
+BANDED = RowSpectrum((0.002, 0.01, 0.1, 0.5), (0.9, 0.3, 0.1), (RowWave(1 / 37.3, 0.55),))
+STRUCTURES = (
+    MeasuredStructure(
+        *(0.41, 0.012, BANDED, (0.2, 0.05, 0.01), (0.03,), TelegraphPixels(0.0101, 6.3, 0.49, 0.09, 1.1, 0.8)),
+        *(0.00046, 0.07, 0.012, 0.0102, 0.00031),
+    ),
+    # Looked for and not told from nothing.
+    MeasuredStructure(0.0, 0.1, RowSpectrum((0.002, 0.5), (0.2,)), (0.01,), (), TelegraphPixels(0.0, 0.0), prnu=0.0),
+    # Withheld, and not looked for.
+    MeasuredStructure(None, math.nan, None, (), (), None),
+)
+
+
+@pytest.fixture(scope="module")
+def structured(isos: tuple[IsoCalibration, ...]) -> str:
+    known = (replace(one, structure=structure) for one, structure in zip(isos, STRUCTURES, strict=True))
+    return calibration_page(calibrations.calibration(tuple(known)))
+
+
+@pytest.fixture(scope="module")
+def profile(diagnostics: Diagnostics) -> str:
+    return profile_page(diagnostics)
+
+
+@pytest.fixture(scope="module")
+def hostile_profile(sony: CameraProfile) -> str:
+    """A page with bad words in every text of the profile, without ISOs, and with most comparisons off."""
+    profile = replace(
+        sony,
+        camera=HOSTILE,
+        source=HOSTILE,
+        notes=(HOSTILE, "long" * 100),
+        iso_range=None,
+        black_level_dn=512.0,
+        white_level_dn=16383.0,
+        rows=tuple(replace(row, iso=None, gain_dn_per_e=None) for row in sony.rows),
+    )
+    return profile_page(
+        diagnose(profile, sample_parameters(profile, 3), simulated=sample_parameters(sony, 4), spec="P*+G+B+R+U")
+    )
+
+
+@pytest.fixture(scope="module")
+def accepted() -> Acceptance:
+    found = judged(NoiseModel("P+G"), Specimen(Camera(shape=(128, 192))), bias=4, flats=(2000.0,), pairs=16)
+    remarked = replace(found, remarks=(HOSTILE,))
+    return Acceptance(HOSTILE, "NoiseModel('P+G')", 0, 16, (remarked, replace(found, iso=200.0)))
+
+
+@pytest.fixture(scope="module")
+def acceptance(accepted: Acceptance) -> str:
+    return acceptance_page(accepted)
+
+
+CALIBRATIONS = ("page", "sparse", "xtrans", "structured")
+EVERY = pytest.mark.parametrize("which", [*CALIBRATIONS, "profile", "hostile_profile", "acceptance"])
+
+
+# --- every page ---------------------------------------------------------------------------------------------------
+
+
+@EVERY
+def test_well_formed_and_self_contained(which: str, request: pytest.FixtureRequest) -> None:
+    assert_well_formed(request.getfixturevalue(which))
+    assert_self_contained(request.getfixturevalue(which))
+
+
+@pytest.mark.parametrize(
+    ("which", "count"),
+    [("sparse", 4), ("hostile_profile", 4), ("acceptance", 3)],  # title, headings, remarks, notes
+)
+def test_hostile_text_stays_text(which: str, count: int, request: pytest.FixtureRequest) -> None:
+    page = request.getfixturevalue(which)
+    checker = checked(page)
+    assert checker.text.count(HOSTILE) == count
+    assert "<script" not in page
+    if which == "hostile_profile":
+        assert all(words in checker.text for words in ("Off: ", "not known", "512 DN"))
+    assert not any(HOSTILE in value for _, attributes in checker.elements for value in attributes.values())
+
+
+@pytest.mark.parametrize(("which", "count"), [("page", 6 + 3 * (DRAWINGS + PICTURES)), ("profile", 9)])
+def test_images_have_words_are_sound_and_drawn_for_both_themes(
+    which: str, count: int, request: pytest.FixtureRequest
+) -> None:
+    checker = checked(request.getfixturevalue(which))
+    images, dark = checker.all("img"), iter(checker.all("source"))
+    assert len(images) == count == len({image["alt"] for image in images})
+    for image in images:
+        assert len(image["alt"]) > 20
+        assert which == "profile" or any(letter.isdigit() for letter in image["alt"])
+        kind, _, data = image["src"].partition(",")
+        content = base64.b64decode(data)
+        sides = int(image["width"]), int(image["height"])
+        if kind.startswith("data:image/png"):
+            assert Image.open(io.BytesIO(content)).size == sides
+            continue
+        svg = ET.fromstring(content)  # noqa: S314 # our own
+        assert svg.tag == "{http://www.w3.org/2000/svg}svg"
+        found = [float(svg.attrib[side].removesuffix("pt")) for side in ("width", "height")]
+        assert found == pytest.approx(sides, abs=1)
+        # What it draws with is in it.
+        names = {element.attrib["id"] for element in svg.iter() if "id" in element.attrib}
+        used = {element.attrib["href"].removeprefix("#") for element in svg.iter() if "href" in element.attrib}
+        assert used <= names
+        light, other = content.decode(), base64.b64decode(next(dark)["srcset"].partition(",")[2]).decode()
+        assert "#1f2933" in light
+        assert "#1f2933" not in other
+        assert "#e6eaee" in other
+    assert next(dark, None) is None
+
+
+ANOTHER = {
+    "calibration": "from tests.reports.calibrations import calibration, camera_at, measured\n"
+    "from eldata.reports.calibration import calibration_page\n"
+    "page = calibration_page(calibration([measured(800.0, camera_at(800.0))]))\n",
+    "profile": "from eldata.noise.profile import CameraProfile\n"
+    "from eldata.calibration.acceptance.theory import diagnose, sample_parameters\n"
+    "from eldata.reports.profile import profile_page\n"
+    "profile = CameraProfile.load('SonyA7S2')\n"
+    "page = profile_page(diagnose(profile, sample_parameters(profile, 0)))\n"
+    "assert not {'torch', 'rawpy'} & set(sys.modules)\n",
+}
+
+
+@pytest.mark.parametrize("which", ANOTHER)
+def test_another_process_makes_the_same_page_without_pyplot(which: str, profile: str) -> None:
+    end = "print(hashlib.sha256(page.encode()).hexdigest(), 'matplotlib.pyplot' in sys.modules)"
+    code = f"import hashlib, sys\n{ANOTHER[which]}{end}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
+    made = profile
+    if which == "calibration":
+        made = calibration_page(calibrations.calibration([calibrations.measured(800.0, camera_at(800.0))]))
+    assert done.stdout.split() == [hashlib.sha256(made.encode()).hexdigest(), "False"], done.stderr
+
+
+# --- calibrations -------------------------------------------------------------------------------------------------
+
+
+def test_says_what_was_measured(page: str, calibration: Calibration) -> None:
+    text = checked(page).text
+    assert "Noise calibration of TestCamera" in text
+    assert "Made from 15 bias and 24 flat frames of 384 × 264 pixels, and compared with 3 more bias frames." in text
+    gains = [digits(one.gain_dn_per_e or 0.0) for one in calibration.isos]
+    assert f"3 ISOs from 100 to 6400, K from {gains[0]} to {gains[-1]} DN/e⁻." in text
+    for one in calibration.isos:
+        assert f"ISO {one.iso:g}" in text
+        assert one.transfer is not None
+        assert measured(one.transfer.gain_dn_per_e, one.transfer.gain_error) in text
+    for header, rows in (calibration.table(), calibration.bias_table(), calibration.reproduction_table()):
+        for cell in (*header, *(cell for row in rows for cell in row)):
+            assert typeset(cell).replace("-", "−") in text.replace("-", "−")
+    for row in calibration.fit_table():
+        for cell in row[1:]:
+            assert cell.replace("-", "−") in text
+    for plain in ("DN^2", "sigma", "lambda", "R2 ", "nan"):
+        assert plain not in text.replace("Tukey-lambda", "").replace("Tukey lambda", "")
+
+
+def test_remarks_come_first_and_once(page: str) -> None:
+    text = checked(page).text
+    assert "Read before use: 4 remarks, on ISO 100, ISO 6400 and the calibration as a whole." in text
+    top = text[: text.index("Measured values")]
+    assert "ISO 100 and 6400: K comes from 2 pairs of flats" in top
+    assert top.count("K comes from 2 pairs") == 1
+    assert "ISO 6400: R² of the Tukey-lambda plot is 0.9" in top
+    assert "σ row was 0 at 1 ISO" in top
+
+
+def test_nothing_to_be_wary_of(xtrans: str, isos: tuple[IsoCalibration, ...]) -> None:
+    quiet = replace(calibrations.calibration(isos[:1]), remarks=())
+    assert "Nothing was found to be wary of." in checked(calibration_page(quiet)).text
+    assert "Read before use: 3 remarks, on the calibration as a whole." in checked(xtrans).text  # no fit over one ISO
+
+
+def test_sections_are_linked_and_the_first_is_open(page: str) -> None:
+    checker = checked(page)
+    assert [item["href"] for item in checker.all("a")] == ["#main", "#iso-100", "#iso-800", "#iso-6400"]
+    assert ["open" in item for item in checker.all("details")] == [True, False, False]
+    assert page.count("<h3>Row noise</h3>") == 3
+
+
+def test_structure_is_shown_with_its_errors(structured: str, page: str) -> None:
+    checker = checked(structured)
+    assert checker.text.count("What pixels have in common") == 3
+    parts = checker.text.split("What pixels have in common")
+    for shown in ("0.410 ± 0.012 DN", "banded", "Wave of 37.3 rows", "0.55 ± 0.03 DN", "10100 ± 460 ppm"):
+        assert shown in parts[1]
+    for shown in ("6.30 ± 0.07 DN", "0.490 ± 0.012", "0.09", "1.1", "1.02 ± 0.03 %"):
+        assert shown in parts[1]
+    assert parts[2].count("none seen") == 3
+    assert "independent of each other" in parts[2]
+    assert parts[3].count("not measured") == 4
+    about = [image["alt"] for image in checker.all("img")]
+    (telegraph,) = (alt for alt in about if alt.startswith("Telegraph pixels over ISO"))
+    assert "10100 ± 460 at ISO 100, none seen at ISO 800; jump [DN]: 6.30 ± 0.07 at ISO 100." in telegraph
+    (bands,) = (alt for alt in about if alt.startswith("Spectrum of the row means at ISO 100,"))
+    assert "3 bands, powers from 0.1 to 0.9 DN², a wave of 37.3 rows." in bands
+    assert "What pixels have in common" not in checked(page).text
+
+
+def test_what_is_missing_is_said(sparse: str) -> None:
+    checker = checked(sparse)
+    assert "K is not known and there is no photon transfer line" in checker.text
+    assert "None was kept out: there were only 4 bias frames" in checker.text
+    assert "not given at 1 of them" in checker.text
+    assert "Lines of ln σ over ln K" not in checker.text  # two ISOs make none
+    assert "nan" not in checker.text
+    assert not any("nan" in image["alt"] for image in checker.all("img"))
+    assert "–" in checker.text
+
+
+def test_no_gain_at_all(isos: tuple[IsoCalibration, ...], calibration: Calibration) -> None:
+    without = replace(isos[0], transfer=None, spatial=None, reproduction=None)
+    text = calibration_page(replace(calibration, isos=(without,), modes=()))
+    assert "ISO 100; K is not known, for want of flats." in checked(text).text
+    assert "K over ISO" not in text
+
+
+def test_three_channels(xtrans: str) -> None:
+    text = checked(xtrans).text
+    assert "K of G" in text
+    assert "G1" not in text
+    assert "ISO 800, K is" in text
+
+
+def test_size(page: str) -> None:
+    """Nine ISOs stay below 8 MB."""
+    assert len(page) / 3 * 9 < 8.5e6
+
+
+# --- profiles ------------------------------------------------------------------------------------------------------
+
+
+def test_says_what_was_found(profile: str, diagnostics: Diagnostics) -> None:
+    text = checked(profile).text
+    assert "Noise of SonyA7S2" in text
+    assert "Ok: all 61 comparisons within 4 standard errors" in text
+    assert profile.count('<td class="verdict ok">ok</td>') == 61
+    assert "the published file names neither" in text
+    for plain in ("DN^2", "sigma", "lambda"):
+        assert plain not in text.replace("Tukey-lambda", "")
+
+
+def test_without_read_noise_there_is_no_plot_of_it_and_matplotlib_stays_as_it_was(sony: CameraProfile) -> None:
+    import matplotlib as mpl
+
+    before = dict(mpl.rcParams)
+    drawn = plots(diagnose(sony, sample_parameters(sony, 0), spec="P*"))
+    assert "read-noise" not in [plot.name for plot in drawn]
+    assert all(plot.light != plot.dark for plot in drawn)
+    assert dict(mpl.rcParams) == before
+
+
+def test_measured_rows_are_drawn(profile: str, diagnostics: Diagnostics) -> None:
+    """They change the plot of their own scale, and no other."""
+    sony = diagnostics.profile
+    measured = replace(sony, rows=tuple(replace(row, sigma_tl_dn=1.0) for row in sony.rows))
+    drawn = plots(replace(diagnostics, profile=measured))
+    changed = {plot.name for plot in drawn if base64.b64encode(plot.light).decode() not in profile}
+    assert changed == {"read-fit"}
+
+
+# --- acceptance tests ---------------------------------------------------------------------------------------------
+
+
+def test_the_page_of_an_acceptance_test(acceptance: str, accepted: Acceptance) -> None:
+    text = checked(acceptance).text
+    assert f"Off: {len(accepted.off)} of " in text
+    assert acceptance.count('<td class="verdict off">') == len(accepted.off)
+    assert text.count("4 bias frames and 2 flats held out, 128 x 192 pixels compared") == 2
+    assert acceptance == acceptance_page(accepted)
+
+
+# --- parts --------------------------------------------------------------------------------------------------------
+
+
+def test_typeset_leaves_words_alone() -> None:
+    assert typeset("sigma_TL in DN^2, 3 e-, lambda, R2") == "σ TL in DN², 3 e⁻, λ, R²"
+    assert typeset("single-frame, Tukey-lambda, one-") == "single-frame, Tukey-lambda, one-"
+
+
+def test_prose_signs_numbers_alone() -> None:
+    assert prose("from -0.05 to 3-4, p = -.1 (-2), ISO-100") == "from −0.05 to 3-4, p = −.1 (−2), ISO-100"
+
+
+def test_numbers() -> None:
+    assert [digits(value) for value in (-0.01234, 12345.0, math.nan)] == ["−0.0123", "1.23e+04", "not known"]
+    assert measured(-1.234, 0.02, "DN") == "−1.234 ± 0.020 DN"
+    assert measured(1.0, math.nan) == "1"
+    assert measured(math.nan, 1.0) == "not known"
+
+
+def test_grey_spans_black_and_white() -> None:
+    found = np.asarray(Image.open(io.BytesIO(grey_png(np.array([[-1.0, 0.0, 1.0, 9.0]]), -1.0, 1.0))))
+    assert found[0, 0] == 0
+    assert found[0, 1] == pytest.approx(127.5, abs=5)
+    assert found[0, 2] == found[0, 3] == 255
+
+
+def test_blocks_are_means() -> None:
+    plane = np.arange(60.0).reshape(6, 10)
+    np.testing.assert_allclose(block_means(plane, 2), plane.reshape(3, 2, 5, 2).mean(axis=(1, 3)))
+    np.testing.assert_array_equal(block_means(plane, 1), plane)
+
+
+# --- in a browser -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [390, 1280])
+@EVERY
+def test_in_a_browser(chromium: str, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    text = request.getfixturevalue(which).replace('<details class="iso">', '<details class="iso" open>')
+    found = seen_in_browser(chromium, text, width, tmp_path)
+    assert found["width"] == width
+    assert found["scroll"] <= width
+    assert found["wide"] == []
+    smallest = (130, 80) if which in CALIBRATIONS else (250, 200)
+    for complete, natural, *shown in found["images"]:
+        assert complete
+        assert natural > 0
+        assert all(side > least for side, least in zip(shown, smallest, strict=True))
+    if which == "profile":
+        assert max(found["tables"]) <= 40  # hardly to be scrolled sideways; letters differ from system to system

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import json
 import subprocess
 import sys
@@ -259,6 +260,22 @@ def test_there_is_no_circle_between_packages() -> None:
         return module if package_of(module) == "eldata" else package_of(module)
 
     assert circle((place(a), place(b)) for a, b in edges()) == []
+
+
+def test_the_picture_of_the_rooms_is_true() -> None:
+    sys.path.insert(0, str(ROOT / "docs" / "site"))
+    try:
+        draw_rooms = importlib.import_module("draw_rooms")
+    finally:
+        sys.path.pop(0)
+    graph = draw_rooms.rooms_that_import()
+    ours = {(a, b) for a, b in crossings() if "eldata" not in (room_of(a), room_of(b))}
+    assert {(a, b) for a, found in graph.items() for b in found} == {
+        (room_of(a).removeprefix("eldata."), room_of(b).removeprefix("eldata.")) for a, b in ours
+    }
+    assert draw_rooms.PICTURE.read_text(encoding="utf-8") == draw_rooms.picture(graph), (
+        "an import between rooms has come or gone: python docs/site/draw_rooms.py draws them again"
+    )
 
 
 # --- reports show -------------------------------------------------------------------------------------------------

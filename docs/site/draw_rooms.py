@@ -20,16 +20,20 @@ Graph = dict[str, set[str]]
 
 WIDTH, BOX_WIDTH, BOX_HEIGHT, ROW_HEIGHT = 1000, 120, 34, 74
 SWEEPS = 12  # more change nothing
+TIP = (
+    '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
+    '<path d="M0 0L8 4L0 8z" fill="#7a8699"/></marker></defs>'
+)
 
 
 def room_of(module: str) -> str:
-    """The room of a module: ``eldata.raw.cfa`` is in ``raw``, ``capture.plan`` in ``capture``."""
+    """Return the room of a module: ``eldata.raw.cfa`` is in ``raw``, ``capture.plan`` in ``capture``."""
     parts = module.split(".")
     return parts[0] if parts[0] == "capture" or len(parts) == 1 else parts[1]
 
 
 def imported(tree: ast.AST) -> Iterator[str]:
-    """What a module imports of ours, at its top or inside of functions, for types or when it runs."""
+    """Return what a module imports, at its top or inside of functions, for types or when it runs."""
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
@@ -38,7 +42,7 @@ def imported(tree: ast.AST) -> Iterator[str]:
 
 
 def rooms_that_import(root: Path = ROOT) -> Graph:
-    """For each room the other rooms that it imports from."""
+    """Return for each room the other rooms that it imports from."""
     graph: Graph = {}
     for path in sorted([*(root / "eldata").rglob("*.py"), *(root / "capture").rglob("*.py")]):
         room = room_of(".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__"))
@@ -50,7 +54,7 @@ def rooms_that_import(root: Path = ROOT) -> Graph:
 
 
 def levels_of(graph: Mapping[str, set[str]]) -> dict[str, int]:
-    """How many rooms lie under a room on the longest way down; 0 imports from no other."""
+    """Return how many rooms lie under each room on the longest way down; 0 imports from no other."""
     levels: dict[str, int] = {}
 
     def level(room: str) -> int:
@@ -64,7 +68,7 @@ def levels_of(graph: Mapping[str, set[str]]) -> dict[str, int]:
 
 
 def without_shortcuts(graph: Mapping[str, set[str]]) -> Graph:
-    """The arrows that say something new: where A imports B and B imports C, an arrow from A to C does not."""
+    """Return the arrows that say something new: where A imports B and B imports C, one from A to C does not."""
 
     def below(room: str) -> set[str]:
         return graph[room].union(*(below(other) for other in graph[room]))
@@ -73,7 +77,7 @@ def without_shortcuts(graph: Mapping[str, set[str]]) -> Graph:
 
 
 def places_of(graph: Mapping[str, set[str]]) -> tuple[dict[str, tuple[float, float]], list[list[str]]]:
-    """Where the middle of each room's box lies, and each arrow as the names of the places that it goes through.
+    """Return where the middle of each room's box lies, and each arrow as the names of the places that it goes through.
 
     A long arrow takes a place of its own in each row between (named ``cli>raw@3``), so that it leads past the boxes;
     rows are sorted by where their neighbours lie, down and up by turns.
@@ -113,7 +117,7 @@ def places_of(graph: Mapping[str, set[str]]) -> tuple[dict[str, tuple[float, flo
 
 
 def picture(graph: Mapping[str, set[str]]) -> str:
-    """The rooms as an SVG: each above all that it imports."""
+    """Return the rooms as an SVG: each above all that it imports."""
     places, ways = places_of(without_shortcuts(graph))
     height = 30 + max(y for _, y in places.values())
     arrows = []
@@ -132,8 +136,7 @@ def picture(graph: Mapping[str, set[str]]) -> str:
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:.0f}" role="img">',
             "<title>The rooms, each above all that it imports</title>",
-            '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
-            '<path d="M0 0L8 4L0 8z" fill="#7a8699"/></marker></defs>',
+            TIP,
             '<rect width="100%" height="100%" fill="#ffffff"/>',
             '<g fill="none" stroke="#7a8699" stroke-width="1.2">',
             *arrows,

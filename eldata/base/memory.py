@@ -8,11 +8,10 @@ import threading
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import numpy as np
     from numpy.typing import NDArray
 
 # New pages cost as much as what is done in them.
@@ -25,6 +24,8 @@ def scratch(use: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[A
     size = math.prod(shape) * dtype.itemsize
     held: NDArray[np.uint8] | None = getattr(_OF_THREAD, use, None)
     if held is None or held.size < size:
+        import numpy as np
+
         held = np.empty(size + -size % _MULTIPLE_BYTES, np.uint8)
         setattr(_OF_THREAD, use, held)
     return held[:size].view(dtype).reshape(shape)

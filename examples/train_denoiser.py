@@ -13,7 +13,7 @@ gets checkpoint.pt, from which the same command goes on to the bit, and at the e
     torchrun --nproc-per-node 4 examples/train_denoiser.py run ... --device cuda --precision bfloat16
 
 The network gets (N, C, h, w) float32: packed, black 0, white 1 as --levels has it, amplified by the ratio and clipped
-as --clip says, in training and in validation alike. Put your network in the place of UNet, your loss in that of
+as --input-clip says, in training and in validation alike. Put your network in the place of UNet, your loss in that of
 absolute_error.
 """
 
@@ -82,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             for name, value in shown.items():
                 curve(name, value, report.step)
     if rank == 0:
-        keep(network, options.run, channels, options.clip)
+        keep(network, options.run, channels, options.input_clip)
     if distributed.is_initialized():
         distributed.destroy_process_group()
 
@@ -93,7 +93,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 def training_data(options: argparse.Namespace) -> Dataset[Any]:
     """Return real pairs, synthetic ones, or both."""
     crops = {"crop": options.crop, "crops_per_frame": options.crops_per_frame, "seed": options.seed}
-    representation = {"clip": options.clip, "levels": options.levels, "augment": True}
+    representation = {"clip": options.input_clip, "levels": options.levels, "augment": True}
     parts: list[Dataset[Any]] = []
     if options.pairs:
         parts.append(real_pairs(options.pairs, options.noise2noise, crops | representation))
@@ -120,7 +120,7 @@ def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Datas
         arguments().error("--clean needs a camera's noise: --profile")
     frames = StoredFrames if Path(options.clean).is_file() else RawFiles
     source = frames(options.clean, levels=options.levels)
-    noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio), "clip": options.clip}
+    noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio), "clip": options.input_clip}
     if not options.noise2noise:
         return SyntheticPairs(source, options.profile, **crops, **noise)
     count = crops.pop("crops_per_frame")
@@ -196,7 +196,7 @@ def score(network: UNet, options: argparse.Namespace, device: torch.device) -> d
     """Return the protocol's PSNR and SSIM over the validation pairs: the numbers of `eldata evaluate`."""
     from eldata.integrations.torchmetrics import ProtocolScore
 
-    pairs = ELDDataset(options.validate, manifest=options.manifest, clip=options.clip, levels=options.levels)
+    pairs = ELDDataset(options.validate, manifest=options.manifest, clip=options.input_clip, levels=options.levels)
     metric = ProtocolScore(options.protocol)
     network.eval()
 
@@ -268,7 +268,7 @@ def add_shared(parser: argparse.ArgumentParser, data: argparse._ArgumentGroup) -
     data.add_argument("--dark-frames", help="a store of bias frames, for the specs with D")
     data.add_argument("--iso", type=float, nargs="+", help="these alone, drawn alike (default: the gain is drawn)")
     data.add_argument("--ratio", type=float, nargs=2, default=(100.0, 300.0), help="(default: 100 300)")
-    data.add_argument("--clip", choices=("both", "upper", "none"), default="both", help="(default: %(default)s)")
+    data.add_argument("--input-clip", choices=("both", "upper", "none"), default="both", help="(default: %(default)s)")
     data.add_argument("--levels", choices=("published", "metadata"), default="published", help="(default: %(default)s)")
     data.add_argument("--crop", type=int, default=512, help="side in packed pixels (default: %(default)s)")
     how = parser.add_argument_group("training")

@@ -70,14 +70,14 @@ def main(argv: Sequence[str] | None = None) -> None:
             print(report)
             curve("loss", report.loss, report.step)
     if rank == 0:
-        keep(network, options.run, channels, options.clip)
+        keep(network, options.run, channels, options.input_clip)
     if distributed.is_initialized():
         distributed.destroy_process_group()
 
 
 def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:
     """Return windows of so many frames: of real static clips and their still, or of clean ones with noise made."""
-    crops = {"crop": options.crop, "seed": options.seed, "clip": options.clip}
+    crops = {"crop": options.crop, "seed": options.seed, "clip": options.input_clip}
     if options.clips:
         place = Path(options.clips)
         kind: Any = partial(DRVDataset, form="preprocessed" if options.rgb else "raw")

@@ -42,7 +42,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "noise is estimated from each frame",
     )
     add_another_camera(parser, "frames of cameras that have none of their own")
-    kept = "{out} keeps the finished predictions, and the same command goes on"
+    kept = "{output} keeps the finished predictions, and the same command goes on"
     add_shared(parser, run, "workers", interrupted=kept, example=_EXAMPLE)
 
 
@@ -60,7 +60,7 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--dataset", metavar="N", help="name of a dataset that eldata knows, such as eld")
     which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own")
-    parser.add_argument("-o", "--out", metavar="PREDS", required=True, help="a new folder for the predictions")
+    parser.add_argument("-o", "--output", metavar="PREDS", required=True, help="a new folder for the predictions")
     parser.add_argument(
         "--protocol",
         metavar="P",
@@ -68,7 +68,11 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--subset", metavar="NAME", help="which of the dataset's named choices of pairs or clips")
     parser.add_argument(
-        "--id", action="append", dest="ids", metavar="ID", help="only this clip, in place of a subset; may be repeated"
+        "--clip",
+        action="append",
+        dest="ids",
+        metavar="ID",
+        help="only this clip, in place of a subset; may be repeated",
     )
     parser.add_argument(
         "--dark-shading",
@@ -100,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
     denoiser = BaselineDenoiser(arguments.name, profiles, arguments.profile_of_another_camera)
     with chosen_workers(arguments) as workers:
         report = write_predictions(
-            denoiser, arguments.dataset or "", arguments.out, workers=workers, **chosen_options(arguments)
+            denoiser, arguments.dataset or "", arguments.output, workers=workers, **chosen_options(arguments)
         )
     return show_report(report, arguments)
 
@@ -121,4 +125,4 @@ def _scoring_line(arguments: argparse.Namespace) -> str:
     ]
     cameras = [f"--camera {shlex.quote(camera)}" for camera in arguments.cameras or ()]
     clips = [f"--clip {shlex.quote(clip)}" for clip in arguments.ids or ()]
-    return " ".join(["to score: eldata evaluate", shlex.quote(arguments.out), *options, *cameras, *clips])
+    return " ".join(["to score: eldata evaluate", shlex.quote(arguments.output), *options, *cameras, *clips])

@@ -136,7 +136,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_json(parser, RESULT)
     parser.add_argument(
         "-o",
-        "--out",
+        "--output",
         metavar="FOLDER",
         help=(
             "write NAME.json and NAME.csv of each method here, and comparison.json and comparison.html of several; in "
@@ -171,7 +171,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.evaluation.evaluate import perform
     from eldata.evaluation.request import EvaluationOptions, make_request
 
-    if len(arguments.predictions) > 1 or arguments.out or arguments.names:
+    if len(arguments.predictions) > 1 or arguments.output or arguments.names:
         return _run_several(arguments)
     predictions = next(iter(arguments.predictions), None)
     with chosen_workers(arguments) as workers:
@@ -226,7 +226,7 @@ def _run_several(arguments: argparse.Namespace) -> int:
             "gets NAME.json and NAME.csv of each, and their comparison"
         )
     folders = named_folders([Path(name) for name in arguments.predictions], arguments.names)
-    out = None if arguments.out is None else Path(arguments.out)
+    out = None if arguments.output is None else Path(arguments.output)
     with chosen_workers(arguments) as workers:
         options = {name: getattr(arguments, name) for name in EvaluationOptions.__annotations__ if name != "workers"}
         options["workers"] = workers
@@ -265,7 +265,7 @@ def _run_several(arguments: argparse.Namespace) -> int:
 
 def _with_pictures(comparison: Comparison, arguments: argparse.Namespace) -> str:
     """Return the command that draws a comparison's images."""
-    out = Path(arguments.out)
+    out = Path(arguments.output)
     options = {name: getattr(arguments, name) for name in ("manifest", "root", "dark_shading")}
     options["protocol"] = comparison.methods[0].result.protocol.name if arguments.protocol == "all" else None
     return " ".join(

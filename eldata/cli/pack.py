@@ -35,7 +35,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("dataset", metavar="DATASET", help=NAME_HELP)
-    add_output(parser, "-o", "--out", kind=NEW, metavar="STORE", required=True, help="a new file, such as store.h5")
+    add_output(parser, "-o", "--output", kind=NEW, metavar="STORE", required=True, help="a new file, such as store.h5")
     add_root(parser)
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
     parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
@@ -48,7 +48,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="none",
         help="lossless; lz4 and zstd need the extra eldata[compression] (default: %(default)s)",
     )
-    kept = "the finished frames are kept in {out}.part, and the same command goes on"
+    kept = "the finished frames are kept in {output}.part, and the same command goes on"
     add_shared(
         parser,
         run,
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     source = _source(arguments)
     with chosen_workers(arguments) as workers:
-        report = build_store(source, arguments.out, compression=arguments.compression, workers=workers)
+        report = build_store(source, arguments.output, compression=arguments.compression, workers=workers)
     resumed = f" ({report.resumed} of them before)" if report.resumed else ""
     print(
         f"{counted(report.frames, 'frame')} packed{resumed}: {report.path}, {report.store_bytes / 1e6:.1f} MB for "

@@ -38,7 +38,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--weights", metavar="FILE", help="state dict for package.module:name: safetensors, or a torch checkpoint"
     )
     parser.add_argument(
-        "--clip",
+        "--input-clip",
         choices=("protocol", "none", "upper", "both"),
         help="of the input, before and after it is amplified: as the protocol has it, or none, which keeps the "
         "negative half of the read noise; take what the network was trained with (default: what its file records, "
@@ -80,7 +80,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="float32",
         help="mixed precision by torch's autocast (default: %(default)s)",
     )
-    kept = "{out} keeps the finished predictions, and the same command goes on"
+    kept = "{output} keeps the finished predictions, and the same command goes on"
     add_shared(parser, run, "isolation", interrupted=kept, example=_EXAMPLE)
 
 
@@ -91,6 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     options = ("weights", "device", "precision", "tile", "overlap", "multiple", "window")
     network = load_network(arguments.model, **{name: getattr(arguments, name) for name in options})
-    clip = arguments.clip or network.clip or "protocol"
-    report = write_predictions(network, arguments.dataset or "", arguments.out, clip=clip, **chosen_options(arguments))
+    clip = arguments.input_clip or network.clip or "protocol"
+    chosen = chosen_options(arguments)
+    report = write_predictions(network, arguments.dataset or "", arguments.output, clip=clip, **chosen)
     return show_report(report, arguments)

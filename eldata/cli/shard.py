@@ -24,7 +24,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("store", metavar="STORE", help="a store of pairs, from eldata pack")
-    parser.add_argument("-o", "--out", metavar="DIR", required=True, help="a new folder")
+    parser.add_argument("-o", "--output", metavar="DIR", required=True, help="a new folder")
     parser.add_argument(
         "--tile",
         type=_tile,
@@ -42,7 +42,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         )
     parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
-    kept = "the finished shards are kept in {out}, and the same command goes on"
+    kept = "the finished shards are kept in {output}, and the same command goes on"
     add_shared(parser, run, "cameras", "isolation", interrupted=kept, example="eldata shard sid-train.h5 -o shards")
 
 
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     report = write_shards(
         arguments.store,
-        arguments.out,
+        arguments.output,
         tile=arguments.tile,
         overlap=arguments.overlap,
         samples_per_shard=arguments.samples_per_shard,

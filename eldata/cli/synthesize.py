@@ -21,7 +21,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("clean", metavar="CLEAN", help="folder of clean raw files")
-    parser.add_argument("-o", "--out", metavar="OUT", required=True, help="a new folder")
+    parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a new folder")
     parser.add_argument("--camera", metavar="NAME", required=True, help="a shipped profile (SonyA7S2) or a JSON file")
     add_components(
         parser,
@@ -51,7 +51,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="default: %(default)s")
-    kept = "{out} is an unfinished run: the finished frames are kept, and the same command goes on"
+    kept = "{output} is an unfinished run: the finished frames are kept, and the same command goes on"
     add_shared(
         parser,
         run,
@@ -90,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
         dark_frames=arguments.dark_frames,
         dark_shading=arguments.dark_shading,
     )
-    out = Path(arguments.out)
+    out = Path(arguments.output)
     with chosen_workers(arguments) as workers:
         manifest = synthesize(Path(arguments.clean), out, recipe, workers=workers)
     noisy = manifest.card.counts.get("noisy", 0)

@@ -28,7 +28,7 @@ Baseline = Literal["input"]
 ALL = "all"
 """In place of a protocol's name: every one that is for the dataset."""
 
-OF_CLIPS = "--clip ID (eldata predict and eldata baseline: --id ID; in Python ids=[...])"
+OF_CLIPS = "--clip ID (in Python ids=[...])"
 """What chooses clips, in messages: the commands that predict have another use for ``--clip``."""
 
 SETTINGS = "predictions.json"

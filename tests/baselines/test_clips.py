@@ -361,7 +361,7 @@ def test_a_command_that_was_killed_goes_on_and_scores(drv: SmallDrv, tmp_path: P
     """kill -9 as the network gets its fourth window; then the same command."""
     (tmp_path / "mine.py").write_text(MORTAL, encoding="utf-8")
     out = tmp_path / "p"
-    choice = ["--manifest", str(drv.csv), "--root", str(drv.root), "--id", "0007", "--id", "0013"]
+    choice = ["--manifest", str(drv.csv), "--root", str(drv.root), "--clip", "0007", "--clip", "0013"]
     command = [sys.executable, "-m", "eldata.cli.main", "predict", "mine:network", "--window", "3", "--multiple", "1"]
 
     def run(**variables: str) -> subprocess.CompletedProcess[str]:
@@ -393,12 +393,12 @@ def test_a_file_records_what_its_network_takes_and_others_are_refused(
     loaded = load_network(str(path), device="cpu")
     assert (loaded.window, loaded.multiple, loaded.clip) == (5, 2, "none")
     assert load_network(str(path), multiple=8, device="cpu").multiple == 8
-    choice = ["--manifest", str(drv.csv), "--root", str(drv.root), "--id", "0007", "-o", str(tmp_path / "p")]
+    choice = ["--manifest", str(drv.csv), "--root", str(drv.root), "--clip", "0007", "-o", str(tmp_path / "p")]
     for options, said in (
         (["--window", "3"], "takes windows of 5 frames, by its own account; found --window 3: leave it out"),
         (["--multiple", "3"], "takes sides that are multiples of 2, by its own account; found --multiple 3"),
-        (["--clip", "both"], "was trained with inputs clipped as 'none', by its own account; found 'both'"),
-        (["--clip", "protocol"], "was trained with inputs clipped as 'none'"),
+        (["--input-clip", "both"], "was trained with inputs clipped as 'none', by its own account; found 'both'"),
+        (["--input-clip", "protocol"], "was trained with inputs clipped as 'none'"),
     ):
         assert main(["predict", str(path), *choice, *options]) == 2
         error = capsys.readouterr().err

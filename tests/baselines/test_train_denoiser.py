@@ -71,7 +71,7 @@ def test_it_learns_and_leaves_a_network_that_predict_runs(data: str, store: Path
         "pairs": pairs,
         "shards": ["--pairs", str(store.parent / "tiles")],
         "synthetic": synthetic(store),
-        "noise2noise": [*synthetic(store), "--noise2noise", "--clip", "none"],
+        "noise2noise": [*synthetic(store), "--noise2noise", "--input-clip", "none"],
         "mixed": [*pairs, *synthetic(store)],
     }[data]
     losses = trained(tmp_path, *options, "--epochs", "6", "--batch-size", "2")

@@ -70,7 +70,7 @@ def moving(data: Path) -> list[str]:
 def test_it_trains_and_leaves_a_network_that_predict_runs(kind: str, data: Path, tmp_path: Path) -> None:
     options = {
         "moving": moving(data),
-        "still": [*moving(data), "--still", "--network", "unet", "--clip", "none"],
+        "still": [*moving(data), "--still", "--network", "unet", "--input-clip", "none"],
         "raw": ["--clips", str(data / "raw"), "--crops-per-clip", "4", "--network", "unet"],
         "rgb": ["--clips", str(data / "rgb"), "--rgb", "--ids", "0001", "0002", "--crops-per-clip", "4"],
     }[kind]

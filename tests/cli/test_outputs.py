@@ -57,11 +57,11 @@ def test_every_option_that_names_a_file_to_write_is_tried_first(parser: argparse
 
 # Options that name a folder: what is in it is not replaced, which its own tests show.
 FOLDERS = {
-    ("eldata baseline", "--out"),
-    ("eldata predict", "--out"),
-    ("eldata evaluate", "--out"),
-    ("eldata synthesize", "--out"),
-    ("eldata shard", "--out"),
+    ("eldata baseline", "--output"),
+    ("eldata predict", "--output"),
+    ("eldata evaluate", "--output"),
+    ("eldata synthesize", "--output"),
+    ("eldata shard", "--output"),
 }
 
 
@@ -70,7 +70,7 @@ def test_every_output_is_a_file_of_a_kind_or_a_folder(parser: argparse.ArgumentP
     found = {
         (command, action.option_strings[-1])
         for command, action in options_of(parser)
-        if {"-o", "--out", "--output"} & set(action.option_strings) and not isinstance(action, Output)
+        if {"-o", "--output"} & set(action.option_strings) and not isinstance(action, Output)
     }
     assert found == {one for one in FOLDERS if one[0].startswith(parser.prog)}
 

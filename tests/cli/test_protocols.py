@@ -130,7 +130,7 @@ def test_evaluate_under_a_file(eldata: Cli, tree: Tree, predictions: Path, tmp_p
         (["x", "--dataset", "eld", "--protocol", "elf"], "no protocol is called 'elf'"),
         (["x", "--dataset", "sid-fuji", "--protocol", "pmn"], "protocol 'pmn' is pmn-sid (for sid-sony) and pmn-eld"),
         (["x", "--dataset", "eld", "--protocol", "all", "--subset", "y"], "leave --subset out"),
-        (["x", "--dataset", "eld", "--clip", "0007"], "; in Python ids=[...]) is for datasets of clips, such as drv"),
+        (["x", "--dataset", "eld", "--clip", "0007"], "(in Python ids=[...]) is for datasets of clips, such as drv"),
         (
             ["x", "--dataset", "eld", "--protocol", "drv-rgb"],
             "'drv-rgb' scores videos, and 'eld' is a dataset of images",

@@ -55,14 +55,14 @@ def test_shards_of_a_store(sharded: Shard, store: Path, tmp_path: Path) -> None:
 def test_help_names_every_option(sharded: Shard) -> None:
     outcome = sharded("--help")
     assert (outcome.code, outcome.err) == (0, "")
-    options = ("--out", "--tile", "--overlap", "--samples-per-shard", "--seed", "--split", "--subset", "--camera")
+    options = ("--output", "--tile", "--overlap", "--samples-per-shard", "--seed", "--split", "--subset", "--camera")
     for word in ("STORE", *options, "whole", "kill -9"):
         assert word in outcome.out
 
 
 def test_what_is_wrong_is_one_line(sharded: Shard, store: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
-    assert_one_line(sharded(store), "--out")
+    assert_one_line(sharded(store), "--output")
     assert_one_line(sharded(store, "-o", out, "--tile", "half"), "expected a whole number of 0 or more, found 'half'")
     assert_one_line(sharded(store, "-o", out, "--samples-per-shard", "0"), "samples_per_shard must be 1 or more")
     assert_one_line(sharded(store, "-o", out), "64 x 96 pixels are too few for a tile of 1026 x 1026")

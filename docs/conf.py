@@ -60,7 +60,7 @@ nb_merge_streams = True
 
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 toc_object_entries_show_parents = "hide"
-autodoc_preserve_defaults = True
+autodoc_preserve_defaults = False  # it reads a function's source, where spelt keywords do not stand
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 napoleon_google_docstring = False

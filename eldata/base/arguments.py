@@ -43,6 +43,13 @@ def keywords(owner: str, given: Mapping[str, Any], *kinds: type) -> list[Any]:
     return [{name: given[name] for name in names if name in given} for names in known]
 
 
+class _AsDocumented:
+    """In place of a default that only a function's documentation states."""
+
+    def __repr__(self) -> str:
+        return "..."
+
+
 def spell_keywords(kind: type) -> Callable[[Function], Function]:
     """Return a decorator by which an editor and ``help()`` show each of a function's keyword arguments.
 
@@ -55,7 +62,7 @@ def spell_keywords(kind: type) -> Callable[[Function], Function]:
         *named, others = signature.parameters.values()
         types = {name: getattr(of, "__forward_arg__", of) for name, of in kind.__annotations__.items()}
         spelt = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=..., annotation=of)
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_AsDocumented(), annotation=of)
             for name, of in types.items()
             if name not in signature.parameters
         ]

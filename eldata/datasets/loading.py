@@ -46,7 +46,7 @@ _WORKERS = 2
 
 @runtime_checkable
 class SelfSplitting(Protocol):
-    """An iterable dataset that splits itself over ranks and workers, such as eldata.sources.shards.StreamedPairs."""
+    """An iterable dataset that splits itself over ranks and workers, such as eldata.datasets.StreamedPairs."""
 
     sample_bytes: int
     buffer_bytes: int
@@ -110,7 +110,7 @@ def training_loader(
     Parameters
     ----------
     dataset
-        One with ``len`` and indices, or an iterable one that splits itself (eldata.sources.shards.StreamedPairs). Items
+        One with ``len`` and indices, or an iterable one that splits itself (eldata.datasets.StreamedPairs). Items
         are to depend on (seed, epoch, index) alone, as those of this package do.
     batch_size
         Items per batch; the last batch is dropped if it is smaller.

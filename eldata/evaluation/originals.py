@@ -78,7 +78,7 @@ class Originals:
         return inside(self.folder, path) if self.store is None else self.store / path
 
     def require(self, path: str) -> None:
-        """Raise :class:`~eldata.errors.UnseenFileError` unless this machine sees where a frame is read from."""
+        """Raise :class:`~eldata.base.workers.UnseenFileError` unless this machine sees where a frame is read from."""
         require_files(self.place(path) if self.store is None else self.store)
 
     def raw(self, path: str) -> RawFrame:

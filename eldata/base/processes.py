@@ -31,7 +31,7 @@ from queue import SimpleQueue
 from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
 
 from eldata.base.files import current_folder
-from eldata.base.stopping import SIGNALS, Stopped, exit_code
+from eldata.base.stopping import SIGNALS, Stopped, exit_code, tell_again
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:
@@ -386,6 +386,7 @@ def serve(lifeline: int, argv: list[str], script: tuple[str | None, str | None])
     requests, _Here.parent = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # what is printed is not an answer
+    sys.unraisablehook = _lost
     for number in SIGNALS:
         signal.signal(number, _end if number == signal.SIGTERM else signal.SIG_IGN)
     if sys.platform == "linux":
@@ -436,6 +437,15 @@ def _end(number: int, _: object) -> None:
     if not _Here.is_told:  # else it unwinds already
         _Here.is_told = True
         raise Stopped(number)
+
+
+def _lost(unraisable: Any) -> None:
+    """Tell this process to end once more where a library's callback dropped that; show what else was dropped."""
+    if not isinstance(unraisable.exc_value, Stopped):
+        sys.__unraisablehook__(unraisable)
+    elif _Here.is_busy:
+        _Here.is_told = False
+        tell_again(unraisable.exc_value.number)
 
 
 def _answer(folder: str | None, fatal: Mapping[str, int], content: bytes) -> tuple[bool, bool, Any]:

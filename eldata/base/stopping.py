@@ -149,7 +149,7 @@ class Stopping:
         if not isinstance(unraisable.exc_value, Stopped):
             return False
         self._again = True
-        _thread.start_new_thread(_again_soon, (unraisable.exc_value.number,))
+        tell_again(unraisable.exc_value.number)
         return True
 
 
@@ -165,9 +165,19 @@ def _watch(told: int, program: str) -> None:
     os.close(told)
 
 
+def tell_again(number: int) -> None:
+    """Have the main thread handle a signal again, soon: what its handler raised was dropped in somebody's callback."""
+    _thread.start_new_thread(_again_soon, (number,))
+
+
 def _again_soon(number: int) -> None:
+    import threading
+
     time.sleep(0.01)  # or it would be raised in the hook, and dropped again
-    _thread.interrupt_main(signal.Signals(number))
+    if hasattr(signal, "pthread_kill"):  # which wakes it from a system's call, too
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+    else:
+        _thread.interrupt_main(signal.Signals(number))
 
 
 _current: Stopping | None = None

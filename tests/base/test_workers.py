@@ -5,6 +5,7 @@ The work is functions of the standard library, which a spawned process can impor
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -22,6 +23,7 @@ import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may b
 import pytest
 
 from eldata.base import compiled, workers
+from eldata.base.processes import LostError, Processes
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, EldataError, RawFileError
 from eldata.raw.reading import read_header
@@ -441,3 +443,18 @@ def test_a_function_takes_a_number_an_executor_or_workers() -> None:
     assert Workers.of(3) == Workers(3)
     with pytest.raises(ArgumentError, match="workers must be a whole number or an executor; found '2'"):
         Workers.of("2")  # type: ignore[arg-type]
+
+
+def _told_in_a_callback() -> str:
+    """Be told to end where Python drops what is raised, and go on for long."""
+    ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGTERM))()
+    time.sleep(PATIENCE_S)
+    return "went on"
+
+
+@pytest.mark.kill
+def test_a_worker_that_is_told_to_end_inside_a_librarys_callback_ends(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(LostError) as caught:
+        Processes("").run(_told_in_a_callback)
+    assert caught.value.code == 128 + signal.SIGTERM
+    assert capfd.readouterr() == ("", "")

@@ -1,6 +1,6 @@
 """Figures: named numbers with a unit, each declared once. Tables, pages, drawings, files and help read the declaration.
 
-A figure is no drawing: those are :mod:`eldata.plots` and :mod:`eldata.reports.figures`.
+Drawings are another thing: :mod:`eldata.plots` and :mod:`eldata.reports.figures`.
 """
 
 from __future__ import annotations

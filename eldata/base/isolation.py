@@ -20,7 +20,8 @@ from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 from eldata.base.files import check_posix, file_problem
-from eldata.base.processes import LostError, Processes, announced, earlier_end, end_after_this, ending_of, serves
+from eldata.base.processes import LostError, Processes, announced, earlier_end, end_after_this, serves
+from eldata.base.stopping import ending_of
 from eldata.errors import ArgumentError, EldataError
 
 if TYPE_CHECKING:

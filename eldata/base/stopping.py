@@ -165,6 +165,16 @@ def _watch(told: int, program: str) -> None:
     os.close(told)
 
 
+def ending_of(code: int) -> str:
+    """Return an exit code in words, such as ``exit code 3`` or ``SIGSEGV``."""
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return signal.Signals(-code).name
+    except ValueError:
+        return f"signal {-code}"
+
+
 def tell_again(number: int) -> None:
     """Have the main thread handle a signal again, soon: what its handler raised was dropped in somebody's callback."""
     _thread.start_new_thread(_again_soon, (number,))

@@ -267,14 +267,18 @@ class Bench:
     def _forked(self, log: Path, number: int, step: int) -> int:
         sys.stdout.flush()
         sys.stderr.flush()
+        # a Ctrl-C that comes before the fork has put this program's handler down would be raised in this program's code
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         pid = os.fork()
         if not pid:
             self._be(log, number, step)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
         return pid
 
     def _be(self, log: Path, number: int, step: int) -> NoReturn:
         code = 99
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # as before Python's start
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
         steps = Steps(number, step)
         try:
             os.setsid()

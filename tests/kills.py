@@ -28,6 +28,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import traceback
 from collections import Counter
@@ -37,6 +38,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
+from tqdm import tqdm
 
 from eldata.base.stopping import exit_code
 from tests.waiting import PATIENCE_S, until
@@ -444,6 +446,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args(argv)
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+    tqdm.set_lock(threading.RLock())  # its own is one for all forks: who is killed while holding it keeps it for ever
+    tqdm.monitor_interval = 0  # no thread, which may hold it at a fork
     failed = False
     for name in arguments.commands or CASES:
         with tempfile.TemporaryDirectory() as folder:

@@ -8,7 +8,4 @@ from .protocol import PROTOCOLS as PROTOCOLS
 from .protocol import RELEASED as RELEASED
 from .protocol import CaptureProtocol as CaptureProtocol
 from .protocol import ProtocolFrame as ProtocolFrame
-from .scene_plan import ScenePlan as ScenePlan
-from .shots import Shot as Shot
 from .shutter import Shutter as Shutter
-from .shutter import ShutterTime as ShutterTime

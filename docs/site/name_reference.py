@@ -40,7 +40,8 @@ def public_names(page: str) -> list[str]:
     """Return what a package exports, by the alphabet, or the classes and functions of a module, in its order."""
     module = import_module(page)
     if hasattr(module, "__all__"):
-        return sorted(module.__all__, key=str.lower)
+        names = sorted(module.__all__, key=str.lower)
+        return [name for name in names if not inspect.ismodule(getattr(module, name))]
     own = [name for name, value in vars(module).items() if getattr(value, "__module__", None) == page]
     return [name for name in own if not name.startswith("_") and callable(vars(module)[name])]
 

@@ -1,9 +1,4 @@
 from .classical import BASELINES as BASELINES
-from .classical import SignalNoise as SignalNoise
-from .classical import noise_of_image as noise_of_image
-from .classical import noise_of_parameters as noise_of_parameters
-from .classical import stabilised as stabilised
-from .classical import unstabilised as unstabilised
 from .exported import save_network as save_network
 from .networks import NetworkDenoiser as NetworkDenoiser
 from .networks import load_network as load_network
@@ -12,7 +7,6 @@ from .predicting import BaselineDenoiser as BaselineDenoiser
 from .predicting import Denoiser as Denoiser
 from .predicting import write_predictions as write_predictions
 from .tiling import tiled as tiled
-from .training import EpochReport as EpochReport
 from .training import Training as Training
 from .training import absolute_error as absolute_error
 from .training import clip_error as clip_error

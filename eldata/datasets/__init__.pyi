@@ -3,7 +3,6 @@ from .base import SourcePairs as SourcePairs
 from .calibration_frames import CalibrationFrames as CalibrationFrames
 from .clean import ArrayClips as ArrayClips
 from .clean import Arrays as Arrays
-from .clean import CleanFrame as CleanFrame
 from .clean import CleanSource as CleanSource
 from .clean import ClipSource as ClipSource
 from .clean import RawClips as RawClips
@@ -27,9 +26,6 @@ from .ranks import Rank as Rank
 from .registry import dataset_class as dataset_class
 from .registry import dataset_names as dataset_names
 from .registry import open_dataset as open_dataset
-from .rgb import OneSensor as OneSensor
-from .rgb import PairSensors as PairSensors
-from .rgb import Rendered as Rendered
 from .rgb import StagedPairs as StagedPairs
 from .rgb import raw2rgb as raw2rgb
 from .rgb import rgb2rgb as rgb2rgb

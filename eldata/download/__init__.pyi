@@ -1,15 +1,5 @@
-from .archives import Archive as Archive
-from .archives import open_archive as open_archive
 from .fetching import Fetcher as Fetcher
 from .fetching import Patience as Patience
-from .installing import Installed as Installed
-from .installing import Relocation as Relocation
 from .installing import fetch_dataset as fetch_dataset
-from .installing import find_relocation as find_relocation
 from .installing import unpack_dataset as unpack_dataset
-from .members import Member as Member
-from .overview import Overview as Overview
-from .overview import Presence as Presence
 from .overview import overview as overview
-from .unpacking import Unpacked as Unpacked
-from .unpacking import unpack_archive as unpack_archive

@@ -5,16 +5,12 @@ from .comparison import compare as compare
 from .comparison.folders import evaluate_methods as evaluate_methods
 from .evaluate import evaluate as evaluate
 from .evaluate import evaluate_all as evaluate_all
-from .layouts import EXTENSIONS as EXTENSIONS
 from .predictions import load_prediction as load_prediction
 from .predictions import save_clip_prediction as save_clip_prediction
 from .predictions import save_prediction as save_prediction
 from .published import published_rows as published_rows
 from .published.comparison import comparison_table as comparison_table
-from .reproduction import Reevaluation as Reevaluation
 from .reproduction import reproduce as reproduce
 from .results import EvaluationResult as EvaluationResult
 from .saved import load_results as load_results
-from .scores import FrameScore as FrameScore
-from .scores import UnitScore as UnitScore
 from .tasks import Task as Task

@@ -1,6 +1,5 @@
 from .libraw import render_libraw as render_libraw
 from .radiometric import CurveModel as CurveModel
-from .radiometric import RadiometricFit as RadiometricFit
 from .radiometric import fit_to_exposures as fit_to_exposures
 from .radiometric import fit_to_samples as fit_to_samples
 from .rendering import CameraColour as CameraColour

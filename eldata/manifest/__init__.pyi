@@ -1,8 +1,6 @@
 from .card import Card as Card
 from .card import load_card as load_card
 from .catalogue import Manifest as Manifest
-from .catalogue import carded_names as carded_names
-from .catalogue import find_manifests as find_manifests
 from .catalogue import load_manifest as load_manifest
 from .catalogue import shipped_card as shipped_card
 from .catalogue import shipped_manifest as shipped_manifest
@@ -12,5 +10,3 @@ from .lock import lock as lock
 from .table import load_records as load_records
 from .table import save_records as save_records
 from .verify import verify as verify
-from .verify_report import Problem as Problem
-from .verify_report import VerifyReport as VerifyReport

@@ -3,8 +3,6 @@ from .components import Components as Components
 from .components import parse_components as parse_components
 from .dark_shading import DarkShading as DarkShading
 from .exposures import Adc as Adc
-from .exposures import DarkCrops as DarkCrops
-from .exposures import DarkSource as DarkSource
 from .gain_modes import GainMode as GainMode
 from .makers import NoiseMaker as NoiseMaker
 from .model import NoiseModel as NoiseModel
@@ -12,7 +10,6 @@ from .parameters import NoiseParameters as NoiseParameters
 from .parameters import tukey_lambda_variance as tukey_lambda_variance
 from .profile import CameraProfile as CameraProfile
 from .profile_files import shipped_profiles as shipped_profiles
-from .published import profiles_from_published as profiles_from_published
 from .published import read_published as read_published
 from .shading_content import ShadingIso as ShadingIso
 from .structure import NoiseStructure as NoiseStructure

@@ -1,1 +1,5 @@
 """Where frames come from: raw files, arrays, stores and shards."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

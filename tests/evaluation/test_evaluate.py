@@ -16,9 +16,10 @@ import pytest
 from eldata import __version__
 from eldata.base.files import sha256_of
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError
-from eldata.evaluation import EvaluationResult, UnitScore, evaluate, save_prediction
+from eldata.evaluation import EvaluationResult, evaluate, save_prediction
 from eldata.evaluation.request import EvaluationOptions
 from eldata.evaluation.saved import saved_result
+from eldata.evaluation.scores import UnitScore
 from eldata.manifest.card import load_card, save_card
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import IMAGES

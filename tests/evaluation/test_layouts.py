@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from eldata.errors import ManifestError
-from eldata.evaluation import EXTENSIONS, evaluate, evaluate_all, save_prediction
-from eldata.evaluation.layouts import Expected, dataset_itself, layout_in_words, nearest_in_words
+from eldata.evaluation import evaluate, evaluate_all, save_prediction
+from eldata.evaluation.layouts import EXTENSIONS, Expected, dataset_itself, layout_in_words, nearest_in_words
 from eldata.evaluation.scores import EvaluationProblem, problem_lines
 from eldata.manifest.catalogue import shipped_manifest
 

@@ -19,18 +19,16 @@ from eldata.protocols import (
     PROTOCOLS,
     ClipProtocol,
     Protocol,
-    comparability,
     default_protocol,
     digests,
-    fields_digest,
     get_protocol,
     load_protocol,
     protocols_for,
 )
-from eldata.protocols.digests import NEUTRAL, canonical
+from eldata.protocols.digests import NEUTRAL, canonical, fields_digest
 from eldata.protocols.named import of_digest
 from eldata.protocols.protocol import CHOICES
-from eldata.protocols.words import FIELDS, HEADER, described, summary
+from eldata.protocols.words import FIELDS, HEADER, comparability, described, summary
 from tests.evaluation.helpers import scored_pairs
 
 GOLDEN = Path(__file__).parent / "golden" / "protocols.json"

@@ -22,7 +22,7 @@ from skimage.metrics import structural_similarity
 from eldata import metrics
 from eldata.errors import ArgumentError
 from eldata.evaluation import evaluate
-from eldata.metrics.image_score import factor_by
+from eldata.metrics.image_score import factor_by, score_by
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import IMAGES
 from tests.evaluation import oracle
@@ -209,7 +209,7 @@ def test_every_protocol_of_raw_images(protocol: str) -> None:
     region = rules.crop((4, 520, 530))
     part = rules.factor_crop((4, 520, 530))
     factor = factor_by(preds[0][part], target[0][part], rules.rules)
-    expected = metrics.score_by(preds[0][region], target[0][region], rules.rules, factor=factor)
+    expected = score_by(preds[0][region], target[0][region], rules.rules, factor=factor)
     assert numbers(metric.compute()) == {"psnr_db": expected.psnr_db, "ssim": expected.ssim}
 
 

@@ -13,8 +13,9 @@ import pytest
 
 from eldata.base.files import write_json
 from eldata.cli.main import main
-from eldata.manifest import carded_names, shipped_card, shipped_manifest, shipped_names, to_croissant
+from eldata.manifest import shipped_card, shipped_manifest, shipped_names, to_croissant
 from eldata.manifest.card import Download
+from eldata.manifest.catalogue import carded_names
 from tests.integrations.published_sets import sid_like
 
 if TYPE_CHECKING:

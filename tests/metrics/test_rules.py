@@ -13,8 +13,8 @@ import pytest
 from skimage.metrics import structural_similarity
 
 from eldata.errors import ArgumentError
-from eldata.metrics import ScoringRules, factor_by, score, score_by
-from eldata.metrics.image_score import as_compared
+from eldata.metrics import score
+from eldata.metrics.image_score import ScoringRules, as_compared, factor_by, score_by
 
 Image = npt.NDArray[np.floating[Any]]
 

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from eldata.errors import ProfileError
-from eldata.noise import CameraProfile, profiles_from_published, read_published
+from eldata.noise import CameraProfile, read_published
+from eldata.noise.published import profiles_from_published
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "noise.md"
 

@@ -24,7 +24,7 @@ from eldata.evaluation.looking import worst_and_best, worst_and_best_images
 from eldata.evaluation.saved import saved_result
 from eldata.isp.preview import brightening, preview
 from eldata.plots.axes import drawable
-from eldata.protocols import fields_digest
+from eldata.protocols.digests import fields_digest
 from eldata.protocols.kinds import IMAGES
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw

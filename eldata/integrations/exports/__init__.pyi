@@ -1,3 +1,2 @@
 from .codes import export as export
 from .hub import export_hub as export_hub
-from .writing import ExportReport as ExportReport

@@ -1,8 +1,6 @@
 from .build import build_store as build_store
 from .checks import verify_store as verify_store
 from .format import Store as Store
-from .format import StoredFrame as StoredFrame
-from .format import StoredRgb as StoredRgb
 from .read import open_store as open_store
 from .sources import Source as Source
 from .sources import source_of_dataset as source_of_dataset

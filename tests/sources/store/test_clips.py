@@ -17,9 +17,9 @@ from eldata.base.png import read_rgb16
 from eldata.errors import ArgumentError, DatasetError, FileError
 from eldata.manifest.drv import scan_raw
 from eldata.raw import read_raw
-from eldata.sources.store import StoredRgb, build_store, open_store, source_of_dataset, verify_store
+from eldata.sources.store import build_store, open_store, source_of_dataset, verify_store
 from eldata.sources.store.build import pixels_digest
-from eldata.sources.store.format import PackedFile, StoreError
+from eldata.sources.store.format import PackedFile, StoredRgb, StoreError
 from eldata.sources.store.read import PixelReader
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 from tests.sources.store.helpers import contents, pack_tree, start_packing

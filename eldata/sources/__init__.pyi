@@ -1,0 +1,2 @@
+from . import shards as shards
+from . import store as store

@@ -224,6 +224,16 @@ def _along_two_columns(
 
 
 @kernel
+def _mix(filtered: NDArray[np.float64], weights: NDArray[np.float64], mixed: NDArray[np.float64], count: int) -> None:
+    """Weigh the channels that a window spans."""
+    mixed[:] = 0.0
+    for channel in range(len(filtered)):
+        for which in range(4):
+            for j in range(count):
+                mixed[which, j] += weights[channel] * filtered[channel, which, j]
+
+
+@kernel
 def gaussian_error_and_similarity(
     prediction: NDArray[Any],
     reference: NDArray[Any],
@@ -307,11 +317,7 @@ def gaussian_error_and_similarity(
                     if channels == 1:
                         window = filtered[below, 0]
                     else:
-                        mixed[:] = 0.0
-                        for other in range(channels):
-                            for which in range(4):
-                                for j in range(inner):
-                                    mixed[which, j] += mixing[channel, other] * filtered[below, other, which, j]
+                        _mix(filtered[below], mixing[channel], mixed, inner)
                         window = mixed
                     for j in range(inner):
                         s_squared = window[0, j] * window[0, j]

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader, Subset
 from benchmarks import plain_noise
 from benchmarks.harness import Row, in_turn
 from benchmarks.synthetic_pairs import PlainPairs
-from eldata.datasets import Arrays, StoredFrames, SyntheticPairs
+from eldata.datasets import Arrays, CleanFrames, SyntheticPairs
 from eldata.demo.scenes import scene_radiance
 from eldata.noise import CameraProfile, NoiseModel
 from eldata.sources.store import build_store, source_of_dataset
@@ -32,9 +32,9 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:  # noqa: ARG001 # e
     with tempfile.TemporaryDirectory(prefix="small-crops-", dir=files.data.parent) as folder:
         store = Path(folder) / "none.h5"
         build_store(source_of_dataset("eld-demo", root=files.data, manifest=files.manifest), store)
-        sources: dict[str, Arrays | StoredFrames] = {
+        sources: dict[str, Arrays | CleanFrames] = {
             "arrays": Arrays(frames, range_dn=plain_noise.RANGE_DN),
-            "a store": StoredFrames(store),
+            "a store": CleanFrames(store),
         }
         ways: dict[str, Callable[[], object]] = {}
         for name, source in sources.items():

@@ -236,9 +236,9 @@ def _loaders(datasets: Mapping[str, Any], rounds: int) -> list[Row]:
 def _noise(datasets: Mapping[str, Any], folder: Path, rounds: int) -> list[Row]:
     """Clean crops with the full noise model, made by the workers or in the main process."""
     from benchmarks.store_noise import CleanCrops, LmdbWithNoise
-    from eldata.datasets import StoredFrames, SyntheticPairs
+    from eldata.datasets import CleanFrames, SyntheticPairs
 
-    source = StoredFrames(folder / "none.h5")
+    source = CleanFrames(folder / "none.h5")
     profile = "SonyA7S2"
     ours = SyntheticPairs(source, profile, crop=CROP, augment=False, crops_per_frame=-(-_COUNT // len(source)))
     ours.set_epoch(0)  # each round reads the same items

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from benchmarks.store_routes import Lmdb
-    from eldata.datasets import StoredFrames
+    from eldata.datasets import CleanFrames
 
 
 class LmdbWithNoise(Dataset[dict[str, torch.Tensor]]):
@@ -48,7 +48,7 @@ class LmdbWithNoise(Dataset[dict[str, torch.Tensor]]):
 class CleanCrops(Dataset[dict[str, Any]]):
     """Clean crops of a store alone, for noise that the main process makes, on whole batches by all threads."""
 
-    def __init__(self, source: StoredFrames, count: int) -> None:
+    def __init__(self, source: CleanFrames, count: int) -> None:
         self.source, self.count = source, count
         self.model = NoiseModel(clip="both")
         self.choice = NoiseChoice.of("SonyA7S2", (100.0, 300.0), None, "any")

@@ -35,7 +35,7 @@ from eldata.base.tables import markdown_table
 from eldata.baselines import BaselineDenoiser, Training, UNet, absolute_error, reference_network, write_predictions
 from eldata.baselines.unet import blank_reference, save_weights
 from eldata.calibration import check_noise
-from eldata.datasets import DarkFrames, Noise2Noise, RawFiles, training_loader
+from eldata.datasets import CleanFrames, DarkFrames, Noise2Noise, training_loader
 from eldata.datasets.loading import set_epoch
 from eldata.errors import EldataError
 from eldata.evaluation import evaluate
@@ -118,10 +118,10 @@ class Bench:
         rows = [row for row in manifest.records if (row.role, row.split, row.camera) == wanted]
         return [manifest.folder(self.root) / row.path for row in rows]
 
-    def clean(self) -> RawFiles:
+    def clean(self) -> CleanFrames:
         """Return them as a source, decoded once."""
         files = self.clean_files()
-        return RawFiles(files, keep=len(files))
+        return CleanFrames(files, keep=len(files))
 
     @property
     def shading(self) -> Path:
@@ -392,7 +392,7 @@ def train_reference(folder: Path, cameras: Sequence[str], out: Path, device: str
     clean = [path for camera in cameras for path in Bench(folder, camera).clean_files()]
     virtual = VirtualCameras(100, replace(LED_RANGES, gain_dn_per_e=(0.1, 10.0)), seed=0)
     per = math.ceil(EPOCH * BATCH / len(clean))
-    frames = RawFiles(clean, keep=len(clean))
+    frames = CleanFrames(clean, keep=len(clean))
     pairs = SyntheticPairs(
         frames, virtual, ratio=(10.0, 300.0), clip=CLIP, crop=CROP, crops_per_frame=per, augment=True, seed=0
     )

@@ -32,15 +32,7 @@ from eldata import ELDDataset, PackedStore, StreamedPairs, SyntheticClips, Synth
 from eldata.base.arguments import named_object
 from eldata.base.files import atomic_write
 from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
-from eldata.datasets import (
-    DarkFrames,
-    Noise2Noise,
-    RawFiles,
-    StoredFrames,
-    describe,
-    evaluation_loader,
-    training_loader,
-)
+from eldata.datasets import CleanFrames, DarkFrames, Noise2Noise, describe, evaluation_loader, training_loader
 from eldata.noise import NoiseModel
 
 if TYPE_CHECKING:
@@ -118,8 +110,7 @@ def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Datas
     """Return clean crops with noise made on the fly; for Noise2Noise, two noisy exposures of each."""
     if not options.profile:
         arguments().error("--clean needs a camera's noise: --profile")
-    frames = StoredFrames if Path(options.clean).is_file() else RawFiles
-    source = frames(options.clean, levels=options.levels)
+    source = CleanFrames(options.clean, levels=options.levels)
     noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio), "clip": options.input_clip}
     if not options.noise2noise:
         return SyntheticPairs(source, options.profile, **crops, **noise)

@@ -25,7 +25,7 @@ from train_denoiser import Stills, add_shared, curves_in, keep, noise_of, start_
 
 from eldata import DRVDataset, SyntheticClips
 from eldata.baselines import FastDVDnet, Training, UNet, clip_error
-from eldata.datasets import RawClips, RawFiles, StoredClips, StoredFrames, describe, training_loader
+from eldata.datasets import CleanClips, CleanFrames, describe, training_loader
 from eldata.datasets.packed import PackedClips
 
 if TYPE_CHECKING:
@@ -88,11 +88,10 @@ def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:
         return real
     if not (options.clean and options.profile):
         arguments().error("give --clips, or --clean with --profile")
-    is_store = Path(options.clean).is_file()
     if options.still:
-        source: Any = Stills((StoredFrames if is_store else RawFiles)(options.clean, levels=options.levels), frames)
+        source: Any = Stills(CleanFrames(options.clean, levels=options.levels), frames)
     else:
-        source = (StoredClips if is_store else RawClips)(options.clean, levels=options.levels)
+        source = CleanClips(options.clean, levels=options.levels)
     noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio)}
     windows = {"frames": frames, "windows_per_clip": options.crops_per_clip}
     return SyntheticClips(source, options.profile, **windows, **crops, **noise)

@@ -29,7 +29,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Decode each file of a dataset's pairs or clips, or of a folder of clean raws, once, into one HDF5 file: "
             "the pixels in DN with levels, CFA, exposure and manifest (of preprocessed clips, their 16-bit RGB), "
-            "lossless. PackedStore, PackedClips, StoredFrames and StoredClips read random crops of it; DarkFrames "
+            "lossless. PackedStore, PackedClips, CleanFrames and CleanClips read random crops of it; DarkFrames "
             "reads those of bias frames, CAMERA/bias/ISO100/... below the folder (that of DATASET calibration). Work "
             "that was interrupted, even by kill -9, goes on where it was if the command is repeated."
         ),

@@ -1,14 +1,11 @@
 from .base import PairDataset as PairDataset
 from .base import SourcePairs as SourcePairs
 from .calibration_frames import CalibrationFrames as CalibrationFrames
-from .clean import ArrayClips as ArrayClips
 from .clean import Arrays as Arrays
+from .clean import CleanClips as CleanClips
+from .clean import CleanFrames as CleanFrames
 from .clean import CleanSource as CleanSource
 from .clean import ClipSource as ClipSource
-from .clean import RawClips as RawClips
-from .clean import RawFiles as RawFiles
-from .clean import StoredClips as StoredClips
-from .clean import StoredFrames as StoredFrames
 from .dark_frames import DarkFrames as DarkFrames
 from .dn_batches import DnPairs as DnPairs
 from .dn_batches import normalise_batch as normalise_batch

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -18,21 +18,18 @@ from eldata.raw._kernels import scatter_bayer
 from eldata.raw.cfa import packing_sites, unpack
 from eldata.raw.files import RAW_EXTENSIONS, no_raws, raws_below
 from eldata.raw.levels import LEVELS, Levels, check_in_dn
-from eldata.sources.frames import Files, Frame
+from eldata.sources.frames import Files, Frame, FrameSource
+from eldata.sources.store.format import SUFFIXES
 from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from eldata.raw.cfa import CfaRows, Sites
-    from eldata.sources.frames import FrameSource
 
 _BAYER: CfaRows = ((0, 1), (3, 2))
-
-CleanFrame = Frame
-Frames = TypeVar("Frames", bound="CleanSource")
 
 
 class CleanSource(Protocol):
@@ -45,7 +42,7 @@ class CleanSource(Protocol):
     def __len__(self) -> int:
         """Return the number of frames."""
 
-    def frame(self, index: int) -> CleanFrame:
+    def frame(self, index: int) -> Frame:
         """Return one frame."""
 
 
@@ -59,33 +56,55 @@ class ClipSource(Protocol):
         """Return the frames of one clip; they are decoded one by one."""
 
 
-# --- frames -----------------------------------------------------------------------------------------------------------
+class CleanFrames:
+    """Clean frames of raw files or of a store, by their number, such as the long exposures of SID.
 
-
-class SomeFrames:
-    """Frames of a source in an order, by their number: a clip, for one.
+    Items are the same from files and from a store of them; of a store only the crops are read.
 
     Parameters
     ----------
+    source
+        A folder, searched through for camera raws; the files themselves; or a store (``eldata pack``): the frames of a
+        packed folder, or the references of packed pairs.
+    names
+        Of a :class:`~eldata.sources.frames.FrameSource` given as ``source``: its frames, in this order.
+    levels
+        White level: the file's (``"metadata"``) or 16383 (``"published"``).
     keep
         Number of whole frames to keep in memory, in each process: those that were used last.
 
     Raises
     ------
+    DatasetError
+        If there is not a raw file, or the store holds no clean frames.
+    StoreError
+        If the store is truncated, not complete, or of another version.
     ArgumentError
-        If ``levels`` is unknown.
+        If ``levels`` is unknown, or ``keep`` negative.
+
+    Examples
+    --------
+    >>> from eldata.datasets import CleanFrames
+    >>> len(CleanFrames("eldata-demo/data/ELD-demo/DemoAlpha"))
+    16
     """
 
-    def __init__(self, origin: FrameSource, names: Iterable[str], levels: Levels, keep: int = 0) -> None:
+    def __init__(
+        self,
+        source: Path | str | Iterable[Path | str] | FrameSource,
+        *,
+        names: Iterable[str] = (),
+        levels: Levels = "metadata",
+        keep: int = 0,
+    ) -> None:
         check_choice("levels", levels, LEVELS)
         if keep < 0:
             raise ArgumentError(f"keep must be 0 or more; found {keep}")
-        self.origin = origin
-        self.names = tuple(names)
         self.levels: Levels = levels
         self.keep = keep
-        self._kept: OrderedDict[int, CleanFrame] = OrderedDict()
-        self._opened: dict[int, CleanFrame] = {}  # of a source that reads parts: without pixels
+        self.origin, self.names = (source, tuple(names)) if isinstance(source, FrameSource) else _found(source)
+        self._kept: OrderedDict[int, Frame] = OrderedDict()
+        self._opened: dict[int, Frame] = {}  # of a source that reads parts: without pixels
 
     @property
     def reads_parts(self) -> bool:
@@ -95,7 +114,7 @@ class SomeFrames:
     def __len__(self) -> int:
         return len(self.names)
 
-    def opened(self, index: int) -> CleanFrame:
+    def opened(self, index: int) -> Frame:
         """Open one frame; a file is decoded, of a store nothing is read yet."""
         frame = self._opened.get(index)
         if frame is None:
@@ -106,7 +125,7 @@ class SomeFrames:
                 self._opened[index] = frame
         return frame
 
-    def frame(self, index: int) -> CleanFrame:
+    def frame(self, index: int) -> Frame:
         """Return one frame: one of those that are kept, or opened."""
         if not self.keep:
             return self.opened(index)
@@ -120,46 +139,37 @@ class SomeFrames:
         return kept
 
     def __repr__(self) -> str:
-        return f"clip of {self.names[0]}"
+        first = f"first {self.names[0]}, " if self.names else ""
+        return f"CleanFrames({len(self)} frames, {first}levels={self.levels!r}, keep={self.keep})"
 
 
-class RawFiles(SomeFrames):
-    """Clean frames decoded from raw files, such as the long exposures of SID.
-
-    Parameters
-    ----------
-    files
-        A folder, searched through for camera raws, or the files themselves.
-    levels
-        White level: the file's (``"metadata"``) or 16383 (``"published"``).
-    keep
-        Number of decoded frames to keep in memory, per worker.
+def raw_files(source: Path | str | Iterable[Path | str]) -> tuple[Path, ...]:
+    """Return the raw files of a folder, or those that are given.
 
     Raises
     ------
     DatasetError
-        If there is not a raw file.
-
-    Examples
-    --------
-    >>> from eldata.datasets import RawFiles
-    >>> len(RawFiles("eldata-demo/data/ELD-demo/DemoAlpha"))
-    16
+        If there is none.
     """
+    files = raws_below(Path(source)) if isinstance(source, (str, Path)) else [Path(path) for path in source]
+    if not files:
+        raise DatasetError("no raw file was given")
+    return tuple(files)
 
-    def __init__(self, files: Path | str | Iterable[Path | str], *, levels: Levels = "metadata", keep: int = 0) -> None:
-        found = raws_below(Path(files)) if isinstance(files, (str, Path)) else [Path(path) for path in files]
-        if not found:
-            raise DatasetError("no raw file was given")
-        super().__init__(Files(), map(str, found), levels, keep)
 
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """The files."""
-        return tuple(map(Path, self.names))
+def _found(source: Path | str | Iterable[Path | str]) -> tuple[FrameSource, tuple[str, ...]]:
+    """Return where frames are read, and which they are."""
+    if not (isinstance(source, (str, Path)) and _is_store(source)):
+        return Files(), tuple(map(str, raw_files(source)))
+    store = StoreFrames(source)
+    clean = sorted(frame.path for frame in store.store.frames if frame.role == "reference")
+    if not clean:
+        raise DatasetError(f"{source}: holds no clean frames, but {len(store.store.every)} of other kinds")
+    return store, tuple(clean)
 
-    def __repr__(self) -> str:
-        return f"RawFiles({len(self)} files, first {self.paths[0].name}, levels={self.levels!r}, keep={self.keep})"
+
+def _is_store(source: Path | str) -> bool:
+    return Path(source).suffix.lower() in SUFFIXES
 
 
 class Arrays:
@@ -199,12 +209,12 @@ class Arrays:
     def __len__(self) -> int:
         return len(self.arrays)
 
-    def frame(self, index: int) -> CleanFrame:
+    def frame(self, index: int) -> Frame:
         """Return one array as a mosaic."""
         packed, name, sites = np.asarray(self.arrays[index]), f"array {index}", self._sites
         check_normalised(packed, name)
         mosaic = _Unpacked(packed, sites, self.range_dn)
-        return CleanFrame(mosaic, sites.cfa, self._black_level_dn, self.range_dn, name)
+        return Frame(mosaic, sites.cfa, self._black_level_dn, self.range_dn, name)
 
     def __repr__(self) -> str:
         return f"Arrays({len(self)} frames of shape {self.arrays[0].shape}, range_dn={self.range_dn:g})"
@@ -241,89 +251,61 @@ class _Unpacked:
         return whole[above : above + bottom - top, before : before + right - left]
 
 
-class StoredFrames(SomeFrames):
-    """Clean frames of a store, for :class:`~eldata.datasets.synthetic.SyntheticPairs`: only the crops are read.
-
-    The frames are those of a packed folder, or the references of packed pairs. Items are the same as from
-    :class:`RawFiles` over the same files in the same order.
+class CleanClips:
+    """Clean clips by their number, for :class:`~eldata.datasets.synthetic.SyntheticClips`.
 
     Parameters
     ----------
-    path
-        The store.
+    source
+        A folder, or a store of it (``eldata pack FOLDER``): each folder at any depth below it that holds camera raws is
+        a clip, in the order of the numbers in their names. Or clips one by one: such folders, or
+        :class:`CleanFrames`, :class:`Arrays` and the like in the order of time.
     levels
-        White level: the file's (``"metadata"``) or 16383 (``"published"``).
+        Of folders and stores, as in :class:`CleanFrames`.
 
     Raises
     ------
-    StoreError
-        If the file is not a store, truncated, not complete, or of a newer version.
     DatasetError
-        If it holds no clean frames.
+        If there is no clip, the names of a clip do not follow one numbering, or a store holds a dataset's pairs or
+        clips.
+    StoreError
+        If the store is truncated, not complete, or of another version.
     ArgumentError
         If ``levels`` is unknown.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.datasets import Arrays, CleanClips
+    >>> len(CleanClips([Arrays(np.zeros((9, 4, 64, 64), np.float32), range_dn=15871.0)]))
+    1
     """
 
-    def __init__(self, path: Path | str, *, levels: Levels = "metadata") -> None:
-        source = StoreFrames(path)
-        self.path = source.path
-        self.frames = tuple(
-            sorted((frame for frame in source.store.frames if frame.role == "reference"), key=lambda frame: frame.path)
-        )
-        if not self.frames:
-            raise DatasetError(f"{path}: holds no clean frames, but {len(source.store.every)} of other kinds")
-        super().__init__(source, (frame.path for frame in self.frames), levels)
-
-    def __repr__(self) -> str:
-        return f"StoredFrames({str(self.path)!r}, {len(self)} frames, levels={self.levels!r})"
-
-
-# --- clips ------------------------------------------------------------------------------------------------------------
-
-
-class SomeClips(Generic[Frames]):
-    """Clips by their number."""
-
-    def __init__(self, clips: Iterable[Frames]) -> None:
-        self._clips = tuple(clips)
+    def __init__(self, source: Path | str | Iterable[Path | str | CleanSource], *, levels: Levels = "metadata") -> None:
+        check_choice("levels", levels, LEVELS)
+        if not isinstance(source, (str, Path)):
+            clips = [
+                CleanFrames(_frames_of(Path(clip)), levels=levels) if isinstance(clip, (str, Path)) else clip
+                for clip in source
+            ]
+        elif _is_store(source):
+            clips = list(_clips_of(StoreFrames(source), levels))
+        else:
+            folders = sorted({path.parent for path in raws_below(Path(source))})
+            clips = [CleanFrames(_frames_of(folder), levels=levels) for folder in folders]
+        if not clips:
+            raise DatasetError("no clip was given")
+        self._clips: tuple[CleanSource, ...] = tuple(clips)
 
     def __len__(self) -> int:
         return len(self._clips)
 
-    def clip(self, index: int) -> Frames:
+    def clip(self, index: int) -> CleanSource:
         """Return the frames of one clip."""
         return self._clips[index]
 
-
-class RawClips(SomeClips[RawFiles]):
-    """Clean clips of raw files: folders, one per clip, whose files are in the order of the numbers in their names.
-
-    Parameters
-    ----------
-    folders
-        A folder: each folder at any depth below it that holds camera raws is a clip. Or these folders themselves.
-    levels
-        As in :class:`RawFiles`.
-
-    Raises
-    ------
-    DatasetError
-        If there is no clip, or the names of a clip do not follow one numbering.
-    """
-
-    def __init__(self, folders: Path | str | Iterable[Path | str], *, levels: Levels = "metadata") -> None:
-        if isinstance(folders, (str, Path)):
-            found = sorted({path.parent for path in raws_below(Path(folders))})
-        else:
-            found = [Path(folder) for folder in folders]
-        if not found:
-            raise DatasetError("no folder was given")
-        self.folders: tuple[Path, ...] = tuple(found)
-        self.levels: Levels = levels
-        super().__init__(RawFiles(_frames_of(folder), levels=levels) for folder in found)
-
     def __repr__(self) -> str:
-        return f"RawClips({len(self)} clips, first {self.folders[0]}, levels={self.levels!r})"
+        return f"CleanClips({len(self)} clips, first {self._clips[0]!r})"
 
 
 def _frames_of(folder: Path) -> list[Path]:
@@ -332,6 +314,18 @@ def _frames_of(folder: Path) -> list[Path]:
     if not raws:
         raise no_raws(folder, names)
     return [folder / name for name in _in_order(folder, raws)]
+
+
+def _clips_of(source: StoreFrames, levels: Levels) -> Iterator[CleanFrames]:
+    if source.store.manifest is not None:
+        raise DatasetError(f"{source.path}: holds a dataset, not clean clips; pack a folder of folders of clean raws")
+    folders: dict[PurePosixPath, list[str]] = {}
+    for frame in source.store.frames:
+        place = PurePosixPath(frame.path)
+        folders.setdefault(place.parent, []).append(place.name)
+    for folder, names in sorted(folders.items()):
+        paths = [str(folder / name) for name in _in_order(source.path / folder, names)]
+        yield CleanFrames(source, names=paths, levels=levels)
 
 
 def _in_order(folder: PurePosixPath | Path, names: Iterable[str]) -> tuple[str, ...]:
@@ -343,70 +337,3 @@ def _in_order(folder: PurePosixPath | Path, names: Iterable[str]) -> tuple[str, 
             what = f"nothing from {sequence.gaps[0][0]} to {sequence.gaps[0][1]}"
         raise DatasetError(f"{folder}: expected the frames of one clip, numbered without a gap; found {what}")
     return sequence.names
-
-
-class ArrayClips(SomeClips[Arrays]):
-    """Clean clips from packed, normalised arrays (T, C, h, w) in memory (or memory-mapped).
-
-    Parameters
-    ----------
-    arrays
-        One array per clip; their lengths and sizes may differ.
-    range_dn, cfa
-        As in :class:`Arrays`.
-
-    Raises
-    ------
-    ArgumentError
-        If there is no array or ``range_dn`` is not positive.
-    """
-
-    def __init__(self, arrays: Sequence[NDArray[Any]], *, range_dn: float, cfa: CfaRows = _BAYER) -> None:
-        if len(arrays) == 0:
-            raise ArgumentError("no array was given")
-        super().__init__(Arrays(array, range_dn=range_dn, cfa=cfa) for array in arrays)
-
-    def __repr__(self) -> str:
-        return f"ArrayClips({len(self)} clips, first {self._clips[0]!r})"
-
-
-class StoredClips(SomeClips[SomeFrames]):
-    """Clean clips of a store, for :class:`~eldata.datasets.synthetic.SyntheticClips`: only the crops are read.
-
-    The store is of a folder of clean raws (``eldata pack FOLDER``); each folder in it that holds raws is a clip, as in
-    :class:`RawClips`, and items are the same.
-
-    Parameters
-    ----------
-    path
-        The store.
-    levels
-        White level: the file's (``"metadata"``) or 16383 (``"published"``).
-
-    Raises
-    ------
-    StoreError
-        If the file is not a store, truncated, not complete, or of a newer version.
-    DatasetError
-        If it holds a dataset's pairs or clips, or the names of a clip do not follow one numbering.
-    ArgumentError
-        If ``levels`` is unknown.
-    """
-
-    def __init__(self, path: Path | str, *, levels: Levels = "metadata") -> None:
-        source = StoreFrames(path)
-        if source.store.manifest is not None:
-            raise DatasetError(f"{path}: holds a dataset, not clean clips; pack a folder of folders of clean raws")
-        self.path = source.path
-        self.levels: Levels = levels
-        folders: dict[PurePosixPath, list[str]] = {}
-        for frame in source.store.frames:
-            place = PurePosixPath(frame.path)
-            folders.setdefault(place.parent, []).append(place.name)
-        super().__init__(
-            SomeFrames(source, (str(folder / name) for name in _in_order(source.path / folder, names)), levels)
-            for folder, names in sorted(folders.items())
-        )
-
-    def __repr__(self) -> str:
-        return f"StoredClips({str(self.path)!r}, {len(self)} clips, levels={self.levels!r})"

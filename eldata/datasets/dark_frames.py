@@ -14,7 +14,7 @@ import numpy as np
 
 from eldata.datasets.batches import Field, new_arrays
 from eldata.datasets.calibration_frames import CalibrationFrames
-from eldata.datasets.clean import RawFiles, SomeFrames
+from eldata.datasets.clean import CleanFrames
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise.dark_shading import DarkShading
@@ -65,7 +65,7 @@ class DarkFrames:
     isos
         Only these ISOs.
     levels
-        The same as of the clean frames (:class:`~eldata.datasets.RawFiles`), whose range from black to white must be
+        The same as of the clean frames (:class:`~eldata.datasets.CleanFrames`), whose range from black to white must be
         the dark frames' own.
     place
         Where a crop comes from: ``"same"``, from where the clean one lies on the sensor, so that the fixed pattern
@@ -97,11 +97,11 @@ class DarkFrames:
 
     Examples
     --------
-    >>> from eldata.datasets import DarkFrames, RawFiles, SyntheticPairs
+    >>> from eldata.datasets import DarkFrames, CleanFrames, SyntheticPairs
     >>> from eldata.noise import NoiseModel
     >>> dark = DarkFrames("calibration/MyCamera/bias")  # doctest: +SKIP
     >>> pairs = SyntheticPairs(  # doctest: +SKIP
-    ...     RawFiles("clean"), "MyCamera.json", model=NoiseModel("P*+D", dark_frames=dark)
+    ...     CleanFrames("clean"), "MyCamera.json", model=NoiseModel("P*+D", dark_frames=dark)
     ... )
     """
 
@@ -281,20 +281,20 @@ def _check_iso(iso: float, known: Collection[float], where: str) -> None:
 
 def _found(
     frames: CalibrationFrames | Path | str, camera: str | None, levels: Levels, keep: int
-) -> tuple[str, SomeFrames, dict[float, list[int]]]:
+) -> tuple[str, CleanFrames, dict[float, list[int]]]:
     """Return what messages call them, the frames, and their numbers by ISO."""
     if isinstance(frames, (str, Path)) and Path(frames).suffix.lower() in SUFFIXES:
         source = StoreFrames(frames)
         found = _of_camera(source, camera)
         names = (f"{source.path.as_posix()}/{path}" for path in found)
-        return str(frames), SomeFrames(source, names, levels, keep), _numbered(found.values())
+        return str(frames), CleanFrames(source, names=names, levels=levels, keep=keep), _numbered(found.values())
     if not isinstance(frames, CalibrationFrames):
         folder = Path(frames)
         frames = CalibrationFrames(folder.parent if folder.name == _BIAS else folder, camera)
     bias = [record for record in frames.records if record.role == _BIAS and record.iso is not None]
     if not bias:
         raise DatasetError(f"{frames.root}: holds no bias frames of {frames.camera}")
-    files = RawFiles([frames.path(record) for record in bias], levels=levels, keep=keep)
+    files = CleanFrames([frames.path(record) for record in bias], levels=levels, keep=keep)
     return str(frames.root), files, _numbered(record.iso for record in bias)
 
 

@@ -236,7 +236,7 @@ def _check_structure(model: NoiseMaker, choice: NoiseChoice) -> None:
 def _check_source(owner: str, source: Any, method: str) -> None:
     if hasattr(source, "__len__") and callable(getattr(source, method, None)):
         return
-    known = {"frame": "RawFiles, Arrays or StoredFrames", "clip": "RawClips, ArrayClips or StoredClips"}[method]
+    known = {"frame": "CleanFrames and Arrays", "clip": "CleanClips"}[method]
     raise ArgumentError(
         f"{owner}: the source of clean data has len and {method}(index), as {known} of eldata.datasets have; found "
         f"{type(source).__name__}"

@@ -117,9 +117,7 @@ class PackedClips(ClipWindows):
         options.setdefault("augment", True)
         source = StoreFrames(path)
         if source.store.manifest is None:
-            raise DatasetError(
-                f"{source.path}: holds clean frames, not clips; read it with StoredFrames or StoredClips"
-            )
+            raise DatasetError(f"{source.path}: holds clean frames, not clips; read it with CleanFrames or CleanClips")
         noisy = [row for row in source.store.manifest.records if row.role == "noisy"]
         if any(row.ratio is not None for row in noisy):
             raise DatasetError(f"{source.path}: holds pairs, not clips; read it with PackedStore")

@@ -49,8 +49,8 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
     Parameters
     ----------
     source
-        Clean frames: :class:`~eldata.datasets.clean.RawFiles`, :class:`~eldata.datasets.clean.Arrays`, or anything with
-        their two methods.
+        Clean frames: :class:`~eldata.datasets.clean.CleanFrames`, :class:`~eldata.datasets.clean.Arrays`, or anything
+        with their two methods.
     profiles
         One camera profile or several (one is drawn for each item), by name, path or object.
     crops_per_frame
@@ -143,8 +143,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
     Parameters
     ----------
     source
-        Clean clips: :class:`~eldata.datasets.clean.RawClips`, :class:`~eldata.datasets.clean.ArrayClips`, or anything
-        with their two methods.
+        Clean clips: :class:`~eldata.datasets.clean.CleanClips`, or anything with its two methods.
     frames
         Length of a window.
     windows_per_clip
@@ -159,8 +158,8 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
     --------
     >>> import numpy as np
     >>> from eldata import SyntheticClips
-    >>> from eldata.datasets import ArrayClips
-    >>> clean = ArrayClips([np.full((9, 4, 96, 96), 0.2, np.float32)], range_dn=15871.0)
+    >>> from eldata.datasets import Arrays, CleanClips
+    >>> clean = CleanClips([Arrays(np.full((9, 4, 96, 96), 0.2, np.float32), range_dn=15871.0)])
     >>> SyntheticClips(clean, "SonyA7S2", crop=64, seed=0)[0]["input"].shape
     torch.Size([5, 4, 64, 64])
     """

@@ -28,7 +28,7 @@ from eldata.baselines.tiling import tiled
 from eldata.baselines.training import consistent_error
 from eldata.baselines.unet import draw_weights
 from eldata.cli.main import main
-from eldata.datasets import ArrayClips, SyntheticClips, training_loader
+from eldata.datasets import Arrays, CleanClips, SyntheticClips, training_loader
 from eldata.datasets.drv import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.evaluation.evaluate import evaluate
@@ -167,7 +167,7 @@ def clips() -> SyntheticClips:
     phase, turns = rng.uniform(0, 6, (2, 4, 1, 4, 1, 1))
     along = 0.25 * np.arange(8)[:, None, None, None] + np.linspace(0, 3, 40)[:, None]
     clean = 0.3 + 0.25 * np.sin(phase + turns * along / 3 + np.linspace(0, 3, 40))
-    frames = ArrayClips(list(clean.astype(np.float32)), range_dn=15871.0)
+    frames = CleanClips(Arrays(clip, range_dn=15871.0) for clip in clean.astype(np.float32))
     return SyntheticClips(frames, "SonyA7S2", frames=6, windows_per_clip=2, crop=16, ratio=200.0, iso=1600, seed=5)
 
 
@@ -567,10 +567,11 @@ def test_five_frames_and_one_at_equal_cost() -> None:
     """
     torch.random.set_rng_state(torch.Generator().manual_seed(0).get_state())
     networks: dict[str, Any] = {"one frame": UNet(4, width=16, depth=2), "five frames": FastDVDnet(4, width=8)}
-    source = ArrayClips(moving_clips(24, seed=1), range_dn=15871.0)
+    source = CleanClips(Arrays(clip, range_dn=15871.0) for clip in moving_clips(24, seed=1))
     tested = moving_clips(12, seed=2)
     options: dict[str, Any] = {"frames": 9, "crop": 64, "augment": False, "ratio": 200.0, "iso": 3200, "clip": "none"}
-    exposed = SyntheticClips(ArrayClips(tested, range_dn=15871.0), "SonyA7S2", seed=7, **options)
+    clean = CleanClips(Arrays(clip, range_dn=15871.0) for clip in tested)
+    exposed = SyntheticClips(clean, "SonyA7S2", seed=7, **options)
     noisy = torch.stack([exposed[number]["input"] for number in range(len(tested))])
     found = {"input": scores(noisy[:, 2:-2].numpy(), tested)}
     cost = {}

@@ -5,23 +5,22 @@ from __future__ import annotations
 import pickle
 import re
 import shutil
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import eldata.raw.reading
 from eldata.datasets.augmentation import oriented
-from eldata.datasets.clean import Arrays, CleanFrame, RawFiles
+from eldata.datasets.clean import Arrays, CleanFrames
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, unpack
 from eldata.raw.levels import CLIP_RANGES, normalise
+from eldata.sources.frames import Frame
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CFAS = [BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"]]
 
@@ -43,9 +42,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_folder_is_searched_through_for_raw_files(folder: Path) -> None:
-    for source in (RawFiles(folder), RawFiles(str(folder))):
+    for source in (CleanFrames(folder), CleanFrames(str(folder))):
         assert len(source) == 4
-        assert [path.relative_to(folder).as_posix() for path in source.paths] == [
+        assert [Path(name).relative_to(folder).as_posix() for name in source.names] == [
             "a.dng",
             "b.DNG",
             "deep/c.dng",
@@ -55,7 +54,7 @@ def test_a_folder_is_searched_through_for_raw_files(folder: Path) -> None:
 
 @pytest.mark.parametrize(("levels", "white"), [("metadata", 15871.0), ("published", 16383.0)])
 def test_each_frame_is_the_file(levels: Any, white: float, folder: Path) -> None:
-    source = RawFiles(folder, levels=levels)
+    source = CleanFrames(folder, levels=levels)
     for number, cfa in enumerate(CFAS):
         frame = source.frame(number)
         sensor = make_sensor(cfa)
@@ -65,21 +64,21 @@ def test_each_frame_is_the_file(levels: Any, white: float, folder: Path) -> None
         assert frame.black_level_dn == sensor.black_level_dn
         assert frame.white_level_dn == white
         assert frame.range_dn == pytest.approx(white - np.mean(sensor.black_level_dn))
-        assert frame.name == str(source.paths[number])
+        assert frame.name == source.names[number]
         assert "mosaic" not in repr(frame)
 
 
 def test_the_metadata_levels_are_the_default(folder: Path) -> None:
-    assert RawFiles(folder).levels == "metadata"
-    assert RawFiles(folder).frame(0).white_level_dn == 15871.0
+    assert CleanFrames(folder).levels == "metadata"
+    assert CleanFrames(folder).frame(0).white_level_dn == 15871.0
 
 
 def test_files_keep_their_order(folder: Path) -> None:
     paths: list[Path | str] = [folder / "deep" / "c.dng", str(folder / "a.dng")]
-    source = RawFiles(paths)
-    assert source.paths == (folder / "deep" / "c.dng", folder / "a.dng")
+    source = CleanFrames(paths)
+    assert source.names == (str(folder / "deep" / "c.dng"), str(folder / "a.dng"))
     np.testing.assert_array_equal(source.frame(1).mosaic, random_mosaic(60, 64, seed=0))
-    assert len(RawFiles(iter(paths))) == 2
+    assert len(CleanFrames(iter(paths))) == 2
 
 
 @pytest.fixture
@@ -97,13 +96,13 @@ def decoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def test_nothing_is_kept_by_default(folder: Path, decoded: list[str]) -> None:
-    source = RawFiles(folder)
+    source = CleanFrames(folder)
     assert source.frame(0) is not source.frame(0)
     assert decoded == ["a.dng", "a.dng"]
 
 
 def test_the_frames_last_used_are_kept(folder: Path, decoded: list[str]) -> None:
-    source = RawFiles(folder, keep=2)
+    source = CleanFrames(folder, keep=2)
     first = source.frame(0)
     source.frame(1)
     assert source.frame(0) is first  # and so 1 is the oldest
@@ -131,59 +130,59 @@ def test_what_a_folder_holds_in_place_of_raw_files(names: list[str], said: str, 
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(b"x")
     with pytest.raises(DatasetError, match=re.escape(said)):
-        RawFiles(tmp_path)
+        CleanFrames(tmp_path)
 
 
 def test_a_file_in_place_of_a_folder(tmp_path: Path) -> None:
     (tmp_path / "IMG_1.JPG").write_bytes(b"x")
     with pytest.raises(DatasetError, match=r"IMG_1\.JPG: is a file, not a folder; give a folder of camera raws"):
-        RawFiles(tmp_path / "IMG_1.JPG")
+        CleanFrames(tmp_path / "IMG_1.JPG")
 
 
 @pytest.mark.parametrize("keep", [-1, -5])
 def test_a_negative_number_of_frames_to_keep(keep: int, folder: Path) -> None:
     with pytest.raises(ArgumentError, match="keep"):
-        RawFiles(folder, keep=keep).frame(0)
+        CleanFrames(folder, keep=keep).frame(0)
 
 
 def test_a_folder_without_raw_files(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("no raw")
     with pytest.raises(DatasetError, match="holds no camera raw file") as caught:
-        RawFiles(tmp_path)
+        CleanFrames(tmp_path)
     assert str(tmp_path) in str(caught.value)
     with pytest.raises(DatasetError, match="none: there is no such folder"):
-        RawFiles(tmp_path / "none")
+        CleanFrames(tmp_path / "none")
 
 
 def test_no_files_at_all() -> None:
     with pytest.raises(DatasetError, match="no raw file was given"):
-        RawFiles([])
+        CleanFrames([])
 
 
 def test_unknown_levels(folder: Path) -> None:
     levels: Any = "eld"
     with pytest.raises(ArgumentError, match="levels must be one of 'metadata', 'published'; found 'eld'"):
-        RawFiles(folder, levels=levels).frame(0)
+        CleanFrames(folder, levels=levels).frame(0)
 
 
 def test_a_file_that_cannot_be_read_is_named(folder: Path, tmp_path: Path) -> None:
     shutil.copy(folder / "a.dng", tmp_path / "a.dng")
     (tmp_path / "b.dng").write_bytes((folder / "a.dng").read_bytes()[:3000])
-    source = RawFiles(tmp_path)
+    source = CleanFrames(tmp_path)
     source.frame(0)
     with pytest.raises(RawFileError, match=r"b\.dng"):
         source.frame(1)
     with pytest.raises(RawFileError, match=r"none\.dng"):
-        RawFiles([tmp_path / "none.dng"]).frame(0)
+        CleanFrames([tmp_path / "none.dng"]).frame(0)
 
 
 def test_raw_files_pickle_and_show_themselves(folder: Path) -> None:
-    source = RawFiles(folder, levels="published", keep=1)
+    source = CleanFrames(folder, levels="published", keep=1)
     source.frame(2)
     again = pickle.loads(pickle.dumps(source))
-    assert (again.paths, again.levels, again.keep) == (source.paths, "published", 1)
+    assert (again.names, again.levels, again.keep) == (source.names, "published", 1)
     np.testing.assert_array_equal(again.frame(2).mosaic, source.frame(2).mosaic)
-    assert repr(source) == "RawFiles(4 files, first a.dng, levels='published', keep=1)"
+    assert repr(source) == f"CleanFrames(4 frames, first {folder / 'a.dng'}, levels='published', keep=1)"
 
 
 # --- arrays ---------------------------------------------------------------------------------------------------------
@@ -259,7 +258,7 @@ def test_arrays_show_themselves() -> None:
 
 
 def test_the_range_is_white_minus_the_mean_black_level() -> None:
-    frame = CleanFrame(np.zeros((2, 2)), BAYER["RGGB"], (10.0, 20.0, 30.0, 40.0), 1025.0, "x")
+    frame = Frame(np.zeros((2, 2)), BAYER["RGGB"], (10.0, 20.0, 30.0, 40.0), 1025.0, "x")
     assert frame.range_dn == 1000.0
 
 
@@ -295,5 +294,5 @@ def test_a_crop_of_an_array_is_what_numpy_makes_of_it(cfa: Cfa, clip: Any) -> No
         np.testing.assert_array_equal(out.view(np.uint32), wanted.view(np.uint32))
 
 
-def levels_of(frame: CleanFrame) -> tuple[tuple[float, ...], float]:
+def levels_of(frame: Frame) -> tuple[tuple[float, ...], float]:
     return frame.black_level_dn, frame.white_level_dn

@@ -14,8 +14,8 @@ import torch
 from torch.utils.data import DataLoader
 
 from eldata.calibration import BiasStack, ShadingFit, fixed_pattern
-from eldata.datasets import ArrayClips, Arrays, DarkFrames, SyntheticClips, SyntheticPairs
-from eldata.datasets.clean import StoredFrames
+from eldata.datasets import Arrays, CleanClips, DarkFrames, SyntheticClips, SyntheticPairs
+from eldata.datasets.clean import CleanFrames
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import Adc, CameraProfile, DarkShading, NoiseModel, NoiseParameters, ShadingIso
 from eldata.noise.compiled import expose_compiled
@@ -224,7 +224,7 @@ def test_isos_are_those_of_the_frames(store: Path) -> None:
 
 
 def test_frames_of_a_clip_have_dark_frames_of_their_own_from_one_place(bias: Path) -> None:
-    clips = ArrayClips([np.zeros((4, 4, 36, 36), np.float32)], range_dn=RANGE, cfa=BAYER["GRBG"])
+    clips = CleanClips([Arrays(np.zeros((4, 4, 36, 36), np.float32), range_dn=RANGE, cfa=BAYER["GRBG"])])
     options: dict[str, Any] = {"frames": 2, "crop": 16, "windows_per_clip": 12, "clip": "none", "iso": 1600}
     model = NoiseModel("P*+D", dark_frames=DarkFrames(bias, dither=False))
     dataset = SyntheticClips(clips, "SonyA7S2", model=model, **options)
@@ -394,7 +394,7 @@ def test_isos_and_models_that_are_refused(bias: Path, store: Path) -> None:
     with pytest.raises(ArgumentError, match=r"dark must be DarkCrops of shape \(1, 4, 8, 8\); found ndarray"):
         model(clean, parameters=PARAMETERS, **options | {"dark": clean})
     with pytest.raises(DatasetError, match="holds no clean frames, but 8 of other kinds"):
-        StoredFrames(store)
+        CleanFrames(store)
     with pytest.raises(DatasetError, match="has no camera 'Other'; there is Nocturne"):
         DarkFrames(store, "Other")
 

@@ -1,4 +1,4 @@
-"""PackedClips and StoredClips: bit for bit what the files give, by whatever process."""
+"""PackedClips and CleanClips: bit for bit what the files give, by whatever process."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from eldata.datasets import RawClips, StoredClips, SyntheticClips
+from eldata.datasets import CleanClips, SyntheticClips
 from eldata.datasets.augmentation import ORIENTATIONS
 from eldata.datasets.clips import ClipSample, UnpairedClipSample
 from eldata.datasets.crops import Crop
@@ -270,10 +270,10 @@ def test_stores_of_other_things_are_refused(rgb: Path, drv: SmallDrv, tmp_path: 
     sensor = make_sensor(BAYER["RGGB"], 64, 64)
     write_dng(tmp_path / "raws" / "1.dng", random_mosaic(64, 64), sensor, EXPOSURE)
     clean = pack_folder(tmp_path / "raws", tmp_path / "clean.h5").store
-    with pytest.raises(DatasetError, match="holds clean frames, not clips; read it with StoredFrames or StoredClips"):
+    with pytest.raises(DatasetError, match="holds clean frames, not clips; read it with CleanFrames or CleanClips"):
         PackedClips(clean)
     with pytest.raises(DatasetError, match="holds a dataset, not clean clips"):
-        StoredClips(rgb)
+        CleanClips(rgb)
 
 
 def packed_raw(root: Path) -> Path:
@@ -316,10 +316,10 @@ def test_clean_clips_are_those_of_the_raw_files(tmp_path: Path) -> None:
     levels: Any
     for levels in ("metadata", "published"):
         options: dict[str, Any] = {"frames": 2, "crop": 8, "windows_per_clip": 4, "seed": 2}
-        source = StoredClips(store, levels=levels)
+        source = CleanClips(store, levels=levels)
         assert (len(source), len(source.clip(1))) == (2, 3)
         ours = SyntheticClips(source, "SonyA7S2", **options)
-        theirs = SyntheticClips(RawClips(folder, levels=levels), "SonyA7S2", **options)
+        theirs = SyntheticClips(CleanClips(folder, levels=levels), "SonyA7S2", **options)
         for mine, other in zip(ours, theirs, strict=True):
             assert mine["path"].rpartition("/")[2] == other["path"].rpartition("/")[2]
             same(dict(mine) | {"path": ""}, dict(other) | {"path": ""})
@@ -328,11 +328,11 @@ def test_clean_clips_are_those_of_the_raw_files(tmp_path: Path) -> None:
         assert torch.equal(together, torch.stack([sample["input"] for sample in theirs]))
     assert "2 clips" in repr(source)
     with pytest.raises(ArgumentError, match="levels must be one of"):
-        StoredClips(store, levels="x")  # type: ignore[arg-type]
+        CleanClips(store, levels="x")  # type: ignore[arg-type]
     (folder / "a" / "10.dng").unlink()
     gap = pack_folder(folder, tmp_path / "gap.h5").store
     with pytest.raises(DatasetError, match="expected the frames of one clip, numbered without a gap"):
-        StoredClips(gap)
+        CleanClips(gap)
 
 
 # --- memory -------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""PackedStore: bit for bit what the raw route gives, by whatever process; StoredFrames; conversion of DN batches."""
+"""PackedStore: bit for bit what the raw route gives, by whatever process; CleanFrames; conversion of DN batches."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ import torch
 from torch.utils.data import DataLoader, default_collate
 
 from eldata import PackedStore, SyntheticPairs
-from eldata.datasets import PairDataset, RawFiles, StoredFrames, dn_batches, normalise_batch
+from eldata.datasets import CleanFrames, PairDataset, dn_batches, normalise_batch
 from eldata.datasets.base import Sample
-from eldata.datasets.clean import CleanFrame
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import Subset, save_card
 from eldata.raw import read_raw, write_dng
 from eldata.raw.levels import pack_normalised, with_levels
+from eldata.sources.frames import Frame
 from tests.datasets.methods import METHODS
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 from tests.sid_tree import SmallTree, build_small_tree
@@ -128,7 +128,7 @@ def test_a_turned_crop_is_that_of_the_raw_mosaics(
     for index, ours in enumerate(stored):
         record = stored.records[index % len(stored.records)]
         noisy, reference = (read_raw(tree.data / path) for path in (record.path, record.reference))
-        like = CleanFrame(noisy.mosaic, noisy.sensor.cfa, noisy.sensor.black_level_dn, 16383.0, "")
+        like = Frame(noisy.mosaic, noisy.sensor.cfa, noisy.sensor.black_level_dn, 16383.0, "")
         crop = Crop.draw(like, np.random.default_rng([5, 3, index]), crop=4, augment=True)
         for key, frame, gain in (("input", noisy, ours["ratio"]), ("target", reference, 1.0)):
             sensor = with_levels(frame.sensor, "published")
@@ -150,8 +150,8 @@ def test_clean_crops_are_those_of_the_raw_files(tmp_path: Path) -> None:
     levels: Any
     for levels in ("metadata", "published"):
         options: dict[str, Any] = {"crop": 8, "crops_per_frame": 5, "seed": 2}
-        ours = SyntheticPairs(StoredFrames(store, levels=levels), "SonyA7S2", **options)
-        theirs = SyntheticPairs(RawFiles(folder, levels=levels), "SonyA7S2", **options)
+        ours = SyntheticPairs(CleanFrames(store, levels=levels), "SonyA7S2", **options)
+        theirs = SyntheticPairs(CleanFrames(folder, levels=levels), "SonyA7S2", **options)
         assert len(ours) == len(theirs) == 20
         for mine, other in zip(ours, theirs, strict=True):
             assert torch.equal(mine["input"], other["input"])
@@ -161,15 +161,15 @@ def test_clean_crops_are_those_of_the_raw_files(tmp_path: Path) -> None:
 
 
 def test_references_are_clean_frames(eld: Path, pristine: Tree) -> None:
-    source = StoredFrames(eld)
+    source = CleanFrames(eld)
     references = [record.path for record in pristine.manifest.records if record.role == "reference"]
-    assert [frame.path for frame in source.frames] == sorted(references)
+    assert list(source.names) == sorted(references)
     for index, path in enumerate(references):
         frame = source.frame(index)
         np.testing.assert_array_equal(frame.whole(), read_raw(pristine.data / path).mosaic)
     assert "8 frames" in repr(source)
     with pytest.raises(ArgumentError, match="levels must be one of"):
-        StoredFrames(eld, levels="sid-sony")  # type: ignore[arg-type]
+        CleanFrames(eld, levels="sid-sony")  # type: ignore[arg-type]
 
 
 # --- DN batches ---------------------------------------------------------------------------------------------------
@@ -356,7 +356,7 @@ def test_files_that_are_not_a_pair_are_refused(pristine: Tree, tmp_path: Path) -
 
 def test_clean_frames_are_no_pairs(tmp_path: Path) -> None:
     store = pack_folder(write_clean(tmp_path / "raws"), tmp_path / "clean.h5").store
-    with pytest.raises(DatasetError, match="holds clean frames, not pairs; read it with StoredFrames"):
+    with pytest.raises(DatasetError, match="holds clean frames, not pairs; read it with CleanFrames"):
         some(store)
 
 
@@ -372,7 +372,7 @@ def test_memory_does_not_grow_with_the_store(tmp_path: Path) -> None:
     write_dng(folder / "000.dng", random_mosaic(768, 1024), sensor, EXPOSURE)
     for number in range(1, 120):
         os.link(folder / "000.dng", folder / f"{number:03d}.dng")
-    source = StoredFrames(pack_folder(folder, tmp_path / "store.h5", workers=2).store)
+    source = CleanFrames(pack_folder(folder, tmp_path / "store.h5", workers=2).store)
     process = psutil.Process()
 
     def read(indices: range) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from torch.utils.data import DataLoader, Subset
 
-from eldata.datasets import ArrayClips, Arrays, SyntheticClips, SyntheticPairs, evaluation_loader, training_loader
+from eldata.datasets import Arrays, CleanClips, SyntheticClips, SyntheticPairs, evaluation_loader, training_loader
 from tests.datasets.methods import METHODS
 from tests.waiting import PATIENCE_S
 
@@ -44,7 +44,8 @@ def test_a_second_pass_is_said_once() -> None:
     assert text.startswith("SyntheticPairs: items of epoch 0 come again")
     assert "call dataset.set_epoch(epoch) before each pass" in text
     assert "as for validation, call dataset.set_epoch(0) once" in text
-    clips = SyntheticClips(ArrayClips([np.full((5, 4, 16, 16), 0.3)] * COUNT, range_dn=1000.0), "SonyA7S2", crop=4)
+    frames = Arrays(np.full((5, 4, 16, 16), 0.3), range_dn=1000.0)
+    clips = SyntheticClips(CleanClips([frames] * COUNT), "SonyA7S2", crop=4)
     (text,) = warned(clips, clips)
     assert text.startswith("SyntheticClips: ")
 

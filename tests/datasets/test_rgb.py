@@ -9,7 +9,7 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 
 from eldata.datasets.base import PairDataset
-from eldata.datasets.clean import Arrays, RawFiles, StoredFrames
+from eldata.datasets.clean import Arrays, CleanFrames
 from eldata.datasets.packed import PackedStore
 from eldata.datasets.rgb import (
     OneSensor,
@@ -165,7 +165,7 @@ def test_synthetic_pairs_have_their_clean_files_colours(clean: list[Path], tmp_p
     folder.mkdir()
     (folder / "one.dng").write_bytes(clean[0].read_bytes())
     sensor = read_raw(clean[0]).sensor
-    for source in (RawFiles(folder), StoredFrames(pack_folder(folder, tmp_path / "clean.h5").store)):
+    for source in (CleanFrames(folder), CleanFrames(pack_folder(folder, tmp_path / "clean.h5").store)):
         pairs = SyntheticPairs(source, "SonyA7S2", crop=16, seed=3)
         plain, sample = pairs[0], rgb2rgb(pairs)[0]
         for side in ("input", "target"):

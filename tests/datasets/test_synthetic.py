@@ -15,7 +15,7 @@ import torch
 from torch.utils.data import DataLoader, default_collate
 
 from eldata.datasets.base import SourcePairs
-from eldata.datasets.clean import Arrays, CleanFrame, RawFiles, StoredFrames
+from eldata.datasets.clean import Arrays, CleanFrames
 from eldata.datasets.items import ReadItems
 from eldata.datasets.synthetic import SyntheticPairs, SyntheticSample
 from eldata.errors import ArgumentError, DatasetError, ProfileError
@@ -23,6 +23,7 @@ from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, unpack
 from eldata.raw.levels import pack_normalised
+from eldata.sources.frames import Frame
 from eldata.sources.store import build_store, source_of_folder
 from tests.datasets.methods import METHODS
 from tests.noise.helpers import Law
@@ -66,9 +67,9 @@ class Mosaics:
     def __len__(self) -> int:
         return len(self.mosaics)
 
-    def frame(self, index: int) -> CleanFrame:
+    def frame(self, index: int) -> Frame:
         levels = (self.black,) * levels_of(self.cfa)
-        return CleanFrame(self.mosaics[index], self.cfa, levels, self.white, f"mosaic {index}")
+        return Frame(self.mosaics[index], self.cfa, levels, self.white, f"mosaic {index}")
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +93,7 @@ def items(dataset: SyntheticPairs) -> list[SyntheticSample]:
 
 
 def raw_pairs(folder: Path, **options: Any) -> SyntheticPairs:
-    return pairs(RawFiles(folder), ("SonyA7S2", "NikonD850"), **{"crops_per_frame": 4, "seed": 3} | options)
+    return pairs(CleanFrames(folder), ("SonyA7S2", "NikonD850"), **{"crops_per_frame": 4, "seed": 3} | options)
 
 
 def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
@@ -126,7 +127,7 @@ def test_an_item_depends_on_seed_epoch_and_index_alone(folder: Path) -> None:
     assert [item["path"] for item in items(other)] == [item["path"] for item in reference]
     other.set_epoch(0)
     same(other[4], reference[4])
-    kept = SyntheticPairs(RawFiles(folder, keep=3), ("SonyA7S2", "NikonD850"), crop=8, crops_per_frame=4, seed=3)
+    kept = SyntheticPairs(CleanFrames(folder, keep=3), ("SonyA7S2", "NikonD850"), crop=8, crops_per_frame=4, seed=3)
     for index in range(12):
         same(kept[index], reference[index])
 
@@ -191,9 +192,9 @@ def test_batches_of_different_cameras_are_torchs_error() -> None:
     """As without batches: Bayer and X-Trans are not stacked."""
 
     class Both(Mosaics):
-        def frame(self, index: int) -> CleanFrame:
+        def frame(self, index: int) -> Frame:
             cfa = BAYER["RGGB"] if index == 0 else XTRANS_CFA
-            return CleanFrame(self.mosaics[index], cfa, (0.0,) * (4 if index == 0 else 3), 65535.0, "")
+            return Frame(self.mosaics[index], cfa, (0.0,) * (4 if index == 0 else 3), 65535.0, "")
 
     dataset = pairs(Both([random_mosaic(60, 60, seed=1)] * 2, BAYER["RGGB"]))
     assert [tuple(sample["input"].shape) for sample in dataset.__getitems__([0, 1])] == [(4, 8, 8), (9, 8, 8)]
@@ -387,8 +388,8 @@ def test_quad_and_nona_have_the_noise_of_the_model(name: str, channels: int, tmp
     build_store(source_of_folder(tmp_path), tmp_path / "a.h5")
     sides = []
     for source in (
-        RawFiles(tmp_path),
-        StoredFrames(tmp_path / "a.h5"),
+        CleanFrames(tmp_path),
+        CleanFrames(tmp_path / "a.h5"),
         arrays(np.full((1, channels, 18, 20), 0.5, np.float32), range_dn=1000.0, cfa=cfa),
     ):
         for augment in (False, True):
@@ -408,7 +409,7 @@ def test_an_xtrans_source_gives_nine_channels(tmp_path: Path) -> None:
     cfa = XTRANS["xtrans-42"]
     write_dng(tmp_path / "x.dng", random_mosaic(60, 64), make_sensor(cfa), EXPOSURE)
     for source in (
-        RawFiles(tmp_path),
+        CleanFrames(tmp_path),
         arrays(np.full((1, 9, 16, 18), 0.5, np.float32), range_dn=1000.0, cfa=cfa),
     ):
         for augment in (False, True):

@@ -6,6 +6,7 @@ import math
 import os
 import pickle
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, default_collate
 
-from eldata.datasets.clean import ArrayClips, RawClips
+from eldata.datasets.clean import Arrays, CleanClips, CleanFrames
 from eldata.datasets.crops import Crop
 from eldata.datasets.synthetic import SyntheticClips, SyntheticClipSample
 from eldata.errors import ArgumentError, DatasetError, ProfileError
@@ -29,7 +30,6 @@ from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
@@ -55,11 +55,11 @@ def clips(source: Any, **options: Any) -> SyntheticClips:
 
 
 def raw_clips(folder: Path, **options: Any) -> SyntheticClips:
-    return clips(RawClips(folder), **{"windows_per_clip": 3, "seed": 3} | options)
+    return clips(CleanClips(folder), **{"windows_per_clip": 3, "seed": 3} | options)
 
 
 def flat(frames: int = 6, value: float = 0.3, height: int = 16, width: int = 16, **options: Any) -> SyntheticClips:
-    source = ArrayClips([np.full((frames, 4, height, width), value, np.float32)], range_dn=RANGE_DN)
+    source = CleanClips([Arrays(np.full((frames, 4, height, width), value, np.float32), range_dn=RANGE_DN)])
     return clips(source, **{"frames": frames, "crop": None, "augment": False} | options)
 
 
@@ -106,7 +106,7 @@ def test_augmentation_is_the_same_for_all_frames(channels: int) -> None:
     generator = np.random.default_rng(0)
     still = generator.uniform(0.1, 0.4, (channels, 24, 36)).astype(np.float32)
     cfa = BAYER["RGGB"] if channels == 4 else XTRANS_CFA
-    source = ArrayClips([np.stack([still, 2 * still])], range_dn=1000.0, cfa=cfa)
+    source = CleanClips([Arrays(np.stack([still, 2 * still]), range_dn=1000.0, cfa=cfa)])
     dataset = clips(source, frames=2, windows_per_clip=40, crop=6)
     different = set()
     for item in dataset:
@@ -125,7 +125,7 @@ def test_sizes_and_levels_of_one_clip_must_agree(tmp_path: Path) -> None:
     ):
         write_dng(tmp_path / "2.dng", random_mosaic(other.height, 64), other, EXPOSURE)
         with pytest.raises(DatasetError, match=f"2.dng: {message} .* is it one clip?"):
-            clips(RawClips(tmp_path), frames=2)[0]
+            clips(CleanClips(tmp_path), frames=2)[0]
 
 
 # --- the noise --------------------------------------------------------------------------------------------------------
@@ -224,9 +224,11 @@ def test_default_collate(folder: Path) -> None:
 
 
 def test_raw_clips_are_the_folders_with_raws(folder: Path, tmp_path: Path) -> None:
-    source = RawClips(folder)
-    assert [path.name for path in source.folders] == ["a", "b"]
-    assert [path.name for path in source.clip(1).paths] == [
+    source = CleanClips(folder)
+    clips = [source.clip(index) for index in range(len(source))]
+    names = [[Path(name) for name in clip.names] for clip in clips if isinstance(clip, CleanFrames)]
+    assert [{path.parent.name for path in clip} for clip in names] == [{"a"}, {"b"}]
+    assert [path.name for path in names[1]] == [
         "97.dng",
         "98.dng",
         "99.dng",
@@ -234,13 +236,13 @@ def test_raw_clips_are_the_folders_with_raws(folder: Path, tmp_path: Path) -> No
         "101.dng",
         "102.dng",
     ]
-    assert len(RawClips([folder / "b"])) == 1
+    assert len(CleanClips([folder / "b"])) == 1
     with pytest.raises(DatasetError, match="holds no camera raw file"):
-        RawClips(tmp_path)
-    with pytest.raises(DatasetError, match="no folder was given"):
-        RawClips([])
+        CleanClips(tmp_path)
+    with pytest.raises(DatasetError, match="no clip was given"):
+        CleanClips([])
     with pytest.raises(DatasetError, match="holds no camera raw file"):
-        RawClips([tmp_path])
+        CleanClips([tmp_path])
 
 
 @pytest.mark.parametrize(
@@ -255,7 +257,7 @@ def test_frames_out_of_line_are_refused(names: list[str], message: str, tmp_path
     for name in names:
         (tmp_path / name).write_bytes(b"x")
     with pytest.raises(DatasetError, match=message):
-        RawClips(tmp_path)
+        CleanClips(tmp_path)
 
 
 def test_clips_that_are_too_short(folder: Path) -> None:
@@ -274,15 +276,14 @@ def test_numbers_that_make_no_sense(folder: Path) -> None:
     with pytest.raises(ArgumentError, match="ratio must be"):
         raw_clips(folder, ratio=(2.0, 1.0))
     with pytest.raises(ProfileError):
-        SyntheticClips(RawClips(folder), "Leica")
-    with pytest.raises(ArgumentError, match="no array was given"):
-        ArrayClips([], range_dn=1.0)
+        SyntheticClips(CleanClips(folder), "Leica")
     with pytest.raises(DatasetError, match="take a smaller crop"):
         raw_clips(folder, crop=64)[0]
 
 
 def test_a_crop_drawn_for_one_frame_fits_another() -> None:
-    source = ArrayClips([np.random.default_rng(1).uniform(0, 1, (2, 4, 20, 20)).astype(np.float32)], range_dn=1000.0)
+    values = np.random.default_rng(1).uniform(0, 1, (2, 4, 20, 20)).astype(np.float32)
+    source = CleanClips([Arrays(values, range_dn=1000.0)])
     frame = source.clip(0).frame(0)
     crop = Crop.draw(frame, np.random.default_rng(5), crop=6, augment=True)
     out = np.full((2, *crop.packed_shape), np.nan, np.float32)
@@ -294,7 +295,7 @@ def test_a_crop_drawn_for_one_frame_fits_another() -> None:
 
 def test_the_repr_says_what_is_made(folder: Path) -> None:
     text = repr(raw_clips(folder))
-    for part in ("SyntheticClips(RawClips(2 clips", "6 windows of 3 frames", "cameras: SonyA7S2", "seed=3"):
+    for part in ("SyntheticClips(CleanClips(2 clips", "6 windows of 3 frames", "cameras: SonyA7S2", "seed=3"):
         assert part in text
 
 
@@ -304,7 +305,7 @@ def test_one_whole_frame_is_in_memory_at_a_time(tmp_path: Path) -> None:
     write_dng(tmp_path / "1.dng", random_mosaic(2000, 2000), make_sensor(height=2000, width=2000), EXPOSURE)
     for number in range(2, 9):
         os.link(tmp_path / "1.dng", tmp_path / f"{number}.dng")
-    dataset = clips(RawClips(tmp_path), frames=8, crop=64, windows_per_clip=2)
+    dataset = clips(CleanClips(tmp_path), frames=8, crop=64, windows_per_clip=2)
     dataset[0]
     process = psutil.Process()
     before = process.memory_info().rss

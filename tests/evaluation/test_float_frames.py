@@ -16,7 +16,7 @@ import tifffile
 
 from eldata import SyntheticPairs, verify
 from eldata.calibration.one_photograph.estimate import estimate_profile
-from eldata.datasets import CalibrationFrames, DarkFrames, PairDataset, RawFiles
+from eldata.datasets import CalibrationFrames, CleanFrames, DarkFrames, PairDataset
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.errors import EldataError
 from eldata.evaluation import evaluate
@@ -121,13 +121,13 @@ def test_clean_frames_in_dn_are_taken_and_shares_of_white_are_not(own: OwnSet, t
     profile = CameraProfile.load("SonyA7S2")
     floats = rewritten(own, tmp_path / "dn", "*/clean.dng")
     one, other = (
-        SyntheticPairs(RawFiles(of.files.glob("*/clean.dng")), profiles=profile, crop=16)[0] for of in (floats, own)
+        SyntheticPairs(CleanFrames(of.files.glob("*/clean.dng")), profiles=profile, crop=16)[0] for of in (floats, own)
     )
     assert np.array_equal(one["target"].numpy(), other["target"].numpy())
     assert np.array_equal(one["input"].numpy(), other["input"].numpy())
     shares = rewritten(own, tmp_path / "shares", "*/clean.dng", scale=15300)
     with pytest.raises(EldataError, match=r"clean\.dng: its white level is 1, .* noise is in DN"):
-        SyntheticPairs(RawFiles(shares.files.glob("*/clean.dng")), profiles=profile, crop=16)[0]
+        SyntheticPairs(CleanFrames(shares.files.glob("*/clean.dng")), profiles=profile, crop=16)[0]
 
 
 def test_a_grey_tiff_in_a_set_is_neither_whole_nor_scored(own: OwnSet, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from eldata.datasets import ArrayClips, Arrays, RawFiles, SyntheticClips, SyntheticPairs
+from eldata.datasets import Arrays, CleanClips, CleanFrames, SyntheticClips, SyntheticPairs
 from eldata.errors import ArgumentError
 from eldata.noise import NoiseMaker, NoiseModel, NoiseParameters
 from eldata.noise.makers import check_noise_maker, made_exposure, maker_name
@@ -73,7 +73,7 @@ def test_a_clip_of_frames_is_made_at_once() -> None:
         shapes.append(clean.shape)
         return clean
 
-    source = ArrayClips([np.full((5, 4, 16, 16), 0.3, np.float32)], range_dn=1000.0)
+    source = CleanClips([Arrays(np.full((5, 4, 16, 16), 0.3, np.float32), range_dn=1000.0)])
     item = SyntheticClips(source, "SonyA7S2", model=made, frames=3, crop=8)[0]
     assert shapes == [(3, 4, 8, 8)]
     assert torch.equal(item["input"], item["target"])
@@ -151,7 +151,7 @@ def test_the_adapter_of_the_example_works() -> None:
 @pytest.mark.usefixtures("examples")
 def test_the_example_trains_on_it(demo_tree: Path) -> None:
     model = import_module("train_denoiser").noise_of(SimpleNamespace(noise="check_noise_model:model"))
-    references = RawFiles(demo_tree / "data" / "ELD-demo" / "DemoAlpha" / "scene-1")
+    references = CleanFrames(demo_tree / "data" / "ELD-demo" / "DemoAlpha" / "scene-1")
     found = SyntheticPairs(references, "SonyA7S2", model=model, crop=16)
     sample = found[0]
     assert sample["input"].shape == sample["target"].shape == (4, 16, 16)

@@ -28,7 +28,6 @@ from tests.raw.helpers import BAYER, NONA, XTRANS, Cfa, make_sensor
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.datasets.clean import CleanFrame
     from eldata.noise import DarkShading
 
 SIDE = 72
@@ -103,7 +102,7 @@ class Night:
     def __len__(self) -> int:
         return 2
 
-    def frame(self, index: int) -> CleanFrame:
+    def frame(self, index: int) -> Frame:
         dark = np.full((SIDE, SIDE), 512, np.uint16)
         return Frame(dark, self.sensor.cfa, self.sensor.black_level_dn, 15512.0, f"night {index}", self.sensor)
 
@@ -142,7 +141,7 @@ def test_pairs_have_the_dark_current_of_their_time() -> None:
     )
 
     class Timed(Night):
-        def frame(self, index: int) -> CleanFrame:
+        def frame(self, index: int) -> Frame:
             return replace(super().frame(index), exposure=Exposure(Fraction(100), Fraction(4)))
 
     def pairs(source: Night, of: DarkShading) -> SyntheticPairs:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from torch.utils.data import DataLoader
 
 from eldata import CalibrationFrames, DRVDataset, ELDDataset, PackedStore, SyntheticPairs
-from eldata.datasets import Arrays, DnPairs, RawFiles
+from eldata.datasets import Arrays, CleanFrames, DnPairs
 from eldata.datasets.looking import drawn_sample
 from eldata.errors import EldataError
 from eldata.isp.preview import brightening, preview
@@ -101,7 +101,7 @@ def test_a_store_draws_its_crop(tree: Tree, tmp_path: Path) -> None:
 
 def test_synthetic_pairs_are_drawn_and_not_counted_as_a_pass(eld: ELDDataset, tree: Tree) -> None:
     path = tree.data / eld.records[0].reference
-    pairs = SyntheticPairs(RawFiles([path], keep=1), "SonyA7S2", crop=16)
+    pairs = SyntheticPairs(CleanFrames([path], keep=1), "SonyA7S2", crop=16)
     for _ in range(30):  # as a person looks again and again: a second pass over the items would warn, which is an error
         pairs.seen(0)
     sample = pairs[0]

@@ -341,7 +341,7 @@ class StoreFrames:
         """
         manifest = self.store.manifest
         if manifest is None:
-            raise DatasetError(f"{self.path}: holds clean frames, not pairs; read it with StoredFrames")
+            raise DatasetError(f"{self.path}: holds clean frames, not pairs; read it with CleanFrames")
         subset = choice.get("subset")
         if subset is not None:  # counted on the whole manifest: a store of a part may lack some
             wanted = {pair.path for pair in select_pairs(manifest.records, manifest.card.subsets, subset=subset)}

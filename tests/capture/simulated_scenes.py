@@ -52,8 +52,8 @@ class Shot:
 
 def moved(radiance: NDArray[np.float32], down: float, right: float) -> NDArray[np.float32]:
     """Return the picture moved, by splines of the fifth order."""
-    shifted: NDArray[np.float32] = ndimage.shift(radiance, (0, down, right), order=5, mode="nearest")
-    return np.clip(shifted, 0, None)
+    shifted = [ndimage.shift(plane, (down, right), order=5, mode="nearest") for plane in radiance]
+    return np.clip(np.stack(shifted), 0, None)
 
 
 @cache

@@ -53,7 +53,7 @@ def photographed(folder: Path, moved_px: Mapping[int, float] = {}) -> Nights:
     seen = scene_radiance(1, *SIZE)
     for shot in plan.scenes[0].shots:
         share = shot.setting.nominal_s / 4
-        radiance = moved(seen, moved_px.get(shot.number, 0), 0)
+        radiance = moved(seen, moved_px[shot.number], 0) if shot.number in moved_px else seen
         mosaic = camera.photograph(radiance, share, shot.iso, np.random.default_rng(shot.number))
         if shot.number == 2:
             mosaic[100, 200] = 16383  # a cosmic ray

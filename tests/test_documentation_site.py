@@ -115,7 +115,7 @@ def test_links_between_pages_lead_somewhere(site: Path) -> None:
 
 
 def test_every_package_with_public_names_has_a_page() -> None:
-    assert set(PACKAGES) <= set(PAGES)
+    assert {package for package in PACKAGES if promised(package)} <= set(PAGES)
     listed = (DOCS / "reference" / "python.rst").read_text(encoding="utf-8").split()
     assert set(PAGES) <= {*listed, "eldata", "capture"}
 

@@ -143,7 +143,7 @@ class CleanFrames:
         return f"CleanFrames({len(self)} frames, {first}levels={self.levels!r}, keep={self.keep})"
 
 
-def raw_files(source: Path | str | Iterable[Path | str]) -> tuple[Path, ...]:
+def clean_files(source: Path | str | Iterable[Path | str]) -> tuple[Path, ...]:
     """Return the raw files of a folder, or those that are given.
 
     Raises
@@ -160,7 +160,7 @@ def raw_files(source: Path | str | Iterable[Path | str]) -> tuple[Path, ...]:
 def _found(source: Path | str | Iterable[Path | str]) -> tuple[FrameSource, tuple[str, ...]]:
     """Return where frames are read, and which they are."""
     if not (isinstance(source, (str, Path)) and _is_store(source)):
-        return Files(), tuple(map(str, raw_files(source)))
+        return Files(), tuple(map(str, clean_files(source)))
     store = StoreFrames(source)
     clean = sorted(frame.path for frame in store.store.frames if frame.role == "reference")
     if not clean:

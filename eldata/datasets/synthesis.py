@@ -22,7 +22,7 @@ from eldata import __version__
 from eldata.base.files import atomic_write, json_text, remove_leftovers, sha256_of, write_json
 from eldata.base.seeds import checked_seed, item_generator
 from eldata.base.workers import AnyWorkers, Workers, require_files
-from eldata.datasets.clean import raw_files
+from eldata.datasets.clean import clean_files
 from eldata.datasets.crops import Crop
 from eldata.datasets.dark_frames import DarkFrames
 from eldata.datasets.synthesis_journal import CleanFacts, WrittenScene, opened_journal
@@ -168,7 +168,7 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
         If a file cannot be written.
     """
     workers = Workers.of(workers)
-    paths, dark = raw_files(clean), recipe.dark()
+    paths, dark = clean_files(clean), recipe.dark()
     name = re.sub(r"[^\w.+-]", "-", out.resolve().name) or "synthetic"
     data = out / "data" / name
     if out.exists() and not out.is_dir():

@@ -53,7 +53,8 @@ class Shot:
 def moved(radiance: NDArray[np.float32], down: float, right: float) -> NDArray[np.float32]:
     """Return the picture moved, by splines of the fifth order."""
     shifted = [ndimage.shift(plane, (down, right), order=5, mode="nearest") for plane in radiance]
-    return np.clip(np.stack(shifted), 0, None)
+    result: NDArray[np.float32] = np.clip(np.stack(shifted), 0, None)
+    return result
 
 
 @cache

@@ -100,7 +100,7 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
     Parameters
     ----------
     path
-        A file of one of :data:`eldata.evaluation.EXTENSIONS`.
+        A file of one of :data:`eldata.evaluation.layouts.EXTENSIONS`.
     sensor
         The reference's: its CFA and size decide the expected shape.
     levels
@@ -136,9 +136,9 @@ def load_colours(
     Parameters
     ----------
     path
-        A file of one of :data:`eldata.evaluation.EXTENSIONS` but dng. A rendering: an RGB PNG or TIFF of 8 or 16 bits,
-        or an array (H, W, 3) or (3, H, W), uint8, uint16 or float in [0, 1]. A frame: a 16-bit RGB PNG, the others
-        channels first.
+        A file of one of :data:`eldata.evaluation.layouts.EXTENSIONS` but dng. A rendering: an RGB PNG or TIFF of 8 or
+        16 bits, or an array (H, W, 3) or (3, H, W), uint8, uint16 or float in [0, 1]. A frame: a 16-bit RGB PNG, the
+        others channels first.
     shape
         (3, H, W), the reference's.
     pixels

@@ -67,7 +67,8 @@ class Protocol:
         The part of the frame that the factor is found on: ``scored``, the region, or another in its words. LED finds it
         on the ``full`` frame.
     rescaling, rescaling_mask, prediction_clamp, rounding, data_range, mse_offset, ssim_window, ssim_covariance
-        How the prediction is brought to the reference and compared with it: :class:`eldata.metrics.ScoringRules`.
+        How the prediction is brought to the reference and compared with it:
+        :class:`~eldata.metrics.image_score.ScoringRules`.
     family
         The name under which several are published, one per dataset: ``pmn`` names ``pmn-sid`` and ``pmn-eld``.
     subset

@@ -17,7 +17,7 @@ from eldata.calibration.core.figures import (
     TUKEY_LAMBDA,
 )
 from eldata.calibration.core.findings import SYMBOLS, GivenFigure, given, named, widened, withheld
-from eldata.calibration.core.spectra import SpectrumLines
+from eldata.calibration.core.row_noise import SpectrumLines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -16,25 +16,24 @@ from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.acceptance.reproduction import compared_piece, reproduction
 from eldata.calibration.audit.bias_checks import bias_findings
-from eldata.calibration.audit.bias_sums import BiasAudit, BiasStatistics
+from eldata.calibration.audit.bias_sums import BiasAudit, BiasSeen, BiasStatistics, code_step, missing_codes
 from eldata.calibration.audit.flat_checks import edge_findings, flat_findings, saturation_findings
-from eldata.calibration.audit.frame_checks import (
+from eldata.calibration.audit.frames import (
     ADVISED_BIAS_FRAMES,
     FrameFigures,
+    FrameReader,
+    FramesError,
     PairLevels,
     unequal_pair,
     uneven_light,
 )
-from eldata.calibration.audit.frames import FrameReader, FramesError
-from eldata.calibration.audit.steps import BiasSeen, code_step, missing_codes
-from eldata.calibration.audit.structure import ResponsePattern, measured_structure
-from eldata.calibration.audit.telegraph import TelegraphGroups
+from eldata.calibration.audit.structure import ResponsePattern, TelegraphGroups, measured_structure
 from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.core.findings import TRANSFER, with_accepted
 from eldata.calibration.core.photon_transfer import FlatPairs, PhotonTransfer, photon_transfer
+from eldata.calibration.core.row_noise import power_spectrum
 from eldata.calibration.core.single_frame import FlatFrames, single_frame_plot, spatial_photon_transfer
-from eldata.calibration.core.spectra import power_spectrum
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.errors import ArgumentError, DatasetError

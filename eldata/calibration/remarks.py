@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.audit.frame_checks import ADVISED_BIAS_FRAMES
-from eldata.calibration.audit.steps import GAPS
+from eldata.calibration.audit.bias_sums import GAPS
+from eldata.calibration.audit.frames import ADVISED_BIAS_FRAMES
 from eldata.calibration.iso_results import usual_gain_per_iso
 
 if TYPE_CHECKING:

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
     from eldata.calibration.audit.structure import MeasuredStructure, StructureFigure
     from eldata.calibration.core.findings import GivenFigure
-    from eldata.calibration.drawing import ScalePanel
     from eldata.calibration.iso_results import IsoGain
-    from eldata.calibration.results import Calibration
+    from eldata.calibration.results import Calibration, ScalePanel
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 

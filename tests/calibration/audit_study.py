@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.calibration.audit.bias_checks import bias_findings
-from eldata.calibration.audit.bias_sums import BiasAudit
-from eldata.calibration.audit.steps import BiasSeen, code_step, missing_codes
+from eldata.calibration.audit.bias_sums import BiasAudit, BiasSeen, code_step, missing_codes
 from eldata.calibration.core.findings import given, with_accepted
 from tests.calibration import draws
 from tests.calibration.chain import calibrated

@@ -16,15 +16,18 @@ import pytest
 from eldata import calibrate
 from eldata.base.workers import Workers
 from eldata.calibration import FramesError
-from eldata.calibration.audit.frame_checks import (
+from eldata.calibration.audit.bias_sums import code_step, missing_codes
+from eldata.calibration.audit.frames import (
+    Copies,
     FrameFigures,
     PairLevels,
     odd_bias_frames,
+    sorted_frames,
     unequal_pair,
     uneven_light,
+    unlike,
+    unlike_most,
 )
-from eldata.calibration.audit.frames import Copies, sorted_frames, unlike, unlike_most
-from eldata.calibration.audit.steps import code_step, missing_codes
 from eldata.calibration.one_iso import decodings
 from eldata.datasets.calibration_frames import FlatPair
 from eldata.manifest.table import load_records, save_records

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.core.spectra import smoothed_power
+from eldata.calibration.core.row_noise import smoothed_power
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.audit.bias_sums import OUTLIERS
+from eldata.calibration.audit.bias_sums import OF_LIGHTER_TAILS, OUTLIERS, BiasSeen, Ripple, coarse_values
 from eldata.calibration.audit.row_waves import row_waves
-from eldata.calibration.audit.steps import OF_LIGHTER_TAILS, BiasSeen, Ripple, coarse_values
 from eldata.calibration.core.findings import (
     CHANCE,
     CORRELATED,

@@ -1,7 +1,11 @@
-"""The frames of one ISO: sorted by what their headers state, read a frame at a time, and what is wrong with them."""
+"""The frames of one ISO: sorted by what their headers state, read a frame at a time, and what is wrong with them.
+
+What their pixels show, frame by frame, comes last.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -9,11 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.calibration.audit.frame_checks import odd_bias_frames, problem_of
+from eldata.calibration.core.findings import UNEVEN
 from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import DatasetError, EldataError, RawFileError, UnusableRawError
 from eldata.manifest.table import number_text
 from eldata.manifest.verify import RATIO_TOLERANCE
+from eldata.manifest.verify_report import Problem
 from eldata.raw.reading import read_header
 
 if TYPE_CHECKING:
@@ -22,9 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit.frame_checks import FrameFigures
+    from eldata.calibration.core.findings import Finding
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
-    from eldata.manifest.verify_report import Problem
     from eldata.records import FrameRecord, RawFrame, RawHeader, Sensor
 
 _DIGESTED_BYTES = 1 << 22  # of a frame
@@ -270,3 +274,128 @@ class Copies:
             f"{record.path} has the same pixels as {first.path} and was left out: copies hide noise; shoot each anew"
         )
         return first
+
+
+# --- pixels -----------------------------------------------------------------------------------------------------------
+
+ADVISED_BIAS_FRAMES = 10
+
+_CLIPPED_SHARE = 0.01  # of pixels at 0 DN
+# Of the signal. Pairs are scaled to each other, and K is right at any ratio; but light that changes so much between two
+# equal exposures is worth a word, and beyond the second limit it is doubtful that nothing else has changed.
+_PAIR_DIFFERENCE = 0.05
+_UNLIKE_PAIR = 0.25
+
+
+def problem_of(record: FrameRecord, field: str, expected: str, found: str, advice: str) -> Problem:
+    """Return what is wrong with a frame."""
+    return Problem(record.camera, record.path, field, expected, found, advice)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFigures:
+    """A frame in two figures, DN: its mean, and half the distance of its 16th and 84th percentile."""
+
+    record: FrameRecord
+    level_dn: float
+    spread_dn: float
+
+    @classmethod
+    def of(cls, record: FrameRecord, mosaic: NDArray[np.uint16]) -> FrameFigures:
+        """Measure a frame on some 100,000 of its pixels."""
+        step = max(1, math.isqrt(mosaic.size // 100_000)) | 1  # odd: every site of the CFA takes part
+        sample = mosaic[::step, ::step]
+        low, high = np.quantile(sample, (0.159, 0.841))
+        return cls(record, float(sample.mean(dtype=np.float64)), float(high - low) / 2)
+
+
+def clipped_black(record: FrameRecord, mosaic: NDArray[np.uint16]) -> list[Problem]:
+    """Return a problem if more than 1 % of a bias frame's pixels are 0, where whole noise is needed."""
+    share = (mosaic.size - int(np.count_nonzero(mosaic))) / mosaic.size
+    if share <= _CLIPPED_SHARE:
+        return []
+    return [
+        problem_of(
+            record,
+            "black",
+            "noise on both sides of a black level above 0",
+            f"{share:.0%} of the pixels at 0 DN",
+            "black is clipped in this file, and half of the noise cannot be compared: use raw files that keep the "
+            "black level; a calibration takes these",
+        )
+    ]
+
+
+def odd_bias_frames(figures: Sequence[FrameFigures]) -> list[Problem]:
+    """Return the bias frames whose level or spread is not like the others' (light leak, lens cap off, another ISO).
+
+    Off by more than 10 robust standard deviations of the frames' levels, a DN, and half the noise; or with a spread
+    that differs by a quarter and a DN.
+    """
+    if not figures:
+        return []
+    levels = np.array([one.level_dn for one in figures])
+    spreads = np.array([one.spread_dn for one in figures])
+    level, spread = float(np.median(levels)), float(np.median(spreads))
+    scatter = 1.4826 * float(np.median(np.abs(levels - level)))
+    advice = "is it a bias frame of this ISO? look for light and for a lens without its cap, and leave it out"
+    problems = []
+    for one in figures:
+        for field, found, usual, tolerance in (
+            ("level", one.level_dn, level, max(10 * scatter, 1.0, 0.5 * spread)),
+            ("noise", one.spread_dn, spread, max(0.25 * spread, 1.0)),
+        ):
+            if abs(found - usual) > tolerance:
+                expected = f"about {usual:.1f} DN as in the others"
+                problems.append(problem_of(one.record, field, expected, f"{found:.1f} DN", advice))
+                break
+    return problems
+
+
+@dataclass(frozen=True, slots=True)
+class PairLevels:
+    """The mean levels over black of a pair of flats, DN."""
+
+    pair: FlatPair
+    first_dn: float
+    second_dn: float
+
+    @classmethod
+    def of(cls, pair: FlatPair, first: RawFrame, second: RawFrame) -> PairLevels:
+        """Measure a pair on some 100,000 pixels of each frame."""
+        black = float(np.mean(first.sensor.black_level_dn))
+        one, two = (FrameFigures.of(pair.first, frame.mosaic).level_dn - black for frame in (first, second))
+        return cls(pair, one, two)
+
+    @property
+    def difference(self) -> float:
+        """Of the two, as a share of the brighter; a DN is none."""
+        apart = max(0.0, abs(self.first_dn - self.second_dn) - 1.0)
+        return apart / max(self.first_dn, self.second_dn, 1.0)
+
+    def __str__(self) -> str:
+        return f"{self.pair.first.path} and {self.pair.second.path} ({self.first_dn:.0f} and {self.second_dn:.0f} DN)"
+
+
+def unequal_pair(levels: PairLevels) -> str | None:
+    """Return a remark if the two flats of a pair are too unlike to be one scene in one light, else ``None``."""
+    if levels.difference <= _UNLIKE_PAIR:
+        return None
+    return (
+        f"{levels.pair.first.path} and {levels.pair.second.path} were left out: their levels over black are "
+        f"{levels.first_dn:.0f} and {levels.second_dn:.0f} DN; equal exposures of a constant light differ by less than "
+        f"{_PAIR_DIFFERENCE:.0%}, and beyond {_UNLIKE_PAIR:.0%} they are not taken for two frames of one scene"
+    )
+
+
+def uneven_light(used: Sequence[PairLevels]) -> Iterator[Finding]:
+    """Yield a remark if pairs differ by more than equal exposures of a constant light do."""
+    uneven = [levels for levels in used if levels.difference > _PAIR_DIFFERENCE]
+    if uneven:
+        worst = max(uneven, key=lambda levels: levels.difference)
+        yield UNEVEN.seen(
+            worst.difference,
+            _PAIR_DIFFERENCE,
+            f"{len(uneven)} of {len(used)} pairs of flats differ in light by up to {worst.difference:.0%}: {worst}; "
+            "they were scaled to each other, so K holds, but a constant light and a mechanical shutter are better",
+        )

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.audit.steps import BiasSeen
+    from eldata.calibration.audit.bias_sums import BiasSeen
     from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.row_noise import LineNoise
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from contextlib import suppress
 from dataclasses import replace
@@ -14,8 +13,8 @@ from tqdm import tqdm
 
 from eldata import __version__
 from eldata.base.numbers import checked_number, counted
-from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
-from eldata.calibration.audit.frames import FramesError, sorted_frames
+from eldata.base.workers import AnyWorkers, Failed, Workers
+from eldata.calibration.audit.frames import FramesError, sorted_frames, work_elsewhere
 from eldata.calibration.audit.structure import pooled_prnu
 from eldata.calibration.core.findings import checked_acceptance
 from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
@@ -194,21 +193,12 @@ def _measured_on(
     frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers, structure: bool
 ) -> list[IsoGain | FramesError]:
     # Frames are summed where they are decoded: to send them would take longer than that.
-    there = copy.copy(frames)
-    there.root = frames.root.absolute()  # workers have folders of their own to start from
-    work = partial(_measured_there, there, structure)
+    work = work_elsewhere(partial(calibrate_iso, structure=structure), frames)
     label = f"calibrating {frames.camera}"
     return [
         _failure(frames, outcome) if isinstance(outcome, Failed) else outcome
         for outcome in workers.attempt(work, chosen, label=label, unit="ISO")
     ]
-
-
-def _measured_there(frames: CalibrationFrames, structure: bool, chosen: IsoFrames) -> IsoGain:
-    require_files(
-        *map(frames.path, (*chosen.bias, *(flat for pair in chosen.pairs for flat in (pair.first, pair.second))))
-    )
-    return calibrate_iso(frames, chosen, structure=structure)
 
 
 def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesError:

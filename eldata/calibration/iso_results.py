@@ -66,10 +66,10 @@ class IsoGain:
 
     iso: float
     sensor: Sensor
-    flat_frames: int
-    transfer: PhotonTransfer | None
-    spatial: PhotonTransfer | None
-    remarks: tuple[str, ...]
+    flat_frames: int = 0
+    transfer: PhotonTransfer | None = None
+    spatial: PhotonTransfer | None = None
+    remarks: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     stated_gain_dn_per_e: float | None = None
 
@@ -207,7 +207,7 @@ class IsoCalibration(IsoGain):
     plot: ProbabilityPlot
     pattern: PatternSummary
     spectrum_dn2: NDArray[np.float32] = field(repr=False)
-    reproduction: Reproduction | None
+    reproduction: Reproduction | None = None
     single_frame: SingleFramePlot | None = None
     structure: MeasuredStructure | None = None
 

@@ -170,9 +170,6 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
         iso=float(chosen.iso),
         sensor=sensor,
         bias_frames=len(estimated),
-        flat_frames=0,
-        transfer=None,
-        spatial=None,
         bias=found.bias,
         rows=found.rows,
         read=found.read,
@@ -180,8 +177,6 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
         pattern=fixed.summary,
         spectrum_dn2=spectrum,
         single_frame=single,
-        reproduction=None,
-        remarks=(),
         findings=found.findings,
         stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
     )
@@ -214,9 +209,6 @@ def _gain(reader: FrameReader, chosen: IsoFrames) -> IsoGain:
         IsoGain(
             iso=float(chosen.iso),
             sensor=reader.sensor,
-            flat_frames=0,
-            transfer=None,
-            spatial=None,
             remarks=("there are no bias frames, so K is all that is known",),
             stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
         )

@@ -12,7 +12,6 @@ camera's stand to it alike, and one rule judges all numbers.
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -22,7 +21,7 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata.base.numbers import checked_whole, counted
-from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Workers, require_files
+from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Workers
 from eldata.calibration.acceptance.pairs import PairScale, dark_pair, flat_pair, level_names, mean_of, smoothed
 from eldata.calibration.acceptance.reproduction import compared_place
 from eldata.calibration.acceptance.results import (
@@ -34,7 +33,14 @@ from eldata.calibration.acceptance.results import (
     frame_statistics,
 )
 from eldata.calibration.acceptance.theory import sample_parameters
-from eldata.calibration.audit.frames import FrameFigures, FrameReader, FramesError, clipped_black, sorted_frames
+from eldata.calibration.audit.frames import (
+    FrameFigures,
+    FrameReader,
+    FramesError,
+    clipped_black,
+    sorted_frames,
+    work_elsewhere,
+)
 from eldata.calibration.core._frames import by_pixel, channels_of, pattern_of
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError, DatasetError
@@ -152,16 +158,8 @@ def check_noise(
     if workers.executor is None:
         found = [judge(frames, one, workers=workers) for one in chosen]
     else:
-        there = copy.copy(frames)
-        there.root = frames.root.absolute()  # workers have folders of their own to start from
-        found = list(workers.run(partial(_judge_there, judge, there), chosen, label=f"checking {name}", unit="ISO"))
+        found = list(workers.run(work_elsewhere(judge, frames), chosen, label=f"checking {name}", unit="ISO"))
     return Acceptance(frames.camera, name, seed, pairs, tuple(found))
-
-
-def _judge_there(judge: Callable[..., IsoAcceptance], frames: CalibrationFrames, chosen: IsoFrames) -> IsoAcceptance:
-    flats = (flat for pair in chosen.pairs for flat in (pair.first, pair.second))
-    require_files(*map(frames.path, (*chosen.bias, *flats)))
-    return judge(frames, chosen)
 
 
 def _too_few(frames: CalibrationFrames, one: IsoFrames) -> Problem:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.calibration.core._frames import by_pixel
 from eldata.calibration.core.row_noise import smoothed_power
 from eldata.errors import ArgumentError
 
@@ -132,7 +133,7 @@ def reproduction(
     if shape[0] < _SHOWN[0] or shape[1] < _SHOWN[1]:
         raise ArgumentError(f"the comparison needs {_SHOWN[0]} x {_SHOWN[1]} pixels; found {shape}")
     real = held_out - fixed.total_dn[place] / fixed.frames
-    channel = _channels(fixed.pattern, real.shape)
+    channel = by_pixel(np.arange(len(sensor.black_level_dn)), fixed.pattern, real.shape)
     block = _SHADING_BLOCK * len(fixed.pattern)
     rows_of, columns_of = (np.arange(part.start, part.stop) // block for part in place)
     level = fixed.summary.shading_dn[channel, rows_of[:, None], columns_of]
@@ -159,7 +160,7 @@ def reproduction(
         slice(part.start - whole.start, part.stop - whole.start)
         for part, whole in zip(_middle(shape, _SHOWN, period), place, strict=True)
     )
-    black = np.asarray(sensor.black_level_dn)[_channels(fixed.pattern, _SHOWN)]
+    black = by_pixel(np.asarray(sensor.black_level_dn), fixed.pattern, _SHOWN)
     return Reproduction(
         pixels=values[0].size,
         frames=fixed.frames,
@@ -185,12 +186,6 @@ def _middle(shape: tuple[int, ...], side: tuple[int, int], period: int) -> tuple
     """Return a piece in the middle that begins with the CFA's period."""
     starts = [max(0, (length - size) // 2) // period * period for length, size in zip(shape, side, strict=True)]
     return slice(starts[0], starts[0] + min(side[0], shape[0])), slice(starts[1], starts[1] + min(side[1], shape[1]))
-
-
-def _channels(pattern: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[np.int64]:
-    rows, columns = np.ogrid[: shape[0], : shape[1]]
-    channel: NDArray[np.int64] = pattern[rows % len(pattern), columns % len(pattern)]
-    return channel
 
 
 def _simulated(

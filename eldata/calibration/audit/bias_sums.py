@@ -336,11 +336,6 @@ class Neighbours:
         self._powers = np.zeros(2)
         self._values = 0
 
-    @property
-    def is_filled(self) -> bool:
-        """Whether anything that changes was added."""
-        return self._squares > 0
-
     def add_difference(self, band: NDArray[np.int16]) -> None:
         """Add rows of the standardised difference of two frames; they start with the pattern's first."""
         from eldata.calibration.audit._kernels import lag_products
@@ -370,7 +365,7 @@ class Neighbours:
         DatasetError
             If nothing changes from frame to frame.
         """
-        if not self.is_filled:
+        if not self._squares:
             raise DatasetError("no pixel changes from frame to frame: the frames are copies of one another")
         variance = self._squares / self._pixels
         correlation = self._products / (self._pairs * variance) - self._induced / self._pairs

@@ -5,14 +5,16 @@ What their pixels show, frame by frame, comes last.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from eldata.base.workers import IN_THIS_PROCESS, Workers
+from eldata.base.workers import IN_THIS_PROCESS, Workers, require_files
 from eldata.calibration.core.findings import UNEVEN
 from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import DatasetError, EldataError, RawFileError, UnusableRawError
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from eldata.calibration.core.findings import Finding
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, RawHeader, Sensor
+
+Found = TypeVar("Found")
 
 _DIGESTED_BYTES = 1 << 22  # of a frame
 _COMPARED = 1000  # pixels, at least, that tell a copy
@@ -75,6 +79,27 @@ class IsoFrames:
     problems: tuple[Problem, ...] = ()
     stated_gain_dn_per_e: float | None = None
     accept: tuple[str, ...] = ()
+
+    @property
+    def records(self) -> tuple[FrameRecord, ...]:
+        """The frames that are read."""
+        return (*self.bias, *(flat for pair in self.pairs for flat in (pair.first, pair.second)))
+
+
+def work_elsewhere(
+    work: Callable[[CalibrationFrames, IsoFrames], Found], frames: CalibrationFrames
+) -> Callable[[IsoFrames], Found]:
+    """Return work on one ISO as workers do it, which have folders of their own to start from."""
+    there = copy.copy(frames)
+    there.root = frames.root.absolute()
+    return partial(_work_there, work, there)
+
+
+def _work_there(
+    work: Callable[[CalibrationFrames, IsoFrames], Found], frames: CalibrationFrames, chosen: IsoFrames
+) -> Found:
+    require_files(*map(frames.path, chosen.records))
+    return work(frames, chosen)
 
 
 def sorted_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -> tuple[IsoFrames, ...]:

@@ -8,7 +8,7 @@ its level, by all values of a channel that are left above (:mod:`eldata.calibrat
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -17,8 +17,15 @@ from eldata.calibration.core._clipped_fit import ClippedEquations, ClippedStatis
 from eldata.calibration.core._frames import channels_of, groups_of_rows, sums_by_row
 from eldata.calibration.core._residual_fit import CELLS_PER_SIGMA, ResidualHistogram
 from eldata.calibration.core.findings import BEHIND_CLIP, CLIPPED
-from eldata.calibration.core.read_noise import ReadFigures, probability_plot, read_noise, read_noise_findings
-from eldata.calibration.core.row_noise import ColourBias, LineMeans, check_same_frames, colour_bias, row_noise
+from eldata.calibration.core.read_noise import probability_plot, read_noise, read_noise_findings
+from eldata.calibration.core.row_noise import (
+    ColourBias,
+    LineMeans,
+    check_same_frames,
+    colour_bias,
+    levels_and_lines,
+    row_noise,
+)
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -54,7 +61,7 @@ class ReadNoiseSums(Protocol):
     def solve(self, lines: LineMeans) -> FixedPattern:
         """Return what stays from frame to frame as it is without a clip, by what lines show, too."""
 
-    def figures(self, bias: ColourBias) -> ReadFigures:
+    def figures(self, lines: LineMeans, bias: ColourBias) -> BiasFigures:
         """Return the figures, given the bias of the recorded means; after :meth:`solve`."""
 
 
@@ -79,7 +86,7 @@ class BiasFigures:
     read: ReadNoise
     plot: ProbabilityPlot
     findings: tuple[Finding, ...]
-    residuals: ResidualHistogram | None
+    residuals: ResidualHistogram | None = None
 
 
 class BiasSums:
@@ -112,10 +119,9 @@ class BiasSums:
         DatasetError
             If the frames added are not those of the fixed pattern, or do not show their noise.
         """
-        found = self._values.figures(colour_bias(self._lines, black_level_dn))
-        findings = (*found.findings, *read_noise_findings(found.read, found.bias, self._fixed.summary))
-        rows = row_noise(self._lines, found.read.response)
-        return BiasFigures(found.bias, rows, found.read, found.plot, findings, found.residuals)
+        found = self._values.figures(self._lines, colour_bias(self._lines, black_level_dn))
+        said = read_noise_findings(found.read, found.bias, self._fixed.summary)
+        return replace(found, findings=(*found.findings, *said))
 
 
 # --- black above 0 ----------------------------------------------------------------------------------------------------
@@ -148,8 +154,7 @@ class Residuals:
 
         fixed = self._fixed
         sums, squares, _ = sums_of_lines
-        level = sums.sum(axis=0) / np.maximum(self._pixels.sum(axis=0), 1)
-        row = (sums - self._pixels * level).sum(axis=1) / np.maximum(self._pixels.sum(axis=1), 1)
+        level, row = levels_and_lines(sums, self._pixels)
         phases = np.arange(len(row)) % len(fixed.pattern)
         by_channel = row[:, None] + level
         of_offsets = (by_channel**2 * self._pixels).sum(axis=1)
@@ -192,11 +197,13 @@ class Residuals:
         del lines
         return self._fixed
 
-    def figures(self, bias: ColourBias) -> ReadFigures:
+    def figures(self, lines: LineMeans, bias: ColourBias) -> BiasFigures:
         """Return the figures, and the colour bias as it is."""
         residuals = self.histogram()
         read = read_noise(residuals)
-        return ReadFigures(read, probability_plot(residuals, read), bias, residuals=residuals)
+        return BiasFigures(
+            bias, row_noise(lines, read.response), read, probability_plot(residuals, read), (), residuals
+        )
 
     def _fractions(self, row_pixels: float) -> LevelFractions:
         from eldata.calibration.core._kernels import channel_histograms
@@ -277,11 +284,11 @@ class ClippedValues:
         self._fit = ClippedEquations(ClippedStatistics.of(self.counts, lines)).solved()
         return self._fit.fixed
 
-    def figures(self, bias: ColourBias) -> ReadFigures:
+    def figures(self, lines: LineMeans, bias: ColourBias) -> BiasFigures:
         """Return the figures that :meth:`solve` has found, given the bias of the recorded means."""
-        behind = _colour_bias(self._fit, bias, self.fixed)
+        read, behind = self._fit.read, _colour_bias(self._fit, bias, self.fixed)
         findings = tuple(_findings(self._fit, float(self.zeros.max()), behind))
-        return ReadFigures(self._fit.read, self._fit.plot, behind, findings)
+        return BiasFigures(behind, row_noise(lines, read.response), read, self._fit.plot, findings)
 
 
 def _colour_bias(fit: ClippedFit, recorded: ColourBias, fixed: FixedPattern) -> ColourBias:

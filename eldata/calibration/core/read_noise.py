@@ -37,7 +37,7 @@ _MOST_ERROR = 0.15  # of lambda, and of sigma_TL as a share: beyond, neither fig
 _BY_CHANCE = 1e-6  # of the fit's chi^2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ReadNoise:
     """Read noise of one ISO.
 
@@ -83,11 +83,11 @@ class ReadNoise:
     sigma_tl_error_dn: float
     sigma_gauss_dn: float
     sigma_gauss_error_dn: float
-    ppcc_lambda: float
-    ppcc_sigma_tl_dn: float
-    ppcc_lambda_plain: float
-    ppcc_sigma_plain_dn: float
-    curve: NDArray[np.float64] = field(repr=False)
+    ppcc_lambda: float = math.nan
+    ppcc_sigma_tl_dn: float = math.nan
+    ppcc_lambda_plain: float = math.nan
+    ppcc_sigma_plain_dn: float = math.nan
+    curve: NDArray[np.float64] = field(repr=False, default_factory=lambda: np.zeros((2, 0)))
     r_squared_tl: float
     r_squared_gauss: float
     chi2_per_dof: float
@@ -131,29 +131,6 @@ class ProbabilityPlot:
     shape: float
     slope_normal_dn: float
     slope_tukey_lambda_dn: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ReadFigures:
-    """What an estimator of the read noise gives.
-
-    Attributes
-    ----------
-    read, plot
-        The figures, and their probability plots.
-    bias
-        The colour bias, of levels behind the clip if black is clipped.
-    findings
-        What the way of recording leaves of the figures.
-    residuals
-        Where they are the way: what the figures are of.
-    """
-
-    read: ReadNoise
-    plot: ProbabilityPlot
-    bias: ColourBias
-    findings: tuple[Finding, ...] = ()
-    residuals: ResidualHistogram | None = None
 
 
 def read_noise(histogram: ResidualHistogram) -> ReadNoise:

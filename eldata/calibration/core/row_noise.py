@@ -228,8 +228,8 @@ class LineMeans:
         sums = rows.sum(axis=1)
         pixels = self.row_pixels.sum(axis=1)
         self.squares += float((squares - sums**2 / np.maximum(pixels, 1)).sum()) / frames**2
-        self.rows_dn.append(_line_means(rows / frames, self.row_pixels))
-        self.columns_dn.append(_line_means(columns / frames, self.column_pixels))
+        self.rows_dn.append(levels_and_lines(rows / frames, self.row_pixels)[1])
+        self.columns_dn.append(levels_and_lines(columns / frames, self.column_pixels)[1])
         values = (rows + self.row_totals) // frames  # of the pixels themselves, exactly
         of_channel = self.row_pixels.sum(axis=0)
         mean = values.sum(axis=0) / of_channel
@@ -265,11 +265,10 @@ def line_sums(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> LineSums:
     return rows, squares, columns
 
 
-def _line_means(sums: NDArray[np.float64], pixels: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the mean of each line over its channels, each channel less its own mean in the frame."""
+def levels_and_lines(sums: NDArray[Any], pixels: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return each channel's mean in the frame, and that of each line over its channels, each less its own."""
     level = sums.sum(axis=0) / np.maximum(pixels.sum(axis=0), 1)
-    means: NDArray[np.float64] = (sums - pixels * level).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
-    return means
+    return level, (sums - pixels * level).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
 
 
 def row_noise(means: LineMeans, response: OffsetResponse | None = None) -> RowNoise:
@@ -340,7 +339,7 @@ def _line_noise(
     values = deviations.ravel() * math.sqrt(frames / (frames - 1))
     thinned = values[np.linspace(0, values.size - 1, min(values.size, SHAPIRO_VALUES)).astype(np.int64)]
     (quantiles, ordered), (_, _, correlation) = stats.probplot(thinned)
-    fixed = _line_means(fixed_sums, pixels)
+    fixed = levels_and_lines(fixed_sums, pixels)[1]
     fixed_variance = float((fixed[used] ** 2).sum()) / (lines - classes_of_rows(pattern)) - scatter / frames
     return LineNoise(
         sigma_dn=sigma,

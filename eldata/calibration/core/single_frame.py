@@ -24,6 +24,7 @@ from eldata.calibration.core.photon_transfer import (
     join_lines,
     straight_line,
 )
+from eldata.calibration.core.row_noise import levels_and_lines
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -63,8 +64,7 @@ def single_frame_plot(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> Single
 
     sound = ~fixed.defects
     sums, pixels = sums_by_row(mosaic * sound, fixed.pattern), sums_by_row(sound, fixed.pattern)
-    level = sums.sum(axis=0) / np.maximum(pixels.sum(axis=0), 1)
-    row = (sums - pixels * level).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
+    level, row = levels_and_lines(sums, pixels)
     phases = np.arange(len(row)) % len(fixed.pattern)
     offsets = np.rint(_UNITS * (row[:, None] + level[fixed.pattern[phases]])).astype(np.int64)
     sigma = math.sqrt(float(np.mean(fixed.temporal_variance_dn2)) + max(fixed.summary.dsnu_dn) ** 2)

@@ -220,7 +220,7 @@ class _Windows:
         if not variance.max() > 0:
             raise DatasetError("the frame shows no noise; is it a raw frame as the camera wrote it?")
         floor = max(float(variance.min()), 1e-3 * float(variance.max()))
-        slope, offset, *_ = _least_squares(mean, variance, np.maximum(variance, floor) ** 2)
+        slope, offset = _least_squares(mean, variance, np.maximum(variance, floor) ** 2)
         return _Line(slope, offset, floor)
 
     def fitted(self, chosen: NDArray[np.bool_], line: _Line, values: Values | None = None) -> _Line:
@@ -338,17 +338,16 @@ class _Groups:
         return _Line(slope, offset, floor, *errors), square / max(len(mean) - len(of_channel) - 1, 1)
 
 
-def _least_squares(x: Values, y: Values, variance: Values) -> tuple[float, float, float, float]:
-    """Return slope, offset and their standard errors; of points without spread, slope 0 of unknown error."""
+def _least_squares(x: Values, y: Values, variance: Values) -> tuple[float, float]:
+    """Return slope and offset; of points without spread, slope 0."""
     weight = 1 / variance
     total = float(weight.sum())
     middle = float(weight @ x) / total
     spread = float(weight @ (x - middle) ** 2)
     if len(x) < 2 or not spread > 0:
-        return 0.0, float(weight @ y) / total, math.inf, math.inf
+        return 0.0, float(weight @ y) / total
     slope = float(weight @ ((x - middle) * y)) / spread
-    offset = float(weight @ y) / total - slope * middle
-    return slope, offset, 1 / math.sqrt(spread), math.sqrt(1 / total + middle**2 / spread)
+    return slope, float(weight @ y) / total - slope * middle
 
 
 def _check_found(smooth: NDArray[np.bool_], sound: NDArray[np.bool_]) -> None:

@@ -163,7 +163,7 @@ class IsoGain:
             "findings": [asdict(finding) for finding in self.findings],
             "remarks": list(self.all_remarks),
         }
-        return {name: _plain(value) for name, value in found.items()}
+        return {name: without_infinities(value) for name, value in found.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -275,7 +275,7 @@ class IsoCalibration(IsoGain):
         }
         if self.structure is not None:
             found["structure"] = asdict(self.structure)
-        return {name: _plain(value) for name, value in found.items()}
+        return {name: without_infinities(value) for name, value in found.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,10 +298,10 @@ def usual_gain_per_iso(isos: Iterable[IsoGain]) -> float:
     return float(np.median(ratios)) if ratios else math.nan
 
 
-def _plain(value: Any) -> Any:
+def without_infinities(value: Any) -> Any:
     """Return dictionaries and lists with ``None`` for numbers that are not finite."""
     if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
+        return {name: without_infinities(item) for name, item in value.items()}
     if isinstance(value, (tuple, list)):
-        return [_plain(item) for item in value]
+        return [without_infinities(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -71,8 +71,10 @@ def saturation_findings(saturation: Sequence[Saturation | None], left_out: float
 
 
 def _correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
+    from scipy.special import ndtri
+
     found, error = transfer.correlation, transfer.correlation_error
-    threshold = _normal_quantile(_BY_CHANCE) * error + _LEAST_LOSS / _LOST_PER_CORRELATION
+    threshold = float(-ndtri(_BY_CHANCE / 2)) * error + _LEAST_LOSS / _LOST_PER_CORRELATION
     if not abs(found) > threshold:
         return
     allowance = _LOST_PER_CORRELATION * abs(found)
@@ -157,12 +159,6 @@ def _agreement(transfer: PhotonTransfer) -> Iterator[Finding]:
         f"K differs between the channels: {listed} DN/e-; does the camera scale colours in its raw files?",
         {"gain": (allowance, 0.0)},
     )
-
-
-def _normal_quantile(chance: float) -> float:
-    from scipy.special import ndtri
-
-    return float(-ndtri(chance / 2))
 
 
 def _chi2_quantile(chance: float, freedom: int) -> float:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from eldata.base.tables import one_line
+from eldata.calibration.iso_results import without_infinities
 from eldata.calibration.joint import NO_NOISE_DN
 from eldata.errors import DatasetError, check_choice
 from eldata.noise.gain_modes import LogLogFit, ProfileRow
@@ -132,7 +133,7 @@ class ImageEstimate:
                 content[name] |= {"sigma_dn": figures.sigma_dn, "sigma_error": figures.sigma_error}
         if self.profile is not None:
             content["profile"] = self.profile.as_dict()
-        plain: dict[str, Any] = _finite(content)
+        plain: dict[str, Any] = without_infinities(content)
         return plain
 
     def format_text(self) -> str:
@@ -147,14 +148,6 @@ class ImageEstimate:
         lines += [f"  no profile: {problem}" for problem in self.problems]
         lines += [f"  {remark}" for remark in self.remarks]
         return "\n".join(lines)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _finite(inner) for name, inner in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def estimate_profile(image: RawFrame | Path | str, *, source: Source = "auto") -> ImageEstimate:

@@ -130,13 +130,15 @@ _ROUNDING = 1e-24  # squares that are left of points on a line
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """A step between two neighbours in a line of ln(scale) over ln(K), which ``place`` points lie below."""
+    """A step between two neighbours in a line of ln(scale) over ln(K), and the spread around a line through both."""
 
-    place: int
+    name: str
+    place: tuple[float, float]
     height: float
     statistic: float
     threshold: float
     spread_without: float
+    spread: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,19 +150,19 @@ class GainStep:
     below_dn_per_e, above_dn_per_e
         The last K before it and the first one after it.
     steps
-        By the scale's name, with the spread around a line that goes through.
+        Of each scale that has one.
     """
 
     below_dn_per_e: float
     above_dn_per_e: float
-    steps: tuple[tuple[str, _Step, float], ...]
+    steps: tuple[_Step, ...]
 
     def finding(self, iso_of: Mapping[float, float], *, is_taken: bool) -> Finding:
         """Return the remark on it: that the profile has modes on either side, or what its lines suffer."""
         below, above = iso_of[self.below_dn_per_e], iso_of[self.above_dn_per_e]
-        heights = " and ".join(f"{name} ({math.expm1(step.height):+.0%})" for name, step, _ in self.steps)
-        spreads = " and ".join(f"{spread:.2g} ({step.spread_without:.2g} without it)" for _, step, spread in self.steps)
-        largest = max((step for _, step, _ in self.steps), key=lambda step: step.statistic / step.threshold)
+        heights = " and ".join(f"{step.name} ({math.expm1(step.height):+.0%})" for step in self.steps)
+        spreads = " and ".join(f"{step.spread:.2g} ({step.spread_without:.2g} without it)" for step in self.steps)
+        largest = max(self.steps, key=_clearness)
         seen = (
             f"between ISO {below:g} and {above:g} there is a step over K of {heights}, as where a camera switches its "
             "conversion gain"
@@ -193,19 +195,17 @@ def gain_steps(points: Mapping[str, Sequence[tuple[float, float]]]) -> tuple[Gai
     points
         K and scale by the scale's name; scales of 0 are left out.
     """
-    found: dict[tuple[float, float], list[tuple[str, _Step, float]]] = {}
+    found: dict[tuple[float, float], list[_Step]] = {}
     for name, measured in points.items():
         usable = sorted((gain, scale) for gain, scale in measured if scale > 0 and math.isfinite(scale))
         if len(usable) < 5 or len({gain for gain, _ in usable}) < len(usable):
             continue
-        gains, scales = zip(*usable, strict=True)
-        step = _step(gains, scales)
+        step = _step(name, *zip(*usable, strict=True))
         if step is not None:
-            place = (gains[step.place - 1], gains[step.place])
-            found.setdefault(place, []).append((name, step, fit_log_log(gains, scales).fit.sigma))
+            found.setdefault(step.place, []).append(step)
     if not found:
         return ()
-    below, above = max(found, key=lambda place: max(step.statistic / step.threshold for _, step, _ in found[place]))
+    below, above = max(found, key=lambda place: max(map(_clearness, found[place])))
     before, after = (
         gain_steps(
             {name: [one for one in measured if (one[0] >= above) == is_after] for name, measured in points.items()}
@@ -215,7 +215,11 @@ def gain_steps(points: Mapping[str, Sequence[tuple[float, float]]]) -> tuple[Gai
     return (*before, GainStep(below, above, tuple(found[below, above])), *after)
 
 
-def _step(gains: Sequence[float], scales: Sequence[float]) -> _Step | None:
+def _clearness(step: _Step) -> float:
+    return step.statistic / step.threshold
+
+
+def _step(name: str, gains: Sequence[float], scales: Sequence[float]) -> _Step | None:
     """Return the clearest step, if it is one and says more than a bend."""
     from scipy.special import stdtrit
 
@@ -236,7 +240,9 @@ def _step(gains: Sequence[float], scales: Sequence[float]) -> _Step | None:
     if statistic <= threshold or not is_likelier:
         return None
     height = float(_solved(np.stack([*line, after[place]]), y)[-1])
-    return _Step(place, height, statistic, threshold, math.sqrt(rest / freedom))
+    where = gains[place - 1], gains[place]
+    spreads = math.sqrt(rest / freedom), fit_log_log(gains, scales).fit.sigma
+    return _Step(name, where, height, statistic, threshold, *spreads)
 
 
 def _elbows(x: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -72,18 +72,15 @@ class _Currents:
     moment: NDArray[np.float32]  # sum of weight x ISO x (time less the mean time) x value
     lever: float = 0.0  # the same with ISO x time in place of the value: c = moment / lever
     times: set[float] = field(default_factory=set)
-    mean: NDArray[np.float32] | None = None  # of the ISO at hand
+    iso: float = math.nan  # at hand
+    mean: NDArray[np.float32] | None = None  # of it
     weight: float = 0.0
     middle: float = 0.0
 
-    def begin(self) -> None:
-        """Go on to another ISO."""
-        self.mean, self.weight, self.middle = None, 0.0, 0.0
-
     def add(self, iso: float, time: float, weight: float, over_black: Iterable[tuple[slice, NDArray[Any]]]) -> None:
-        """Take a mean frame of the ISO at hand into account; it comes as parts."""
-        if self.mean is None:
-            self.mean = np.zeros_like(self.moment)
+        """Take a mean frame into account, of the ISO at hand or a further one; it comes as parts."""
+        if self.mean is None or iso != self.iso:
+            self.iso, self.mean, self.weight, self.middle = iso, np.zeros_like(self.moment), 0.0, 0.0
         self.weight += weight
         before = time - self.middle
         self.middle += weight / self.weight * before
@@ -119,7 +116,6 @@ class ShadingFit:
         self._times: dict[float, float | None] = {}
         self._latest: tuple[FixedPattern, Sequence[float]] | None = None
         self._currents: _Currents | None = None
-        self._currents_of: float | None = None
 
     def add(
         self,
@@ -207,9 +203,7 @@ class ShadingFit:
             )
         if self._currents is None:
             self._currents = _Currents(np.zeros(self._hot.shape, np.float32))
-        if self._currents.mean is None or self._currents_of != iso:
-            self._currents.begin()
-            self._currents_of = iso
+        if self._currents.iso != iso:
             self._currents.add(iso, bias_s, self._isos[-1].weight, _over_black(*self._latest))
         self._hot |= fixed.defects
         self._currents.times.add(exposure_s)

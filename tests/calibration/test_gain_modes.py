@@ -147,7 +147,7 @@ def test_the_published_table_of_the_a7s2() -> None:
         for name, field in (("sigma_TL", "sigma_tl_dn"), ("sigma_G", "sigma_gauss_dn"), ("sigma_row", "sigma_row_dn"))
     }
     (step,) = gain_steps(points)
-    assert [name for name, _, _ in step.steps] == list(points)
+    assert [one.name for one in step.steps] == list(points)
     low, high = profile.modes
     assert (step.below_dn_per_e, step.above_dn_per_e) == (low.gain_range_dn_per_e[1], high.gain_range_dn_per_e[0])
     for mode in (low, high):

@@ -207,8 +207,10 @@ def check_iso_noise(
             yield dark_pair(*one, scale)
         camera.refuse()
 
-    compared = _Compared(made, no_light, 1, pairs, partial(dark_pair, scale=scale), workers)
-    reference, of_camera, of_model = compared.sides(of_bias(), f"ISO {float(chosen.iso):g}")
+    measure = partial(dark_pair, scale=scale)
+    reference, of_camera, of_model = _sides(
+        made, no_light, 1, pairs, measure, workers, of_bias(), f"ISO {float(chosen.iso):g}"
+    )
     statistics = frame_statistics(reference, of_camera, of_model, first[0].size)
 
     levels = [np.mean(of_camera.of(name)) for name in level_names(channels_of(pattern))]
@@ -228,38 +230,37 @@ def check_iso_noise(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Compared:
-    """One kind of frames: what the model makes them of, of which streams, and how a pair is measured."""
+def _sides(
+    made: MadeFrames,
+    light_dn: Plane,
+    stream: int,
+    pairs: int,
+    measure: Callable[[Mosaic, Mosaic], PairFigures],
+    workers: Workers,
+    held_out: Iterable[PairFigures],
+    label: str,
+) -> tuple[PairNumbers, PairNumbers, PairNumbers]:
+    """Return the numbers of the model's reference, of the camera, and of the model, for one kind of frames.
 
-    made: MadeFrames
-    light_dn: Plane
-    stream: int
-    pairs: int
-    measure: Callable[[Mosaic, Mosaic], PairFigures]
-    workers: Workers
+    A model not ours may not be called by two threads at a time.
+    """
+    if not isinstance(made.model, NoiseModel) or made.model.dark_frames is not None:
+        workers = IN_THIS_PROCESS
 
-    def sides(self, held_out: Iterable[PairFigures], label: str) -> tuple[PairNumbers, PairNumbers, PairNumbers]:
-        """Return the numbers of the model's reference, of the camera, and of the model."""
-        reference, of_camera, of_model = PairNumbers(), PairNumbers(), PairNumbers()
-        total = np.zeros(1)
-        for pair in self._simulated(self.stream, _REFERENCE):
-            total = total + pair.mean_dn
-            reference.add(pair)
-        mean_dn = (total / _REFERENCE).astype(np.float32)
-        for pair in held_out:
-            of_camera.add(pair, mean_dn)
-        simulated = self._simulated(self.stream + 1, self.pairs)
-        for pair in tqdm(simulated, label, self.pairs, unit="pair", disable=None, leave=False):
-            of_model.add(pair, mean_dn)
-        return reference, of_camera, of_model
+    def simulated(stream: int, count: int) -> Iterator[PairFigures]:
+        return workers.read_ahead(lambda index: measure(*made.pair(light_dn, stream, index)), range(count))
 
-    def _simulated(self, stream: int, count: int) -> Iterator[PairFigures]:
-        """Yield the figures of the model's pairs. A model not ours may not be called by two threads at a time."""
-        is_ours = isinstance(self.made.model, NoiseModel) and self.made.model.dark_frames is None
-        return (self.workers if is_ours else IN_THIS_PROCESS).read_ahead(
-            lambda index: self.measure(*self.made.pair(self.light_dn, stream, index)), range(count)
-        )
+    reference, of_camera, of_model = PairNumbers(), PairNumbers(), PairNumbers()
+    total = np.zeros(1)
+    for pair in simulated(stream, _REFERENCE):
+        total = total + pair.mean_dn
+        reference.add(pair)
+    mean_dn = (total / _REFERENCE).astype(np.float32)
+    for pair in held_out:
+        of_camera.add(pair, mean_dn)
+    for pair in tqdm(simulated(stream + 1, pairs), label, pairs, unit="pair", disable=None, leave=False):
+        of_model.add(pair, mean_dn)
+    return reference, of_camera, of_model
 
 
 def _parameters(
@@ -337,8 +338,9 @@ def _of_exposure(
     light = np.maximum(smoothed(mean, scale.sigma_dn, pattern) - by_pixel(dark, pattern, mean.shape), 0)
     held_out = chain([first], ((camera.cut(one), camera.cut(two)) for one, two in found))
     made = replace(made, exposure_s=_seconds(group[0].first.exposure_s))
-    compared = _Compared(made, light, stream, pairs, partial(flat_pair, scale=scale), camera.workers)
-    reference, of_camera, of_model = compared.sides((flat_pair(*one, scale) for one in held_out), "flats")
+    measure = partial(flat_pair, scale=scale)
+    of_flats = (measure(*one) for one in held_out)
+    reference, of_camera, of_model = _sides(made, light, stream, pairs, measure, camera.workers, of_flats, "flats")
     where = light[compared_place(light.shape, len(pattern))] if made.whole_frames else light
     check = f"flats of {float(where.mean()):.0f} DN"
     statistics = frame_statistics(reference, of_camera, of_model, where.size, check)

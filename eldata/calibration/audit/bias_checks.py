@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.audit.bias_sums import OF_LIGHTER_TAILS, OUTLIERS, BiasSeen, Ripple, coarse_values
+from eldata.calibration.audit.bias_sums import GAPS, OUTLIERS, BiasSeen, Ripple
 from eldata.calibration.core.findings import (
     BANDING,
     CHANCE,
+    COARSE,
     CORRELATED,
     DARK_SIGNAL,
     FILTERED,
@@ -45,6 +46,9 @@ _MOSTLY = 0.5
 _OF_UNLIKENESS = 2.0  # measured: shifts of lambda and both sigmas are 0.3 to 4 times the unlikeness
 _LEAST_STAYING = 0.02  # of the levels' variance: what stays from frame to frame is not known better
 _EXPONENTIAL = 2.0  # skewness of a dark signal over the pixels
+_OF_LIGHTER_TAILS = (
+    2.0  # what is added to the noise makes its tails lighter: sigma_TL goes up by so many times sigma_G's share
+)
 _SURELY = 2.0  # standard errors
 _FAINT_RIPPLE = 1e-3  # of sizes: the sum of sizes of a pixel then tells nothing of rounding
 
@@ -186,7 +190,7 @@ def unlike_pixels(seen: BiasSeen, *, is_lit: bool) -> Iterator[Finding]:
         )
         if gain_dn_per_e is None:
             text += "; where K is known, from flats or --gain, it is told from pixels that jump between levels"
-        shares: dict[Figure, tuple[float, float]] = {"read noise": (OF_LIGHTER_TAILS * signal.mean, seen.read_error)}
+        shares: dict[Figure, tuple[float, float]] = {"read noise": (_OF_LIGHTER_TAILS * signal.mean, seen.read_error)}
         yield from DARK_SIGNAL.judged(by_level, threshold, text, shares)
         of_level = DARK_SIGNAL.seen(by_level, threshold, text)
         yield from over_black(of_level, signal.level_dn, seen.bias, statistics.sigma_dn)
@@ -377,6 +381,31 @@ def filtered_outliers(seen: BiasSeen) -> Iterator[Finding]:
         )
         share = _OF_SKEWNESS * abs(near.skewness)
         yield from LOPSIDED.judged(excess, threshold, text, {"read noise": (share, seen.read_error)})
+
+
+# --- steps of the values ------------------------------------------------------------------------------------------
+
+
+def coarse_values(seen: BiasSeen) -> Iterator[Finding]:
+    """Yield a finding if the values step by more than a DN: by some DN everywhere, or leave a share of gaps.
+
+    Rounding to steps of s adds ``(s^2 - 1) / 12`` more to the variance than the model's rounding to whole DN.
+    """
+    step, gaps, size = seen.step, seen.gaps, seen.step_dn
+    if step == 1 and gaps <= GAPS:
+        return
+    added = (size**2 - 1) / 12
+    text = (
+        f"the values step by {step} DN: fewer bits than the file has room for, or multiplied after conversion"
+        if step > 1
+        else f"{gaps:.0%} of the DN values between others never occur in a bias frame: the camera multiplies after "
+        "conversion at this ISO, or compresses with loss"
+    )
+    text += (
+        f"; rounding adds {added:.2g} DN^2 more than the model's; use a raw mode with all bits, or leave this ISO out"
+    )
+    share = _OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(seen.read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
+    yield from COARSE.judged(size, 1 / (1 - GAPS), text, {"read noise": (share, seen.read_error)})
 
 
 # --- the rows' offsets over the frame ---------------------------------------------------------------------------------

@@ -16,17 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.calibration.core._frames import channels_of, checked_mosaic
-from eldata.calibration.core.findings import COARSE
 from eldata.calibration.core.row_noise import TILE, check_same_frames
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from eldata.calibration.core.defects import FixedPattern
-    from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.read_noise import ReadNoise
     from eldata.calibration.core.row_noise import ColourBias, RowNoise
 
@@ -416,9 +412,6 @@ def _taken(pattern: NDArray[np.int64], across: int) -> float:
 GAPS = 0.02
 """Share of DN values that never occur, from which on it is told."""
 
-OF_LIGHTER_TAILS = 2.0
-"""What is added to the noise makes its tails lighter: sigma_TL goes up by so many times sigma_G's share."""
-
 _CENTRAL = (0.05, 0.95)
 _FEW = 30  # occurrences per code, below which a gap may be chance
 _COARSEST = 64  # DN: the largest step that is looked for
@@ -552,25 +545,3 @@ class BiasSeen:
         read = self.read
         of_scales = read.sigma_tl_error_dn / read.sigma_tl_dn, read.sigma_gauss_error_dn / read.sigma_gauss_dn
         return min(read.tukey_lambda_error, *of_scales)
-
-
-def coarse_values(seen: BiasSeen) -> Iterator[Finding]:
-    """Yield a finding if the values step by more than a DN: by some DN everywhere, or leave a share of gaps.
-
-    Rounding to steps of s adds ``(s^2 - 1) / 12`` more to the variance than the model's rounding to whole DN.
-    """
-    step, gaps, size = seen.step, seen.gaps, seen.step_dn
-    if step == 1 and gaps <= GAPS:
-        return
-    added = (size**2 - 1) / 12
-    text = (
-        f"the values step by {step} DN: fewer bits than the file has room for, or multiplied after conversion"
-        if step > 1
-        else f"{gaps:.0%} of the DN values between others never occur in a bias frame: the camera multiplies after "
-        "conversion at this ISO, or compresses with loss"
-    )
-    text += (
-        f"; rounding adds {added:.2g} DN^2 more than the model's; use a raw mode with all bits, or leave this ISO out"
-    )
-    share = OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(seen.read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
-    yield from COARSE.judged(size, 1 / (1 - GAPS), text, {"read noise": (share, seen.read_error)})

@@ -22,7 +22,7 @@ import numpy as np
 
 from eldata.calibration.core._frames import classes_of_rows, groups_of_rows, sums_by_row
 from eldata.calibration.core._tukey_lambda import HIGHEST, LOWEST, NOTHING, TailTable
-from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
+from eldata.calibration.core.read_noise import PLOT_POINTS, ProbabilityPlot, ReadNoise
 from eldata.calibration.core.row_noise import OffsetResponse
 from eldata.errors import DatasetError
 from eldata.noise.parameters import tukey_lambda_variance
@@ -524,14 +524,14 @@ class ClippedEquations:
         statistic = float((((self._counts - expected)[kept]) ** 2 / expected[kept]).sum())
         return statistic / trace, round(min(freedom, float(np.count_nonzero(kept))))
 
-    def _plot(self, noise: ClippedNoise, at: Values, points: int = 121) -> ProbabilityPlot:
+    def _plot(self, noise: ClippedNoise, at: Values) -> ProbabilityPlot:
         from scipy.special import ndtr, ndtri
 
         number = float(self._number.sum())
         zeros = float((self._counts[:, 0] / self._number).max())
         reach = -float(ndtri(min(100 / number, 0.1)))
         lowest = max(float(ndtri(min(zeros + 0.01, 0.97))), -reach)
-        plotted = np.linspace(lowest, reach, points)
+        plotted = np.linspace(lowest, reach, PLOT_POINTS)
         levels = ndtr(plotted)
         around = normal(max(float(at[-2] + at[-1]) + self._seen.drift_dn2, 0.0))
         grid = np.sinh(np.linspace(-5, 5, 2001)) * noise.sigma

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _LEVELS = 512  # from black to saturation
 CLIPPED_SHARE = 0.01  # of a level's segments; more, and the level is left out
-_MARGIN = 0.02  # of the range from black to white
+_MARGIN = 0.02  # of the range from black to white: pixels so near to white count as saturated
 # A segment of n pixels, whose mean is SNR times its noise, knows the ratio of its two frames to sqrt(2 / n) / SNR. The
 # ratio's error adds 1 / (n SNR^2) of the variance: below 1e-4 from an SNR of 20 on. What a wrong ratio would leave of a
 # fixed pattern of share p is (p SNR d)^2 of it, with d the error of the whole frames' ratio: below 4e-4 up to there, at
@@ -128,17 +128,16 @@ class FlatSums(FrameSums):
         white_level_dn: float,
         *,
         defects: NDArray[np.bool_] | None = None,
-        margin: float = _MARGIN,
     ) -> None:
         super().__init__(cfa, defects)
         self.black = checked_black_level(black_level_dn, self.channels)
-        self._limit = _saturation_dn(self.black, white_level_dn, margin)
-        self._make_room()
-
-    @property
-    def limit_dn(self) -> float:
+        if not math.isfinite(white_level_dn) or not white_level_dn > self.black.max():
+            raise ArgumentError(
+                f"the white level ({white_level_dn} DN) must lie above every black level ({self.black.tolist()})"
+            )
+        self.limit_dn = float(white_level_dn - _MARGIN * (white_level_dn - self.black.max()))
         """From which value on a pixel counts as saturated."""
-        return self._limit
+        self._make_room()
 
     def _make_room(self) -> None:
         """Set up what the frames are added to, if anything."""
@@ -153,12 +152,10 @@ class FlatPairs(FlatSums):
         As in :class:`eldata.records.Sensor`; measured levels are better than recorded ones.
     defects
         (H, W) True where a pixel is not to be used.
-    margin
-        Pixels within this share of the range below white count as saturated.
     """
 
     def _make_room(self) -> None:
-        self._level_dn = (self._limit - float(self.black.min())) / _LEVELS
+        self._level_dn = (self.limit_dn - float(self.black.min())) / _LEVELS
         self._segments = np.zeros((self.channels, _LEVELS, 3), dtype=np.int64)
         self._sums = np.zeros((self.channels, _LEVELS, 7))
         self._counts = np.zeros((self.channels, 65536), dtype=np.int64)
@@ -187,7 +184,7 @@ class FlatPairs(FlatSums):
             defects,
             self.pattern,
             self.black,
-            self._limit,
+            self.limit_dn,
             self._level_dn,
             means,
             noise,
@@ -210,7 +207,7 @@ class FlatPairs(FlatSums):
             for y, x in np.argwhere(self.pattern == channel):
                 rows = slice(y, None, period * max(1, len(first) // (64 * period)))
                 a, b = first[rows, x::period].astype(np.int64), second[rows, x::period].astype(np.int64)
-                used = ~defects[rows, x::period] & (np.minimum(a, b) > 0) & (np.maximum(a, b) < self._limit)
+                used = ~defects[rows, x::period] & (np.minimum(a, b) > 0) & (np.maximum(a, b) < self.limit_dn)
                 one.append(a[used])
                 two.append(b[used])
             a, b = np.concatenate(one), np.concatenate(two)
@@ -239,7 +236,7 @@ class FlatPairs(FlatSums):
         """Where each channel saturates below the white level; ``None`` where nothing shows."""
         if self._saturation is None:
             self._saturation = tuple(
-                saturation(self._counts[channel], self.black[channel], self._limit, *self._of(channel, chosen))
+                saturation(self._counts[channel], self.black[channel], self.limit_dn, *self._of(channel, chosen))
                 for channel, chosen in enumerate(self._unclipped)
             )
         return self._saturation
@@ -403,16 +400,6 @@ def join_lines(lines: tuple[PhotonTransferLine, ...], frames: int, left_out: flo
         frames=frames,
         left_out=left_out,
     )
-
-
-def _saturation_dn(black: NDArray[np.float64], white_level_dn: float, margin: float) -> float:
-    if not math.isfinite(white_level_dn) or not white_level_dn > black.max():
-        raise ArgumentError(
-            f"the white level ({white_level_dn} DN) must lie above every black level ({black.tolist()})"
-        )
-    if not 0 <= margin < 1:
-        raise ArgumentError(f"the margin is a share of the range, from 0 to below 1; found {margin}")
-    return float(white_level_dn - margin * (white_level_dn - black.max()))
 
 
 # --- saturation -------------------------------------------------------------------------------------------------------

@@ -36,6 +36,9 @@ _TAIL = 1000  # residuals beyond the point from which on the variance is the fit
 _MOST_ERROR = 0.15  # of lambda, and of sigma_TL as a share: beyond, neither figure nor error means anything
 _BY_CHANCE = 1e-6  # of the fit's chi^2
 
+PLOT_POINTS = 121
+"""Of a probability plot."""
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ReadNoise:
@@ -259,7 +262,7 @@ def read_noise_findings(read: ReadNoise, bias: ColourBias, pattern: PatternSumma
     return tuple(found)
 
 
-def probability_plot(histogram: ResidualHistogram, read: ReadNoise, *, points: int = 121) -> ProbabilityPlot:
+def probability_plot(histogram: ResidualHistogram, read: ReadNoise) -> ProbabilityPlot:
     """Return the points of the two probability plots that :func:`read_noise` has taken its R^2 of ``read`` from."""
     from scipy.special import ndtr, ndtri
 
@@ -269,7 +272,7 @@ def probability_plot(histogram: ResidualHistogram, read: ReadNoise, *, points: i
     number = int(inner.sum())
     values, shape = histogram.values_dn[1:-1], read.ppcc_lambda_plain
     reach = float(-ndtri(100 / number)) if number > 1000 else 1.28
-    normal = np.linspace(-reach, reach, points)
+    normal = np.linspace(-reach, reach, PLOT_POINTS)
     levels = ndtr(normal)
     below = (np.cumsum(inner) - inner / 2) / number  # at the cells' centres
     filled = inner > 0
@@ -285,10 +288,10 @@ def probability_plot(histogram: ResidualHistogram, read: ReadNoise, *, points: i
     )
 
 
-def ppcc(
-    values: NDArray[np.float64], counts: NDArray[Any], *, points: int = 41
-) -> tuple[float, float, NDArray[np.float64]]:
+def ppcc(values: NDArray[np.float64], counts: NDArray[Any]) -> tuple[float, float, NDArray[np.float64]]:
     """Return the shape of the highest probability-plot correlation, the plot's slope there, and the curve.
+
+    The curve is (2, 41): shapes from -0.45 to 0.55 and correlations.
 
     The grouped form of :func:`scipy.stats.ppcc_max` with the Tukey-lambda family.
 
@@ -298,8 +301,6 @@ def ppcc(
         Ascending values.
     counts
         How often each occurred.
-    points
-        Of the curve, (2, points): shapes from -0.45 to 0.55 and correlations.
     """
     from scipy.optimize import minimize_scalar
 
@@ -307,10 +308,10 @@ def ppcc(
 
     used = counts > 1e-12 * np.max(counts)
     values, weights = values[used], np.asarray(counts, dtype=np.float64)[used]
-    shapes = np.linspace(-0.45, 0.55, points)
+    shapes = np.linspace(-0.45, 0.55, 41)
     curve = np.array([correlation(values, weights, float(shape))[0] for shape in shapes])
     best = int(curve.argmax())
-    around = (float(shapes[max(best - 1, 0)]), float(shapes[min(best + 1, points - 1)]) + (best == points - 1) * 1.4)
+    around = (float(shapes[max(best - 1, 0)]), float(shapes[min(best + 1, 40)]) + (best == 40) * 1.4)
     found = minimize_scalar(
         lambda shape: -correlation(values, weights, float(shape))[0],
         bounds=around,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_jobs, add_root, add_shared
+from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.visible import in_line
@@ -26,9 +26,15 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
-    add_root(parser)
-    add_jobs(parser)
-    add_shared(parser, run, "isolation", json="blocks", example="capture average manifests/mine.csv --root data")
+    add_shared(
+        parser,
+        run,
+        "root",
+        "jobs",
+        "isolation",
+        json="blocks",
+        example="capture average manifests/mine.csv --root data",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

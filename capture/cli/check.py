@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_jobs, add_root, add_shared, each_of
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, each_of
 from eldata.base.files import write_json
 from eldata.base.outputs import add_output, page_kind
 
@@ -25,7 +25,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
-    add_root(parser)
     parser.add_argument(
         "--scene",
         action="append",
@@ -35,7 +34,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="only this scene, by name or number, and no calibration frames; may be repeated",
     )
     add_cameras(parser)
-    add_jobs(parser)
     add_output(
         parser, "--sheet", kind=page_kind("sheet"), help="write a contact sheet, an HTML page that needs no network"
     )
@@ -47,6 +45,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_shared(
         parser,
         run,
+        "root",
+        "jobs",
         "isolation",
         json="dataset ok groups",
         example="capture check manifests/mine.csv --root data --sheet sheet.html",

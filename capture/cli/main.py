@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 _COMMANDS = ("protocol", "camera", "plan", "checklist", "script", "manifest", "check", "average", "completion")
 
 _FIRST = ("capture camera --example cam.json", "capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json")
+_RUNNING = ("root", "json", "jobs", "isolate", "debug")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -20,7 +21,7 @@ def parser() -> argparse.ArgumentParser:
     from eldata.base.console import command_line
 
     description = "Photograph scenes for a low-light denoising dataset."
-    return command_line("capture", description, "capture.cli", _COMMANDS, _FIRST)
+    return command_line("capture", description, "capture.cli", _COMMANDS, _FIRST, _RUNNING)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -52,6 +52,8 @@ class CommandReference(SphinxDirective):
                 if action.help is argparse.SUPPRESS or isinstance(action, argparse._HelpAction):  # noqa: SLF001
                     continue
                 lines += _option(action, formatter)
+            if group.description and not group._group_actions:  # noqa: SLF001 # options that the program's help shows
+                lines += _paragraphs(f"{str(group.title).capitalize()}: {group.description}")
         lines += _paragraphs(parser.epilog or "")
         self.state.nested_parse(StringList(lines, source=f"help of {parser.prog}"), 0, section)
         return section

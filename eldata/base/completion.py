@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.console import add_shared
+from eldata.base.console import add_running, add_shared
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -96,6 +96,8 @@ def completion_script(parser: argparse.ArgumentParser, shell: str, names: Mappin
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    if parser.get_default("running"):
+        add_running(parser, shown=True)
     for action in parser._actions:  # noqa: SLF001 # nothing public lists them
         if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001 # its only name
             for one in action.choices.values():

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from eldata import __version__
 from eldata.base.numbers import whole_of
-from eldata.base.outputs import FileKind, add_output, check_outputs, json_kind
+from eldata.base.outputs import NEW, FileKind, add_output, check_outputs, json_kind
 from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_it_did
 from eldata.base.visible import visible, visible_output
 from eldata.errors import ArgumentError, EldataError, nearest
@@ -46,6 +46,11 @@ class Help(argparse.HelpFormatter):
             paragraphs.append(paragraph if whole else super()._fill_text(paragraph, width, indent))
         return "\n\n".join(paragraphs)
 
+    def add_usage(self, usage: str | None, actions: Any, groups: Any, prefix: str | None = None) -> None:
+        """Leave out groups none of which is shown, in whose place would be a space more."""
+        seen = [one for one in groups if any(action.help != argparse.SUPPRESS for action in one._group_actions)]  # noqa: SLF001
+        super().add_usage(usage, actions, seen, prefix)
+
 
 class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line, and that takes no abbreviated options."""
@@ -62,6 +67,10 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # type: ignore[override]
         """Parse; an option that there is not is the first thing that is said, not what lacks because of it."""
         given = sys.argv[1:] if args is None else list(args)
+        if self._subparsers is not None:
+            given = _behind_the_command(given)
+        elif "--debug" not in self._option_string_actions:
+            add_running(self, shown=False)
         self._refuse_unknown_options(given)
         return super().parse_known_args(given, namespace)
 
@@ -101,11 +110,6 @@ def terminal_columns() -> int | None:
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
-def add_json(parser: argparse.ArgumentParser, kind: FileKind) -> None:
-    """Add ``--json`` to a subcommand."""
-    add_output(parser, "--json", kind=kind, help="write what is shown here to FILE, machine-readable")
-
-
 def each_of(*steps: Callable[[], object] | None) -> None:
     """Take all of these steps but ``None``, whatever becomes of some, so that nothing computed is lost.
 
@@ -128,13 +132,6 @@ def each_of(*steps: Callable[[], object] | None) -> None:
         raise failed[0]
 
 
-def add_root(parser: argparse.ArgumentParser) -> None:
-    """Add ``--root`` to a subcommand."""
-    parser.add_argument(
-        "--root", metavar="R", help="folder that holds the datasets (default: $ELDATA_ROOT, else ./data)"
-    )
-
-
 def add_cameras(parser: argparse.ArgumentParser) -> None:
     """Add ``--camera`` to a subcommand."""
     parser.add_argument(
@@ -155,36 +152,6 @@ def add_camera_and_isos(parser: argparse.ArgumentParser) -> None:
     )
 
 
-class _Default(int):
-    """A default that argparse can tell from the same number on the command line: small ints share their identity."""
-
-
-def add_jobs(parser: argparse._ActionsContainer) -> None:
-    """Add ``--jobs`` to a subcommand; the default is one per CPU."""
-    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    parser.add_argument(
-        "--jobs",
-        type=whole_number(1),
-        default=_Default(cpus),
-        metavar="J",
-        help="work on this many files at a time (default: one per CPU, here %(default)s)",
-    )
-
-
-def add_workers(parser: argparse.ArgumentParser) -> None:
-    """Add ``--jobs`` and ``--dask``, of which one may be given, to a subcommand: see :func:`chosen_workers`."""
-    group = parser.add_mutually_exclusive_group()
-    add_jobs(group)
-    group.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help=(
-            "work on this Dask cluster instead: its scheduler's address, such as tcp://host:8786, or its scheduler "
-            "file (needs the extra eldata[dask]; docs/clusters.md)"
-        ),
-    )
-
-
 @contextmanager
 def chosen_workers(arguments: argparse.Namespace) -> Iterator[Workers]:
     """Yield the workers that ``--jobs`` or ``--dask`` asks for; a cluster is connected to, and left, in between.
@@ -202,31 +169,71 @@ def chosen_workers(arguments: argparse.Namespace) -> Iterator[Workers]:
         yield Workers(arguments.jobs, executor)
 
 
-def add_isolation(parser: argparse.ArgumentParser) -> None:
-    """Add ``--isolate`` and ``--no-isolate`` to a subcommand; :func:`run` follows them."""
-    parser.add_argument(
-        "--isolate",
-        action=argparse.BooleanOptionalAction,
-        help=(
-            "decode files in processes of their own, with limits on time and memory, so that a file whose decoder "
-            "crashes or hangs is one problem among others (default: $ELDATA_ISOLATE, else on; off on Windows)"
-        ),
-    )
+class _Default(int):
+    """A default that argparse can tell from the same number on the command line: small ints share their identity."""
 
 
-def _add_workers_and_isolation(parser: argparse.ArgumentParser) -> None:
-    add_workers(parser)
-    add_isolation(parser)
+def _running() -> dict[str, dict[str, Any]]:
+    """Return the options of a program's running: how ``add_argument`` takes each."""
+    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return {
+        "root": {"metavar": "R", "help": "folder that holds the datasets (default: $ELDATA_ROOT, else ./data)"},
+        "json": {"metavar": "FILE", "help": "write what is shown on the terminal to FILE, machine-readable"},
+        "jobs": {
+            "type": whole_number(1),
+            "default": _Default(cpus),
+            "metavar": "J",
+            "help": "work on this many files at a time (default: one per CPU, here %(default)s)",
+        },
+        "dask": {
+            "metavar": "ADDRESS",
+            "help": "work on this Dask cluster instead: its scheduler's address, such as tcp://host:8786, or its "
+            "scheduler file (needs the extra eldata[dask]; docs/clusters.md)",
+        },
+        "isolate": {
+            "action": argparse.BooleanOptionalAction,
+            "help": "decode files in processes of their own, with limits on time and memory, so that a file whose "
+            "decoder crashes or hangs is one problem among others (default: $ELDATA_ISOLATE, else on; off on Windows)",
+        },
+        "debug": {"action": "store_true", "help": "show the traceback of an error"},
+    }
 
 
-_SHARED = {
-    "root": add_root,
-    "cameras": add_cameras,
-    "isos": add_camera_and_isos,
-    "jobs": add_jobs,
-    "workers": _add_workers_and_isolation,
-    "isolation": add_isolation,
-}
+def add_running(parser: argparse.ArgumentParser, *, shown: bool) -> None:
+    """Add the options of a program's running that a subcommand takes, as :func:`add_shared` was told.
+
+    A subcommand gets them when it parses, and when its completion is made: they are shown once, in the program's help.
+    """
+    _add_running(parser, parser.get_default("running") or (), parser.get_default("json_kind"), shown=shown)
+
+
+def _add_running(
+    container: argparse._ActionsContainer, names: Iterable[str], kind: FileKind | None, *, shown: bool
+) -> None:
+    workers = container.add_mutually_exclusive_group() if "jobs" in names else container  # one without any is an error
+    for name, shown_as in _running().items():
+        if name not in names:
+            continue
+        options = shown_as if shown else shown_as | {"help": argparse.SUPPRESS}
+        if name == "json":
+            add_output(container, "--json", kind=kind or NEW, **options)
+        else:
+            (workers if name in ("jobs", "dask") else container).add_argument(f"--{name}", **options)
+
+
+def _behind_the_command(given: Sequence[str]) -> list[str]:
+    """Return arguments with the options of a program's running that come before the command's name behind it."""
+    known, rest, moved = _running(), list(given), []
+    while rest and (name := rest[0].partition("=")[0].removeprefix("--").removeprefix("no-")) in known:
+        if not rest[0].startswith("--"):
+            break
+        count = 1 if "action" in known[name] or "=" in rest[0] else 2
+        moved += rest[:count]
+        del rest[:count]
+    return [*rest[:1], *moved, *rest[1:]]
+
+
+_BRINGS = {"root": ("root",), "jobs": ("jobs",), "workers": ("jobs", "dask", "isolate"), "isolation": ("isolate",)}
 
 
 def add_shared(
@@ -237,31 +244,39 @@ def add_shared(
     example: str | tuple[str, ...] = (),
     interrupted: str = "files are written whole or not at all, so none is left half",
 ) -> None:
-    """Finish a subcommand: add these options and ``--debug``, and say what :func:`run` is to call.
+    """Finish a subcommand: say which of the options that commands share it takes, and what :func:`run` is to call.
 
-    ``"workers"`` are of work on strangers' files, and bring ``--isolate``; ``"isolation"`` is for commands without.
-    ``example`` is what its help ends with: one or several commands, as somebody would type them.
-    ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument. ``json`` adds ``--json``:
-    the fields of what it writes, or its kind.
+    ``"workers"`` are of work on strangers' files: ``--jobs``, ``--dask`` and ``--isolate``; ``"isolation"`` is for
+    commands without; ``--debug`` is for all. ``example`` is what its help ends with: one or several commands, as
+    somebody would type them. ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument.
+    ``json`` is for ``--json``: the fields of what it writes, or its kind.
     """
-    for option in options:
-        _SHARED[option](parser)
-    if json is not None:
-        add_json(parser, json_kind(json) if isinstance(json, str) else json)
-    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    if "cameras" in options:
+        add_cameras(parser)
+    if "isos" in options:
+        add_camera_and_isos(parser)
+    names = [name for option in options for name in _BRINGS.get(option, ())]
+    names += ["debug"] if json is None else ["json", "debug"]
+    forms = (f"--{name} {one.get('metavar', '')}".rstrip() for name, one in _running().items() if name in names)
+    parser.add_argument_group("running", f"{', '.join(forms)}: see {parser.prog.partition(' ')[0]} --help")
     add_examples(parser, *([example] if isinstance(example, str) else example))
     parser.set_defaults(
         run=run,
         command=parser.prog,
         interrupted=interrupted,
+        running=names,
+        json_kind=json_kind(json) if isinstance(json, str) else json,
         actions=parser._actions,  # noqa: SLF001 # which of them name files that the subcommand reads
     )
 
 
 def command_line(
-    prog: str, description: str, package: str, modules: Iterable[str], examples: Iterable[str] = ()
+    prog: str, description: str, package: str, modules: Iterable[str], examples: Iterable[str], running: Iterable[str]
 ) -> Parser:
-    """Return a program's parser. Each subcommand is a module of a package, with a function ``add_parser``."""
+    """Return a program's parser. Each subcommand is a module of a package, with a function ``add_parser``.
+
+    ``running`` names the options of its running, which stand before a command's name or after it.
+    """
     parser = Parser(
         prog=prog,
         description=description,
@@ -270,6 +285,8 @@ def command_line(
     add_examples(parser, *examples)
     parser.add_argument("--version", action="version", version=f"{prog} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    where = "before a command's name or after it; a command's help names those that it takes"
+    _add_running(parser.add_argument_group("running", where), running, None, shown=True)
     for module in modules:
         import_module(f"{package}.{module}").add_parser(commands)
     return parser

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_root, add_shared, chosen_workers
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, chosen_workers
 
 if TYPE_CHECKING:
     import argparse
@@ -43,7 +43,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_another_camera(parser, "frames of cameras that have none of their own")
     kept = "{output} keeps the finished predictions, and the same command goes on"
-    add_shared(parser, run, "workers", interrupted=kept, example=_EXAMPLE)
+    add_shared(parser, run, "root", "workers", interrupted=kept, example=_EXAMPLE)
 
 
 def add_another_camera(parser: argparse.ArgumentParser, what: str) -> None:
@@ -79,7 +79,6 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="take this dark shading (eldata calibrate --dark-shading) off the inputs; give it to eldata evaluate, too",
     )
-    add_root(parser)
     add_cameras(parser)
     parser.add_argument(
         "--dtype",

@@ -11,10 +11,7 @@ from eldata.base.console import (
     OK,
     PROBLEMS,
     add_cameras,
-    add_json,
-    add_root,
     add_shared,
-    add_workers,
     chosen_workers,
     each_of,
 )
@@ -114,7 +111,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "bit, and nothing is decoded again"
         ),
     )
-    add_root(parser)
     add_cameras(parser)
     parser.add_argument(
         "--allow-missing",
@@ -127,13 +123,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="refuse predictions that show a mistake, such as channels in another order, a shift, or a wrong level; "
         "without it, a line says so",
     )
-    add_workers(parser)
     add_output(parser, "--csv", kind=SCORES, help="write the score of each image to FILE")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the table (default: text)")
     add_output(
         parser, "--html", kind=page_kind("evaluation"), help="write a page with plots, pictures and intervals to FILE"
     )
-    add_json(parser, RESULT)
     parser.add_argument(
         "-o",
         "--output",
@@ -157,7 +151,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_shared(
         parser,
         run,
-        "isolation",
+        "root",
+        "workers",
+        json=RESULT,
         example=(
             "eldata evaluate preds --dataset eld --root data",
             "eldata evaluate preds --manifest mine.csv --root data --protocol all --html page.html --json scores.json",

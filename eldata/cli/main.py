@@ -18,6 +18,7 @@ _COMMANDS = (
 )
 
 _FIRST = ("eldata demo", "eldata info eld", "eldata evaluate preds --dataset eld --root data")
+_RUNNING = ("root", "json", "jobs", "dask", "isolate", "debug")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -25,7 +26,7 @@ def parser() -> argparse.ArgumentParser:
     from eldata.base.console import command_line
 
     description = "Data for denoising raw photographs taken in the dark: check it, load it, score denoisers on it."
-    return command_line("eldata", description, "eldata.cli", _COMMANDS, _FIRST)
+    return command_line("eldata", description, "eldata.cli", _COMMANDS, _FIRST, _RUNNING)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_cameras, add_root, add_shared, chosen_workers
+from eldata.base.console import OK, add_cameras, add_shared, chosen_workers
 from eldata.base.files import folder_problem
 from eldata.base.numbers import counted
 from eldata.base.outputs import NEW, add_output
@@ -36,7 +36,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("dataset", metavar="DATASET", help=NAME_HELP)
     add_output(parser, "-o", "--output", kind=NEW, metavar="STORE", required=True, help="a new file, such as store.h5")
-    add_root(parser)
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
     parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
@@ -52,6 +51,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_shared(
         parser,
         run,
+        "root",
         "workers",
         interrupted=kept,
         example=("eldata pack sid-sony --split train -o sid-train.h5", "eldata pack data/SID/Sony/long -o clean.h5"),

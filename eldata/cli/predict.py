@@ -81,7 +81,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="mixed precision by torch's autocast (default: %(default)s)",
     )
     kept = "{output} keeps the finished predictions, and the same command goes on"
-    add_shared(parser, run, "isolation", interrupted=kept, example=_EXAMPLE)
+    add_shared(parser, run, "root", "isolation", interrupted=kept, example=_EXAMPLE)
 
 
 def run(arguments: argparse.Namespace) -> int:

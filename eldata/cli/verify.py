@@ -6,7 +6,7 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_root, add_shared, chosen_workers, each_of
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, chosen_workers, each_of
 from eldata.base.files import write_json
 from eldata.base.outputs import json_kind
 from eldata.errors import ArgumentError
@@ -43,13 +43,13 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "(default: every known dataset that is there)"
         ),
     )
-    add_root(parser)
     parser.add_argument("--dataset", metavar="N", help="only the dataset of this name, which must be there")
     add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
     add_shared(
         parser,
         run,
+        "root",
         "workers",
         json=json_kind("level ok datasets", "shards problems"),
         example=(

@@ -15,7 +15,7 @@ import pytest
 
 from capture.cli.main import main as capture_main
 from capture.cli.main import parser as capture_parser
-from eldata.base.console import each_of
+from eldata.base.console import add_running, each_of
 from eldata.base.outputs import Output
 from eldata.cli.main import main as eldata_main
 from eldata.cli.main import parser as eldata_parser
@@ -36,11 +36,13 @@ if TYPE_CHECKING:
 
 def options_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.Action]]:
     """Every option of a program, with the command that has it."""
+    if "running" in parser._defaults and "--debug" not in parser._option_string_actions:
+        add_running(parser, shown=True)
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for command in action.choices.values():
                 yield from options_of(command)
-        else:
+        elif "running" in parser._defaults:  # and not of the program, which hands them on
             yield parser.prog, action
 
 

@@ -46,7 +46,17 @@ def test_help_lists_commands_and_exit_codes(eldata: Cli) -> None:
     outcome = eldata("--help")
     assert outcome.code == 0
     assert outcome.err == ""
-    for word in (*COMMANDS, "Exit codes", "0 all well", "1 problems", "2 wrong usage", "130 Ctrl-C", "141", "143"):
+    for word in (
+        *COMMANDS,
+        "Exit codes",
+        "0 all well",
+        "1 problems",
+        "2 wrong usage",
+        "130 Ctrl-C",
+        "141",
+        "143",
+        "ELDATA_ROOT",
+    ):
         assert word in " ".join(outcome.out.split())
 
 
@@ -56,10 +66,10 @@ def test_help_lists_commands_and_exit_codes(eldata: Cli) -> None:
         ("demo", ["DIR", "--scenes", "--seed", "--calibration", "--benchmark", "--without", "shading", "--jobs",
                   "--debug"]),
         ("calibrate", ["FRAMES", "--camera", "--output", "--html", "--iso", "--root", "--jobs", "--json", "--debug",
-                       "ELDATA_ROOT", "docs/calibration.md"]),
+                       "docs/calibration.md"]),
         ("verify", ["MANIFESTS", "--root", "--dataset", "--camera", "--level", "quick", "metadata", "full", "--jobs",
-                    "--json", "--debug", "ELDATA_ROOT"]),
-        ("lock", ["MANIFEST", "--root", "--camera", "--jobs", "--json", "--debug", "ELDATA_ROOT"]),
+                    "--json", "--debug"]),
+        ("lock", ["MANIFEST", "--root", "--camera", "--jobs", "--json", "--debug"]),
         ("evaluate", ["PREDS", "--dataset", "--manifest", "--protocol", "eld-uncorrected", "--root", "--camera",
                       "--allow-missing", "--jobs", "--dask", "--csv", "--format", "--html", "--compare", "--json",
                       "--baseline", "--debug", "npy", "uint16"]),
@@ -91,6 +101,16 @@ def test_no_command(eldata: Cli) -> None:
     assert "Traceback" not in outcome.err
 
 
+def test_running_stands_before_a_command_or_after_it(eldata: Cli) -> None:
+    after = eldata("profile", "list", "--json", "after.json", "--debug")
+    assert after.code == 0
+    assert eldata("--json=before.json", "--debug", "profile", "list") == after
+    assert Path("before.json").read_bytes() == Path("after.json").read_bytes()
+    assert_one_line(eldata("--dask", "a", "demo"), "eldata demo: there is no option --dask")
+    assert_one_line(eldata("--jobs", "2", "verify", "--dask", "a"), "--dask: not allowed with argument --jobs")
+    assert "a command is needed" in eldata("--jobs", "2").err
+
+
 # --- wrong usage ----------------------------------------------------------------------------------------------
 
 
@@ -105,7 +125,10 @@ def test_unknown_command(eldata: Cli) -> None:
         (["profile", "shwo"], "did you mean show? See eldata profile --help"),
         (["evaluate", "x", "--datset", "eld"], "there is no option --datset; did you mean --dataset? See"),
         (["evaluate", "x", "--datset=eld"], "there is no option --datset; did you mean --dataset? See"),
-        (["--root", "data", "verify", "eld"], "there is no option --root, and a command's options come after its name"),
+        (
+            ["--level", "full", "verify", "eld"],
+            "no option --level, and a command's options come after its name",
+        ),
         (["verify", "eld", "--level", "ful"], "did you mean full?"),
         (["verify", "edl"], "no dataset is called 'edl'; known are aim25, crvd, drv, eld"),
         (["verify", "ELD"], "did you mean eld?"),

@@ -283,7 +283,7 @@ def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, a
             print(f"eldata evaluate: {line}", file=sys.stderr)
     print(result.format(form))
     if arguments.compare and result.scored:
-        from eldata.evaluation.published.comparison import comparison_table
+        from eldata.evaluation.published import comparison_table
 
         for one, *others in combined.groups:
             print(f"\n{comparison_table(one)}")

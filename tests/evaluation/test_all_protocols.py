@@ -21,7 +21,7 @@ from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate, evaluate_all, load_prediction, save_prediction, units
 from eldata.evaluation.diagnosis import Suspicion
 from eldata.evaluation.evaluate import perform
-from eldata.evaluation.published.comparison import comparison_table
+from eldata.evaluation.published import comparison_table
 from eldata.evaluation.request import make_request
 from eldata.manifest.catalogue import load_manifest, shipped_manifest
 from eldata.manifest.table import save_records

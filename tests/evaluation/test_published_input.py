@@ -12,8 +12,7 @@ import rawpy
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.published import NOISY_INPUT, published_rows
-from eldata.evaluation.published.comparison import _NEAR, comparison_table
+from eldata.evaluation.published import _NEAR, NOISY_INPUT, comparison_table, published_rows
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import UnitScore
 from eldata.manifest.catalogue import shipped_manifest

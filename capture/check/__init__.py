@@ -3,9 +3,7 @@
 from capture.check.averaging import Averaged, average_references
 from capture.check.checking import check
 from capture.check.measures import Estimate, Measure, MeasureKind, Remark, Verdict
-from capture.check.recording import write_measured
-from capture.check.result import CheckedGroup, CheckedPair, CheckReport
-from capture.check.sheet import write_sheet
+from capture.check.result import CheckedGroup, CheckedPair, CheckReport, write_measured, write_sheet
 
 __all__ = [
     "Averaged",

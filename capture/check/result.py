@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import base64
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from capture.check.limits import LIGHT_AGAIN
 from capture.check.measures import VERDICTS, Estimate, Measure, MeasureKind, Remark, Verdict, worst
+from capture.checklist_content import TEMPLATES
+from eldata.base.files import write_text
 from eldata.base.tables import with_error
 from eldata.base.visible import in_line
+from eldata.errors import ArgumentError
+from eldata.manifest.card import load_card
+from eldata.manifest.table import MEASURED, load_records
+from eldata.manifest.writing import save_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -253,3 +261,71 @@ def _closeness(measure: Measure) -> tuple[int, float, float]:
     beyond_chance = max(0.0, measure.deviation - measure.kind.sigmas * measure.standard_error)
     limit = min(measure.kind.look, measure.kind.again)
     return VERDICTS.index(measure.verdict), beyond_chance / limit, measure.deviation / limit
+
+
+# --- into the manifest ------------------------------------------------------------------------------------------------
+
+
+def write_measured(manifest: Path | str, report: CheckReport) -> int:
+    """Write the measured ratio and shift of the pairs of a report into their manifest, whole or not at all.
+
+    Both columns of a pair that was checked are written, empty where nothing could be measured; rows that were not
+    checked stay as they are.
+
+    Parameters
+    ----------
+    manifest
+        The manifest's CSV file.
+    report
+        Of :func:`capture.check.check`.
+
+    Returns
+    -------
+    int
+        The number of pairs whose ratio is recorded now.
+
+    Raises
+    ------
+    ManifestError
+        If the manifest is malformed.
+    EldataError
+        If it cannot be written.
+    """
+    path = Path(manifest)
+    nothing: dict[str, Any] = dict.fromkeys(MEASURED)
+    found = {pair.path: nothing | pair.recorded for group in report.groups for pair in group.pairs}
+    records = [replace(one, **found.get(one.path, {})) for one in load_records(path)]
+    save_manifest(path, load_card(path.with_suffix(".json")), records)
+    return sum(found[one.path]["measured_ratio"] is not None for one in records if one.path in found)
+
+
+# --- the contact sheet: one HTML page that needs no network -----------------------------------------------------------
+
+
+def write_sheet(path: Path | str, report: CheckReport) -> None:
+    """Write the contact sheet of a report, whole or not at all.
+
+    Raises
+    ------
+    ArgumentError
+        If the name does not end in .html.
+    """
+    check_sheet_name(path)
+    write_text(path, sheet_page(report))
+
+
+def check_sheet_name(path: Path | str) -> None:
+    """Raise :class:`ArgumentError` unless a contact sheet can have this name."""
+    if not str(path).endswith((".html", ".htm")):
+        raise ArgumentError(f"--sheet {path}: the contact sheet is an HTML page: end its name in .html")
+
+
+def sheet_page(report: CheckReport) -> str:
+    """Return the page; the same report gives the same text."""
+    from eldata.reports.html import rendered
+
+    return rendered("sheet.html", TEMPLATES, report=report, source=_source, with_error=with_error)
+
+
+def _source(picture: SheetPicture) -> str:
+    return f"data:image/jpeg;base64,{base64.b64encode(picture.jpeg).decode()}"

@@ -56,8 +56,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from capture.check.checking import check
-    from capture.check.recording import write_measured
-    from capture.check.sheet import check_sheet_name, write_sheet
+    from capture.check.result import check_sheet_name, write_measured, write_sheet
 
     if arguments.sheet:
         check_sheet_name(arguments.sheet)  # before the work, not after it

@@ -21,8 +21,7 @@ from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from capture.begun import Begun
-    from capture.manifest import Dataset
+    from capture.manifest import Begun, Dataset
     from capture.matching import Match
     from capture.observed import Observed
     from capture.plan import Plan
@@ -112,8 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
     from capture.apertures import aperture_remarks
     from capture.mapping import load_mapping, mapping_as_dict
     from capture.matching import match, other_reading
-    from capture.metering import explain_metering
-    from capture.noted import match_noted
+    from capture.noted import explain_metering, match_noted
     from capture.observed import observe, raw_files
     from capture.plan import Plan
     from eldata.manifest.writing import croissant_path, save_manifest
@@ -189,7 +187,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _begun(arguments: argparse.Namespace, output: Path) -> Begun | None:
     """Return the set that the files are to join, if ``--append`` says so."""
-    from capture.begun import Begun
+    from capture.manifest import Begun
 
     if not arguments.append:
         return None

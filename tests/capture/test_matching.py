@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from capture.calibration import plan_calibration
 from capture.matching import Match, match
-from capture.metering import explain_metering
+from capture.noted import explain_metering
 from capture.observed import Observed, ObservedFrame
 from eldata.errors import ArgumentError
 from tests.capture.simulated import START, Taken, as_planned, plan_of

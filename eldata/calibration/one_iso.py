@@ -27,7 +27,8 @@ from eldata.calibration.audit.frames import (
     unequal_pair,
     uneven_light,
 )
-from eldata.calibration.audit.structure import ResponsePattern, TelegraphGroups, measured_structure
+from eldata.calibration.audit.structure import ResponsePattern, measured_structure
+from eldata.calibration.audit.telegraph import TelegraphGroups
 from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.core.findings import TRANSFER, with_accepted

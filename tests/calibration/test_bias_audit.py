@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from eldata.calibration.audit import bias_sums as bias_audit
-from eldata.calibration.audit.bias_sums import BiasAudit, BiasStatistics, Neighbours
+from eldata.calibration.audit.bias_sums import BiasAudit, BiasStatistics
+from eldata.calibration.audit.neighbours import Neighbours
 from eldata.errors import DatasetError
 from tests.calibration.audit_study import CAMERA, Audited, audited, clean, planted
 from tests.calibration.chain import stacked

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from eldata.calibration import LineMeans, Residuals
-from eldata.calibration.core._clipped_fit import ClippedNoise, laplace, normal
+from eldata.calibration.core._clipped_noise import ClippedNoise, laplace, normal
 from eldata.calibration.core.bias_figures import ClippedValues
 from eldata.calibration.core.findings import given
 from eldata.calibration.core.row_noise import line_sums

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from eldata.calibration.audit.structure import two_values
+from eldata.calibration.audit.telegraph import two_values
 from eldata.calibration.camera import joined
 from eldata.cli.main import main
 from eldata.noise import CameraProfile, NoiseModel

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from eldata.calibration.core.findings import Finding
-    from eldata.calibration.core.photon_transfer import PhotonTransfer, PhotonTransferLine, Saturation
+    from eldata.calibration.core.photon_transfer import PhotonTransfer, PhotonTransferLine
+    from eldata.calibration.core.saturation import Saturation
 
 _BY_CHANCE = 1e-4  # of one check of one ISO
 # Blur of a share w gives neighbours of one colour a correlation of w, or of w / 2 if it goes along rows and columns

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from eldata.calibration.core._clipped_fit import ClippedEquations, ClippedStatistics
+from eldata.calibration.core._clipped_fit import ClippedEquations
+from eldata.calibration.core._clipped_noise import ClippedStatistics
 from eldata.calibration.core._frames import channels_of, groups_of_rows, sums_by_row
 from eldata.calibration.core._residual_fit import CELLS_PER_SIGMA, ResidualHistogram
 from eldata.calibration.core.findings import BEHIND_CLIP, CLIPPED

@@ -1,0 +1,158 @@
+"""How the pixels' noise depends on that of their neighbours: what a camera that filters its raw files leaves in them.
+
+A sensor's pixels draw their read and shot noise independently. A camera that filters its raw files leaves traces:
+noise reduction or resampling correlates neighbours, and a filter against hot pixels ("star-eater") leaves no value
+far above all of its neighbours. Row noise does not count: each row's mean is taken off in each channel first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eldata.errors import DatasetError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+OUTLIERS = (3, 4, 5, 6)
+"""Standard deviations from which on a value counts as an outlier of that size."""
+
+# Bands hold standardised values in sixteenths of a standard deviation, and end at eight of them, so that no single
+# outlier decides anything.
+UNITS = 16
+_AWAY = 36  # columns beyond the reach of any filter in a raw file: whole periods of Bayer and of X-Trans
+_LAGS = np.array([(0, 1), (0, 2), (1, -2), (1, -1), (1, 0), (1, 1), (1, 2), (2, -2), (2, -1), (2, 0), (2, 1), (2, 2)])
+# What pixels far apart share, in the same row, in the same column, and in neither: drift, and what rounding makes of
+# row noise that is larger than the pixels' own.
+_FAR = np.array([(0, _AWAY), (0, _AWAY + 12), (12, 0), (18, 0), (1, _AWAY), (2, _AWAY), (1, -_AWAY), (2, -_AWAY)])
+_FAR_KINDS = np.array([0, 0, 1, 1, 2, 2, 2, 2])
+_NEIGHBOURS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NeighbourStatistics:
+    """How the pixels' noise depends on that of their neighbours.
+
+    Attributes
+    ----------
+    lags
+        (lags, 2): rows and columns between two pixels; one of each two opposite directions.
+    correlation
+        Of the temporal noise of pixels so far apart, less that of pixels 36 columns or 12 rows apart or more.
+    error
+        Standard error of each correlation, where there is none.
+    outlier_wins
+        (2, 4, 2): of values below and above their pixel's mean, by more than 3, 4, 5 and 6 standard deviations, how
+        many have a neighbour of their colour that goes further to their side than all eight of a pixel 36 columns
+        away, and of how many it is the other way round. Without a filter the two are equal but for chance.
+    skewness, skewness_error
+        Mean of the third powers of the values in standard deviations, and its standard error where there is none.
+    """
+
+    lags: NDArray[np.int64] = field(repr=False)
+    correlation: NDArray[np.float64]
+    error: float
+    outlier_wins: NDArray[np.int64]
+    skewness: float
+    skewness_error: float
+
+
+class Neighbours:
+    """Accumulates standardised bands for :class:`NeighbourStatistics`.
+
+    Parameters
+    ----------
+    pattern
+        The CFA's period, channel indices.
+    """
+
+    def __init__(self, pattern: NDArray[np.int64]) -> None:
+        self._offsets = _same_colour(pattern)
+        self._reach = int(np.abs(self._offsets).max())
+        self._lags = np.concatenate([_LAGS, _FAR])
+        self._products = np.zeros(len(self._lags), dtype=np.int64)
+        self._pairs = np.zeros(len(self._lags))
+        self._rows_took = np.array([_taken(pattern, int(across)) if not down else 0.0 for down, across in self._lags])
+        self._induced = np.zeros(len(self._lags))
+        self._squares = self._pixels = 0
+        self._wins = np.zeros((2, len(OUTLIERS), 2), dtype=np.int64)
+        self._powers = np.zeros(2)
+        self._values = 0
+
+    def add_difference(self, band: NDArray[np.int16]) -> None:
+        """Add rows of the standardised difference of two frames; they start with the pattern's first."""
+        from eldata.calibration.audit._kernels import lag_products
+
+        height, width = band.shape
+        lag_products(band, self._lags, self._products)
+        self._squares += int(np.einsum("ij,ij->", band, band, dtype=np.int64))
+        self._pixels += band.size
+        pairs = (height - self._lags[:, 0]) * (width - np.abs(self._lags[:, 1]))
+        self._pairs += pairs
+        self._induced += pairs * self._rows_took / width
+
+    def add_frame(self, band: NDArray[np.int16]) -> None:
+        """Add rows of one frame less its pixels' means, standardised: what a filter has done to outliers."""
+        from eldata.calibration.audit._kernels import outlier_neighbours
+
+        outlier_neighbours(
+            band, self._offsets, self._reach, _AWAY, np.array(OUTLIERS) * UNITS, self._wins, self._powers
+        )
+        self._values += band.size
+
+    def statistics(self) -> NeighbourStatistics:
+        """Return what was found.
+
+        Raises
+        ------
+        DatasetError
+            If nothing changes from frame to frame.
+        """
+        if not self._squares:
+            raise DatasetError("no pixel changes from frame to frame: the frames are copies of one another")
+        variance = self._squares / self._pixels
+        correlation = self._products / (self._pairs * variance) - self._induced / self._pairs
+        near = len(_LAGS)
+        kinds = np.where(_LAGS[:, 0] == 0, 0, np.where(_LAGS[:, 1] == 0, 1, 2))
+        far = np.array([correlation[near:][kind == _FAR_KINDS].mean() for kind in range(3)])
+        # The product of two independent values has the variance of the one times that of the other, whatever their
+        # tails. The mean of the far ones adds to it.
+        error = np.sqrt((1 + 1 / np.bincount(_FAR_KINDS)[kinds]) / self._pairs[:near])
+        return NeighbourStatistics(
+            lags=_LAGS,
+            correlation=correlation[:near] - far[kinds],
+            error=float(error.max()),
+            outlier_wins=self._wins[:, ::-1].cumsum(axis=1)[:, ::-1],
+            skewness=float(self._powers[0]) / UNITS**3 / max(self._values, 1),
+            # The values of a pixel add up to nothing, which makes the sum scatter a little less.
+            skewness_error=math.sqrt(self._powers[1]) / UNITS**3 / max(self._values, 1),
+        )
+
+
+def _same_colour(pattern: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the offsets of the eight nearest pixels of the same colour, (row, column, 8, 2)."""
+    colour = np.where(pattern == 3, 1, pattern)  # both greens of Bayer
+    period = len(pattern)
+    places = sorted(
+        ((dy, dx) for dy in range(-4, 5) for dx in range(-4, 5) if dy or dx),
+        key=lambda place: (math.hypot(*place), place),
+    )
+
+    def nearest(row: int, column: int) -> list[tuple[int, int]]:
+        alike = (
+            (dy, dx) for dy, dx in places if colour[(row + dy) % period, (column + dx) % period] == colour[row, column]
+        )
+        return [place for place, _ in zip(alike, range(_NEIGHBOURS), strict=False)]
+
+    return np.array([[nearest(row, column) for column in range(period)] for row in range(period)])
+
+
+def _taken(pattern: NDArray[np.int64], across: int) -> float:
+    """Return the correlation that taking off the mean of each row and channel makes at a lag, times the columns."""
+    share = np.array([[np.count_nonzero(row == channel) for channel in row] for row in pattern]) / len(pattern)
+    alike = np.roll(pattern, -across, axis=1) == pattern
+    return -float(np.where(alike, 1 / share, 0.0).mean())

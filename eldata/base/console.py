@@ -224,8 +224,9 @@ def _add_running(
 def _behind_the_command(given: Sequence[str]) -> list[str]:
     """Return arguments with the options of a program's running that come before the command's name behind it."""
     known, rest, moved = _running(), list(given), []
-    while rest and (name := rest[0].partition("=")[0].removeprefix("--").removeprefix("no-")) in known:
-        if not rest[0].startswith("--"):
+    while rest and rest[0].startswith("--"):
+        name = rest[0].partition("=")[0].removeprefix("--").removeprefix("no-")
+        if name not in known:
             break
         count = 1 if "action" in known[name] or "=" in rest[0] else 2
         moved += rest[:count]

@@ -352,8 +352,6 @@ def _of_its_space(folder: Path, plan: ScoringPlan, found: FoundPredictions) -> F
 
 # A white level that is off by more than this share is said: of ELD's Sony, 16300 for 16383, it is a half percent.
 _USUAL_WHITE = 0.02
-
-
 # A factor beyond these hides a prediction of another scale: the score says nothing of it.
 _USUAL_RESCALE = (1 / 3, 3.0)
 

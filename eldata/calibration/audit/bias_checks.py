@@ -46,9 +46,8 @@ _MOSTLY = 0.5
 _OF_UNLIKENESS = 2.0  # measured: shifts of lambda and both sigmas are 0.3 to 4 times the unlikeness
 _LEAST_STAYING = 0.02  # of the levels' variance: what stays from frame to frame is not known better
 _EXPONENTIAL = 2.0  # skewness of a dark signal over the pixels
-_OF_LIGHTER_TAILS = (
-    2.0  # what is added to the noise makes its tails lighter: sigma_TL goes up by so many times sigma_G's share
-)
+# What is added to the noise makes its tails lighter: sigma_TL goes up by so many times sigma_G's share.
+_OF_LIGHTER_TAILS = 2.0
 _SURELY = 2.0  # standard errors
 _FAINT_RIPPLE = 1e-3  # of sizes: the sum of sizes of a pixel then tells nothing of rounding
 

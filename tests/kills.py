@@ -162,8 +162,7 @@ CASES = {
     ),
     "capture-manifest": Case(
         "capture",
-        "manifest ../inputs/plan.json ../inputs/card -o manifests/mine.csv --copy-to data/mine --croissant "
-        f"--jobs {JOBS}",
+        f"manifest ../inputs/plan.json ../inputs/card -o manifests/mine.csv --copy-to data/mine --jobs {JOBS}",
         memory_card,
     ),
     "capture-average": Case(

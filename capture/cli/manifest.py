@@ -15,7 +15,7 @@ from capture.observed import ORDERS
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
-from eldata.base.outputs import CARD, CROISSANT, FileKind, add_output, check_output
+from eldata.base.outputs import CARD, FileKind, add_output
 from eldata.base.visible import in_line
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
@@ -74,11 +74,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument("--allow-gaps", action="store_true", help="write the manifest even if shots are missing")
     parser.add_argument("--yes", action="store_true", help="accept what was decided, without asking")
-    parser.add_argument(
-        "--croissant",
-        action="store_true",
-        help="describe the set in Croissant 1.1, too (JSON-LD): mine.croissant.json beside mine.csv",
-    )
     older = parser.add_mutually_exclusive_group()
     older.add_argument("--replace", action="store_true", help="replace an older manifest of this name")
     older.add_argument(
@@ -114,11 +109,8 @@ def run(arguments: argparse.Namespace) -> int:
     from capture.noted import explain_metering, match_noted
     from capture.observed import observe, raw_files
     from capture.plan import Plan
-    from eldata.manifest.writing import croissant_path, save_manifest
 
     output = Path(arguments.output)
-    if arguments.croissant:
-        check_output(f"--croissant: {croissant_path(output)}", croissant_path(output), CROISSANT)
     place = arguments.copy_to or arguments.link_to
     plan = Plan.load(arguments.plan)
     progress = progress_of(arguments.progress, plan)
@@ -134,8 +126,6 @@ def run(arguments: argparse.Namespace) -> int:
     if begun is not None:
         observed = observed.without_copies(begun.records, workers)
         if wanted is None or not observed.frames:
-            if arguments.croissant:
-                save_manifest(output, begun.card, begun.records, croissant=True)
             return _nothing_to_add(observed, output, complete=wanted is None)
         there = len(plan.shots) - len(wanted.shots)
         if there:
@@ -244,7 +234,7 @@ def _write(
 ) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
     from capture.placing import Placement, check_free, copy, link, make_folders
-    from eldata.manifest.writing import croissant_path, save_manifest
+    from eldata.manifest.writing import save_manifest
 
     place = arguments.copy_to or arguments.link_to
     if place is None:
@@ -273,17 +263,13 @@ def _write(
         for _ in workers.run(work, placements, label="copying" if arguments.copy_to else "linking"):
             pass
     output.parent.mkdir(parents=True, exist_ok=True)
-    save_manifest(output, card, records, croissant=arguments.croissant)
+    save_manifest(output, card, records)
     print()
     for remark in dataset.remarks:
         print(remark)
     new = f", {len(dataset.rows)} of them new" if begun is not None else ""
     print(f"manifest: {output}, {len(records)} files below {dataset.folder}{new}")
     print(f"card: {card_path}; fill in its licence and homepage before you give the set to others")
-    if arguments.croissant:
-        described = croissant_path(output)
-        again = f"eldata info {shlex.quote(str(output))} --croissant {shlex.quote(str(described))}"
-        print(f"Croissant: {described}; write it again once the card is filled in: {again}")
     where = f"{shlex.quote(str(output))} --root {shlex.quote(str(dataset.folder.parent))}"
     print(f"check it with: eldata verify {where} --level full")
     _warn_of_unlisted(dataset, place)

@@ -75,20 +75,16 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "be repeated. A measured K counts before a stated one"
         ),
     )
-    modes = parser.add_mutually_exclusive_group()
-    modes.add_argument(
+    parser.add_argument(
         "--mode",
         action="append",
         dest="modes",
-        type=whole_number(1),
+        type=_stated_mode,
         metavar="ISO",
         help=(
             "the camera switches its conversion gain, and from this ISO on the noise has lines of its own over K; may "
-            "be repeated (default: told by a step in the lines)"
+            "be repeated; none: it does not switch (default: told by a step in the lines)"
         ),
-    )
-    modes.add_argument(
-        "--one-mode", action="store_const", const=[], dest="modes", help="the camera does not switch: one line each"
     )
     parser.add_argument(
         "--accept",
@@ -130,6 +126,10 @@ def _stated_gain(text: str) -> tuple[int, float] | str:
         raise ArgumentTypeError(f"{error}, in {text!r}") from None
 
 
+def _stated_mode(text: str) -> int | None:
+    return None if text == "none" else whole_number(1)(text)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from dataclasses import asdict
@@ -151,19 +151,24 @@ def run(arguments: argparse.Namespace) -> int:
         frames = CalibrationFrames(arguments.frames, arguments.camera, isos=arguments.isos)
     if arguments.dark_current and not arguments.dark_shading:
         raise ArgumentError("--dark-current is a part of the dark shading; give --dark-shading FILE, too")
+    modes = arguments.modes
+    if modes and None in modes:
+        if modes != [None]:
+            raise ArgumentError("--mode none says that the camera does not switch: give it alone, or leave it out")
+        modes = []
     gains: dict[float, float] = {}
     for profile in (name for name in arguments.gains if isinstance(name, str)):
         gains |= stated_gains(frames, CameraProfile.load(profile))
     gains |= dict(stated for stated in arguments.gains if not isinstance(stated, str))
     try:
         with chosen_workers(arguments) as workers:
-            options = {"modes": arguments.modes, "structure": arguments.structure, "workers": workers}
+            options = {"modes": modes, "structure": arguments.structure, "workers": workers}
             found = calibrate(frames, gains=gains, accept=arguments.accept, **options)
             shading, no_shading = None, ""
             try:
                 if arguments.dark_shading:
                     longer = [CalibrationFrames(folder, isos=arguments.isos) for folder in arguments.dark_current]
-                    shading = dark_shading(frames, found, modes=arguments.modes, longer=longer, workers=workers)
+                    shading = dark_shading(frames, found, modes=modes, longer=longer, workers=workers)
             except DatasetError as error:  # the calibration is not lost for it
                 no_shading = str(error)
     except FramesError as error:

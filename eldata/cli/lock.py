@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of
 from eldata.base.files import write_json
+from eldata.base.numbers import counted
 from eldata.manifest.lock import lock
 
 if TYPE_CHECKING:
@@ -51,15 +52,16 @@ def run(arguments: argparse.Namespace) -> int:
         lambda: _show(report),
         arguments.json and (lambda: write_json(arguments.json, found)),
     )
-    return PROBLEMS if report.problems else OK
+    return OK if report.files_locked else PROBLEMS
 
 
 def _show(report: LockReport) -> None:
-    if report.checks.problems:
+    if not report.checks.ok:
         print(report.checks.format_text())
-    for problem in report.problems if not report.checks.problems else ():
+    for problem in report.problems if report.checks.ok else ():
         print(problem)
-    if report.problems:
-        print(f"{report.path} was left as it is: {len(report.problems)} problems")
+    if not report.files_locked:
+        count = len(report.problems)
+        print(f"{report.path} was left as it is" + (f": {counted(count, 'problem')}" if count else ""))
     else:
         print(f"{report.path}: size and hash of {report.files_locked} files recorded")

@@ -43,7 +43,6 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "(default: every known dataset that is there)"
         ),
     )
-    parser.add_argument("--dataset", metavar="N", help="only the dataset of this name, which must be there")
     add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
     add_shared(
@@ -103,8 +102,8 @@ def _of_store(arguments: argparse.Namespace, path: str, workers: Workers) -> Ver
 
 
 def _refuse_choices(arguments: argparse.Namespace, why: str) -> None:
-    if arguments.root is not None or arguments.dataset is not None or arguments.cameras:
-        raise ArgumentError(f"--root, --dataset and --camera are for manifests; {why}")
+    if arguments.root is not None or arguments.cameras:
+        raise ArgumentError(f"--root and --camera are for manifests; {why}")
 
 
 def _of_files(arguments: argparse.Namespace, workers: Workers) -> VerifyReport:
@@ -116,14 +115,7 @@ def _of_files(arguments: argparse.Namespace, workers: Workers) -> VerifyReport:
         manifests, problems = known_manifests(arguments.root)
         for problem in problems:
             print(f"eldata verify: {problem}", file=sys.stderr)
-    return verify(
-        manifests,
-        arguments.root,
-        dataset=arguments.dataset,
-        cameras=arguments.cameras,
-        level=arguments.level,
-        workers=workers,
-    )
+    return verify(manifests, arguments.root, cameras=arguments.cameras, level=arguments.level, workers=workers)
 
 
 def _all_known(report: VerifyReport) -> str:

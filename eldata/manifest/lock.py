@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class LockReport:
-    """The result of :func:`lock`: the checks made first, and how much was filled in: nothing if there were problems.
+    """The result of :func:`lock`: the checks made first, and how much was filled in: nothing unless all was well.
 
     ``path`` is the manifest's file that has been written, or would have been.
     """
@@ -76,8 +76,8 @@ def lock(
     """
     loaded, path = _source(manifest, root)
     workers = Workers.of(workers)
-    checks = verify([loaded], root, dataset=loaded.name, cameras=cameras, level="metadata", workers=workers)
-    if checks.problems:
+    checks = verify([loaded], root, cameras=cameras, level="metadata", workers=workers)
+    if not checks.ok:
         return LockReport(path, checks, checks.problems, 0)
     folder = loaded.folder(root)
     listed = expand(loaded.records, folder)

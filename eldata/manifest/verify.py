@@ -58,7 +58,6 @@ def verify(
     manifests: Path | str | Iterable[Manifest],
     root: Path | str | None = None,
     *,
-    dataset: str | None = None,
     cameras: Collection[str] | None = None,
     level: Level = "quick",
     workers: AnyWorkers = 1,
@@ -69,11 +68,10 @@ def verify(
     ----------
     manifests
         A manifest's CSV file, a folder of them, a known set's name (its manifest is then as ``eldata lock NAME`` has
-        filled it in, if it has), or loaded manifests.
+        filled it in, if it has), or loaded manifests. Sets that are not there are named as absent; one
+        at least must be.
     root
         The folder that holds the datasets; default ``$ELDATA_ROOT``, else ``./data``.
-    dataset
-        Name of the one dataset to check; it must then be there.
     cameras
         Check just these cameras' files, if you have only part of a dataset.
     level
@@ -84,7 +82,7 @@ def verify(
     Raises
     ------
     ManifestError
-        If a manifest is malformed or has no such dataset or camera.
+        If a manifest is malformed, or none has such a camera.
 
     Examples
     --------
@@ -97,12 +95,6 @@ def verify(
     if level not in LEVELS:
         raise ArgumentError(f"level must be one of {', '.join(LEVELS)}; found {level!r}")
     chosen = list(find_manifests(manifests, root) if isinstance(manifests, (str, Path)) else manifests)
-    if dataset is not None:
-        names = [manifest.name for manifest in chosen]
-        chosen = [manifest for manifest in chosen if manifest.name == dataset]
-        if not chosen:
-            hint = did_you_mean(dataset, names)
-            raise ManifestError(f"no manifest is for a dataset called {dataset!r}; found {', '.join(names)}{hint}")
     known = sorted({camera for manifest in chosen for camera in manifest.card.cameras})
     for camera in cameras or ():
         if camera not in known:
@@ -110,10 +102,7 @@ def verify(
             raise ManifestError(f"no manifest has a camera called {camera!r}; known are {', '.join(known)}{hint}")
     if cameras:
         chosen = [manifest for manifest in chosen if set(cameras) & set(manifest.card.cameras)]
-    reports = [
-        _verify_dataset(manifest, manifest.folder(root), cameras, level, workers, required=dataset is not None)
-        for manifest in chosen
-    ]
+    reports = [_verify_dataset(manifest, manifest.folder(root), cameras, level, workers) for manifest in chosen]
     return VerifyReport(level, tuple(reports))
 
 
@@ -123,19 +112,13 @@ def _verify_dataset(
     cameras: Collection[str] | None,
     level: Level,
     workers: Workers,
-    *,
-    required: bool,
 ) -> DatasetReport:
     records = [record for record in manifest.records if not cameras or record.camera in cameras]
     # Two datasets may share a folder and have one each in it (SID/Sony, SID/Fuji): a copy of one may lack the other.
     tops = {record.path.partition("/")[0] for record in manifest.records}
-    needed = folder / tops.pop() if len(tops) == 1 and not required else folder
+    needed = folder / tops.pop() if len(tops) == 1 else folder
     if not needed.is_dir():
-        problems = []
-        if required:
-            advice = f"see {manifest.card.homepage}, or name the folder above it with --root"
-            problems.append(Problem(manifest.name, str(folder), "folder", "the dataset's files", "nothing", advice))
-        return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, tuple(problems))
+        return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, ())
     if manifest.card.unreadable and level != "quick":
         advice = f"check names and sizes with --level quick; eldata info {manifest.name} says more"
         unread = Problem(

@@ -19,17 +19,12 @@ if TYPE_CHECKING:
     from eldata.records import FrameRecord
 
 
-def croissant_path(path: Path) -> Path:
-    """Return where the Croissant of a manifest's CSV file lies: ``mine.croissant.json`` beside ``mine.csv``."""
-    return path.with_suffix(".croissant.json")
-
-
-def save_manifest(path: Path | str, card: Card, records: Iterable[FrameRecord], *, croissant: bool = False) -> Manifest:
+def save_manifest(path: Path | str, card: Card, records: Iterable[FrameRecord]) -> Manifest:
     """Write a manifest's CSV file and, beside it, its card and its Croissant; return it as it loads.
 
     Each is written whole or not at all, and the CSV file last: where it is the new one, so are the others. A card that
-    says the same stays as it is. A Croissant that describes the set as it was is written again, asked for or not, since
-    it states the hash of the CSV file; one that somebody changed is left alone, unless ``croissant`` asks for it.
+    says the same stays as it is. A Croissant beside them (``mine.croissant.json`` beside ``mine.csv``) that describes
+    the set as it was is written again, since it states the hash of the CSV file; a changed one is left alone.
 
     Raises
     ------
@@ -41,10 +36,11 @@ def save_manifest(path: Path | str, card: Card, records: Iterable[FrameRecord], 
     path = Path(path)
     table = table_text(path, records)
     manifest = load_manifest(path, (encoded(table), encoded(card_text(card))))
-    files = {path.with_suffix(".json"): card_text(card)} if _card_of(path) != card else {}
-    described = croissant_path(path)
-    if croissant or _describes(described, path):
-        files[described] = json_text(to_croissant(manifest))
+    described = path.with_suffix(".croissant.json")
+    # It comes first: whatever interrupts this, the same call again finds it written or still of the set as it was.
+    files = {described: json_text(to_croissant(manifest))} if _describes(described, path) else {}
+    if _card_of(path) != card:
+        files[path.with_suffix(".json")] = card_text(card)
     for file, text in (files | {path: table}).items():
         write_text(file, text)
     return manifest

@@ -41,7 +41,7 @@ class Nights:
         return main([*command, "--copy-to", str(self.data), "--jobs", "1", *options])
 
     def problems(self) -> list[str]:
-        report = verify(self.csv, self.folder / "data", dataset="mine", level="full")
+        report = verify(self.csv, self.folder / "data", level="full")
         return [str(problem) for problem in report.problems]
 
     def paths(self) -> list[str]:

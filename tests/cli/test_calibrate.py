@@ -519,7 +519,7 @@ def test_a_camera_that_writes_black_as_0(eldata: Cli, tmp_path: Path) -> None:
 def test_a_dark_shading(eldata: Cli, pristine: FrameTree, tmp_path: Path) -> None:
     """The mean of the bias frames of each ISO is what it says, to the error that it states."""
     target, data = tmp_path / "s.npz", tmp_path / "d.json"
-    outcome = eldata("calibrate", pristine.root, "--one-mode", "--dark-shading", target, "--json", data)
+    outcome = eldata("calibrate", pristine.root, "--mode", "none", "--dark-shading", target, "--json", data)
     assert (outcome.code, outcome.err) == (0, "")
     shading = DarkShading.load(target)
     assert f"dark shading: {target}; ISO 100, 400, 1600; " in outcome.out
@@ -561,7 +561,7 @@ def test_dark_current_from_frames_of_several_times(eldata: Cli, tmp_path: Path) 
                 path.rename(place / path.name)
     target = tmp_path / "s.npz"
     options = [item for folder in folders for item in ("--dark-current", folder)]
-    outcome = eldata("calibrate", tree.root, "--one-mode", "--dark-shading", target, *options)
+    outcome = eldata("calibrate", tree.root, "--mode", "none", "--dark-shading", target, *options)
     assert (outcome.code, outcome.err) == (0, "")
     assert "dark current from frames of 10, 30 s; a frame's own time counts" in outcome.out
     shading = DarkShading.load(target)

@@ -62,11 +62,6 @@ def test_verify_absent(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
     check("verify-absent", outcome, 1, tmp=tmp_path)
 
 
-def test_verify_absent_but_required(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
-    outcome = eldata("verify", tree.manifest, "--root", tmp_path / "empty", "--dataset", "eld-demo")
-    check("verify-absent-required", outcome, 1, tmp=tmp_path)
-
-
 def test_lock_ok_then_verify_finds_a_changed_byte(eldata: Cli, own: Tree) -> None:
     locked = eldata("lock", own.manifest, "--root", own.root, "--jobs", "1")
     check("lock-ok", locked, 0, tree=own.folder)

@@ -53,7 +53,7 @@ def test_a_registered_set_works_in_every_command(dusk: Path, eldata: Cli, tmp_pa
     assert next_line.startswith("    eldata verify dusk --root ")
     (row,) = [line for line in eldata("info", *root).out.splitlines() if line.startswith("dusk ")]
     assert "  present  " in row
-    for arguments in (["verify", "dusk"], ["verify"], ["verify", "--dataset", "dusk"], ["verify", "dusk", "dusk"]):
+    for arguments in (["verify", "dusk"], ["verify"], ["verify", "dusk", "dusk"]):
         outcome = eldata(*arguments, *root)
         assert (outcome.code, outcome.err) == (0, "")
         assert "dusk: 32 of 32 files checked (quick)" in outcome.out

@@ -67,7 +67,7 @@ def test_help_lists_commands_and_exit_codes(eldata: Cli) -> None:
                   "--debug"]),
         ("calibrate", ["FRAMES", "--camera", "--output", "--html", "--iso", "--root", "--jobs", "--json", "--debug",
                        "docs/calibration.md"]),
-        ("verify", ["MANIFESTS", "--root", "--dataset", "--camera", "--level", "quick", "metadata", "full", "--jobs",
+        ("verify", ["MANIFESTS", "--root", "--camera", "--level", "quick", "metadata", "full", "--jobs",
                     "--json", "--debug"]),
         ("lock", ["MANIFEST", "--root", "--camera", "--jobs", "--json", "--debug"]),
         ("evaluate", ["PREDS", "--dataset", "--manifest", "--protocol", "eld-uncorrected", "--root", "--camera",
@@ -265,7 +265,6 @@ def test_missing_dataset_folder(eldata: Cli, tree: Tree, predictions: Path, tmp_
 def test_unknown_names(eldata: Cli, tree: Tree, predictions: Path) -> None:
     root = ("--root", tree.root)
     assert_one_line(eldata("evaluate", predictions, "--dataset", "led", *root), "'led'", "eld")
-    assert_one_line(eldata("verify", tree.manifest, "--dataset", "led", *root), "'led'", "eld-demo")
     assert_one_line(eldata("verify", tree.manifest, "--camera", "Leica", *root), "'Leica'", "DemoAlpha")
     assert_one_line(eldata("lock", tree.manifest, "--camera", "Leica", *root), "'Leica'", "DemoAlpha")
     assert_one_line(

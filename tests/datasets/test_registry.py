@@ -319,7 +319,7 @@ def test_records_and_frame_open_no_file(name: str, roots: Callable[[str], Path],
 
 @EVERY
 def test_the_published_names_verify(name: str, roots: Callable[[str], Path]) -> None:
-    assert verify([shipped_manifest(name)], roots(name), dataset=name, level="quick").ok
+    assert verify([shipped_manifest(name)], roots(name), level="quick").ok
 
 
 @EVERY

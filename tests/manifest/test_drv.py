@@ -314,7 +314,7 @@ def test_damaged_pngs_are_refused(tmp_path: Path) -> None:
 
 
 def report(drv: SmallDrv, level: Level = "metadata") -> VerifyReport:
-    return verify([drv.manifest], drv.root, dataset="drv", level=level)
+    return verify([drv.manifest], drv.root, level=level)
 
 
 def found(drv: SmallDrv, level: Level = "metadata") -> list[tuple[str, str]]:

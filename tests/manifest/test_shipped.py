@@ -154,7 +154,7 @@ def test_card_names_the_cameras_and_counts(eld: Manifest) -> None:
 def test_files_as_published_verify(eld: Manifest, tmp_path: Path) -> None:
     """All 640 names with the published exposures, the inexact one among them, pass; nothing is too strict."""
     build_published_tree(eld, tmp_path / "ELD")
-    report = verify([eld], tmp_path, dataset="eld", level="metadata")
+    report = verify([eld], tmp_path, level="metadata")
     assert report.format_text().endswith("all well")
     assert report.ok
     assert report.datasets[0].files_checked == 640

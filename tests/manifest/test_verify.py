@@ -194,18 +194,10 @@ def test_an_absent_dataset_is_named_once_and_is_no_problem(tmp_path: Path) -> No
     assert "nothing was verified" in text
 
 
-def test_an_absent_dataset_that_was_asked_for_is_a_problem(tmp_path: Path) -> None:
-    report = verify([shipped_manifest("eld")], tmp_path, dataset="eld")
-    problem = only(report)
-    assert (problem.path, problem.field) == (str(tmp_path / "ELD"), "folder")
-    assert "--root" in problem.advice
-
-
 def test_an_absent_dataset_beside_a_good_one(pristine: Tree) -> None:
     report = verify([shipped_manifest("eld"), pristine.manifest], pristine.root)
     assert report.ok
     assert [dataset.absent for dataset in report.datasets] == [True, False]
-    assert verify([shipped_manifest("eld"), pristine.manifest], pristine.root, dataset="eld-demo").ok
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -601,7 +593,6 @@ def test_nothing_verified_is_not_ok(pristine: Tree) -> None:
     ("options", "error", "said"),
     [
         ({"cameras": ["Demoalpha"]}, ManifestError, "'Demoalpha'; known are DemoAlpha, DemoBeta"),
-        ({"dataset": "eld"}, ManifestError, "called 'eld'; found eld-demo"),
         ({"level": "thorough"}, ArgumentError, "quick, metadata, full; found 'thorough'"),
         ({"workers": 0}, ArgumentError, "workers must be 1 or more; found 0"),
     ],
@@ -696,8 +687,6 @@ def test_one_of_two_datasets_that_share_a_folder(tmp_path: Path) -> None:
     assert [(dataset.absent, dataset.problems) for dataset in report.datasets] == [(True, ())]
     assert f"sid-fuji: absent (no folder {tmp_path / 'SID' / 'Fuji'})" in report.format_text()
     assert not report.ok
-    asked = verify([shipped_manifest("sid-fuji")], tmp_path, dataset="sid-fuji")
-    assert [problem.path for problem in asked.problems] == ["Fuji/"]
 
 
 # --- containers that are no TIFF ----------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
@@ -18,14 +17,14 @@ from capture.scene_plan import sequence_name
 from eldata.base.files import sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.manifest.card import CameraCard, Card, cfa_word, load_card
+from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, load_card, title_of_set
 from eldata.manifest.pairs import LONGER_DARK, UNCERTAIN_ISO, WARM_SENSOR
 from eldata.manifest.table import load_records
 from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from capture.matching import Match, Slot
     from capture.observed import ObservedFrame
@@ -208,19 +207,9 @@ def _with_hash(row: CopiedRow) -> CopiedRow:
     return replace(row, record=replace(row.record, size_bytes=row.path.stat().st_size, sha256=sha256_of(row.path)))
 
 
-def counts_of(records: Iterable[FrameRecord]) -> dict[str, int]:
-    """Return the number of rows of each role, as cards state it."""
-    roles = Counter(record.role for record in records)
-    return {role: roles[role] for role in sorted(roles)}
-
-
 def set_title(records: Sequence[FrameRecord]) -> str:
-    """Return what a set holds, in words."""
-    scenes = len({sequence_name(record.scene) for record in records} - {""})
-    what = [counted(scenes, "scene")] if scenes else []
-    what += ["calibration frames"] if {"bias", "flat"} & set(counts_of(records)) else []
-    cameras = dict.fromkeys(sorted(record.camera for record in records))
-    return f"{' and '.join(what)} taken with {' and '.join(cameras)}"
+    """Return what a set holds, in words; the moments of a scene are one."""
+    return title_of_set(records, len({sequence_name(record.scene) for record in records} - {""}))
 
 
 def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:

@@ -88,7 +88,7 @@ class Place:
 
 
 def test_the_page_has_what_is_tested() -> None:
-    for section, files in (("Your own files", 2), ("From your own package", 3), ("In eldata", 6)):
+    for section, files in (("Your own files", 1), ("From your own package", 3), ("In eldata", 6)):
         found = blocks(section)
         assert sum(block.kind not in ("sh", "diff") for block in found) == files
         assert all(bool(block.path) != (block.kind == "sh") for block in found), "a block is a file or commands"
@@ -128,7 +128,7 @@ def mine(tmp_path: Path) -> Place:
 def test_your_own_files_and_a_package_of_yours(mine: Place) -> None:
     printed = mine.execute(blocks("Your own files"))
     assert "mine: 6 of 6 files checked (metadata) in data/MINE: all well" in printed
-    assert "PairDataset('data/MINE', 4 pairs, cameras: MyCamera; 2 scenes" in printed
+    assert "PairDataset('data/MINE', 4 pairs, cameras: MODEL3; 2 scenes" in printed
     assert "4 of 4 pairs" in printed
     assert "sha256:" in (mine.folder / "mine.csv").read_text()
 
@@ -147,7 +147,7 @@ def test_your_own_files_and_a_package_of_yours(mine: Place) -> None:
         info.joinpath("entry_points.txt").write_text(f"[{group}]\n{''.join(lines)}")
     printed = mine.run(f'export PYTHONPATH="$PWD:$PYTHONPATH"\n{commands.text}')  # as if it were installed
     assert printed.startswith("HallwayDataset('data/MINE', 4 pairs")
-    assert "\nmine: Our hallway at night (manifest version 1.0)" in printed
+    assert "\nmine: 2 scenes taken with MODEL3 (manifest version 1.0)" in printed
     assert "mine: 6 of 6 files checked (quick) in data/MINE: all well" in printed
     assert "mine, protocol raw: 4 of 4 pairs" in printed
 

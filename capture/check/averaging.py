@@ -15,12 +15,11 @@ import numpy as np
 from capture.capture_errors import MappingError
 from capture.check.checking import check_unit
 from capture.check.frames import Unit
-from capture.manifest import counts_of
 from capture.placing import write_new
 from eldata.base.files import inside
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError
-from eldata.manifest.card import load_card
+from eldata.manifest.card import counts_of, load_card
 from eldata.manifest.catalogue import data_root
 from eldata.manifest.table import load_records
 from eldata.manifest.writing import save_manifest

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import argparse
 
 _COMMANDS = (
-    *("demo", "info", "download", "verify", "lock"),
+    *("demo", "info", "download", "manifest", "verify", "lock"),
     *("baseline", "predict", "protocols", "evaluate", "compare", "reproduce"),
     *("calibrate", "synthesize", "profile", "noise"),
     *("pack", "shard", "export", "completion"),

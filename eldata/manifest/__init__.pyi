@@ -7,6 +7,9 @@ from .catalogue import shipped_manifest as shipped_manifest
 from .catalogue import shipped_names as shipped_names
 from .croissant import to_croissant as to_croissant
 from .lock import lock as lock
+from .own import OwnSet as OwnSet
+from .own import sort_own_set as sort_own_set
 from .table import load_records as load_records
 from .table import save_records as save_records
 from .verify import verify as verify
+from .writing import save_manifest as save_manifest

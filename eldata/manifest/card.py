@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import json_text, path_problem, write_text
+from eldata.base.numbers import counted
 from eldata.base.visible import has_unseen, shown
 from eldata.errors import ArgumentError, ManifestError, did_you_mean
 
@@ -235,6 +237,19 @@ def cfa_word(names: Iterable[str]) -> str:
     if len(words) == 1:
         return words.pop()
     return "both" if words == {"bayer", "xtrans"} else "mixed"
+
+
+def counts_of(records: Iterable[FrameRecord]) -> dict[str, int]:
+    """Return the number of rows of each role, as cards state it."""
+    return dict(sorted(Counter(str(record.role) for record in records).items()))
+
+
+def title_of_set(records: Sequence[FrameRecord], scenes: int) -> str:
+    """Return what a set of so many scenes holds, in words."""
+    what = [counted(scenes, "scene")] if scenes else []
+    what += ["calibration frames"] if {"bias", "flat"} & set(counts_of(records)) else []
+    cameras = dict.fromkeys(sorted(record.camera for record in records))
+    return f"{' and '.join(what)} taken with {' and '.join(cameras)}"
 
 
 def load_card(path: Path, content: bytes | None = None) -> Card:

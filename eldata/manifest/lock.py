@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 from eldata.base.files import sha256_of, write_problem
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ManifestError
-from eldata.manifest.card import load_card
+from eldata.manifest.card import counts_of, load_card
 from eldata.manifest.catalogue import Manifest, data_root, is_name, known_manifest, load_manifest, locked_path
 from eldata.manifest.patterns import expand
 from eldata.manifest.table import load_table
@@ -20,7 +19,7 @@ from eldata.manifest.verify_report import Problem, VerifyReport
 from eldata.manifest.writing import save_manifest
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection
 
     from eldata.manifest.patterns import RowFinding
     from eldata.records import FrameRecord
@@ -109,7 +108,7 @@ def lock(
     )
     if problems:
         return LockReport(path, checks, problems, 0)
-    counts = _counts(listed)
+    counts = counts_of(listed)
     path.parent.mkdir(exist_ok=True)
     save_manifest(path, replace(loaded.card, counts=counts), [locked.get(one.path, one) for one in listed])
     return LockReport(path, checks, (), len(chosen))
@@ -136,13 +135,9 @@ def _loaded(path: Path, root: Path | str | None) -> Manifest:
         return load_manifest(path)
     except ManifestError:
         (records, digest), card = load_table(path), load_card(path.with_suffix(".json"))
-        if _counts(expand(records, data_root(root) / card.folder)) != card.counts:
+        if counts_of(expand(records, data_root(root) / card.folder)) != card.counts:
             raise
-        return Manifest(path, replace(card, counts=_counts(records)), records, digest)
-
-
-def _counts(records: Iterable[FrameRecord]) -> dict[str, int]:
-    return dict(sorted(Counter(str(record.role) for record in records).items()))
+        return Manifest(path, replace(card, counts=counts_of(records)), records, digest)
 
 
 def _locked(folder: Path, record: FrameRecord) -> tuple[FrameRecord, list[RowFinding]]:

@@ -152,7 +152,7 @@ def needed(parser: argparse.ArgumentParser, command: str) -> list[str]:
                 found.append(next(iter(action.choices)) if action.choices else "none")
             elif action.option_strings and action.required:
                 found += [action.option_strings[-1], "none"]
-    if command == "capture manifest":
+    if command.endswith(" manifest"):
         found += ["-o", "none.csv"]
     return found
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from tests.evaluation.helpers import Tree
 
-COMMANDS = ("demo", "verify", "lock", "protocols", "evaluate", "compare", "calibrate")
+COMMANDS = ("demo", "manifest", "verify", "lock", "protocols", "evaluate", "compare", "calibrate")
 
 
 def assert_one_line(outcome: Outcome, *words: str) -> None:
@@ -69,6 +69,7 @@ def test_help_lists_commands_and_exit_codes(eldata: Cli) -> None:
                        "docs/calibration.md"]),
         ("verify", ["MANIFESTS", "--root", "--camera", "--level", "quick", "metadata", "full", "--jobs",
                     "--json", "--debug"]),
+        ("manifest", ["FOLDER", "--output", "--reference", "--scene", "--jobs", "--json", "--debug"]),
         ("lock", ["MANIFEST", "--root", "--camera", "--jobs", "--json", "--debug"]),
         ("evaluate", ["PREDS", "--dataset", "--manifest", "--protocol", "eld-uncorrected", "--root", "--camera",
                       "--allow-missing", "--jobs", "--dask", "--csv", "--format", "--html", "--compare", "--json",

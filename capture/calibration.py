@@ -2,14 +2,14 @@
 
 The recipe and where it comes from:
 
-- Bias frames: "under a lightless environment with the shortest exposure time ... at a dark room and the camera lens is
-  capped-on" (Wei, Fu, Zheng and Yang, TPAMI 2021, section 3.3). Ten per ISO: the noise's shape needs some, and from six
-  on one is kept out to test the result (docs/calibration.md). The paper gives no number; EMVA 1288 takes two dark
-  frames per exposure time, which is enough for a variance but not for a distribution.
-- Flats: "a white paper on a uniformly-lit wall ... the lens is focused on infinity" (the paper). Two of each exposure,
-  one after the other, since the difference of two equal frames is free of shading and fixed pattern (EMVA 1288). Six
-  levels from a tenth to nine tenths of the range (docs/calibration.md: four to eight; EMVA 1288 asks for many more, to
-  test linearity, where we want a slope).
+- Bias frames: no light, lens capped in a dark room, the shortest exposure that there is (Wei, Fu, Zheng and Yang, TPAMI
+  2021, section 3.2.1). Ten per ISO: the noise's shape needs some, and from six on one is kept out to test the result
+  (docs/calibration.md). The paper gives no number; EMVA 1288 takes two dark frames per exposure time, which is enough
+  for a variance but not for a distribution.
+- Flats: white paper on an evenly lit wall, close, the lens at infinity (the same section). Two of each exposure, one
+  after the other, since the difference of two equal frames is free of shading and fixed pattern (EMVA 1288). Six levels
+  from a tenth to nine tenths of the range (docs/calibration.md: four to eight; EMVA 1288 asks for many more, to test
+  linearity, where we want a slope).
 - Dark frames, if they are wanted: lens capped as for bias frames, at each ISO and time of the scenes' noisy frames, for
   the dark current of a dark shading (docs/calibration.md). Four of each: a pixel's one slope comes from all of them.
 - A warm sensor: bias and dark frames once more after the shooting, since black and dark current follow the temperature.

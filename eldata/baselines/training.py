@@ -53,7 +53,7 @@ def consistent_error(
     ``|f1 - y1| + |f2 - y2| + weight |(f1 - f2) - (y1 - y2)|``, where ``| |`` is the mean absolute value.
 
     Of a static scene, where y1 = y2, that is C. Chen et al. (ICCV 2019), their train.py, in raw image space as K. Wei
-    et al. (TPAMI 2021, section on videography) have it: ``|f1 - y| + |f2 - y| + 0.05 |f1 - f2|``. The paper has no
+    et al. (TPAMI 2021, section 4.6) have it: ``|f1 - y| + |f2 - y| + 0.05 |f1 - f2|``. The paper has no
     formula for moving scenes. Here what moved in the clean frames may move in the predictions, and what differs beyond
     that is flicker.
 
@@ -120,7 +120,7 @@ def clip_error(
 def published_rate(step: int, steps: int) -> float:
     """Return the learning rate at a step, as a share of the first one: halved after 1/2 of the steps, 1/10 after 9/10.
 
-    K. Wei et al., TPAMI 2021, section 6.1: 200 epochs, 1e-4, halved at epoch 100, reduced to 1e-5 at epoch 180.
+    K. Wei et al., TPAMI 2021, section 4.1.1: 200 epochs, 1e-4, halved at epoch 100, reduced to 1e-5 at epoch 180.
     """
     return 1.0 if 2 * step < steps else 0.5 if 10 * step < 9 * steps else 0.1
 

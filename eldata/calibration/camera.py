@@ -50,7 +50,7 @@ def calibrate(
     accept: Collection[str] = (),
     workers: AnyWorkers = 1,
 ) -> Calibration:
-    """Measure a camera's noise from its bias and flat-field frames (section 3.3 of the paper).
+    """Measure a camera's noise from its bias and flat-field frames (sections 3.2.1 and 3.2.2 of the paper).
 
     Parameters
     ----------

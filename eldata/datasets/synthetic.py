@@ -1,7 +1,7 @@
 """Synthetic pairs and clips: clean crops and windows with noise made on the fly.
 
 Noisy and clean clips of the same motion cannot be filmed at once; adding noise to clean clips gives such pairs (K. Wei
-et al., TPAMI 2021, section on videography: parameters are drawn once per clip, noise for each frame).
+et al., TPAMI 2021, section 4.6: parameters are drawn once per clip, noise for each frame).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ A frame is, in DN and rounded to whole DN within [0, white]::
     D = black + colour bias + fixed pattern + K electrons + sigma_TL Q(u) + row noise
     electrons = Poisson(light x response),   u uniform in (0, 1),   row noise: one normal draw per mosaic row
 
-with Q the quantile of the Tukey-lambda distribution (K. Wei et al., TPAMI 2021, section 3). It is written in plain
+with Q the quantile of the Tukey-lambda distribution (K. Wei et al., TPAMI 2021, section 3.1.2). It is written in plain
 numpy and scipy and shares no code with :mod:`eldata.noise` and :mod:`eldata.calibration`: these are checked against it.
 """
 

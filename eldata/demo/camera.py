@@ -1,6 +1,6 @@
 """Simulated cameras: light in, mosaics in DN out, with the noise that such exposures have.
 
-The chain is the paper's (K. Wei et al., TPAMI 2021, section 3): photons to electrons with Poisson statistics, read
+The chain is the paper's (K. Wei et al., TPAMI 2021, section 3.1): photons to electrons with Poisson statistics, read
 noise and one draw of row noise per mosaic row, a constant colour bias, amplification by the system gain, and rounding
 to whole DN. Read noise is Gaussian here. The figures are of the order of the published calibrations.
 

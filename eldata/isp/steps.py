@@ -1,8 +1,8 @@
 """The steps of the paper's raw-to-sRGB pipeline, one function each, on torch tensors.
 
-K. Wei et al., TPAMI 2021, section "Applicability to sRGB Denoising"; order, clips and constants as in the code
-released with it (ELD repository, util/process.py). Each works on any leading dimensions, on the tensor's own device, in
-its own floating dtype, and is differentiable, except the last two, which make 8 bits.
+K. Wei et al., TPAMI 2021, section 4.5; order, clips and constants as in the code released with it (ELD repository,
+util/process.py). Each works on any leading dimensions, on the tensor's own device, in its own floating dtype, and is
+differentiable, except the last two, which make 8 bits.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Frame numbers: references are 1, 6, 11 and 16; with i the index of the ISO and k
 noisy frame is 5 i + 2 + k; its reference is the nearest of the four by number (so 4 and 5 have 6, not 1).
 
 Sources: K. Wei, Y. Fu, Y. Zheng and J. Yang, "Physics-based Noise Modeling for Extreme Low-light Photography",
-TPAMI 2021 (Algorithm 1; cameras, ISOs and factors in the dataset's section); the ELD repository's test_ELD.py and
+TPAMI 2021 (section 3.3: cameras, ISOs, factors, Algorithm 1); the ELD repository's test_ELD.py and
 sid_dataset.py for names and the choice of reference; PMN's and LED's file lists for exposures and ratios.
 """
 

@@ -17,7 +17,7 @@
 ======  =====================================================  =========================
 
 Source: K. Wei, Y. Fu, Y. Zheng and J. Yang, "Physics-based Noise Modeling for Extreme Low-light Photography", TPAMI
-2021, section 3 and the ablation on SID. D, real frames in place of all that a model says of the dark, is the idea of
+2021, section 3.1 and table 2. D, real frames in place of all that a model says of the dark, is the idea of
 Y. Zhang, H. Qin, X. Wang and H. Li, "Rethinking Noise Synthesis and Modeling in Raw Denoising", ICCV 2021 (SFRN).
 """
 

@@ -1,7 +1,8 @@
 """The composed noise model: clean raw data in, noisy raw data out.
 
 ``I = y range / (ratio K)`` photoelectrons; ``D = K shot(I) + N_read + N_row + N_q`` in DN above black; the result is
-``D ratio / range``, amplified back to the clean image's brightness (K. Wei et al., TPAMI 2021, section 3).
+``D ratio / range``, amplified back to the clean image's brightness (K. Wei et al., TPAMI 2021, sections
+3.1 and 3.2.3).
 
 Two engines draw the same distributions:
 

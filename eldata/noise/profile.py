@@ -348,7 +348,7 @@ class CameraProfile:
         row: RowChoice = "any",
         extrapolate: bool = False,
     ) -> NoiseParameters:
-        """Draw parameters jointly (equation "sampling" of the paper).
+        """Draw parameters jointly (equation 12 of the paper).
 
         ln K is uniform between the camera's own limits; ln sigma is normal around its line given ln K; lambda and
         colour bias come from one and the same calibration row. Of several gain modes, ln K is uniform over their ranges

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,6 +62,15 @@ def losses_in(text: str) -> list[float]:
 
 def synthetic(store: Path) -> list[str]:
     return ["--clean", str(store), "--profile", "SonyA7S2", "--iso", "800", "1600", "--crops-per-frame", "2"]
+
+
+def test_the_defaults_are_the_papers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sections 3.2.3 and 4.1.1: 200 epochs of single crops of 512, 1e-4, factors from 100 to 300, the whole network."""
+    monkeypatch.syspath_prepend(str(EXAMPLE.parent))
+    chosen = import_module("train_denoiser").arguments().parse_args(["run"])
+    assert (chosen.epochs, chosen.batch_size, chosen.crop, chosen.learning_rate) == (200, 1, 512, 1e-4)
+    assert (chosen.noise, chosen.iso, chosen.ratio) == ("P*+G*+B+R+U", None, (100.0, 300.0))
+    assert (chosen.width, chosen.depth) == (32, 4)
 
 
 @pytest.mark.study

@@ -147,6 +147,13 @@ def test_the_schedule_is_the_published_one() -> None:
     assert [report.learning_rate for report in trained.epochs()] == pytest.approx([3e-3, 1.5e-3, 3e-4])
 
 
+def test_loss_and_optimiser_are_the_published_ones() -> None:
+    assert type(training().optimiser) is torch.optim.Adam
+    first, second = np.random.default_rng(1).random((2, 2, 4, 8, 8))
+    batch = {"input": torch.from_numpy(first), "target": torch.from_numpy(second)}
+    assert absolute_error(torch.nn.Identity(), batch).item() == pytest.approx(np.abs(first - second).mean(), rel=1e-12)
+
+
 def test_the_network_is_the_published_one() -> None:
     """As many weights as the U-Net of Chen et al. from 4 to 4 channels has, counted by hand."""
     convolutions = [(4, 32), (32, 32), (32, 64), (64, 64), (64, 128), (128, 128), (128, 256), (256, 256), (256, 512)]

@@ -8,8 +8,10 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, Dataset
 
+from eldata.baselines import Training, UNet
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clean import Arrays, CleanFrames
+from eldata.datasets.loading import training_loader
 from eldata.datasets.packed import PackedStore
 from eldata.datasets.rgb import (
     OneSensor,
@@ -235,6 +237,15 @@ def test_drvs_packed_frames_take_their_references_sensor(pristine: Tree) -> None
     found = staged.sensors({"path": "x/noisy.npy", "reference": frame(1, BETA)})
     sensor = read_raw(pristine.file(1, BETA)).sensor
     assert found == PairSensors(sensor, sensor)
+
+
+def test_networks_train_on_either(balanced: Tree) -> None:
+    """Section 4.5: from raw to sRGB, and from sRGB to sRGB; on whole small frames the loss falls."""
+    for staged, channels in ((raw2rgb(pairs_of(balanced)), 4), (rgb2rgb(pairs_of(balanced)), 3)):
+        loader = training_loader(staged, 2, seed=1, workers=0)
+        network = UNet(3, inputs=channels, width=4, depth=1)
+        reports = list(Training(network, loader, steps=3 * len(loader), learning_rate=5e-3).epochs())
+        assert reports[-1].loss < reports[0].loss
 
 
 def test_the_repr_names_the_stages(balanced: Tree) -> None:

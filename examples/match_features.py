@@ -3,7 +3,7 @@
     eldata evaluate preds/gaussian --dataset eld --task examples.match_features:matches
 
 E. Rublee, V. Rabaud, K. Konolige and G. Bradski, "ORB: an efficient alternative to SIFT or SURF", ICCV 2011. Needs
-scikit-image. A detector, a depth or a flow network stands in the same place: a function of both images to one number.
+scikit-image. A detector stands in the same place: a function of both images to one number.
 """
 
 import numpy as np

@@ -92,7 +92,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="MODULE:NAME",
         help=(
             "add a column of your own: a function of (prediction, reference), or an eldata.evaluation.Task, which says "
-            "what images it wants and whether lower is better; runs the module's code (docs/evaluation.md)"
+            "what images it wants, of how many consecutive frames, and whether lower is better; runs the module's code "
+            "(docs/evaluation.md)"
         ),
     )
     parser.add_argument(

@@ -88,8 +88,9 @@ def evaluate(
         score. Default: False, the result's ``suspicions`` name it.
     task
         A function of (prediction, reference), (C, h, w) float32 as the protocol compares them, whose value is scored
-        too, of clips frame by frame; or a :class:`~eldata.evaluation.Task`, which says which images it wants and
-        whether lower is better; or the name of either, ``package.module:name``. Default: none.
+        too, of clips frame by frame; or a :class:`~eldata.evaluation.Task`, which says which images it wants, of how
+        many frames at a time, and whether lower is better; or the name of either, ``package.module:name``.
+        Default: none.
     dark_shading
         The file of a dark shading (:class:`eldata.noise.DarkShading`) that the inputs are corrected with: it is taken
         off the baseline here; that predictions are of inputs less it is your statement. The protocol of the result
@@ -465,4 +466,5 @@ def _task_note(task: dict[str, Any]) -> str:
     source = f" ({short_digest(task['source_sha256'])})" if task["source_sha256"] else ""
     images = {"compared": "what the protocol compares", "packed": "packed raw", "srgb": "renderings in sRGB"}
     better = "higher" if task["higher_is_better"] else "lower"
-    return f"{task['label']}: {task['callable']}{source}, of {images[task['images']]}; {better} is better"
+    together = f"{task['frames']} consecutive frames at a time, " if "frames" in task else ""
+    return f"{task['label']}: {task['callable']}{source}, of {together}{images[task['images']]}; {better} is better"

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.evaluation.originals import Originals
-    from eldata.evaluation.tasks import Task, TaskImages
+    from eldata.evaluation.tasks import Shown, Task, TaskImages
     from eldata.metrics.image_score import Score, ScoringRules
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Protocol
@@ -307,7 +307,7 @@ class ComparedFrame:
         )
 
     def other_values(self, protocol: Protocol, target: NDArray[Any], factor: float) -> dict[str, float]:
-        """Return the values of metrics that are not found with the score: registered ones, and a task of the user's."""
+        """Return the values of registered metrics that are not found with the score."""
         from eldata.metrics.image_score import Score
 
         found_already = {field.name for field in fields(Score)}
@@ -315,15 +315,10 @@ class ComparedFrame:
         for figure in OF_FRAMES.values():
             if figure.name not in found_already:
                 compute = named_object(figure.computed_by)
-                values[figure.name] = float(compute(*self._shown(protocol, target, factor, "compared")))
-        task = self._job.task
-        if task is not None:
-            values["task"] = task.score(*self._shown(protocol, target, factor, task.images), self.path)
+                values[figure.name] = float(compute(*self.shown(protocol, target, factor, "compared")))
         return values
 
-    def _shown(
-        self, protocol: Protocol, target: NDArray[Any], factor: float, images: TaskImages
-    ) -> tuple[NDArray[Any], NDArray[Any]]:
+    def shown(self, protocol: Protocol, target: NDArray[Any], factor: float, images: TaskImages) -> Shown:
         """Return prediction and reference of the region as the protocol compares them, or in sRGB or packed raw."""
         from eldata.metrics.image_score import as_compared
 

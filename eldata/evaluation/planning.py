@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.numbers import counted
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.originals import CheckedOriginals, Originals, store_of
 from eldata.evaluation.pairs import Pair, clip_place, files_of, iso_of
@@ -239,7 +240,13 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
         for length in (protocol.frame_count or len(clip.frames),)
         for window in windows(clip, length=length, stride=length, frames=protocol.frames)
     )
+    task = request.task
     for window in found:
+        if task is not None and len(window.paths) < task.frames:
+            raise ArgumentError(
+                f"clip {window.scene}: protocol {protocol.name!r} scores {counted(len(window.paths), 'frame')} of it, "
+                f"and the task {task.place} wants {task.frames} consecutive ones; choose other clips: {OF_CLIPS}"
+            )
         if window.reference is None:
             raise DatasetError(f"clip {window.scene}: has no reference, so it cannot be scored")
         if protocol.dataset == OWN_SEQUENCES and not window.references:

@@ -207,7 +207,8 @@ def _task(result: EvaluationResult, given: Task | TaskFunction | str | None) -> 
     if given is not None:
         return Task.of(given)
     found = Task.of(str(stated["callable"]))
-    return replace(found, **{name: stated[name] for name in ("label", "images", "higher_is_better")})
+    as_stated = {name: stated[name] for name in ("label", "images", "higher_is_better")}
+    return replace(found, **as_stated, frames=stated.get("frames", 1))
 
 
 # --- what differs -----------------------------------------------------------------------------------------------------

@@ -245,7 +245,7 @@ def _check_inputs(request: Request, folder: Path) -> None:
 
 
 def _check_task(request: Request, task: Task) -> None:
-    """Check that a task can have the images that it wants, and that the workers can have it."""
+    """Check that a task can have the images and frames that it wants, and that the workers can have it."""
     if request.every:
         raise ArgumentError("--task goes with one protocol, not with --protocol all")
     (protocol,) = request.protocols
@@ -256,6 +256,12 @@ def _check_task(request: Request, task: Task) -> None:
         raise ArgumentError(
             f"the task {task.place} wants {wanted}, which predictions under protocol {protocol.name!r} do not have; "
             "give a protocol that takes packed raw predictions, such as eld or sid"
+        )
+    if task.frames > 1 and protocol.kind is IMAGES:
+        raise ArgumentError(
+            f"the task {task.place} wants {task.frames} consecutive frames, and protocol {protocol.name!r} scores "
+            f"single images of {request.manifest.name!r}: give a set of clips, such as drv, or one of your own that "
+            "was photographed moment by moment, with --protocol sequences"
         )
     if request.workers.executor is None and request.workers.jobs > 1:
         task.check_transportable()

@@ -59,6 +59,8 @@ def _result(top: Fields) -> EvaluationResult:
         for name in ("label", "callable", "images"):
             task.text(name)
         task.flag("higher_is_better")
+        if "frames" in task.data:
+            task.whole("frames", at_least=2)
     kind = kind_of(own, provenance.data)
     written = provenance.text("eldata")
     if _release(written) > _release(__version__):

@@ -3,7 +3,7 @@
 A unit of work is a reference with the predictions that are compared with it: those of the noisy frames of an image
 scene, or of the frames of a clip's window (each of which may have its own), in one folder or in several. Each file is
 read once, and what protocols and folders share is computed once; predictions are in memory one at a time, however many
-folders there are.
+folders there are, but for those that a task of several frames sees together.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from eldata.evaluation.originals import Originals
     from eldata.evaluation.planning import ScoringPlan
     from eldata.evaluation.request import Request
+    from eldata.evaluation.tasks import Shown
     from eldata.metrics.image_score import Score
     from eldata.protocols.protocol import Protocol
 
@@ -278,26 +279,29 @@ def _scorer(job: ScoringJob, member: _Member, contender: int) -> _Scorer:
     pair, protocol, frames = member.pair, job.protocols[contender], frames_of(member.pair)
     looked = frames[len(frames) // 2] if contender in member.looked else None
     if isinstance(pair, ClipRecord) and isinstance(protocol, ClipProtocol):
-        return _ClipScorer(pair, protocol, looked, job.threads)
-    return _Scorer(pair, protocol, looked)
+        return _ClipScorer(pair, protocol, looked, job)
+    return _Scorer(pair, protocol, looked, job)
 
 
 class _Scorer:
     """Scores a pair under one protocol: PSNR and SSIM of its frame; ``looked`` is looked at for mistakes."""
 
-    def __init__(self, pair: Pair, protocol: Protocol, looked: str | None) -> None:
-        self._pair, self._protocol, self._looked = pair, protocol, looked
+    def __init__(self, pair: Pair, protocol: Protocol, looked: str | None, job: ScoringJob) -> None:
+        self._pair, self._protocol, self._looked, self._task = pair, protocol, looked, job.task
         self._inspections: list[Inspection] = []
         self._frames: list[FrameScore] = []
         self._found = PlanScores()
         self._bare = False
         self._whites_dn: tuple[float, float] | None = None
         self._others: list[dict[str, float]] = []
+        self._before: list[Shown] = []  # the frames before, as long as the task sees them with the next one
+        self._of_task: list[float] = []
         self._equal: dict[str, frozenset[str]] | None = None
 
     def take(self, frame: ComparedFrame) -> None:
         """Score a frame; what is wrong with it is kept."""
         protocol = self._protocol
+        before, self._before = self._before, []  # those before a frame that fails are not consecutive with the next
         try:
             target = frame.reference.target(protocol)
             self._bare = frame.reference.lacks_channel_whites(protocol)
@@ -309,6 +313,7 @@ class _Scorer:
         try:
             found = frame.score(protocol, target)
             others = frame.other_values(protocol, target, found.rescale)
+            self._before = self._ask_task(frame, target, found.rescale, before)
         except FileError as error:
             file = frame.file if isinstance(error, PredictionError) else error.path
             self._found.problems.append(EvaluationProblem(str(file), error.reason))
@@ -322,6 +327,16 @@ class _Scorer:
             self._frames.append(FrameScore(frame.path, found.psnr_db, found.ssim, found.rescale))
             if frame.path == self._looked:
                 self._inspections.append(frame.inspected(protocol, target, found.psnr_db))
+
+    def _ask_task(self, frame: ComparedFrame, target: NDArray[Any], factor: float, before: list[Shown]) -> list[Shown]:
+        """Score the user's task once it has as many frames as it wants; return those that it sees again."""
+        if self._task is None:
+            return []
+        shown = [*before, frame.shown(self._protocol, target, factor, self._task.images)]
+        if len(shown) < self._task.frames:
+            return shown
+        self._of_task.append(self._task.score(shown, frame.path))
+        return shown[1:]
 
     def _keep(self, frame: ComparedFrame, target: NDArray[Any], found: Score) -> None:
         """Keep of a frame what metrics of the whole clip need."""
@@ -346,15 +361,16 @@ class _Scorer:
     def _means(self) -> dict[str, float]:
         names = ("psnr_db", "ssim", "rescale")
         own = {name: mean([getattr(frame, name) for frame in self._frames]) for name in names}
-        return own | {name: mean([others[name] for others in self._others]) for name in self._others[0]}
+        own |= {name: mean([others[name] for others in self._others]) for name in self._others[0]}
+        return own if self._task is None else own | {"task": mean(self._of_task)}
 
 
 class _ClipScorer(_Scorer):
     """Scores a window: means over its frames, and ST-RRED, for which the grey image of each frame alone is kept."""
 
-    def __init__(self, window: ClipRecord, protocol: ClipProtocol, looked: str | None, threads: int | None) -> None:
-        super().__init__(window, protocol, looked)
-        self._window, self._peak, self._threads = window, protocol.st_rred_peak, threads
+    def __init__(self, window: ClipRecord, protocol: ClipProtocol, looked: str | None, job: ScoringJob) -> None:
+        super().__init__(window, protocol, looked, job)
+        self._window, self._peak, self._threads = window, protocol.st_rred_peak, job.threads
         self._grey = self._seen = np.empty(0)
 
     def _keep(self, frame: ComparedFrame, target: NDArray[Any], found: Score) -> None:

@@ -32,6 +32,7 @@ from eldata.errors import ArgumentError, EldataError, FileError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.request import SETTINGS
 from eldata.noise.profile import CameraProfile
+from tests.onnx_file import onnx_network
 from tests.trees import tree_in
 from tests.waiting import PATIENCE_S, is_asleep, until
 
@@ -212,7 +213,7 @@ def test_predictions_of_a_network_that_has_changed_are_refused(
 
 def test_what_lies_beside_an_onnx_file_is_part_of_it(tree: Tree, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
-    (tmp_path / "net.onnx").write_bytes(onnx_of_a_halving_network())
+    (tmp_path / "net.onnx").write_bytes(onnx_network())
     weights = tmp_path / "net.onnx.data"
     weights.write_bytes(b"of yesterday")
 
@@ -389,7 +390,7 @@ def test_predictions_are_the_networks_own(kind: str, tree: Tree, tmp_path: Path)
     else:
         pytest.importorskip("onnxruntime")
         name = str(tmp_path / "net.onnx")
-        (tmp_path / "net.onnx").write_bytes(onnx_of_a_halving_network())
+        (tmp_path / "net.onnx").write_bytes(onnx_network())
     network = load_network(name, tile=32, overlap=8, multiple=8, device="cpu", weights=weights)
     write_predictions(network, "", tmp_path / "p", manifest=tree.csv, root=tree.root, clip="both", cameras=["DemoBeta"])
     dataset = ELDDataset(tree.data, manifest=tree.csv, cameras=["DemoBeta"], clip="both")
@@ -400,25 +401,6 @@ def test_predictions_are_the_networks_own(kind: str, tree: Tree, tmp_path: Path)
 
 
 INSTANCE = Doubled()
-
-
-def onnx_of_a_halving_network() -> bytes:
-    """A model in ONNX's protobuf, written by hand: y = x * 0.5, with any height and width."""
-
-    def field(number: int, payload: bytes | int | str) -> bytes:
-        if isinstance(payload, int):
-            return bytes([number << 3, payload])
-        content = payload.encode() if isinstance(payload, str) else payload
-        return bytes([number << 3 | 2, len(content)]) + content
-
-    def tensor_type(name: str) -> bytes:
-        sides = b"".join(field(1, field(1, 1) if side == "n" else field(2, side)) for side in ("n", "c", "h", "w"))
-        return field(1, name) + field(2, field(1, field(1, 1) + field(2, sides)))
-
-    half = field(2, 1) + field(8, "half") + field(9, np.array(0.5, "<f4").tobytes())
-    node = field(1, "x") + field(1, "half") + field(2, "y") + field(4, "Mul")
-    graph = field(1, node) + field(2, "g") + field(5, half) + field(11, tensor_type("x")) + field(12, tensor_type("y"))
-    return field(1, 8) + field(7, graph) + field(8, field(2, 13))
 
 
 def test_what_is_not_a_network(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import hashlib
 import math
 import multiprocessing
 import re
+import shutil
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -17,17 +18,28 @@ import numpy as np
 import pytest
 
 from eldata.cli.main import main
-from eldata.demo.tree import make_tree
+from eldata.datasets.drv import DRVDataset
 from eldata.errors import ArgumentError, FileError
-from eldata.evaluation import Task, evaluate, evaluate_all, load_results, save_prediction
+from eldata.evaluation import (
+    Task,
+    evaluate,
+    evaluate_all,
+    load_results,
+    reproduce,
+    save_clip_prediction,
+    save_prediction,
+)
 from eldata.evaluation.comparison import Method, compare
 from eldata.reports.comparison import write_comparison_page
 from eldata.reports.evaluation import write_evaluation_page
+from tests.drv_tree import SmallDrv, rgb_frame_of, small_drv, still_of
 from tests.evaluation import oracle, published_code
 from tests.evaluation.own_set import OwnSet, build_own_set
 from tests.reports.evaluations import result_data, written
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from eldata.evaluation import EvaluationResult
@@ -42,6 +54,14 @@ def worst_error(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
 
 def gap_of_means(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
     return float(prediction.astype(float).mean() - reference.astype(float).mean())
+
+
+def growth(predictions: Sequence[NDArray[Any]], references: Sequence[NDArray[Any]]) -> float:
+    """How much more two predictions differ than their references do."""
+    first, second = (float(np.abs(np.subtract(*side, dtype=float)).mean()) for side in (predictions, references))
+    for image in (*predictions, *references):
+        image[:] = 0  # they are its own
+    return first - second
 
 
 def failing(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
@@ -60,6 +80,7 @@ def alone(prediction: NDArray[Any]) -> float:
     return 0.0
 
 
+growing = Task(growth, higher_is_better=False, label="growth", frames=2)
 worst = Task(worst_error, higher_is_better=False, label="worst error")
 HERE = "tests.evaluation.test_tasks"
 
@@ -213,12 +234,19 @@ def test_frames_without_a_value_are_named(task: Any, reason: str, own: OwnSet) -
         ({"task": f"{HERE}:OwnSet"}, f"{HERE}:OwnSet is a class; a task is a function of"),
         ({"task": alone}, "alone cannot be called with .prediction, reference.: too many positional arguments"),
         ({"task": Task(worst_error, "packed"), "protocol": "sid2018"}, "wants packed raw images, which .*'sid2018'"),
+        ({"task": growing}, "growth wants 2 consecutive frames, and protocol 'eld' scores single images of 'mine'"),
         ({"task": lambda *_: 0.0, "workers": 2}, "cannot be sent to worker processes .*: define it at the top level"),
     ],
 )
 def test_what_it_does_not_go_with_is_refused(options: dict[str, Any], words: str, own: OwnSet) -> None:
     with pytest.raises(ArgumentError, match=words):
         scored(own, **options)
+
+
+@pytest.mark.parametrize("frames", [0, True, 1.5, "2"])
+def test_frames_are_counted_in_whole_numbers(frames: Any) -> None:
+    with pytest.raises(ArgumentError, match="frames must be a whole number, 1 or more; found"):
+        Task(growth, frames=frames)
 
 
 def test_every_protocol_at_once_is_refused(own: OwnSet) -> None:
@@ -251,65 +279,81 @@ def test_a_saved_task_is_read_field_by_field(tmp_path: Path) -> None:
         load_results(written(tmp_path / "result.json", data))
 
 
-def test_the_example_matches_features_of_the_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples"))
-    make_tree(tmp_path, scenes=1, size=(192, 288))
+# --- several frames at a time -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
+    """Two clips of DRV with predictions of their five scored frames in ``preds`` beside them."""
+    drv = small_drv(tmp_path_factory.mktemp("drv"), ("0007", "0013"), 12)
+    for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
+        frames = np.stack([predicted(record.scene, number) for number in range(5, 10)])
+        save_clip_prediction(drv.root / "preds", record, frames)
+    return drv
+
+
+def predicted(clip: str, number: int) -> NDArray[np.float32]:
+    return np.asarray(1.1 * rgb_frame_of(clip, number).transpose(2, 0, 1) / 65535, np.float32)
+
+
+def of_clips(drv: SmallDrv, **options: Any) -> EvaluationResult:
+    given: dict[str, Any] = {"manifest": drv.csv, "root": drv.root, "ids": ["0007", "0013"], "task": growing}
+    return evaluate(drv.root / "preds", **given | options)
+
+
+def test_two_frames_of_a_clip_are_handed_over_as_the_published_code_corrects_them(
+    drv: SmallDrv, tmp_path: Path
+) -> None:
+    result = of_clips(drv)
+    assert [video.scene for video in result.videos] == ["0007", "0013"]
+    for video in result.videos:
+        still = (still_of(video.scene).transpose(2, 0, 1) / 65535).astype(np.float32)
+        made = np.stack([predicted(video.scene, number) for number in range(5, 10)])
+        _, shown = published_code.eld_clip(made, still, correct=True)
+        steps = np.abs(np.diff(shown, axis=0)).mean(axis=(1, 2, 3))  # of the one still there are none
+        assert len(steps) == 4
+        assert video.task == pytest.approx(steps.mean(), abs=1e-6)  # float32
+    assert of_clips(drv, workers=2).videos == result.videos
+    plainly = of_clips(drv, task=None)
+    assert result.digest == plainly.digest
+    assert [{**video.values, "task": 0.0} for video in result.videos] == [
+        {**video.values, "task": 0.0} for video in plainly.videos
+    ]
+    assert result.provenance["task"]["frames"] == 2
+    printed = " ".join(result.format("text").split())
+    assert f"growth: {HERE}:growth (sha256:" in printed
+    assert "of 2 consecutive frames at a time, what the protocol compares; lower is better" in printed
+    result.write_json(tmp_path / "result.json")
+    (back,) = load_results(tmp_path / "result.json")
+    assert (back.videos, back.as_dict()) == (result.videos, result.as_dict())
+    assert reproduce(tmp_path / "result.json", root=drv.root, manifest=drv.csv).same
+    result.write_csv(tmp_path / "scores.csv")
+    rows = list(csv.DictReader((tmp_path / "scores.csv").read_text().splitlines()))
+    assert [float(row["task"]) for row in rows] == [video.task for video in result.videos]
+    write_evaluation_page([result], tmp_path / "page.html", dataset_folder=drv.data, predictions=drv.root / "preds")
+    assert "growth" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    both = compare([Method("one", result), Method("other", result)])
+    assert [metric.name for metric in both.kind.metrics] == ["psnr_db", "ssim", "st_rred", "task"]
+
+
+def test_frames_on_both_sides_of_a_bad_one_are_not_consecutive(drv: SmallDrv, tmp_path: Path) -> None:
+    shutil.copytree(drv.root / "preds", tmp_path / "preds")
+    np.save(tmp_path / "preds/0007/0007.npy", np.full((3, 48, 56), np.nan, np.float32))
+    runs: list[int] = []
+
+    def look(predictions: Sequence[NDArray[Any]], references: Sequence[NDArray[Any]]) -> float:
+        assert len(references) == 2
+        runs.append(len(predictions))
+        return 0.0
+
     found = evaluate(
-        None,
-        manifest=tmp_path / "manifests" / "eld-demo.csv",
-        root=tmp_path / "data",
-        baseline="input",
-        cameras=["DemoAlpha"],
-        task="match_features:matches",
+        tmp_path / "preds", manifest=drv.csv, root=drv.root, ids=["0007"], task=Task(look, frames=2), allow_missing=True
     )
-    assert not found.problems
-    of = {row.ratio: row.task for row in found.table}
-    assert 1 > of[100.0] > of[200.0] > 0  # more noise, fewer matches
-    share = sys.modules["match_features"].matched_share
-    picture = np.random.default_rng(0).random((3, 12, 16)).repeat(8, axis=1).repeat(8, axis=2).astype(np.float32)
-    assert share(picture, picture) == 1
-    assert share(np.roll(picture, 16, axis=2), picture) < 0.1  # found, but elsewhere
-    assert share(np.zeros_like(picture), picture) == 0
-    with pytest.raises(ValueError, match="the reference has no keypoints"):
-        share(picture, np.zeros_like(picture))
+    assert [Path(problem.path).name for problem in found.problems] == ["0007.npy"]
+    assert runs == [2, 2]  # frames 5 and 6, 8 and 9
 
 
-def test_the_example_hands_renderings_to_torchmetrics_lpips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its network, whose weights would be downloaded, is replaced by the mean absolute difference."""
-    lpip = pytest.importorskip("torchmetrics.image.lpip")
-    made: list[tuple[object, ...]] = []
-    seen: list[NDArray[np.float32]] = []
-
-    def network(net_type: str, *, normalize: bool) -> Any:
-        made.append((net_type, normalize))
-
-        def distance(first: Any, second: Any) -> Any:
-            seen.extend(image.numpy() for image in (first, second))
-            return (first - second).abs().mean()
-
-        return distance
-
-    monkeypatch.setattr(lpip, "LearnedPerceptualImagePatchSimilarity", network)
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples"))
-    make_tree(tmp_path, scenes=1, size=(64, 96))
-    found = evaluate(
-        None,
-        manifest=tmp_path / "manifests" / "eld-demo.csv",
-        root=tmp_path / "data",
-        baseline="input",
-        cameras=["DemoAlpha"],
-        task="perceptual_distance:lpips",
-    )
-    assert not found.problems
-    assert made == [("alex", True)]  # once, and of images in [0, 1]
-    assert len(seen) == 2 * len(found.images)
-    for image, first, second in zip(found.images, seen[::2], seen[1::2], strict=True):
-        for pixels in (first, second):
-            assert pixels.shape == (1, 3, 32, 48)
-            codes = 255 * pixels.astype(np.float64)
-            np.testing.assert_allclose(codes, np.round(codes), atol=1e-4)
-            assert (pixels.min() >= 0, pixels.max() <= 1) == (True, True)
-        assert image.task == pytest.approx(np.abs(first - second).mean(), rel=1e-5)
-    (metric,) = (metric for metric in found.kind.metrics if metric.name == "task")
-    assert (metric.label, metric.better) == ("LPIPS", "lower")
-    assert found.provenance["task"]["version"].startswith("torchmetrics ")
+def test_clips_of_too_few_frames_are_refused(drv: SmallDrv) -> None:
+    words = "clip 0007: protocol 'drv-rgb' scores 5 frames of it, and the task .*growth wants 6 consecutive ones"
+    with pytest.raises(ArgumentError, match=words):
+        of_clips(drv, task=Task(growth, frames=6))

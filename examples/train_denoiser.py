@@ -84,7 +84,9 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def training_data(options: argparse.Namespace) -> Dataset[Any]:
     """Return real pairs, synthetic ones, or both."""
-    crops = {"crop": options.crop, "crops_per_frame": options.crops_per_frame, "seed": options.seed}
+    count = options.crops_per_frame
+    crops = {"crop": options.crop, "seed": options.seed}
+    crops |= {"crops": "grid"} if count is None else {"crops_per_frame": count}
     representation = {"clip": options.input_clip, "levels": options.levels, "augment": True}
     parts: list[Dataset[Any]] = []
     if options.pairs:
@@ -103,6 +105,7 @@ def real_pairs(place: str, is_noise2noise: bool, choice: dict[str, Any]) -> Data
         return Noise2Noise(pairs) if is_noise2noise else pairs
     if is_noise2noise:
         arguments().error("--noise2noise takes a store: shards give their pairs one by one")
+    choice.pop("crops", None)  # shards are tiles already, each of which comes once
     return StreamedPairs(place, **choice)
 
 
@@ -114,7 +117,7 @@ def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Datas
     noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio), "clip": options.input_clip}
     if not options.noise2noise:
         return SyntheticPairs(source, options.profile, **crops, **noise)
-    count = crops.pop("crops_per_frame")
+    count = crops.pop("crops_per_frame", 1)
     stills = SyntheticClips(Stills(source), options.profile, frames=2, windows_per_clip=count, **crops, **noise)
     return Sides(stills, are_exposures=True)
 
@@ -241,7 +244,11 @@ def arguments() -> argparse.ArgumentParser:
     data.add_argument("--pairs", help="a packed store, or the address of a folder of shards")
     data.add_argument("--clean", help="a packed store of clean frames, or a folder of raws")
     data.add_argument("--noise2noise", action="store_true", help="a second noisy frame in place of the clean one")
-    data.add_argument("--crops-per-frame", type=int, default=1, help="in an epoch (default: %(default)s)")
+    data.add_argument(
+        "--crops-per-frame",
+        type=int,
+        help="so many at random in an epoch (default: the paper's, each of a grid once; of shards one of each tile)",
+    )
     how = add_shared(parser, data)
     how.add_argument("--depth", type=int, default=4, help="how often it halves the image (default: %(default)s)")
     check = parser.add_argument_group("validation")

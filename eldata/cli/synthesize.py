@@ -49,6 +49,20 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--format", choices=("dng", "npy"), default="dng", help="of noisy frames (default: %(default)s)"
     )
+    parser.add_argument(
+        "--clips",
+        action=argparse.BooleanOptionalAction,
+        help=(
+            "each folder of raws is a clip: draw parameters and ratio once for it, keep its frames together, and score "
+            "it under the protocol sequences; --no-clips draws them for each frame. To be said where it is not certain"
+        ),
+    )
+    parser.add_argument(
+        "--split",
+        metavar="A:B",
+        type=_split,
+        help="shares of train and test, such as 95:5, drawn by --seed: whole clips, or else scenes (default: none)",
+    )
     parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="default: %(default)s")
     kept = "{output} is an unfinished run: the finished frames are kept, and the same command goes on"
@@ -69,6 +83,12 @@ def _ratio(text: str) -> tuple[float, float]:
         raise argparse.ArgumentTypeError(f"expected a number or two such as 100:300, found {text!r}") from None
 
 
+def _split(text: str) -> tuple[float, float]:
+    if ":" not in text:
+        raise argparse.ArgumentTypeError(f"expected two shares such as 95:5, found {text!r}")
+    return _ratio(text)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from pathlib import Path
@@ -86,6 +106,8 @@ def run(arguments: argparse.Namespace) -> int:
         row=arguments.row,
         extrapolate=arguments.extrapolate,
         per_image=arguments.per_image,
+        clips=arguments.clips,
+        split=arguments.split,
         format=arguments.format,
         dark_frames=arguments.dark_frames,
         dark_shading=arguments.dark_shading,

@@ -26,7 +26,7 @@ from eldata.records import Exposure, Records
 from eldata.sources.frames import Files, Frame, checked_ratio, stated_ratio
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Collection, Iterator, Sequence
 
     import pandas as pd
     import torch
@@ -186,6 +186,7 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         self._pairs: dict[int, OpenedPair] = {}
         if self.reads_parts:
             self._check_pairs()
+        self.lay_grid(map(cache(self._outlined), (record.reference for record in self.records)))
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -193,13 +194,13 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         return frame_of(self.records)
 
     def __len__(self) -> int:
-        return len(self.records) * self.crops_per_frame
+        return self.length_of(len(self.records), self.crops_per_frame)
 
     def drawn(self, index: int, generator: np.random.Generator) -> PairItem:
-        """Draw a crop of pair ``index`` modulo their number."""
-        place = index % len(self.records)
+        """Draw a crop of pair ``index`` modulo their number, or of a grid its crop."""
+        place, tile = self.record_of(index, len(self.records))
         pair = self._known(place) if self.reads_parts else self._begun(self.records[place])
-        return PairItem(pair, Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment))
+        return PairItem(pair, Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment, tile=tile))
 
     def parts(self, item: PairItem) -> Iterator[Part]:
         """Yield the target, then the input; frames that are decoded whole are held one at a time."""
@@ -226,6 +227,9 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
             if kind not in kinds:
                 kinds.add(kind)
                 self._opened(record)
+
+    def _outlined(self, path: str) -> Frame:
+        return self.source.frame(path).without_pixels()
 
     def _known(self, place: int) -> OpenedPair:
         """Return a pair whose frames are open; those of a small set stay so."""
@@ -289,11 +293,7 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
             f"splits {counted('split')}; ISO {counted('iso')}; ratios {counted('ratio')}; "
             f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r}"
             + shading_text(self.dark_shading)
-            + (
-                f", crop={self.crop}, augment={self.augment}, crops_per_frame={self.crops_per_frame}, seed={self.seed}"
-                if cropped
-                else ""
-            )
+            + (f", {self.cut}, crops_per_frame={self.crops_per_frame}, seed={self.seed}" if cropped else "")
             + ")"
         )
 
@@ -314,8 +314,8 @@ class PairDataset(SourcePairs):
         Which pairs (:class:`~eldata.manifest.pairs.Choice`): ``cameras``, ``scenes``, ``isos``, ``ratios``, ``split``,
         ``subset``, ``exclude_flags``. What becomes of their DN (:class:`~eldata.datasets.choices.Representation`):
         ``levels`` (default: the card's), ``clip`` (``"both"``), ``amplification`` (``"metadata"``),
-        ``dark_shading``. Which part of them (:class:`PairCropping`): ``crop``, ``augment``, ``crops_per_frame``,
-        ``seed``; by default whole frames.
+        ``dark_shading``. Which part of them (:class:`PairCropping`): ``crop``, ``augment``, ``crops``,
+        ``crops_per_frame``, ``seed``; by default whole frames.
 
     Raises
     ------
@@ -341,6 +341,7 @@ class PairDataset(SourcePairs):
         self.root = data_root() / loaded.card.folder if root is None else Path(root)
         records = select_pairs(loaded.records, loaded.card.subsets, **choice)
         levels = representation.get("levels") or default_protocol(loaded.card).frame_levels
+        self._check_folders(loaded, records)
         super().__init__(
             Files(self.root, loaded.records),
             records,
@@ -348,16 +349,15 @@ class PairDataset(SourcePairs):
             representation=representation | {"levels": levels},
             cropping=cropping,
         )
-        self._check_folders(loaded)
 
     def _place(self) -> str:
         return str(self.root)
 
-    def _check_folders(self, manifest: Manifest) -> None:
+    def _check_folders(self, manifest: Manifest, records: Sequence[PairRecord]) -> None:
         if not self.root.is_dir():
             folders = dict.fromkeys(record.path.split("/")[0] for record in manifest.records)
             raise no_folder(self.root, manifest.card, ", ".join(folders))
-        tops = {record.path.split("/")[0]: record.camera for record in self.records}
+        tops = {record.path.split("/")[0]: record.camera for record in records}
         present = [camera for top, camera in tops.items() if (self.root / top).is_dir()]
         for top, camera in tops.items():
             if camera not in present:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from eldata.base.memory import scratch
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError, DatasetError, check_choice
+from eldata.manifest.clips import moment_name
 from eldata.manifest.patterns import sequence_of
 from eldata.noise.exposures import check_normalised
 from eldata.raw._kernels import scatter_bayer
@@ -291,8 +292,7 @@ class CleanClips:
         elif _is_store(source):
             clips = list(_clips_of(StoreFrames(source), levels))
         else:
-            folders = sorted({path.parent for path in raws_below(Path(source))})
-            clips = [CleanFrames(_frames_of(folder), levels=levels) for folder in folders]
+            clips = [CleanFrames(files, levels=levels) for files in clip_files(Path(source))]
         if not clips:
             raise DatasetError("no clip was given")
         self._clips: tuple[CleanSource, ...] = tuple(clips)
@@ -306,6 +306,64 @@ class CleanClips:
 
     def __repr__(self) -> str:
         return f"CleanClips({len(self)} clips, first {self._clips[0]!r})"
+
+
+class CleanScene(NamedTuple):
+    """A clean file to make noisy ones of, and its place among all, from 0 on.
+
+    ``drawn_for`` is the number of the scene, or clip, that parameters are drawn for, ``first`` the place of that one's
+    first file among all; ``moment`` is the file's place in a clip from 1 on, else 0.
+    """
+
+    number: int
+    path: Path
+    scene: str
+    drawn_for: int
+    first: int
+    moment: int = 0
+
+
+def clean_scenes(clean: Path, clips: bool | None) -> list[CleanScene]:
+    """Return the raw files of a folder in order: frames of clips, or each a scene; ``None``: scenes, if that is sure.
+
+    Raises
+    ------
+    DatasetError
+        If there is no raw file, the names of a clip do not follow one numbering, or a folder below may be a clip or
+        not.
+    """
+    found: list[CleanScene] = []
+    if clips:
+        for number, files in enumerate(clip_files(clean)):
+            first = len(found)
+            for moment, path in enumerate(files, 1):
+                scene = moment_name(f"clip-{number + 1}", moment)
+                found.append(CleanScene(len(found), path, scene, number, first, moment))
+        return found
+    folders: dict[Path, list[str]] = {}
+    for index, path in enumerate(clean_files(clean)):
+        found.append(CleanScene(index, path, f"scene-{index + 1}", index, index))
+        folders.setdefault(path.parent, []).append(path.name)
+    for folder, names in folders.items() if clips is None else ():
+        sequence = sequence_of(names)
+        if folder != clean and sequence.numbers and not (sequence.odd or sequence.doubles or sequence.gaps):
+            raise DatasetError(
+                f"{clean}: {len(names)} numbered frames in {folder.relative_to(clean)}, {sequence.names[0]} to "
+                f"{sequence.names[-1]}, may be a clip or stills. Say which: --clips (clips=True) draws parameters once "
+                "for each folder and keeps its frames together, --no-clips (clips=False) draws them for each frame"
+            )
+    return found
+
+
+def clip_files(source: Path) -> list[list[Path]]:
+    """Return the clips of a folder, each a folder at any depth that holds raws: its files in the order of numbers.
+
+    Raises
+    ------
+    DatasetError
+        If there is no raw file, or the names of a clip do not follow one numbering.
+    """
+    return [_frames_of(folder) for folder in sorted({path.parent for path in raws_below(source)})]
 
 
 def _frames_of(folder: Path) -> list[Path]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from eldata.base.arguments import spell_keywords
@@ -193,6 +194,9 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
         if self.reads_parts:
             for clip in self.clips:
                 self._check(clip)
+        if self.crops == "grid":  # clips may have several windows
+            like = cache(lambda path: self.source.frame(path).without_pixels())
+            self.lay_grid(like(record.reference or record.path) for record in self.records)
 
     def _check(self, clip: Clip) -> None:
         """Make sure that the frames of a clip belong together."""
@@ -216,11 +220,12 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
         return pd.DataFrame([asdict(record) | {"paths": list(record.paths)} for record in self.records])
 
     def __len__(self) -> int:
-        return len(self.records) * self.crops_per_window
+        return self.length_of(len(self.records), self.crops_per_window)
 
     def drawn(self, index: int, generator: np.random.Generator) -> _Item:
-        """Draw a crop of window ``index`` modulo their number."""
-        record = self.records[index % len(self.records)]
+        """Draw a crop of window ``index`` modulo their number, or of a grid its crop."""
+        number, tile = self.record_of(index, len(self.records))
+        record = self.records[number]
         reference = None if record.reference is None else self._frame(record.reference)
         first = self._frame(record.path) if reference is None or self.reads_parts else None
         like = reference or first
@@ -229,7 +234,7 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
         if self.region is not None:
             crop = Crop.region(like, self.region)
         else:
-            crop = Crop.draw(like, generator, crop=self.crop, augment=self.augment)
+            crop = Crop.draw(like, generator, crop=self.crop, augment=self.augment, tile=tile)
         return _Item(record, crop, reference, first)
 
     def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
@@ -343,7 +348,7 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
     def __repr__(self) -> str:
         part = f"region={self.region}"
         if self.region is None:
-            part = f"crop={self.crop}, augment={self.augment}"
+            part = self.cut
         return (
             f"{type(self).__name__}({str(self.root)!r}, {self._text}; {part}, "
             f"crops_per_window={self.crops_per_window}, seed={self.seed}, levels={self.levels!r}, "

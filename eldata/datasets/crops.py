@@ -52,8 +52,10 @@ class Crop:
     width: int
 
     @classmethod
-    def draw(cls, frame: Frame, generator: np.random.Generator, *, crop: int | None, augment: bool) -> Crop:
-        """Draw a place, and with ``augment`` one of the eight orientations.
+    def draw(
+        cls, frame: Frame, generator: np.random.Generator, *, crop: int | None, augment: bool, tile: int | None = None
+    ) -> Crop:
+        """Draw a place, if it is not that of a tile, and with ``augment`` one of the eight orientations.
 
         Parameters
         ----------
@@ -63,6 +65,8 @@ class Crop:
             Decides orientation, top and left, in this order.
         crop
             Side in pixels of the packed or RGB frame; ``None`` takes all of it.
+        tile
+            Which one of the grid (:meth:`count_tiles`), row by row from 0.
 
         Raises
         ------
@@ -86,10 +90,27 @@ class Crop:
                 f"{frame.name}: {area.height} x {area.width} pixels are too few for a crop of {rows + margin} x "
                 f"{columns + margin} (crop={crop}, augment={augment}); take a smaller crop"
             )
-        top = area.top + period * int(generator.integers((area.height - rows - margin) // period + 1))
-        left = area.left + period * int(generator.integers((area.width - columns - margin) // period + 1))
+        if tile is None:
+            top = period * int(generator.integers((area.height - rows - margin) // period + 1))
+            left = period * int(generator.integers((area.width - columns - margin) // period + 1))
+        else:
+            row, column = divmod(tile, (area.width - margin) // columns)
+            top, left = row * rows, column * columns
+        top, left = area.top + top, area.left + left
         place = slice(top, top + rows + margin), slice(left, left + columns + margin)
         return cls(place, cfa, orientation, height, width)
+
+    @classmethod
+    def count_tiles(cls, frame: Frame, *, crop: int, augment: bool) -> int:
+        """Return how many crops lie side by side in a frame, from its first row and column on.
+
+        What is left over at the bottom and at the right, less than a crop and with ``augment`` one period of the CFA,
+        is in none. Raises like :meth:`draw`.
+        """
+        first = cls.draw(frame, np.random.default_rng(0), crop=crop, augment=augment, tile=0)  # refuses what has none
+        area, period, _, _ = _grid(frame.shape, frame.cfa)
+        margin = period if augment and frame.cfa else 0
+        return ((area.height - margin) // first.height) * ((area.width - margin) // first.width)
 
     @classmethod
     def region(cls, frame: Frame, region: Region) -> Crop:

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from eldata.base.numbers import checked_number
+from eldata.base.seeds import purpose_sequence
 from eldata.errors import ArgumentError
 from eldata.noise.profile import CameraProfile
 
@@ -24,6 +25,7 @@ Camera: TypeAlias = CameraProfile | str | Path
 Cameras: TypeAlias = Camera | Sequence[Camera]
 Isos: TypeAlias = float | Sequence[float] | Mapping[float, float]
 
+_SPLIT = 7  # a purpose of random numbers
 _MOST_NAMED = 4  # cameras in a repr
 
 
@@ -171,6 +173,27 @@ class NoiseChoice:
             for profile, rows in zip(self.profiles, self.rows, strict=True)
         ]
         return ", ".join(named if len(named) <= _MOST_NAMED else [*named[:2], f"... {len(named)} in all"])
+
+
+def draw_splits(seed: int, shares: tuple[float, float] | None, count: int) -> list[str]:
+    """Draw the split of each of so many scenes or clips, ``train`` or ``test``, by their shares; ``None``: no splits.
+
+    Raises
+    ------
+    ArgumentError
+        If a share is not above 0, or one of the splits would be empty.
+    """
+    if shares is None:
+        return [""] * count
+    train, test = (checked_number("split", share, above=0) for share in shares)
+    held = round(count * test / (train + test))
+    if not 0 < held < count:
+        raise ArgumentError(
+            f"split {train:g}:{test:g} of {count} scenes or clips leaves {count - held} to train on and {held} to test "
+            "on; give more of them, or other shares"
+        )
+    chosen = set(np.random.default_rng(purpose_sequence(seed, 0, _SPLIT)).permutation(count)[:held].tolist())
+    return ["test" if number in chosen else "train" for number in range(count)]
 
 
 def _weighted(isos: Sequence[float] | Mapping[float, float]) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -7,7 +7,9 @@ read, by several threads where the source allows it, into memory that is used ag
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypedDict, TypeVar
+from bisect import bisect_right
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, TypedDict, TypeVar, get_args
 
 import torch
 from torch.utils.data import Dataset
@@ -15,19 +17,22 @@ from torch.utils.data import Dataset
 from eldata.base.compiled import in_threads
 from eldata.base.seeds import checked_epoch, checked_seed, item_generator
 from eldata.datasets.batches import Batch, Field, new_arrays, new_batch, reading_threads
-from eldata.errors import ArgumentError
+from eldata.datasets.crops import Crop
+from eldata.errors import ArgumentError, check_choice
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
-    from eldata.datasets.crops import Crop
     from eldata.plots.axes import Drawing
     from eldata.raw.levels import Clip
     from eldata.records import Sensor
     from eldata.sources.frames import Frame
+
+
+Crops = Literal["random", "grid"]
 
 
 class SharedNumber:
@@ -243,17 +248,24 @@ class Cropping(TypedDict, total=False):
         Side of the square crop in pixels of the packed (or RGB) frame, even for X-Trans; ``None`` takes whole frames.
     augment
         Draw one of the eight orientations; a mosaic's CFA stays in order.
+    crops
+        ``"random"``, the default: each item is of a place that is drawn. ``"grid"``: the crops lie side by side from
+        the frame's first row and column on, in order with the CFA, and each is one item, so once an epoch, turned anew
+        in each (K. Wei et al., TPAMI 2021, implementation details). What is left over at the bottom and at the right is
+        in none; turning a mosaic shifts a crop by at most one period of its CFA. Frames that are decoded whole are
+        decoded once for their size as the dataset is made.
     seed
         First part of each item's seed, below 2^128.
     """
 
     crop: int | None
     augment: bool
+    crops: Crops
     seed: int
 
 
 class CroppedItems(ReadItems[Item, Sample]):
-    """Items that are random crops, drawn from (seed, epoch, index).
+    """Items that are crops, drawn from (seed, epoch, index).
 
     Parameters
     ----------
@@ -274,8 +286,43 @@ class CroppedItems(ReadItems[Item, Sample]):
             raise ArgumentError(f"{crops[0]} must be 1 or more and crop 2 or more; found {crops[1]}, {crop}")
         self.crop = crop
         self.augment = cropping.get("augment", False)
+        self.crops: Crops = cropping.get("crops", "random")
+        check_choice("crops", self.crops, get_args(Crops))
+        if self.crops == "grid" and (crop is None or crops[1] != 1):
+            raise ArgumentError(
+                f"crops='grid' has each crop of a frame once: give crop=, its side, and leave {crops[0]} at 1; found "
+                f"crop={crop}, {crops[0]}={crops[1]}"
+            )
         self.seed = seed
         self._epoch = SharedNumber()
+        self._starts: list[int] | None = None  # of a grid: the first item of each record, and their number
+
+    def lay_grid(self, frames: Iterable[Frame]) -> None:
+        """Count the crops of a grid, if it is to be one, in a frame of each record."""
+        if self.crops == "grid" and self.crop is not None:
+            counts = (Crop.count_tiles(frame, crop=self.crop, augment=self.augment) for frame in frames)
+            self._starts = list(accumulate(counts, initial=0))
+
+    def length_of(self, records: int, repeats: int) -> int:
+        """Return the number of items: that of the grid's crops, or ``repeats`` of each record."""
+        return records * repeats if self._starts is None else self._starts[-1]
+
+    def record_of(self, index: int, records: int) -> tuple[int, int | None]:
+        """Return the record that an item is of, and which crop of its grid."""
+        if self._starts is None:
+            return index % records, None
+        record = bisect_right(self._starts, index) - 1
+        return record, index - self._starts[record]
+
+    def indices_of(self, record: int) -> range:
+        """Return the indices of the items of a record; of random crops the first one's."""
+        return range(record, record + 1) if self._starts is None else range(*self._starts[record : record + 2])
+
+    @property
+    def cut(self) -> str:
+        """The choice of crops, as a repr says it."""
+        grid = f", crops={self.crops!r}" if self._starts is not None else ""
+        return f"crop={self.crop}, augment={self.augment}{grid}"
 
     @abstractmethod
     def drawn(self, index: int, generator: np.random.Generator) -> Item:

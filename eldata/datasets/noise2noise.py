@@ -55,7 +55,13 @@ class Noise2Noise(ReadItems[_Item, Sample]):
         for number, record in enumerate(pairs.records):
             groups[record.camera, record.reference, record.iso, record.ratio].append(number)
         self._groups = [group for group in groups.values() if len(group) > 1]
-        self._members = [(group, place) for group in self._groups for place in range(len(group))]
+        self._count = sum(map(len, self._groups))
+        self._members = [
+            (group, place, step)
+            for group in self._groups
+            for place in range(len(group))
+            for step in range(len(pairs.indices_of(group[place])))
+        ]
         if not self._members:
             raise ArgumentError(
                 "Noise2Noise needs two noisy frames of a scene at one ISO and ratio; of "
@@ -75,11 +81,11 @@ class Noise2Noise(ReadItems[_Item, Sample]):
         if not -len(self) <= index < len(self):
             raise IndexError(f"index {index} is outside of {len(self)} items")
         index %= len(self)
-        group, place = self._members[index % len(self._members)]
+        group, place, step = self._members[index % len(self._members)]
         generator = item_generator(self.pairs.seed, self.pairs.epoch, index)
-        step = 1 + int(generator.integers(len(group) - 1))
-        pair, crop = self.pairs.drawn(group[place], generator)
-        other, _ = self.pairs.drawn(group[(place + step) % len(group)], generator)
+        other_place = (place + 1 + int(generator.integers(len(group) - 1))) % len(group)
+        pair, crop = self.pairs.drawn(self.pairs.indices_of(group[place])[step], generator)
+        other, _ = self.pairs.drawn(self.pairs.indices_of(group[other_place])[step], generator)
         return _Item(pair, other, crop)
 
     def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
@@ -98,11 +104,11 @@ class Noise2Noise(ReadItems[_Item, Sample]):
 
     def outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is: two noisy frames of each of these pairs."""
-        return [("noisy frames", str(len(self._members))), *self.pairs.outline()]
+        return [("noisy frames", str(self._count)), *self.pairs.outline()]
 
     def facts(self, item: _Item) -> dict[str, Any]:
         """Return the fields of a :class:`~eldata.datasets.base.Sample` that are not tensors."""
         return self.pairs.facts(PairItem(item.pair, item.crop))
 
     def __repr__(self) -> str:
-        return f"Noise2Noise({len(self._members)} noisy frames of {len(self._groups)} exposures; {self.pairs!r})"
+        return f"Noise2Noise({self._count} noisy frames of {len(self._groups)} exposures; {self.pairs!r})"

@@ -124,7 +124,9 @@ class NoisyItems(CroppedItems[Item, Sample]):
             _check_shading(owner, self._shading, self.noise)
         _check_structure(self.model, self.noise)
         self._turns = None if self._dark is None else _turns(owner, self._dark, self.noise, self.seed, exposures)
-        self._length = len(source) * crops[1]
+        records = map(getattr(source, method), range(len(source)))
+        self.lay_grid(records if method == "frame" else (clip.frame(0) for clip in records))
+        self._length = self.length_of(len(source), crops[1])
         self._repeats = Repeats(owner, self._length)
 
     def __len__(self) -> int:
@@ -221,7 +223,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
         )
         return (
             f"{type(self).__name__}({source!r}, {items}, cameras: {self.noise}; {model}, "
-            f"ratio={self.noise.ratio}, crop={self.crop}, augment={self.augment}, seed={self.seed})"
+            f"ratio={self.noise.ratio}, {self.cut}, seed={self.seed})"
         )
 
 

@@ -2,7 +2,8 @@
 
 ``OUT/data/<name>/<camera>/scene-<n>/clean.dng`` and ``noisy-<k>.dng`` (or ``.npy``), ``OUT/manifests/<name>.csv`` with
 its card, and ``OUT/parameters.json`` with all that the noise was made with. ``<name>`` is OUT's own name. Until all is
-written, ``OUT/.begun.jsonl`` says that the run is unfinished.
+written, ``OUT/.begun.jsonl`` says that the run is unfinished. Of clips the m-th frame of the n-th is the scene
+``clip-<n>-moment-<m>``, so that the rows are sequences (:mod:`eldata.manifest.clips`), each frame with a reference.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import re
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from fractions import Fraction
 from functools import lru_cache, partial
 from pathlib import Path
@@ -20,15 +21,16 @@ import numpy as np
 
 from eldata import __version__
 from eldata.base.files import atomic_write, json_text, remove_leftovers, sha256_of, write_json
-from eldata.base.seeds import checked_seed, item_generator
+from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.base.workers import AnyWorkers, Workers, require_files
-from eldata.datasets.clean import clean_files
+from eldata.datasets.clean import CleanScene, clean_scenes
 from eldata.datasets.crops import Crop
 from eldata.datasets.dark_frames import DarkFrames
+from eldata.datasets.draws import draw_splits
 from eldata.datasets.synthesis_journal import CleanFacts, WrittenScene, opened_journal
 from eldata.datasets.turns import Turns
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
-from eldata.manifest.card import CameraCard, Card, cfa_word
+from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
 from eldata.manifest.writing import save_manifest
 from eldata.noise.components import parse_components
 from eldata.noise.dark_shading import dark_shading_in
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
     from eldata.noise.profile import CameraProfile, RowChoice
 
 Format = Literal["dng", "npy"]
+_NOISE = 6  # a purpose of random numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +71,14 @@ class Recipe:
         As in :meth:`eldata.noise.CameraProfile.sample`. The noisy frames state this ISO; without one the whole ISO that
         belongs to the drawn K, or the clean frame's where the profile knows none.
     per_image
-        Noisy frames per clean one.
+        Noisy frames per clean one; of clips, noisy clips per clean one.
+    clips
+        ``True``: each folder that holds raws is a clip (:class:`~eldata.datasets.CleanClips`); parameters and ratio are
+        drawn once for it, and the noise afresh for each frame (K. Wei et al., TPAMI 2021, section on videography).
+        ``False``: they are drawn for each frame. ``None``: for each frame, and a folder that may be either is refused.
+    split
+        Shares of the splits ``train`` and ``test``, such as (95, 5), to which whole clips, or else scenes, are drawn by
+        the seed; to the nearest whole number for ``test``. ``None``: no splits.
     format
         ``"dng"``: raw DN; ``"npy"``: packed (C, h, w) float32, normalised and amplified.
     dark_frames
@@ -87,6 +97,8 @@ class Recipe:
     row: RowChoice = "any"
     extrapolate: bool = False
     per_image: int = 1
+    clips: bool | None = None
+    split: tuple[float, float] | None = None
     format: Format = "dng"
     dark_frames: Path | None = None
     dark_shading: Path | None = None
@@ -159,16 +171,19 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
     Raises
     ------
     DatasetError
-        If ``clean`` holds no raw file, or ``out`` holds something else.
+        If ``clean`` holds no raw file, or what may be clips and may be none; if the frames of a clip differ in size,
+        CFA, camera or exposure; or if ``out`` holds something else.
     ArgumentError
-        If ``out`` was begun with another recipe or other clean files.
+        If ``out`` was begun with another recipe or other clean files, or a split leaves nothing to train or to test on.
     RawFileError
         If a clean file cannot be read, states no ISO or exposure time, or something that a DNG cannot hold.
     EldataError
         If a file cannot be written.
     """
     workers = Workers.of(workers)
-    paths, dark = clean_files(clean), recipe.dark()
+    sources, dark = clean_scenes(clean, recipe.clips), recipe.dark()
+    splits = draw_splits(recipe.seed, recipe.split, sources[-1].drawn_for + 1)
+    paths = [source.path for source in sources]
     name = re.sub(r"[^\w.+-]", "-", out.resolve().name) or "synthetic"
     data = out / "data" / name
     if out.exists() and not out.is_dir():
@@ -182,11 +197,18 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
             raise EldataError(f"cannot make {error.filename}: {error.strerror}") from error
         scenes: list[WrittenScene] = []
         work = partial(_synthesize_file, Path.cwd(), data.absolute(), recipe, _digest(begun))
-        units = [(index, path, journal.written.get(index)) for index, path in enumerate(paths)]
-        for scene in workers.run(work, units, label="synthesizing"):
+        units = [(source, journal.written.get(source.number)) for source in sources]
+        for source, scene in zip(sources, workers.run(work, units, label="synthesizing"), strict=True):
+            first = scenes[source.first].clean if source.first < len(scenes) else scene.clean
+            for field in fields(CleanFacts):
+                if (found := getattr(scene.clean, field.name)) != (wanted := getattr(first, field.name)):
+                    raise DatasetError(
+                        f"{source.path}: {field.name} {found}, but {sources[source.first].path} has {wanted}; is it of "
+                        "that clip?"
+                    )
             journal.add(scene)
             scenes.append(scene)
-        manifest = _write_tables(out, name, recipe, paths, scenes, dark)
+        manifest = _write_tables(out, name, recipe, sources, splits, scenes, dark)
         journal.finish()
     return manifest
 
@@ -196,6 +218,11 @@ def _begun(recipe: Recipe, paths: Sequence[Path], dark: DarkFrames | None) -> di
     options = asdict(recipe) | {"ratio": list(recipe.ratio), "profile": recipe.profile.camera}
     for name in ("dark_frames", "dark_shading"):  # their content is compared, wherever it lies
         del options[name]
+    for name in ("clips", "split"):
+        if options[name] is None:
+            del options[name]
+    if recipe.split is not None:
+        options["split"] = list(recipe.split)
     if dark is not None and recipe.dark_frames is not None:
         names = dark.names(dark.isos[0])
         files = [path for path in map(Path, names) if path.is_file()] or [recipe.dark_frames]  # or a store of them
@@ -254,38 +281,40 @@ def _write_tables(
     out: Path,
     name: str,
     recipe: Recipe,
-    paths: Sequence[Path],
+    sources: Sequence[CleanScene],
+    splits: Sequence[str],
     scenes: Sequence[WrittenScene],
     dark: DarkFrames | None,
 ) -> Manifest:
     """Write the parameters, the card and the manifest, which comes last."""
     records: list[FrameRecord] = []
     drawn: list[dict[str, Any]] = []
-    for path, scene in zip(paths, scenes, strict=True):
-        base = f"{recipe.profile.camera}/scene-{scene.index + 1}"
+    for source, scene in zip(sources, scenes, strict=True):
+        base = f"{recipe.profile.camera}/{source.scene}"
         clean = scene.clean
         record = partial(
-            FrameRecord, camera=recipe.profile.camera, scene=f"scene-{scene.index + 1}", width=clean.width,
-            height=clean.height,
+            FrameRecord, camera=recipe.profile.camera, scene=source.scene, split=splits[source.drawn_for],
+            width=clean.width, height=clean.height,
         )  # fmt: skip
         reference = record(path=f"{base}/clean.dng", role="reference", iso=clean.iso, exposure_s=clean.exposure_s)
         records.append(reference)
         for copy in range(recipe.per_image):
-            draw = _Draw.of(recipe, clean, scene.index, copy)
+            draw = _Draw.of(recipe, clean, source, copy)
             of_copy = record(path=f"{base}/{draw.name}", role="noisy", iso=draw.iso, exposure_s=draw.exposure_s)
             records.append(replace(of_copy, ratio=draw.ratio, reference=reference.path))
             parameters = draw.parameters.as_dict()
-            drawn.append({"path": of_copy.path, "clean": str(path), "ratio": float(draw.ratio)} | parameters)
+            drawn.append({"path": of_copy.path, "clean": str(source.path), "ratio": float(draw.ratio)} | parameters)
             if dark is not None:
                 drawn[-1]["dark_frame"] = dark.names(dark.isos[0])[_member(recipe, dark, scene.index, copy)]
     roles = [record.role for record in records]
     shading = None if recipe.dark_shading is None else dark_shading_in(recipe.dark_shading)
-    sources = [f"noise model {recipe.spec}, profile {recipe.profile.camera}: {recipe.profile.source}"]
+    origins = [f"noise model {recipe.spec}, profile {recipe.profile.camera}: {recipe.profile.source}"]
     if shading is not None:
-        sources.append(f"dark shading of {shading.camera}, {shading.digest}: {shading.source}")
+        origins.append(f"dark shading of {shading.camera}, {shading.digest}: {shading.source}")
     card = Card(
         name=name,
-        title=f"Synthetic noise of {recipe.profile.camera} on {len(paths)} clean frames",
+        title=f"Synthetic noise of {recipe.profile.camera} on {len(sources)} clean frames"
+        + (f" of {len(splits)} clips" if recipe.clips else ""),
         version="1.0",
         folder=name,
         citation="none: made by eldata synthesize",
@@ -294,7 +323,8 @@ def _write_tables(
         cfa=cfa_word(scene.clean.cfa for scene in scenes),
         cameras={recipe.profile.camera: CameraCard(tuple(sorted({scene.clean.model for scene in scenes})))},
         counts={role: roles.count(role) for role in sorted(set(roles))},
-        sources=tuple(sources),
+        protocol="sequences" if recipe.clips else OWN_PROTOCOL,
+        sources=tuple(origins),
     )
     parameters = {
         "model": recipe.spec,
@@ -312,7 +342,7 @@ def _write_tables(
 
 @dataclass(frozen=True, slots=True)
 class _Draw:
-    """One noisy copy: what is drawn for it, from (seed, place of the file, number of the copy) alone."""
+    """One noisy copy: what is drawn for it, from (seed, place of the file or clip, number of the copy) alone."""
 
     name: str
     parameters: NoiseParameters
@@ -322,9 +352,9 @@ class _Draw:
     generator: np.random.Generator
 
     @classmethod
-    def of(cls, recipe: Recipe, clean: CleanFacts, index: int, copy: int) -> _Draw:
-        """Draw it; the generator goes on to the noise."""
-        generator = item_generator(recipe.seed, index, copy)
+    def of(cls, recipe: Recipe, clean: CleanFacts, source: CleanScene, copy: int) -> _Draw:
+        """Draw it; the generator goes on to the noise, of clips another one for each frame."""
+        generator = item_generator(recipe.seed, source.drawn_for, copy)
         parameters = recipe.profile.sample(generator, iso=recipe.iso, row=recipe.row, extrapolate=recipe.extrapolate)
         low, high = recipe.ratio
         ratio = Fraction(round(float(generator.uniform(low, high)) * 100), 100)
@@ -334,14 +364,18 @@ class _Draw:
         elif (of_gain := recipe.profile.iso_at_gain(parameters.gain_dn_per_e)) is not None:
             iso = Fraction(max(1, round(of_gain)))
         exposure_s = (clean.iso * clean.exposure_s / (iso * ratio)).limit_denominator(2**31)
+        if source.moment:
+            sequence = purpose_sequence(recipe.seed, source.drawn_for, _NOISE, copy, source.moment)
+            generator = np.random.default_rng(sequence)
         return cls(f"noisy-{copy + 1}.{recipe.format}", parameters, ratio, iso, exposure_s, generator)
 
 
 def _synthesize_file(
-    start: Path, folder: Path, recipe: Recipe, begun: str, unit: tuple[int, Path, WrittenScene | None]
+    start: Path, folder: Path, recipe: Recipe, begun: str, unit: tuple[CleanScene, WrittenScene | None]
 ) -> WrittenScene:
-    index, path, before = unit
-    place = folder / recipe.profile.camera / f"scene-{index + 1}"
+    source, before = unit
+    index, path = source.number, source.path
+    place = folder / recipe.profile.camera / source.scene
     if before is not None and all(_has(place / name, sha256) for name, sha256 in before.sha256.items()):
         return before
     require_files(start / path)
@@ -369,7 +403,7 @@ def _synthesize_file(
     model = recipe.model(dark)
     whole = Frame.of_raw(raw.mosaic, raw.sensor, str(path), raw.exposure)
     for copy in range(recipe.per_image):
-        draw = _Draw.of(recipe, facts, index, copy)
+        draw = _Draw.of(recipe, facts, source, copy)
         ratio = float(draw.ratio)
         of_sensor = _of_sensor(recipe, dark, whole, float(draw.exposure_s), (index, copy), draw.generator)
         noisy = model(

@@ -58,7 +58,7 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
     options
         What noise is made (:class:`~eldata.datasets.noisy_items.Noise`): ``model``, ``ratio``, ``iso``, ``row``; and
         from which crops (:class:`~eldata.datasets.items.Cropping`): ``crop`` (default 512), ``augment`` (``True``),
-        ``seed``.
+        ``crops`` (``"random"``), ``seed``.
 
     Raises
     ------
@@ -92,9 +92,10 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
         self.crops_per_frame = crops_per_frame
 
     def drawn(self, index: int, generator: np.random.Generator) -> NoisyItem:
-        """Draw a crop of frame ``index`` modulo their number, and its noise."""
-        frame = self.source.frame(index % len(self.source))
-        crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment)
+        """Draw a crop of frame ``index`` modulo their number, or of a grid its crop, and its noise."""
+        number, tile = self.record_of(index, len(self.source))
+        frame = self.source.frame(number)
+        crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment, tile=tile)
         return NoisyItem(frame, crop, self.draw_noise(generator, index), generator, index)
 
     def shapes(self, item: NoisyItem) -> dict[str, tuple[int, ...]]:
@@ -187,14 +188,14 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
         return getattr(self.source.clip(0), "reads_parts", False)
 
     def drawn(self, index: int, generator: np.random.Generator) -> _Item:
-        """Draw a window of clip ``index`` modulo their number, its crop and its noise."""
-        place = index % len(self.source)
+        """Draw a window of clip ``index`` modulo their number, or of a crop's clip, its crop and its noise."""
+        place, tile = self.record_of(index, len(self.source))
         clip = self.source.clip(place)
         if len(clip) < self.frames:
             raise DatasetError(f"{clip!r}: {len(clip)} frames are too few for a window of {self.frames}")
         start = int(generator.integers(len(clip) - self.frames + 1))
         first = clip.frame(start)
-        crop = Crop.draw(first, generator, crop=self.crop, augment=self.augment)
+        crop = Crop.draw(first, generator, crop=self.crop, augment=self.augment, tile=tile)
         return _Item(first, crop, self.draw_noise(generator, index), generator, index, clip, place, start)
 
     def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:

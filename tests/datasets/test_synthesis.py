@@ -7,7 +7,8 @@ import pickle
 import re
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import exifread
 import numpy as np
@@ -17,6 +18,8 @@ from eldata.base.files import try_lock
 from eldata.cli.main import main
 from eldata.datasets import synthesis
 from eldata.datasets.base import PairDataset
+from eldata.datasets.clips import ClipWindows
+from eldata.datasets.draws import draw_splits
 from eldata.datasets.packed import PackedStore
 from eldata.datasets.synthesis import Recipe, synthesize
 from eldata.datasets.synthesis_journal import NAME
@@ -29,11 +32,9 @@ from eldata.raw import bayer_cfa, read_raw, write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack
 from eldata.raw.levels import pack_normalised
 from eldata.records import Exposure, RawFrame, Sensor, exact_fraction
+from eldata.sources.frames import Files
 from tests.planted_shading import shading_of
 from tests.raw.helpers import write_plain_dng
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 BLACK, WHITE = 512.0, 16383.0
 RANGE = WHITE - BLACK
@@ -555,3 +556,85 @@ def test_a_camera_without_a_name_passes_its_own_check(tmp_path: Path) -> None:
     write_dng(tmp_path / "clean" / "a.dng", np.full((64, 96), 4000, np.uint16), nameless, EXPOSURE)
     manifest = synthesize(tmp_path / "clean", tmp_path / "own", Recipe(SONY, ratio=(100, 100)))
     assert verify(manifest.path, tmp_path / "own" / "data", level="metadata").problems == ()
+
+
+# --- clips ------------------------------------------------------------------------------------------------------------
+
+
+def write_clips(folder: Path, clips: int, frames: int) -> Path:
+    """Clips of a flat and a square that moves by 8 pixels a frame."""
+    for clip in range(clips):
+        place = folder / f"{clip:03}"
+        place.mkdir(parents=True)
+        for number in range(frames):
+            mosaic = np.full((96, 96), round(BLACK + LEVEL * RANGE), np.uint16)
+            mosaic[16:32, 8 * number : 8 * number + 16] = 9000
+            write_dng(place / f"{number + 8}.dng", mosaic, sensor(96, 96), EXPOSURE)  # 8, 9, 10: not by letters
+    return folder
+
+
+def draw_of(frame: dict[str, Any]) -> tuple[object, ...]:
+    return (*(str(value) for name, value in frame.items() if name not in ("path", "clean")),)
+
+
+def test_clips_are_drawn_once_each_and_load_as_clips(tmp_path: Path) -> None:
+    clean, out = write_clips(tmp_path / "clean", 3, 4), tmp_path / "out"
+    manifest = synthesize(clean, out, Recipe(SONY, per_image=2, clips=True, split=(2, 1), seed=5))
+    assert verify(manifest.path, out / "data", level="full").ok
+    assert manifest.card.protocol == "sequences"
+    frames = recorded(out)
+    draws = {(Path(one["clean"]).parent.name, Path(one["path"]).name, draw_of(one)) for one in frames}
+    assert len(draws) == len({draw for *_, draw in draws}) == 3 * 2  # one a clip and copy, and no two alike
+    splits = {(row.scene.split("-moment-")[0], row.split) for row in manifest.records}
+    assert sorted(split for _, split in splits) == ["test", "train", "train"]
+    folder = out / "data" / "out"
+    windows = ClipWindows(Files(folder, manifest.records), manifest.records, (), folder, window=4, clip="none")
+    assert len(windows) == 6
+    order = {one["path"]: int(Path(one["clean"]).stem) for one in frames}
+    assert all([order[path] for path in record.paths] == [8, 9, 10, 11] for record in windows.records)
+    for item in windows:
+        noise = (item["input"] - item["target"]).reshape(4, -1).numpy()
+        # Of noise that is drawn afresh the correlation is 0 to 1 / sqrt(9216); rows' and the bias's are a part of it.
+        between = np.corrcoef(noise - noise.mean(axis=1, keepdims=True))
+        assert np.abs(between[np.triu_indices(4, 1)]).max() < 0.3
+        assert noise.std() > 0
+    again = tmp_path / "again" / "out"
+    again.parent.mkdir()
+    synthesize(clean, again, Recipe(SONY, per_image=2, clips=True, split=(2, 1), seed=5), workers=2)
+    assert everything(out) == everything(again)
+
+
+def test_clips_are_scored_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    clean, out = write_clips(tmp_path / "clean", 2, 3), tmp_path / "out"
+    command = ["synthesize", str(clean), "-o", str(out), "--camera", "SonyA7S2", "--jobs", "1"]
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert "--clips" in said
+    assert "--no-clips" in said
+    assert str(clean) in said
+    assert not out.exists()
+    assert main([*command, "--clips", "--split", "95:5"]) == 2  # of two clips none is left to test on
+    assert "95:5" in capsys.readouterr().err
+    assert main([*command, "--clips", "--split", "1:1"]) == 0
+    root = ["--manifest", str(out / "manifests" / "out.csv"), "--root", str(out / "data"), "--jobs", "1"]
+    assert main(["evaluate", "--baseline", "input", *root, "--json", str(tmp_path / "r.json")]) == 0
+    videos = json.loads((tmp_path / "r.json").read_text())["videos"]
+    assert [len(video["frame_scores"]) for video in videos] == [3, 3]
+    assert main([*command[:3], str(tmp_path / "stills"), *command[4:], "--no-clips"]) == 0
+    assert len({draw_of(frame) for frame in recorded(tmp_path / "stills")}) == 6
+
+
+def test_a_frame_of_another_clip_is_named(tmp_path: Path) -> None:
+    clean = write_clips(tmp_path / "clean", 2, 3)
+    write_flat(clean / "001" / "9.dng")
+    with pytest.raises(DatasetError, match=r"9\.dng: width 256, .*8\.dng has 96"):
+        synthesize(clean, tmp_path / "out", Recipe(SONY, clips=True))
+
+
+def test_a_split_is_of_whole_scenes_or_clips_and_follows_the_seed() -> None:
+    drawn = [draw_splits(seed, (95, 5), 100) for seed in (0, 0, 1)]
+    assert [one.count("test") for one in drawn] == [5, 5, 5]
+    assert drawn[0] == drawn[1] != drawn[2]
+    for shares in ((0, 5), (95, -5), (float("nan"), 1)):
+        with pytest.raises(ArgumentError, match="split"):
+            draw_splits(0, shares, 100)

@@ -1,0 +1,174 @@
+"""crops="grid": each crop of a non-overlapping grid once an epoch, of any source, by any number of processes."""
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+
+from eldata import DRVDataset, PackedStore, SyntheticClips, SyntheticPairs
+from eldata.datasets import Arrays, CleanClips, Noise2Noise, PairDataset, Rank, set_epoch, training_loader
+from eldata.datasets.base import SIDES
+from eldata.errors import ArgumentError, DatasetError
+from eldata.manifest import shipped_manifest
+from eldata.raw.cfa import XTRANS_CFA, packed_area
+from eldata.raw.levels import pack_normalised
+from eldata.sources.frames import Frame
+from tests.drv_tree import small_drv
+from tests.raw.helpers import BAYER, CFAS, layout_of, levels_of, random_mosaic
+from tests.sid_tree import build_small_tree
+from tests.sources.store.helpers import pack_tree
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from tests.raw.helpers import Cfa
+    from tests.trees import Tree
+
+
+class Mosaics:
+    """A source of given mosaics, black 0, white 65535."""
+
+    reads_parts = True
+
+    def __init__(self, mosaics: list[NDArray[Any]], cfa: Cfa) -> None:
+        self.mosaics, self.cfa = mosaics, cfa
+
+    def __len__(self) -> int:
+        return len(self.mosaics)
+
+    def frame(self, index: int) -> Frame:
+        return Frame(self.mosaics[index], self.cfa, (0.0,) * levels_of(self.cfa), 65535.0, f"mosaic {index}")
+
+
+@pytest.fixture(scope="module")
+def store(pristine: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return pack_tree(pristine, tmp_path_factory.mktemp("grid") / "eld.h5").store
+
+
+def grid(source: Any, **options: Any) -> SyntheticPairs:
+    chosen: dict[str, Any] = {"crop": 4, "crops": "grid"} | options
+    return SyntheticPairs(source, "SonyA7S2", **chosen)
+
+
+@pytest.mark.parametrize("name", [*BAYER, "xtrans-42", "quad-31", "nona-00"])
+def test_the_crops_are_the_frames_blocks_row_by_row(name: str) -> None:
+    """Blocks of the packed frames by numpy alone; frames of two sizes, with rest at the bottom and the right."""
+    cfa = CFAS[name]
+    mosaics = [random_mosaic(61, 75, seed=1), random_mosaic(73, 50, seed=2)]
+    blocks = []
+    for mosaic in mosaics:
+        whole = pack_normalised(mosaic, cfa, (0.0,) * levels_of(cfa), 65535.0)
+        rows, columns = (side // 4 for side in whole.shape[1:])
+        cut = whole[:, : 4 * rows, : 4 * columns].reshape(len(whole), rows, 4, columns, 4)
+        blocks += list(cut.transpose(1, 3, 0, 2, 4).reshape(-1, len(whole), 4, 4))
+    dataset = grid(Mosaics(mosaics, cfa), augment=False)
+    assert len(dataset) == len(blocks)
+    for item, block in zip(dataset, blocks, strict=True):
+        np.testing.assert_array_equal(item["target"].numpy(), block)
+
+
+@pytest.mark.parametrize("name", ["RGGB", "xtrans-00"])
+def test_turned_crops_reach_at_most_a_period_into_the_next(name: str) -> None:
+    """Of a mosaic whose values say where they stand; 20 epochs: a crop keeps one orientation with probability 8^-19."""
+    cfa, width = CFAS[name], 88
+    scale, period = layout_of(cfa)[2], len(cfa)
+    side = 4 * scale
+    dataset = grid(Mosaics([np.arange(70 * width, dtype=np.uint16).reshape(70, width)], cfa))
+    area = packed_area((70, width), cfa)
+    columns = (area.width - period) // side
+    assert len(dataset) == (area.height - period) // side * columns > columns
+    turned = set()
+    for epoch in range(20):
+        dataset.set_epoch(epoch)
+        for index, item in enumerate(dataset):
+            places = np.rint(item["target"].numpy().astype(np.float64) * 65535).astype(int)
+            rows, lefts = np.divmod(places, width)
+            row, column = divmod(index, columns)
+            for found, first in ((rows, area.top + side * row), (lefts, area.left + side * column)):
+                assert first <= found.min() <= first + period
+                assert found.max() - found.min() == side - 1
+            if index == 0:
+                turned.add((rows[0, 0, 0] < rows[0, 1, 0], lefts[0, 0, 0] < lefts[0, 0, 1]))
+    assert len(turned) > 1
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_each_crop_comes_once_over_all_ranks(workers: int, store: Path) -> None:
+    """And is the same by however many ranks and workers: (seed, epoch, index) decide it."""
+    dataset = PackedStore(store, crop=12, crops="grid", seed=3)
+    dataset.set_epoch(2)
+    wanted = sorted(item["input"].numpy().tobytes() for item in dataset)
+    loaders = [training_loader(dataset, 1, seed=1, rank=Rank(number, 2), workers=workers) for number in range(2)]
+    for loader in loaders:
+        set_epoch(loader, 2)
+    found = [batch["input"][0].numpy().tobytes() for batch in chain(*loaders)]
+    assert len(wanted) == len(set(wanted)) == len(dataset) > 24
+    assert sorted(found) == wanted
+
+
+def test_a_store_gives_the_crops_of_the_files(store: Path, pristine: Tree) -> None:
+    options: dict[str, Any] = {"crop": 10, "augment": True, "crops": "grid", "seed": 1, "ratios": (100,)}
+    stored, raw = PackedStore(store, **options), PairDataset(pristine.data, pristine.csv, **options)
+    assert len(stored) == len(raw) > len(raw.records)
+    for index in (0, 5, len(raw) - 1):
+        for side in SIDES:
+            assert torch.equal(stored[index][side], raw[index][side])
+    assert "crops='grid'" in repr(stored)
+    assert "crops=" not in repr(PackedStore(store))
+
+
+def test_two_noisy_frames_have_one_place(tmp_path: Path) -> None:
+    tree = build_small_tree("sid-sony", tmp_path / "sid", ["10003"])
+    pairs = PackedStore(pack_tree(tree, tmp_path / "sid.h5").store, crop=8, crops="grid", augment=False)
+    noisy = Noise2Noise(pairs)
+    each = len(pairs) // len(pairs.records)
+    assert len(noisy) % each == 0
+    assert each > 1
+    places = {(item.pair.record.path, str(item.crop.slices)) for item in map(noisy.item, range(len(noisy)))}
+    assert len(places) == len(noisy)
+    item = noisy.item(each + 1)
+    assert str(item.crop.slices) in {str(pairs.item(index).crop.slices) for index in range(len(pairs))}
+
+
+def test_windows_of_clips_have_a_grid_each(tmp_path: Path) -> None:
+    clips = CleanClips([Arrays(np.full((6, 4, 21, 33), 0.2, np.float32), range_dn=1e4)] * 2)
+    made = SyntheticClips(clips, "SonyA7S2", crop=8, crops="grid", frames=5)
+    assert [made[index]["clip"] for index in range(len(made))] == [0] * 8 + [1] * 8
+    drv = small_drv(tmp_path, ("0007", "0013"), 10)
+    read = DRVDataset(drv.data, ids=["0007", "0013"], crop=8, crops="grid")
+    whole = DRVDataset(drv.data, ids=["0007", "0013"])
+    height, width = whole[0]["input"].shape[-2:]
+    each = (height // 8) * (width // 8)
+    assert len(read) == each * len(whole) > len(whole)
+    second = slice(8, 16)
+    assert torch.equal(read[each + 1]["input"], whole[1]["input"][..., :8, second])
+
+
+def test_what_cannot_be_a_grid_is_refused() -> None:
+    source = Arrays(np.full((2, 4, 16, 16), 0.5, np.float32), range_dn=1000.0)
+    for options in ({"crop": None}, {"crops_per_frame": 2}):
+        with pytest.raises(ArgumentError, match="crops='grid'"):
+            grid(source, **options)
+    with pytest.raises(ArgumentError, match="crops must be"):
+        grid(source, crops="tiles")
+    with pytest.raises(DatasetError, match="take a smaller crop"):
+        grid(source, crop=16)  # turning takes a period more
+    assert len(grid(source, crop=16, augment=False)) == 2
+    with pytest.raises(ArgumentError, match="even for X-Trans"):
+        grid(Mosaics([random_mosaic(60, 60, seed=1)], XTRANS_CFA), crop=5)
+
+
+def test_the_papers_schedule_has_257600_steps() -> None:
+    """Batches of 1, 200 epochs, of the clean frames that SID's Sony training set has, 2848 x 4256 pixels each."""
+    rows = shipped_manifest("sid-sony").records
+    clean = {row.path for row in rows if row.split == "train" and row.role == "reference"}
+    assert len(clean) == 161
+    frame = np.broadcast_to(np.uint16(0), (2848, 4256))
+    dataset = grid(Mosaics([frame] * len(clean), BAYER["RGGB"]), crop=512)
+    assert len(training_loader(dataset, 1, workers=0)) * 200 == 161 * 8 * 200 == 257_600

@@ -119,6 +119,7 @@ def run_show(arguments: argparse.Namespace) -> int:
     diagnostics = diagnose(profile, parameters, spec=arguments.model, seed=arguments.seed)
 
     low, high = profile.gain_range_dn_per_e
+    frames = [total] if (total := sum(len(row.frame_bias_dn) for row in profile.rows)) else []
     facts = [
         ("source", one_line(profile.source)),
         ("gain", f"{low:.4g} to {high:.4g} DN/e-"),
@@ -129,6 +130,7 @@ def run_show(arguments: argparse.Namespace) -> int:
             for name, level in (("black", profile.black_level_dn), ("white", profile.white_level_dn))
             if level is not None
         ),
+        *(("frames", f"colour biases of {n} bias frames, of which a draw takes one") for n in frames),
         *(("accepted", f" {one_line(one)}, with a larger error") for one in profile.accepted),
         *(("note", one_line(note)) for note in profile.notes),
     ]

@@ -6,9 +6,9 @@ A gain mode is a range in which a camera keeps its conversion gain.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from eldata.noise.parameters import NoiseParameters
 
@@ -87,7 +87,8 @@ class ProfileRow:
     """What was measured at one ISO; ``None`` is not known.
 
     ``tukey_lambda`` and ``colour_bias_dn`` (R, G1, B, G2) belong together; ``r_squared_tl`` and ``r_squared_gauss`` are
-    the probability plots' coefficients of determination.
+    the probability plots' coefficients of determination. ``frame_bias_dn`` has each bias frame's own colour bias, whose
+    mean is ``colour_bias_dn``: the empirical distribution of section 3.2.1 of the paper; empty where it is not known.
     """
 
     tukey_lambda: float
@@ -99,6 +100,17 @@ class ProfileRow:
     sigma_row_dn: float | None = None
     r_squared_tl: float | None = None
     r_squared_gauss: float | None = None
+    frame_bias_dn: tuple[tuple[float, float, float, float], ...] = ()
+
+    def bias_at_share(self, share: float) -> tuple[float, float, float, float]:
+        """Return the colour bias of the frame below which a share of them lies; where none is known, their mean."""
+        if not self.frame_bias_dn:
+            return self.colour_bias_dn
+        return self.frame_bias_dn[int(share * len(self.frame_bias_dn))]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields as plain types, without frames where none is known."""
+        return {name: value for name, value in asdict(self).items() if value or name != "frame_bias_dn"}
 
     def parameters(self, range_dn: float | None, structure: NoiseStructure | None) -> NoiseParameters | None:
         """Return the figures as a draw, ``None`` unless K and all scales are known."""

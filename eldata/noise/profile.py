@@ -156,7 +156,8 @@ class CameraProfile:
         """Return the profile as its file holds it, as plain types: with modes, or with fits of its own."""
         empty = (name for name in ("structure", "accepted") if not getattr(self, name))
         left_out = (*(OF_ONE_MODE if self.modes else ("modes",)), *empty)
-        return {name: value for name, value in asdict(self).items() if name not in left_out}
+        found = {name: value for name, value in asdict(self).items() if name not in left_out}
+        return found | {"rows": tuple(row.as_dict() for row in self.rows)}
 
     def plot(self, sigma: Sigma | None = None, *, ax: Axes | None = None) -> Figure:
         """Draw the lines of ln sigma over ln K with bands of one and two residual deviations, and the measured rows.
@@ -351,8 +352,9 @@ class CameraProfile:
         """Draw parameters jointly (equation 12 of the paper).
 
         ln K is uniform between the camera's own limits; ln sigma is normal around its line given ln K; lambda and
-        colour bias come from one and the same calibration row. Of several gain modes, ln K is uniform over their ranges
-        together, and lines and rows are those of the mode in which K lies.
+        colour bias come from one and the same calibration row, the bias from one of its frames if it has them. Section
+        3.2.2 of the paper takes both from their empirical distribution and leaves open whether together. Of several
+        gain modes, ln K is uniform over their ranges together; lines and rows are those of the mode in which K lies.
 
         Parameters
         ----------
@@ -399,14 +401,16 @@ class CameraProfile:
                 raise ArgumentError(f"no row of {self.camera}'s profile has a gain; row='nearest-gain' needs one")
         elif row != "any":
             raise ArgumentError(f"row must be 'any', 'nearest-gain' or 'measured'; found {row!r}")
-        chosen = rows[min(int(u_row * len(rows)), len(rows) - 1)]
+        # What u_row says beyond the row is uniform too: it chooses the frame, and no other draw moves.
+        place = u_row * len(rows)
+        chosen = rows[min(int(place), len(rows) - 1)]
         return NoiseParameters(
             gain_dn_per_e=gain,
             tukey_lambda=chosen.tukey_lambda,
             sigma_tl_dn=mode.tukey_lambda_fit.scale_dn(gain, z_tl),
             sigma_gauss_dn=mode.gauss_fit.scale_dn(gain, z_gauss),
             sigma_row_dn=mode.row_fit.scale_dn(gain, z_row),
-            colour_bias_dn=chosen.colour_bias_dn,
+            colour_bias_dn=chosen.bias_at_share(place % 1),
             range_dn=self.range_dn,
             iso=iso,
             structure=self._structure_at(gain),

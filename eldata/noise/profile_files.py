@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.fields import Fields, TextFile, names_of
@@ -21,6 +22,8 @@ _SCHEMA = 1
 _SCHEMA_WITH_MODES = 2
 _SCHEMA_WITH_STRUCTURE = 3  # with modes or without
 OF_ONE_MODE = ("tukey_lambda_fit", "gauss_fit", "row_fit")  # fields that a profile with modes leaves to them
+_FRAMES = "a list of four numbers (R, G1, B, G2) for each bias frame"
+_MEAN_DN = 0.001  # by rounding of either
 _FOLDER = Path(__file__).parent / "profiles"
 
 
@@ -122,18 +125,25 @@ def _fit(fit: Fields) -> LogLogFit:
     return LogLogFit(fit.number("slope"), fit.number("intercept"), fit.number("sigma", at_least=0))
 
 
+def _bias(holder: Fields, name: str) -> tuple[float, float, float, float]:
+    red, green, blue, second_green = holder.each(name, Fields.number, count=4, expected="four numbers (R, G1, B, G2)")
+    return red, green, blue, second_green
+
+
 def _row(row: Fields) -> ProfileRow:
     row.only(names_of(ProfileRow))
-    red, green, blue, second_green = row.each(
-        "colour_bias_dn", Fields.number, count=4, expected="four numbers (R, G1, B, G2)"
-    )
+    bias, frames = _bias(row, "colour_bias_dn"), row.each("frame_bias_dn", _bias, missing_ok=True, expected=_FRAMES)
+    means = [fmean(of_channel) for of_channel in zip(*frames, strict=True)] or bias
+    if any(abs(mean - stated) > _MEAN_DN for mean, stated in zip(means, bias, strict=True)):
+        raise row.wrong("frame_bias_dn", f"frames whose mean is colour_bias_dn to {_MEAN_DN} DN", [*map(list, frames)])
     shape = row.number("tukey_lambda")
     problem = shape_problem(shape)
     if problem is not None:
         raise row.wrong("tukey_lambda", f"a number {problem}", shape)
     return ProfileRow(
         tukey_lambda=shape,
-        colour_bias_dn=(red, green, blue, second_green),
+        colour_bias_dn=bias,
+        frame_bias_dn=frames,
         **{name: row.optional(name, row.number, above=0) for name in ("iso", "gain_dn_per_e")},
         **{
             name: row.optional(name, row.number, at_least=0)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import numpy as np
+
 from eldata.base.numbers import counted
 from eldata.calibration.audit.structure import COLUMN, DUTY, JUMP, PRNU, SHARE
 from eldata.plots.axes import MARKERS, bars, legend_above
@@ -20,11 +22,13 @@ if TYPE_CHECKING:
 
     from eldata.calibration.audit.structure import MeasuredStructure, StructureFigure
     from eldata.calibration.core.findings import GivenFigure
-    from eldata.calibration.iso_results import IsoGain
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain
     from eldata.calibration.results import Calibration, ScalePanel
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 
+_BIN_DN = 0.5  # as in the paper
+_LINES = ("-", "--", "-.", ":")  # one per channel
 _CHANNEL_STEP = 0.07  # of ln ISO: side by side, where the channels' values are alike
 
 Point: TypeAlias = "tuple[float, float, float]"
@@ -44,7 +48,9 @@ def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
     if shapes:
         found.append(_lambda_plot(shapes, _left_out(isos, "read noise")))
     if biases:
-        found.append(_bias_plot(isos[0].channels, biases, _left_out(isos, "colour bias")))
+        more = _left_out(isos, "colour bias")
+        found.append(_bias_plot(isos[0].channels, biases, more))
+        found.append(_frames_plot([one for one in isos if one.colour_bias is not None], more))
     return (*found, *_structure_plots(calibration))
 
 
@@ -158,6 +164,28 @@ def _bias_plot(names: Sequence[str], given: Sequence[tuple[float, Sequence[Given
         legend_above(axes)
 
     return _plot_by_iso("biases", isos, alt, draw, more=more)
+
+
+def _frames_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
+    """Draw the histogram of the frames' own colour biases (figure 4 of the paper); each ISO weighs alike."""
+    values = np.concatenate([one.bias.frame_bias_dn for one in isos])
+    weights = np.concatenate([np.full(one.bias.frames, 1 / one.bias.frames) for one in isos])
+    low, high = math.floor(values.min() / _BIN_DN), math.floor(values.max() / _BIN_DN) + 1
+    alt = (
+        f"Histogram of the colour biases of {len(values)} bias frames at {counted(len(isos), 'ISO')}, by channel, from "
+        f"{digits(values.min())} to {digits(values.max())} DN."
+    )
+
+    def draw(axes: Axes, theme: Theme) -> None:
+        edges = [place * _BIN_DN for place in range(low, high + 1)]
+        for channel, name in enumerate(isos[0].channels):
+            style: dict[str, Any] = {"color": theme.channels[channel], "linestyle": _LINES[channel], "label": name}
+            axes.hist(values[:, channel], edges, weights=weights, density=True, histtype="step", **style)
+        axes.set_xlabel("colour bias of a frame [DN]")
+        axes.set_ylabel("density [1/DN]")
+        legend_above(axes)
+
+    return draw_plot("calibration", "frames", alt, draw, more=more)
 
 
 # --- what the noise of pixels has in common -----------------------------------------------------------------------

@@ -296,6 +296,9 @@ def _draw_bias_rows(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
         beside = [place * math.exp((channel - 1.5) * step) for place in places]
         style: dict[str, Any] = {"marker": MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
         axes.plot(beside, [row.colour_bias_dn[channel] for row in diagnostics.profile.rows], label=name, **style)
+        for place, row in zip(beside, diagnostics.profile.rows, strict=True):
+            frames = [of_frame[channel] for of_frame in row.frame_bias_dn]
+            axes.plot([place] * len(frames), frames, markersize=2, alpha=0.4, **style)
     axes.axhline(0, color=theme.theory, linewidth=1)
     axes.set_ylabel("colour bias [DN]")
     axes.legend(loc="best", ncols=2)

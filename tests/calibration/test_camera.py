@@ -253,7 +253,9 @@ def test_fewer_than_three_isos(isos: tuple[int, ...], found: Calibration, tmp_pa
         sampled = profile.sample(np.random.default_rng(3), iso=one.iso, row="nearest-gain")
         for name in ("gain_dn_per_e", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
             assert getattr(sampled, name) == pytest.approx(getattr(one.parameters, name), rel=1e-12)
-        assert sampled.colour_bias_dn == one.parameters.colour_bias_dn
+        (frames,) = (row.frame_bias_dn for row in profile.rows if row.iso == one.iso)
+        assert sampled.colour_bias_dn in frames
+        assert profile.measured(one.iso).colour_bias_dn == one.parameters.colour_bias_dn
 
 
 def test_an_iso_without_flats(found: Calibration, tree: FrameTree) -> None:

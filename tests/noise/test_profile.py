@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import hashlib
 import json
 import math
 import pickle
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.noise.parameters import Generator
+    from eldata.noise.profile import RowChoice
 
 CAMERAS = ("CanonEOS5D4", "CanonEOS700D", "CanonEOS70D", "NikonD850", "NikonD850-2", "SonyA7S2")
 FITS = ("tukey_lambda_fit", "gauss_fit", "row_fit")
@@ -47,6 +49,14 @@ FULL = CameraProfile(
     black_level_dn=512.0,
     white_level_dn=16383.0,
     notes=("first note", "zweite Notiz: größer"),
+)
+
+WITH_FRAMES = dataclasses.replace(
+    FULL,
+    rows=(
+        dataclasses.replace(FULL.rows[0], frame_bias_dn=((0.0, 1.5, 3.25, 4.0), (2.0, 2.5, 2.75, 4.0))),
+        dataclasses.replace(FULL.rows[1], frame_bias_dn=tuple((float(n), 0.1, 0.2, 0.3) for n in (-4, -1, 2))),
+    ),
 )
 
 
@@ -106,6 +116,17 @@ def test_an_unknown_name_lists_the_known_ones(name: str) -> None:
     assert all(camera in str(caught.value) for camera in CAMERAS)
 
 
+def test_draws_of_shipped_profiles_are_frozen() -> None:
+    """To nine digits, as they were before rows could hold the bias of each frame."""
+    digest = hashlib.sha256()
+    for name in shipped_profiles():
+        for row in ("any", "nearest-gain"):
+            for generator in (np.random.default_rng(3), torch.Generator().manual_seed(3)):
+                drawn = CameraProfile.load(name).sample(generator, row=row).as_dict()
+                digest.update(" ".join(f"{value:.9g}" for value in np.hstack(list(drawn.values()))).encode())
+    assert digest.hexdigest()[:16] == "6623d5b2d4f3edb0"
+
+
 # --- files ----------------------------------------------------------------------------------------------------------
 
 
@@ -123,8 +144,9 @@ def test_a_shipped_profile_saved_and_loaded(name: str, tmp_path: Path) -> None:
         FULL,
         dataclasses.replace(FULL, iso_range=None, black_level_dn=None, white_level_dn=None, notes=()),
         dataclasses.replace(FULL, rows=FULL.rows[1:], gain_range_dn_per_e=(0.1 + 0.2, 1e300)),
+        WITH_FRAMES,
     ],
-    ids=["full", "least", "odd numbers"],
+    ids=["full", "least", "odd numbers", "frames"],
 )
 def test_every_field_survives_a_file(profile: CameraProfile, tmp_path: Path) -> None:
     path = tmp_path / "deep.json"
@@ -170,7 +192,7 @@ MISSING = object()
 
 
 def changed(keys: tuple[str | int, ...], value: object) -> dict[str, Any]:
-    data = copy.deepcopy(as_json(FULL))
+    data = copy.deepcopy(as_json(WITH_FRAMES if "frame_bias_dn" in keys else FULL))
     inner: Any = data
     for key in keys[:-1]:
         inner = inner[key]
@@ -237,6 +259,9 @@ WRONG: list[tuple[tuple[str | int, ...], object]] = [
     (("extra",), 1),
     (("gauss_fit", "extra"), 1),
     (("rows", 1, "extra"), 1),
+    *((("rows", 0, "frame_bias_dn"), value) for value in any_of(None, 1.0, {}, "all", [[1.0, 2.0, 3.0, 4.002]])),
+    *((("rows", 0, "frame_bias_dn", 1), value) for value in any_of(None, 2.0, [2.0, 2.5, 2.75], [1, 2, 3, 4, 5])),
+    *((("rows", 0, "frame_bias_dn", 1, 2), value) for value in any_of(None, "a", math.nan)),
     # Whole numbers without an end.
     (("gauss_fit", "slope"), 10**400),
     # What no draw accepts.
@@ -401,6 +426,26 @@ def test_rows_without_a_gain_are_near_to_nothing() -> None:
         assert FULL.sample(generator, row="nearest-gain").tukey_lambda == 0.1
     with pytest.raises(ArgumentError, match=r"no row of Acme Nocturne 1's profile has a gain"):
         dataclasses.replace(FULL, rows=FULL.rows[1:]).sample(generator, row="nearest-gain")
+
+
+@pytest.mark.parametrize("row", ["any", "nearest-gain"])
+@pytest.mark.parametrize("make", [np.random.default_rng, lambda seed: torch.Generator().manual_seed(seed)])
+def test_a_frame_of_the_drawn_row_gives_the_colour_bias(make: Callable[[int], Generator], row: RowChoice) -> None:
+    """3000 draws, chi-square over all frames of both rows; all else is drawn as without frames."""
+    generator, same = make(23), make(23)
+    counts: dict[tuple[float, ...], int] = {}
+    for _ in range(3000):
+        draw, without = WITH_FRAMES.sample(generator, row=row), FULL.sample(same, row=row)
+        (drawn_row,) = (one for one in WITH_FRAMES.rows if one.colour_bias_dn == without.colour_bias_dn)
+        assert draw.colour_bias_dn in drawn_row.frame_bias_dn
+        assert dataclasses.replace(draw, colour_bias_dn=without.colour_bias_dn) == without
+        counts[draw.colour_bias_dn] = counts.get(draw.colour_bias_dn, 0) + 1
+    chances = [1 / len(one.frame_bias_dn) for one in WITH_FRAMES.rows for _ in one.frame_bias_dn]
+    frames = [frame for one in WITH_FRAMES.rows for frame in one.frame_bias_dn]
+    shares = np.array(chances) / 2 if row == "any" else np.array([0.5, 0.5])  # the second row has no gain
+    observed = [counts[frame] for frame in frames if frame in counts]
+    assert stats.chisquare(observed, 3000 * shares).pvalue > LEAST_P_VALUE
+    assert WITH_FRAMES.measured(100) == FULL.measured(100)
 
 
 def numpy_generator(seed: int) -> np.random.Generator:

@@ -174,7 +174,7 @@ def test_hostile_text_stays_text(which: str, count: int, request: pytest.Fixture
     assert not any(HOSTILE in value for _, attributes in checker.elements for value in attributes.values())
 
 
-@pytest.mark.parametrize(("which", "count"), [("page", 6 + 3 * (DRAWINGS + PICTURES)), ("profile", 9)])
+@pytest.mark.parametrize(("which", "count"), [("page", 7 + 3 * (DRAWINGS + PICTURES)), ("profile", 9)])
 def test_images_have_words_are_sound_and_drawn_for_both_themes(
     which: str, count: int, request: pytest.FixtureRequest
 ) -> None:

@@ -5,6 +5,7 @@
     python examples/train_denoiser.py run --clean clean.h5 --profile SonyA7S2        # the noise model
     python examples/train_denoiser.py run --clean clean.h5 --profile SonyA7S2 --noise P+G --iso 800 1600 3200
     python examples/train_denoiser.py run --pairs sid-train.h5 --clean clean.h5 --profile SonyA7S2   # both, mixed
+    python examples/train_denoiser.py run --pairs sid-train.h5 --task raw2rgb        # to sRGB; rgb2rgb: from sRGB
 
 Stores are made by `eldata pack`; --pairs takes the address of shards too, --clean a folder of raws. The folder `run`
 gets checkpoint.pt, from which the same command goes on to the bit, and at the end model.pt2 and weights.pt. With
@@ -13,8 +14,8 @@ gets checkpoint.pt, from which the same command goes on to the bit, and at the e
     torchrun --nproc-per-node 4 examples/train_denoiser.py run ... --device cuda --precision bfloat16
 
 The network gets (N, C, h, w) float32: packed, black 0, white 1 as --levels has it, amplified by the ratio and clipped
-as --input-clip says, in training and in validation alike. Put your network in the place of UNet, your loss in that of
-absolute_error.
+as --input-clip says, in training and in validation alike; of rgb2rgb, (N, 3, h, w), that rendered in 8 bits
+(docs/srgb.md). Put your network in the place of UNet, your loss in that of absolute_error.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from eldata.base.arguments import named_object
 from eldata.base.files import atomic_write
 from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
 from eldata.datasets import CleanFrames, DarkFrames, Noise2Noise, describe, evaluation_loader, training_loader
+from eldata.datasets.rgb import raw2rgb, rgb2rgb
 from eldata.noise import NoiseModel
 
 if TYPE_CHECKING:
@@ -50,8 +52,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     data = training_data(options)
     loader = training_loader(data, options.batch_size, seed=options.seed, device=device, workers=options.workers)
     sample = next(iter(data))
-    channels = sample["input"].shape[0]
-    network = UNet(channels, width=options.width, depth=options.depth, seed=options.seed)
+    channels, made = sample["input"].shape[0], sample["target"].shape[0]
+    network = UNet(made, inputs=channels, width=options.width, depth=options.depth, seed=options.seed)
     training = Training(
         network,
         loader,
@@ -95,7 +97,18 @@ def training_data(options: argparse.Namespace) -> Dataset[Any]:
         parts.append(synthetic_pairs(options, crops))
     if not parts:
         arguments().error("give --pairs, --clean with --profile, or both")
+    if options.task != "raw2raw" and (options.noise2noise or any(isinstance(part, StreamedPairs) for part in parts)):
+        arguments().error(f"--task {options.task} takes stores or clean frames: not shards, nor --noise2noise")
+    parts = [SIDES_OF[options.task](part) for part in parts]
     return parts[0] if len(parts) == 1 else ConcatDataset([Sides(part) for part in parts])
+
+
+SIDES_OF: dict[str, Callable[[Dataset[Any]], Dataset[Any]]] = {
+    "raw2raw": lambda pairs: pairs,
+    "raw2rgb": raw2rgb,
+    "rgb2rgb": rgb2rgb,
+}
+"""What becomes of pairs of packed raw, by the task."""
 
 
 def real_pairs(place: str, is_noise2noise: bool, choice: dict[str, Any]) -> Dataset[Any]:
@@ -190,8 +203,9 @@ def score(network: UNet, options: argparse.Namespace, device: torch.device) -> d
     """Return the protocol's PSNR and SSIM over the validation pairs: the numbers of `eldata evaluate`."""
     from eldata.integrations.torchmetrics import ProtocolScore
 
-    pairs = ELDDataset(options.validate, manifest=options.manifest, clip=options.input_clip, levels=options.levels)
-    metric = ProtocolScore(options.protocol)
+    raw = ELDDataset(options.validate, manifest=options.manifest, clip=options.input_clip, levels=options.levels)
+    pairs = SIDES_OF[options.task](raw)
+    metric = ProtocolScore(options.protocol or ("eld" if options.task == "raw2raw" else f"eld-{options.task}"))
     network.eval()
 
     def predicted(image: Any) -> Any:
@@ -249,12 +263,13 @@ def arguments() -> argparse.ArgumentParser:
         type=int,
         help="so many at random in an epoch (default: the paper's, each of a grid once; of shards one of each tile)",
     )
+    data.add_argument("--task", choices=tuple(SIDES_OF), default="raw2raw", help="(default: %(default)s)")
     how = add_shared(parser, data)
     how.add_argument("--depth", type=int, default=4, help="how often it halves the image (default: %(default)s)")
     check = parser.add_argument_group("validation")
     check.add_argument("--validate", type=Path, metavar="ROOT", help="ELD's folder, or that of a set in its layout")
     check.add_argument("--manifest", default="eld", help="(default: %(default)s)")
-    check.add_argument("--protocol", default="eld", help="(default: %(default)s)")
+    check.add_argument("--protocol", help="(default: eld; of a task to sRGB eld-raw2rgb or eld-rgb2rgb)")
     check.add_argument("--validate-every", type=int, default=10, metavar="EPOCHS", help="(default: %(default)s)")
     return parser
 

@@ -13,7 +13,7 @@ from eldata.base.files import inside
 from eldata.base.png import rgb_frame
 from eldata.baselines.exported import checked_window
 from eldata.errors import DatasetError
-from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame
+from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame, rendered_frame
 from eldata.evaluation.pairs import amplified_by, iso_of, reference_of
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.raw.reading import exposure_ratio, read_header, read_raw
@@ -39,12 +39,13 @@ class NoisyFrame:
     Attributes
     ----------
     image
-        (C, h, w) float32, packed, normalised with the protocol's levels, times the ratio; of preprocessed RGB frames
-        R, G, B as they are.
+        (C, h, w) float32, packed, normalised with the protocol's levels, times the ratio; where the protocol has inputs
+        in sRGB, (3, h, w), that rendered in 8 bits with its file's colours; of preprocessed RGB frames R, G, B as they
+        are.
     ratio
         That it was multiplied by.
     range_dn
-        White less black level; nan of RGB.
+        White less black level; nan of sRGB and RGB.
     pair
         Of the manifest: a pair of frames, or a window of a clip.
     path
@@ -110,6 +111,9 @@ class NoisyFrames:
         image = normalised_frame(taken, self.protocol.levels, clip=self.clip_range, gain=ratio)
         black, white = levels_dn(frame, self.protocol.levels)
         iso = iso_of(pair) or float(frame.exposure.iso or 0)
+        if self.protocol.input_space == "srgb":
+            image = rendered_frame(image, frame).astype(np.float32)
+            return NoisyFrame(image, ratio, math.nan, pair, path, iso or None, near)
         return NoisyFrame(image, ratio, white[0] - float(np.mean(black)), pair, path, iso or None, near)
 
     def _window(self, path: str, length: int) -> Values:

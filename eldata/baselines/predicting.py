@@ -30,6 +30,7 @@ from eldata.noise.gain_modes import rows_nearest, rows_of
 from eldata.noise.parameters import NoiseParameters
 from eldata.noise.profile import profile_of
 from eldata.protocols.kinds import IMAGES
+from eldata.protocols.named import protocols_for
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -132,7 +133,7 @@ class BaselineDenoiser:
                     f"{error}. With the camera's noise given (--profile, profiles=...) the frame need not tell it"
                 ) from error
         if math.isnan(frame.range_dn):
-            raise ArgumentError("a profile is of raw frames, and these are preprocessed; leave --profile out")
+            raise ArgumentError("a profile is of raw frames, and these are in RGB; leave --profile out")
         profile = profile_of(frame.pair.camera, self.profiles, another=self.profile_of_another_camera)
         if frame.iso is None:
             raise DatasetError(f"{frame.path}: its ISO is not known, so the profile does not tell its noise")
@@ -237,11 +238,10 @@ def write_predictions(
     wanted: EvaluationOptions = {**options, "baseline": "input"}  # type: ignore[typeddict-item] # checked there
     request = make_request(None, dataset, protocol, wanted)
     (chosen,) = request.protocols
-    if chosen.pixels == "srgb":
-        raise ArgumentError(f"protocol {chosen.name!r} scores renderings, so no raw frames can be predicted for it")
     pairs = plan_scoring(request, chosen).pairs
     cameras = list(dict.fromkeys(pair.camera for pair in pairs))
-    stated = denoiser.settings(cameras, (3,) if chosen.pixels == "rgb" else CHANNELS[request.manifest.card.cfa])
+    has_colours = chosen.pixels == "rgb" or chosen.input_space == "srgb"
+    stated = denoiser.settings(cameras, (3,) if has_colours else CHANNELS[request.manifest.card.cfa])
     frames = stated.get("window", 1)
     if request.kind is IMAGES and frames > 1:
         raise ArgumentError(
@@ -268,6 +268,7 @@ def write_predictions(
         "clip": wanted_clip,
         "dtype": dtype,
         "dark_shading": chosen.dark_shading,
+        **({"input_space": chosen.input_space, "prediction_space": "srgb"} if chosen.pixels == "srgb" else {}),
     }
     with begun(folder, settings):
         every = [_file_of(folder, pair, path) for pair in pairs for path in frames_of(pair)]
@@ -276,7 +277,8 @@ def write_predictions(
                 remove_leftovers(place)
         units = _units(request, pairs, folder)
         missing = [_file_of(folder, unit.pair, path) for unit in units for path in unit.missing]
-        work = _Prediction(denoiser, request.folder, folder, chosen, wanted_clip, dtype, request.dark_shading)
+        others = " or ".join(_of_other_channels(request, chosen))
+        work = _Prediction(denoiser, request.folder, folder, chosen, wanted_clip, dtype, request.dark_shading, others)
         outcomes = request.workers.attempt(work, units, label="denoising", unit=_unit_name(request))
         failed: dict[str, list[str]] = {}
         for one in outcomes:
@@ -300,6 +302,12 @@ def _remarks(settings: dict[str, Any], cameras: Sequence[str]) -> tuple[str, ...
         if without:
             remarks.append(f"the noise of {known} was taken for frames of {', '.join(without)}, another camera")
     return (*remarks, *remarks_on(settings.get(ANSWERS, {})))
+
+
+def _of_other_channels(request: Request, chosen: ScoringProtocol) -> list[str]:
+    """Return the protocols that score in sRGB what this one does not take: raw predictions or those in sRGB."""
+    known = [one for one in protocols_for(request.manifest.name) if one.rendering == "eld-isp"]
+    return [one.name for one in known if one.pixels != chosen.pixels]
 
 
 def _unit_name(request: Request) -> str:
@@ -351,6 +359,7 @@ class _Prediction:
     clip: ClipRange
     dtype: PixelType
     dark_shading: Path | None
+    others: str
 
     def __call__(self, unit: _Unit) -> None:
         pair = unit.pair
@@ -359,13 +368,22 @@ class _Prediction:
         for path in unit.missing:
             frame = frames.frame(path)
             predicted = np.asarray(self.denoiser(frame))
-            if predicted.shape != frame.image.shape:
-                raise DatasetError(
-                    f"the denoiser made {predicted.shape} of a frame of {frame.image.shape}; it has to keep the shape"
-                )
+            self._check_shape(predicted.shape, frame.image.shape)
             unusable = int(np.count_nonzero(~np.isfinite(predicted)))
             if unusable:
                 raise DatasetError(f"the denoiser made {unusable} of {predicted.size} values NaN or infinite")
             if self.dtype == "uint16":
                 predicted = np.rint(np.clip(predicted, 0.0, 1.0) * 65535)
             save_prediction(self.out, place_of(pair, path), predicted.astype(self.dtype))
+
+    def _check_shape(self, made: tuple[int, ...], given: tuple[int, ...]) -> None:
+        """Raise :class:`DatasetError` unless a prediction has the channels of the protocol, and the frame's size."""
+        channels = {True: 3, False: given[0]}
+        is_srgb = self.protocol.pixels == "srgb"
+        if made == (channels[is_srgb], *given[1:]):
+            return
+        advice = "it has to keep the shape"
+        if made == (channels[not is_srgb], *given[1:]):
+            takers = self.others or "none of this set: eldata protocols lists all"
+            advice = f"protocol {self.protocol.name} takes {channels[is_srgb]} channels, and such are for {takers}"
+        raise DatasetError(f"the denoiser made {made} of a frame of {given}; {advice}")

@@ -21,7 +21,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         description=(
             "Run a network over each noisy frame that a protocol scores, of photographs or of clips, and write the "
             "predictions that eldata evaluate reads. The network takes (1, C, h, w) float32, packed, normalised and "
-            "amplified, and returns the same shape; one of clips takes a window (1, T, C, h, w) and returns its middle "
+            "amplified, and returns the same shape, or (1, 3, h, w) under a protocol of Raw2RGB; one of RGB2RGB takes "
+            "and returns (1, 3, h, w) in sRGB; one of clips takes a window (1, T, C, h, w) and returns its middle "
             "frame, and at a clip's ends the frames inside are mirrored. Predictions that are there are kept, so that "
             "interrupted work goes on. A model, whatever its format, is a program that runs with all your rights: give "
             "your own, or one that you trust as such."

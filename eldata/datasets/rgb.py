@@ -88,6 +88,13 @@ class Rendered:
         """Return the image (C, h, w) as sRGB (3, h, w) in [0, 1]."""
         return self.levels(Rendering.of(self.colours(sensors), self.response)(image))
 
+    def __repr__(self) -> str:  # without the places in memory of functions: a training is known by it when it goes on
+        return f"Rendered({_name(self.colours)}, {self.response!r}, {_name(self.levels)})"
+
+
+def _name(function: object) -> str:
+    return getattr(function, "__name__", None) or repr(function)
+
 
 # --- where sensors come from --------------------------------------------------------------------------------------
 
@@ -228,10 +235,7 @@ class StagedPairs(Dataset[dict[str, Any]]):
         choose(epoch)
 
     def __repr__(self) -> str:
-        def name(stage: Stage) -> str:
-            return getattr(stage, "__name__", None) or repr(stage)
-
-        return f"StagedPairs({self.pairs!r}, stage_in={name(self.stage_in)}, stage_out={name(self.stage_out)})"
+        return f"StagedPairs({self.pairs!r}, stage_in={_name(self.stage_in)}, stage_out={_name(self.stage_out)})"
 
 
 def raw2rgb(pairs: Dataset[Any], *, response: Response = PAPER_GAMMA, sensors: SensorsOf | None = None) -> StagedPairs:

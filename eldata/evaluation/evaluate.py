@@ -10,13 +10,13 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, Unpack
 
 from eldata import __version__
-from eldata.errors import ArgumentError, ManifestError, PredictionError
+from eldata.errors import ArgumentError, ManifestError
 from eldata.evaluation.combined import CombinedResult, NotScored
 from eldata.evaluation.diagnosis import suspicions_of
 from eldata.evaluation.layouts import Expected, FoundPredictions, dataset_itself, find_predictions, misplaced
 from eldata.evaluation.pairs import frames_of, place_of
 from eldata.evaluation.planning import known_places, places_elsewhere, plan_scoring, require_pairs
-from eldata.evaluation.predictions import prediction_space
+from eldata.evaluation.predictions import LOOKS, look_of_folder, look_wanted, other_look
 from eldata.evaluation.request import ALL, SETTINGS, EvaluationOptions, Request, make_request, stated_shading
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import EvaluationProblem, short_digest
@@ -165,7 +165,7 @@ def evaluate_all(
     >>> manifest = "eldata-demo/manifests/eld-demo.csv"
     >>> every = evaluate_all(None, manifest=manifest, root="eldata-demo/data", baseline="input")
     >>> [result.protocol.name for result in every.results]
-    ['eld', 'eld-uncorrected', 'led-eld', 'lrd-eld']
+    ['eld', 'eld-uncorrected', 'led-eld', 'lrd-eld', 'eld-srgb', 'eld-raw2rgb']
     """
     return perform(make_request(predictions, dataset, ALL, options))
 
@@ -227,22 +227,16 @@ def _of_one_space(request: Request, plans: Sequence[ScoringPlan]) -> tuple[list[
     """Return the plans that take predictions as they are, raw or renderings, and why not the others."""
     if request.kind is not IMAGES:
         return list(plans), []
-    is_srgb = request.predictions is not None and _are_renderings(request.predictions, plans)
-    what = f"the predictions are {'sRGB' if is_srgb else 'raw'}" if request.predictions else "the input is raw"
-    wanted = "packed raw" if is_srgb else "renderings in sRGB"
-    fit = [plan for plan in plans if (plan.protocol.pixels == "srgb") == is_srgb]
-    return fit, [NotScored(plan.protocol.name, f"scores {wanted}; {what}") for plan in plans if plan not in fit]
-
-
-def _are_renderings(predictions: Path, plans: Sequence[ScoringPlan]) -> bool:
-    """Return whether a folder holds renderings in sRGB, by the first prediction that can be read."""
-    places = dict.fromkeys(pair.path for plan in plans for pair in plan.pairs)
-    for file in find_predictions(predictions, places).files.values():
-        try:
-            return prediction_space(file) == "srgb"
-        except PredictionError:  # it will be among the problems
-            continue
-    return False
+    if request.predictions is None:
+        there, unfit = "the input is raw", [plan for plan in plans if not plan.protocol.is_of_packed]
+    else:
+        places = dict.fromkeys(pair.path for plan in plans for pair in plan.pairs)
+        look = look_of_folder(find_predictions(request.predictions, places), request.manifest.records)
+        there = f"the predictions are {LOOKS[look].removeprefix('renderings in ').removesuffix(' frames')}"
+        unfit = [plan for plan in plans if look_wanted(plan.protocol) != look]
+    wanted = LOOKS | {"raw": "packed raw"}
+    reasons = [NotScored(one.protocol.name, f"scores {wanted[look_wanted(one.protocol)]}; {there}") for one in unfit]
+    return [plan for plan in plans if plan not in unfit], reasons
 
 
 # --- one pass over the files ------------------------------------------------------------------------------------------
@@ -318,7 +312,7 @@ def _found(request: Request, plans: Sequence[ScoringPlan]) -> list[FoundPredicti
     if request.every:  # its plans are of the predictions' space, and share their problems
         return [find(places=wanted, known=known) for wanted in places]
     return [
-        _of_its_space(request.predictions, plan, find(places=wanted, known=known, because=_own_pairs(plan)))
+        _of_its_space(request, request.predictions, plan, find(places=wanted, known=known, because=_own_pairs(plan)))
         for plan, wanted in zip(plans, places, strict=True)
     ]
 
@@ -329,24 +323,12 @@ def _own_pairs(plan: ScoringPlan) -> str:
     return f", and {name} scores this set's own pairs, not its {', '.join(plan.set_aside)}" if plan.set_aside else ""
 
 
-def _of_its_space(folder: Path, plan: ScoringPlan, found: FoundPredictions) -> FoundPredictions:
-    """Return the predictions; if none of them is in the space that the protocol takes, that is their one problem."""
-    wanted = "srgb" if plan.protocol.pixels == "srgb" else "raw"
-    if plan.protocol.kind is not IMAGES or not found.files:
+def _of_its_space(request: Request, folder: Path, plan: ScoringPlan, found: FoundPredictions) -> FoundPredictions:
+    """Return the predictions; if none of them is what the protocol takes, that is their one problem."""
+    if plan.protocol.kind is not IMAGES:
         return found
-    for file in found.files.values():
-        try:
-            if prediction_space(file) == wanted:
-                return found
-        except PredictionError:  # it will be among the problems
-            return found
-    what, there = ("renderings in sRGB", "raw frames")[:: 1 if wanted == "srgb" else -1]
-    first = next(iter(found.files.values())).relative_to(folder)
-    reason = (
-        f"protocol {plan.protocol.name} scores {what}, and these are {there}, such as {first}; give a protocol that "
-        "scores them: eldata protocols lists all"
-    )
-    return FoundPredictions({}, (EvaluationProblem(str(folder), reason),), 0)
+    reason = other_look(plan.protocol, found, request.manifest, folder)
+    return found if reason is None else FoundPredictions({}, (EvaluationProblem(str(folder), reason),), 0)
 
 
 # --- what stands beside a result's numbers ----------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from eldata.base.arguments import named_object
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, ShadingError
 from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch
 from eldata.evaluation.diagnosis.places import Circumstances
-from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame
+from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame, rendered_frame
 from eldata.evaluation.pairs import Pair, amplified_by, ratio_of
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
 from eldata.metrics.registry import OF_FRAMES
@@ -99,6 +99,7 @@ class Reference:
         self._raw = raw
         self._rgb, self._rendered = (read_once(partial(read, path)) for read in (originals.rgb, originals.rendered))
         self._normalised = cache(lambda levels, clip: normalised_frame(raw(), levels, clip=clip))
+        self._shown = cache(lambda levels, clip: rendered_frame(self._normalised(levels, clip), raw()))
 
     @property
     def frame(self) -> RawFrame:
@@ -111,20 +112,17 @@ class Reference:
 
     def white_levels_dn(self, protocol: Protocol) -> tuple[float, float] | None:
         """Return the white level that the file states, and the constant that a protocol has in its place, if any."""
-        if protocol.pixels != "packed" or protocol.levels in ("metadata", "metadata-per-channel"):
+        if not protocol.is_of_packed or protocol.levels in ("metadata", "metadata-per-channel"):
             return None
         sensor = self.frame.sensor
         return sensor.white_level_dn, with_levels(sensor, protocol.frame_levels).white_level_dn
 
     def target(self, protocol: Protocol) -> NDArray[Any]:
         """Return what predictions are compared with, (C, h, w) of the whole frame."""
-        if protocol.pixels == "srgb":
-            return self._rendered()
-        if protocol.pixels == "rgb":
-            return self._rgb()
-        return cast(
-            "NDArray[Any]", self._normalised(_first_equal(self.frame, protocol.levels), protocol.reference_clip)
-        )
+        if not protocol.is_of_packed:
+            return self._rendered() if protocol.pixels == "srgb" else self._rgb()
+        made = self._shown if protocol.pixels == "srgb" else self._normalised
+        return cast("NDArray[Any]", made(_first_equal(self.frame, protocol.levels), protocol.reference_clip))
 
 
 class NoisyInput:
@@ -142,13 +140,12 @@ class NoisyInput:
         self._normalised = cache(lambda levels, clip, gain: normalised_frame(corrected(), levels, clip=clip, gain=gain))
 
     def amplified(self, protocol: Protocol) -> NDArray[Any]:
-        """Return the amplified noisy input as a protocol has it."""
+        """Return the amplified noisy input as a protocol has it, rendered where predictions are in sRGB."""
         if protocol.pixels == "rgb":  # amplified by its authors
             return self._rgb()
         ratio = self._ratio(protocol.amplification)
-        return cast(
-            "NDArray[Any]", self._normalised(_first_equal(self.frame, protocol.levels), protocol.input_clip, ratio)
-        )
+        taken = self._normalised(_first_equal(self.frame, protocol.levels), protocol.input_clip, ratio)
+        return cast("NDArray[Any]", rendered_frame(taken, self.frame) if protocol.pixels == "srgb" else taken)
 
     @property
     def frame(self) -> RawFrame:
@@ -215,15 +212,16 @@ class ComparedFrame:
         self._dng = dng
         self._dng_normalised = cache(lambda levels: normalised_frame(dng(), levels, clip="none"))
         self._raw = read_once(lambda: load_prediction(place, reference.frame.sensor, levels))
-        self._colours = read_once(lambda: _load_colours(place, job.protocols[0], reference))
+        self._colours = cache(lambda pixels, shape: load_colours(place, shape, pixels))
 
     def prediction(self, protocol: Protocol) -> NDArray[Any]:
         """Return the prediction of the whole frame."""
         if self.file is None:
             return self.input(protocol)
+        if protocol.is_of_packed:
+            self._check_shading()
         if protocol.pixels != "packed":
-            return self._colours()
-        self._check_shading()
+            return self._colours(protocol.pixels, self.reference.target(protocol).shape)
         if self._is_dng:
             return cast("NDArray[Any]", self._dng_normalised(_first_equal(self._dng(), protocol.levels)))
         return self._raw()
@@ -246,7 +244,7 @@ class ComparedFrame:
 
     def equal_choices(self, protocol: Protocol) -> dict[str, frozenset[str]]:
         """Return the values of a protocol's fields that would have given the same score, by the field."""
-        if protocol.pixels != "packed":
+        if not protocol.is_of_packed:
             return {}
         frames = [self.reference.frame, *([self._dng()] if self._is_dng else [])]
         if self.file is not None:
@@ -278,7 +276,7 @@ class ComparedFrame:
         crop, part = protocol.crop(target.shape), protocol.factor_crop(target.shape)
         factor = factor_by(prediction[part], target[part], rules, threads=threads)
         p, g = prediction[crop], target[crop]
-        if protocol.rendering == "eld-isp":
+        if protocol.rendering == "eld-isp" and protocol.pixels == "packed":
             return _score_rendered(p, g, self.reference.frame.sensor, rules, factor, threads)
         return score_by(p, g, rules, factor=factor, threads=threads)
 
@@ -324,19 +322,13 @@ class ComparedFrame:
 
         crop, rules = protocol.crop(target.shape), protocol.rules
         p, g = self.prediction(protocol)[crop], target[crop]
-        is_rendered = protocol.rendering == "eld-isp"
+        is_rendered = protocol.rendering == "eld-isp" and protocol.pixels == "packed"
         if protocol.pixels == "packed" and (images == "srgb" or (images == "compared" and is_rendered)):
             first, second = _rendered(p, g, self.reference.frame.sensor, rules, factor)
             return first / np.float32(255), second / np.float32(255)
         if is_rendered:  # the rounding of its rules is that of renderings
             return as_scored(p, rules, factor, np.float32), g
         return as_compared(p, g, rules, factor)
-
-
-def _load_colours(file: Path, protocol: Protocol, reference: Reference) -> NDArray[Any]:
-    """Load a prediction in colours; all protocols of a job that score colours score the same."""
-    channels, height, width = reference.target(protocol).shape
-    return load_colours(file, (channels, height, width), "srgb" if protocol.pixels == "srgb" else "rgb")
 
 
 def _equal_levels(protocol: Protocol, frames: Sequence[RawFrame]) -> frozenset[str]:

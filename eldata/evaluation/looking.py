@@ -163,7 +163,7 @@ class ScoredImage:
             compared = ComparedFrame(job, reference, self.pair, NoisyInput(job, reference, self.pair, frame.path), file)
             factor = 1.0 if math.isnan(frame.rescale) else frame.rescale
             predictions.append(as_scored(compared.prediction(protocol), protocol.rules, factor, np.float32))
-            if protocol is first and amplified is None and first.pixels != "srgb":
+            if protocol is first and amplified is None and (first.pixels != "srgb" or first.is_of_packed):
                 amplified = compared.input(first)
         sensor = reference.frame.sensor if first.pixels == "packed" else None
         return SeenImage(shown, amplified, tuple(predictions), reference.target(first), sensor)

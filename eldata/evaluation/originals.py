@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -183,6 +183,17 @@ def normalised_frame(frame: RawFrame, levels: Levels, *, clip: Clip, gain: float
         packed *= np.float32(gain)
         np.clip(packed, low, high, out=packed)
     return packed
+
+
+def rendered_frame(packed: NDArray[np.floating[Any]], frame: RawFrame) -> NDArray[np.float64]:
+    """Return a frame's packed image in sRGB by the ELD paper's pipeline, with the colours that its file states.
+
+    (3, h, w) in [0, 1], of 256 levels, which float32 would move by more than scores are told apart.
+    Raises :class:`ArgumentError` as :func:`eldata.isp.rendering.render_to_8_bits` does.
+    """
+    from eldata.isp.rendering import render_to_8_bits
+
+    return render_to_8_bits(packed, frame.sensor) / 255.0
 
 
 def levels_dn(frame: RawFrame, levels: Levels) -> tuple[tuple[float, ...], tuple[float, ...]]:

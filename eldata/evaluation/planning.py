@@ -110,7 +110,7 @@ def plan_scoring(request: Request, protocol: Protocol) -> ScoringPlan:
             f"protocol {protocol.name!r} is for dataset {protocol.dataset!r}, not {name!r}; "
             "eldata protocols lists those for each"
         )
-    if request.store is not None and protocol.pixels != "packed":
+    if request.store is not None and not protocol.is_of_packed:
         raise ArgumentError(
             f"protocol {protocol.name!r} scores {_OF_FILES[protocol.pixels]}, which a store does not hold; leave "
             "--store (store) out"

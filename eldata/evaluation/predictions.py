@@ -2,11 +2,14 @@
 
 For a noisy frame ``SonyA7S2/scene-1/IMG_0004.ARW`` the prediction is ``PREDS/SonyA7S2/scene-1/IMG_0004.<ext>``. It is
 packed (C, h, w) or a mosaic (H, W); float in [0, 1] of the reference's normalised signal, or uint16 where
-65535 = 1.0; a DNG holds raw DN. Protocols of sRGB take renderings: an RGB PNG of 8 or 16 bits, or RGB arrays.
+65535 = 1.0; a DNG holds raw DN. Protocols whose predictions are in sRGB take renderings: an RGB PNG or TIFF of 8 or 16
+bits, or RGB arrays; of the mosaic's size under ``sid2018``, else of a pixel for each packed one.
 """
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -21,16 +24,21 @@ from eldata.evaluation.layouts import (
 from eldata.evaluation.originals import normalised_frame
 from eldata.evaluation.pairs import place_of
 from eldata.evaluation.prediction_files import declared_array, read_array
+from eldata.protocols.named import protocols_for
 from eldata.raw.cfa import pack, packed_shape
 from eldata.raw.levels import with_levels
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from numpy.typing import NDArray
 
+    from eldata.evaluation.layouts import FoundPredictions
     from eldata.evaluation.prediction_files import Declared
+    from eldata.manifest.catalogue import Manifest
     from eldata.manifest.clips import ClipRecord
-    from eldata.protocols.protocol import Levels, Space
-    from eldata.records import RawFrame, Sensor
+    from eldata.protocols.protocol import Levels, Protocol, Space
+    from eldata.records import FrameRecord, RawFrame, Sensor
 
 # A prediction near [0, 1] has next to nothing above 2, even where it is an amplified noisy frame with hot pixels.
 _SCALE_LIMIT = 2.0
@@ -179,6 +187,62 @@ def prediction_space(path: Path) -> Space:
         return "raw"
     shape = declared_array(path).shape
     return "srgb" if len(shape) == 3 and 3 in (shape[0], shape[-1]) else "raw"
+
+
+Look = Literal["raw", "binned", "whole"]
+"""What predictions look to be: packed raw or mosaics, or renderings of a pixel for each packed one, or for each."""
+
+LOOKS: dict[Look, str] = {
+    "raw": "raw frames",
+    "binned": "renderings in sRGB of a pixel for each packed one",
+    "whole": "renderings in sRGB",
+}
+
+
+def look_wanted(protocol: Protocol) -> Look:
+    """Return what a protocol's predictions look to be: LibRaw's renderings are demosaiced, the ELD paper's binned."""
+    return "raw" if protocol.pixels != "srgb" else "binned" if protocol.is_of_packed else "whole"
+
+
+def looks_of(found: FoundPredictions, records: Iterable[FrameRecord]) -> Iterator[Look | None]:
+    """Yield what each prediction looks to be that can be read; ``None``: a rendering, of a frame of unknown size."""
+    frames = {record.path: record for record in records}
+    for place, file in found.files.items():
+        with suppress(PredictionError):  # it will be among the problems
+            width, height = frames[place].width, frames[place].height
+            if prediction_space(file) == "raw":
+                yield "raw"
+            elif width is None or height is None:
+                yield None
+            else:
+                yield "binned" if 2 * math.prod(declared_array(file).shape) < 3 * width * height else "whole"
+
+
+def look_of_folder(found: FoundPredictions, records: Iterable[FrameRecord]) -> Look:
+    """Return what the first prediction looks to be that can be read; of unknown size as LibRaw renders."""
+    for look in looks_of(found, records):
+        return look or "whole"
+    return "raw"
+
+
+def other_look(protocol: Protocol, found: FoundPredictions, manifest: Manifest, folder: Path) -> str | None:
+    """Return why a protocol can score none of the predictions in a folder, and which can, if it is so."""
+    wanted = look_wanted(protocol)
+    looks = []
+    for look in looks_of(found, manifest.records):
+        if look == wanted or (look is None and wanted != "raw"):
+            return None
+        looks.append(look)
+    if not looks:
+        return None
+    fitting = ("binned", "whole") if looks[0] is None else looks[:1]
+    takers = [one for one in protocols_for(manifest.name) if look_wanted(one) in fitting]
+    takers = [one for one in takers if one.rendering == protocol.rendering] or takers
+    names = " or ".join(one.name for one in takers)
+    advice = f"give protocol {names}" if names else "give a protocol that scores them: eldata protocols lists all"
+    first = next(iter(found.files.values())).relative_to(folder)
+    there = f"{LOOKS[looks[0] or 'whole']}, such as {first}"
+    return f"protocol {protocol.name} scores {LOOKS[wanted]}, and these are {there}; {advice}"
 
 
 def _check_raw(path: Path, sensor: Sensor, declared: Declared) -> None:

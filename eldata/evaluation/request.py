@@ -146,10 +146,9 @@ def make_request(
         raise ArgumentError("--protocol all scores each protocol's own pairs; leave --subset out")
     if request.subset is not None and request.ids is not None:
         raise ArgumentError("give a subset or ids, not both")
-    if not request.every and predictions is None and request.protocols[0].pixels == "srgb":
-        raise ArgumentError(
-            f"protocol {request.protocols[0].name!r} scores renderings, so the raw input is not a baseline of it"
-        )
+    first = request.protocols[0]
+    if not request.every and predictions is None and first.pixels == "srgb" and not first.is_of_packed:
+        raise ArgumentError(f"protocol {first.name!r} scores renderings, so the raw input is not a baseline of it")
     if request.store is not None and request.kind is not IMAGES:
         raise ArgumentError("--store (store) is for datasets of images; clips are scored from their files")
     if request.predictions is not None:
@@ -223,11 +222,16 @@ def stated_shading(folder: Path) -> str | None:
     ``"none"``: it says that they are of inputs as they are. ``None``: it says nothing, since there is no such file, or
     one of another origin.
     """
+    return _stated(folder, "dark_shading")
+
+
+def _stated(folder: Path, name: str) -> str | None:
+    """Return a text of a folder's own file, if it has one."""
     file = folder / SETTINGS
     if not file.is_file():
         return None
     try:
-        stated = TextFile(file, EldataError, "predict again into a new folder").json().data.get("dark_shading")
+        stated = TextFile(file, EldataError, "predict again into a new folder").json().data.get(name)
     except EldataError:  # another program's: ours is written whole or not at all
         return None
     return stated if isinstance(stated, str) else None
@@ -235,7 +239,16 @@ def stated_shading(folder: Path) -> str | None:
 
 def _check_inputs(request: Request, folder: Path) -> None:
     """Check that the folder's own words on what its predictions were made of do not contradict the request."""
-    stated, given = stated_shading(folder), request.protocols[0].dark_shading
+    first = request.protocols[0]
+    inputs = _stated(folder, "input_space")
+    if not request.every and first.is_of_packed and first.pixels == "srgb" and inputs not in (None, first.input_space):
+        fitting = [one.name for one in protocols_for(request.manifest.name) if one.input_space == inputs]
+        known = ", such as ".join(["one that states it", *fitting[-1:]])
+        raise ArgumentError(
+            f"{folder / SETTINGS} says that these predictions are of inputs in {inputs}, and protocol "
+            f"{first.name!r} is of inputs in {first.input_space} (input_space): give {known}"
+        )
+    stated, given = stated_shading(folder), first.dark_shading
     if stated in (None, given):
         return
     said = "inputs as they are" if stated == NO_SHADING else f"inputs less the dark shading {stated}"

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def protocol_of_tensors(protocol: str | Protocol) -> Protocol:
-    """Return a protocol that tensors of raw images can be scored by.
+    """Return a protocol that tensors of raw images, or of both sides in sRGB, can be scored by.
 
     Parameters
     ----------
@@ -27,13 +27,13 @@ def protocol_of_tensors(protocol: str | Protocol) -> Protocol:
     Raises
     ------
     ArgumentError
-        If no protocol has this name, or it is one of clips, or of rendered images, whose rendering a tensor does not
-        carry.
+        If no protocol has this name, or it is one of clips, or one that renders, which a tensor cannot be: predictions
+        in sRGB and references as :func:`eldata.datasets.rgb.raw2rgb` renders them are compared as they are.
     """
     from eldata.protocols import get_protocol
 
     chosen = get_protocol(protocol) if isinstance(protocol, str) else protocol
-    if chosen.space != "raw" or chosen.kind is not IMAGES:
+    if (chosen.space != "raw" and not (chosen.pixels == "srgb" and chosen.is_of_packed)) or chosen.kind is not IMAGES:
         what = "renderings" if chosen.kind is IMAGES else "clips"
         raise ArgumentError(f"protocol {chosen.name!r} is of {what}, which these tensors are not; use eldata evaluate")
     return chosen

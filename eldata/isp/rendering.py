@@ -238,20 +238,32 @@ def render_pair_for_scoring(
     ArgumentError
         If the shapes do not fit or differ, a value is NaN or infinite, or the sensor lacks white balance or matrix.
     """
-    import torch
-
     if prediction.shape != target.shape or target.ndim != 3:
         raise ArgumentError(
             f"expected a prediction and a reference (C, h, w) of one shape; found {prediction.shape} and {target.shape}"
         )
-    rendering = Rendering.of(sensor, response)
+    return (
+        render_to_8_bits(prediction, sensor, response=response, name="prediction"),
+        render_to_8_bits(target, sensor, response=response, name="reference"),
+    )
 
-    def eight_bits(packed: NDArray[np.floating[Any]], name: str) -> NDArray[np.uint8]:
-        if not np.isfinite(packed).all():  # before the clips, which infinities pass
-            raise ArgumentError(f"the {name} holds NaN or infinities")
-        wide = np.ascontiguousarray(packed, dtype=np.float64)
-        codes: NDArray[np.uint8] = truncate_to_8_bits(rendering(torch.from_numpy(wide))).numpy()
-        return codes
 
+def render_to_8_bits(
+    packed: NDArray[np.floating[Any]], sensor: Sensor, *, response: Response = PAPER_GAMMA, name: str = "image"
+) -> NDArray[np.uint8]:
+    """Render a packed image, (C, h, w), with a sensor's colours to (3, h, w) uint8 codes, truncated; see above.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is NaN or infinite (``name`` is what the image is called then), the shape does not fit, or the sensor
+        lacks white balance or matrix.
+    """
+    import torch
+
+    if not np.isfinite(packed).all():  # before the clips, which infinities pass
+        raise ArgumentError(f"the {name} holds NaN or infinities")
+    wide = np.ascontiguousarray(packed, dtype=np.float64)
     with torch.no_grad():
-        return eight_bits(prediction, "prediction"), eight_bits(target, "reference")
+        codes: NDArray[np.uint8] = truncate_to_8_bits(Rendering.of(sensor, response)(torch.from_numpy(wide))).numpy()
+    return codes

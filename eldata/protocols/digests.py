@@ -29,6 +29,8 @@ NEUTRAL: Final[Mapping[str, Any]] = {
     "dark_shading": "none",
     "space": "raw",
     "rendering": "none",
+    "input_space": "raw",
+    "prediction_space": "raw",
     "rescaling_mask": "unsaturated",
     "rescaling_region": SCORED,
     "prediction_clamp": "both",
@@ -45,7 +47,7 @@ _PROSE: Final = ("name", "title", "source", "family", "psnr", "ssim", "st_rred",
 CHOOSING: Final = ("dataset", "ratios", "subset", "cameras", "scenes")
 """What chooses the pairs."""
 
-OF_INPUT: Final = ("input_clip", "amplification", "dark_shading")
+OF_INPUT: Final = ("input_clip", "amplification", "dark_shading", "input_space")
 """What describes the noisy input: it decides the score of the input itself, and of a prediction through its method."""
 
 OF_THE_FACTOR: Final = ("rescaling_mask", "rescaling_region")
@@ -72,6 +74,8 @@ def canonical(fields: Mapping[str, Any]) -> dict[str, Any]:
         found = {name: value for name, value in found.items() if name not in OF_THE_FACTOR}
     elif found.get("rescaling_region") == found.get("region"):
         found.pop("rescaling_region", None)
+    if found.get("rendering") == "libraw":  # which says it already
+        found.pop("prediction_space", None)
     deciding = {name: value for name, value in found.items() if name not in NEUTRAL or value != NEUTRAL[name]}
     return {"version": VERSION, **deciding}
 

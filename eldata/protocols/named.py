@@ -150,7 +150,7 @@ def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
     --------
     >>> from eldata.protocols import protocols_for
     >>> [protocol.name for protocol in protocols_for("eld")]
-    ['eld', 'eld-uncorrected', 'pmn-eld', 'led-eld', 'lrd-eld']
+    ['eld', 'eld-uncorrected', 'pmn-eld', 'led-eld', 'lrd-eld', 'eld-srgb', 'eld-raw2rgb', 'eld-rgb2rgb']
     """
     every = PROTOCOLS.values()
     covering = tuple(one for one in every if one.dataset != ANY_DATASET and one.covers(dataset))

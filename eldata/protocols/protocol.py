@@ -86,7 +86,12 @@ class Protocol:
         ``raw``: packed raw values are compared; ``srgb``: renderings.
     rendering
         What renders an sRGB reference: ``libraw``, the predictions being renderings already, or ``eld-isp``, the ELD
-        paper's pipeline (:mod:`eldata.isp.rendering`), which renders the packed raw prediction too, once rescaled.
+        paper's pipeline (:mod:`eldata.isp.rendering`), which renders a packed raw prediction too, once rescaled.
+    input_space, prediction_space
+        What a network gets and what it makes, ``raw`` or ``srgb``: the paper's Raw2Raw, Raw2RGB and RGB2RGB (section
+        "Applicability to sRGB Denoising"). A prediction in ``srgb`` is (3, h, w), a pixel for each packed one, rescaled
+        and compared as it is; an input in ``srgb`` is the amplified frame, rendered in 8 bits with the white balance
+        and matrix of its own file. The score of the input itself is that of such a rendering in either case.
     """
 
     kind: ClassVar[Kind] = IMAGES
@@ -112,6 +117,8 @@ class Protocol:
     dark_shading: str = NO_SHADING
     space: Space = "raw"
     rendering: Rendering = "none"
+    input_space: Space = "raw"
+    prediction_space: Space = "raw"
     rescaling_mask: RescalingMask = "unsaturated"
     rescaling_region: str = SCORED
     prediction_clamp: PredictionClamp = "both"
@@ -151,7 +158,12 @@ class Protocol:
     @property
     def pixels(self) -> Pixels:
         """What predictions and references are: packed raw values, renderings in sRGB, or (of clips) RGB frames."""
-        return "srgb" if self.rendering == "libraw" else "packed"
+        return "srgb" if self.rendering == "libraw" or self.prediction_space == "srgb" else "packed"
+
+    @property
+    def is_of_packed(self) -> bool:
+        """Whether references are packed raw values or made of them: levels and clips have a meaning."""
+        return self.pixels == "packed" or self.rendering == "eld-isp"
 
     @property
     def frame_levels(self) -> Literal["metadata", "published", "sid-sony", "sid-fuji"]:
@@ -170,7 +182,8 @@ class Protocol:
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as plain types, with the definitions of PSNR and SSIM that follow from them."""
         plain = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
-        return plain | {"psnr": self.psnr, "ssim": self.ssim}
+        made = "srgb" if self.pixels == "srgb" else self.prediction_space  # LibRaw's rendering takes no other
+        return plain | {"prediction_space": made, "psnr": self.psnr, "ssim": self.ssim}
 
     def crop(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
         """Return the index of the region in an image of this shape, (C, h, w).
@@ -208,9 +221,15 @@ class Protocol:
             raise ArgumentError(
                 f"rendering {self.rendering!r} does not go with space {self.space!r}: raw takes 'none', srgb another"
             )
-        if self.rendering == "eld-isp" and self.rounding != "8-bit-truncated":
+        if self.rendering == "none" and self.prediction_space == "srgb":
+            raise ArgumentError("prediction_space 'srgb' needs a reference to compare with: space 'srgb', a rendering")
+        if self.input_space == "srgb" and (self.rendering, self.prediction_space) != ("eld-isp", "srgb"):
+            raise ArgumentError("input_space 'srgb' goes with rendering 'eld-isp' and prediction_space 'srgb'")
+        rounding = "none" if self.prediction_space == "srgb" else "8-bit-truncated"
+        if self.rendering == "eld-isp" and self.rounding != rounding:
             raise ArgumentError(
-                f"rendering 'eld-isp' makes 8 bits: rounding must be '8-bit-truncated', not {self.rounding!r}"
+                f"rendering 'eld-isp' makes 8 bits, and of predictions in {self.prediction_space} rounding must be "
+                f"{rounding!r}, not {self.rounding!r}"
             )
         if self.rendering == "eld-isp" and (self.data_range, self.mse_offset) != (1.0, 0.0):
             raise ArgumentError("rendering 'eld-isp' is scored on data range 1 with mse_offset 0")
@@ -286,7 +305,7 @@ class StatedProtocol:
     @property
     def pixels(self) -> Pixels:
         """What predictions and references were, as of :attr:`Protocol.pixels`."""
-        if self.fields.get("rendering") == "libraw":
+        if self.fields.get("rendering") == "libraw" or self.fields.get("prediction_space") == "srgb":
             return "srgb"
         return "rgb" if self.fields.get("pixels") == "rgb" else "packed"
 

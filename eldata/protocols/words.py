@@ -31,6 +31,7 @@ _WINDOWS = {
     "gaussian-11-volume": "11x11x11 Gaussian, colours as a third axis",
 }
 _RENDERINGS = {"none": "none", "libraw": "LibRaw's", "eld-isp": "the ELD paper's pipeline"}
+_SPACES = {"raw": "packed raw", "srgb": "sRGB"}
 _PIXELS = {"packed": "packed raw", "rgb": "preprocessed RGB"}
 _AMPLIFICATIONS = {
     "metadata": "by the files' exposure ratio",
@@ -64,7 +65,9 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "pixels": ("pixels", lambda value: _PIXELS[value]),
     "frames": ("frames", lambda value: {"evaluation": "the fifth to the ninth"}[value]),
     "frame_count": ("frames of a clip", lambda value: str(value or "all")),
-    "space": ("space", lambda value: {"raw": "packed raw", "srgb": "sRGB"}[value]),
+    "space": ("space", lambda value: _SPACES[value]),
+    "input_space": ("network's input", lambda value: _SPACES[value]),
+    "prediction_space": ("predictions", lambda value: _SPACES[value]),
     "rendering": ("rendering", lambda value: _RENDERINGS[value]),
     "levels": ("levels", lambda value: LEVELS[value]),
     "reference_clip": ("reference's clip", lambda value: CLIPS[value]),
@@ -107,8 +110,10 @@ def described(protocol: Protocol) -> list[tuple[str, str]]:
         skipped |= {"rescaling_mask", "rescaling_region"}
     if protocol.rendering == "none":
         skipped.add("rendering")
-    if protocol.pixels != "packed":
+    if not protocol.is_of_packed:
         skipped |= {"levels", "reference_clip"}
+    if protocol.pixels != "srgb" or not protocol.is_of_packed:
+        skipped |= {"input_space", "prediction_space"}
     rows = [
         (name, words(values[field]))
         for field, (name, words) in FIELDS.items()
@@ -135,12 +140,14 @@ def summary(protocol: Protocol) -> tuple[str, ...]:
     levels |= {"sid-sony": "16383, black 512", "sid-fuji": "16383, black 1024"}
     scalar = "yes" if protocol.factor_region == protocol.region else f"yes ({_region(protocol.factor_region)})"
     space = {"raw": "raw", "srgb": "sRGB, 8 bit" if protocol.rounding != "none" else "sRGB"}[protocol.space]
+    if protocol.prediction_space == "srgb":
+        space += f" from {'sRGB' if protocol.input_space == 'srgb' else 'raw'}"
     return (
         protocol.name,
         protocol.dataset,
         ", ".join(part for part in pairs if part),
         _region(protocol.region),
-        {"srgb": "LibRaw", "rgb": "none"}.get(protocol.pixels, levels[protocol.levels]),
+        levels[protocol.levels] if protocol.is_of_packed else {"srgb": "LibRaw"}.get(protocol.pixels, "none"),
         scalar if protocol.rescaling == "scalar" else "no",
         protocol.input_clip,
         {"uniform-7": "7x7", "gaussian-11": "Gauss 11", "gaussian-11-volume": "Gauss 11, RGB"}[protocol.ssim_window],

@@ -8,13 +8,14 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import torch
 
-from eldata.baselines import UNet, load_network
+from eldata.baselines import UNet, load_network, write_predictions
+from eldata.evaluation import evaluate
 from eldata.sources.shards import write_shards
 from tests.shared import made_once
 from tests.sources.store.helpers import pack_tree
@@ -93,6 +94,22 @@ def test_it_learns_and_leaves_a_network_that_predict_runs(data: str, store: Path
     with torch.inference_mode():
         expected = network(torch.from_numpy(image)[None])[0].numpy()
     np.testing.assert_allclose(load_network(str(tmp_path / "model.pt2"), device="cpu").run(image), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(("task", "channels"), [("raw2rgb", 4), ("rgb2rgb", 3)])
+def test_networks_to_srgb(task: str, channels: int, store: Path, demo_tree: Path, tmp_path: Path) -> None:
+    """Trained, validated as eldata evaluate scores what eldata predict writes, and gone on with by the same command."""
+    tree = tree_in(demo_tree)
+    options = ["--pairs", str(store), "--task", task, "--epochs", "2", "--batch-size", "2"]
+    options += ["--validate", str(tree.data), "--manifest", str(tree.csv), "--validate-every", "9"]
+    trained(tmp_path, *options)
+    assert trained(tmp_path, *options) == []  # nothing is left to do
+    place: dict[str, Any] = {"manifest": tree.csv, "root": tree.root, "protocol": f"eld-{task}"}
+    network = load_network(str(tmp_path / "model.pt2"), device="cpu")
+    assert network.run(np.zeros((channels, 16, 16), np.float32)).shape == (3, 16, 16)
+    report = write_predictions(network, "", tmp_path / "preds", **place)
+    assert (report.written, report.problems) == (12, ())
+    assert evaluate(tmp_path / "preds", **place).scored == 12
 
 
 @pytest.mark.study

@@ -99,7 +99,7 @@ def test_evaluate_all(eldata: Cli, tree: Tree, predictions: Path, tmp_path: Path
     assert outcome.code == 0
     assert_golden("evaluate-all", normalised(outcome.out, tree=tree.folder))
     assert (tmp_path / "all.csv").read_text().startswith("protocol,path,camera,")
-    assert len(json.loads((tmp_path / "all.json").read_text())["results"]) == 4
+    assert len(json.loads((tmp_path / "all.json").read_text())["results"]) == 5
 
 
 def test_evaluate_the_input(eldata: Cli, tree: Tree) -> None:

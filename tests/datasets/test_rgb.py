@@ -251,4 +251,4 @@ def test_networks_train_on_either(balanced: Tree) -> None:
 def test_the_repr_names_the_stages(balanced: Tree) -> None:
     text = repr(raw2rgb(pairs_of(balanced)))
     assert "stage_in=keep_raw" in text
-    assert "stage_out=Rendered(" in text
+    assert "stage_out=Rendered(of_reference, Gamma(exponent=2.2), eight_bits)" in text  # the same in each process

@@ -393,6 +393,22 @@ def eld_srgb_score(output: Array, target: Array, reference: Path) -> Score:
     return assessed(*eld_shown(output, target, reference))
 
 
+def eld_whole_srgb_score(output: Array, target: Array, reference: Path) -> Score:
+    """The same of the whole frame, ``crop=False``."""
+    rescaled, factor = corrected(output, target)
+    return assessed(eld_rendered(rescaled, reference), eld_rendered(target, reference), factor)
+
+
+def eld_rgb_score(output: Array, target: Array, reference: Path) -> Score:
+    """ELD models/ELD_model.py eval with ``stage_out`` srgb: what the network makes, (3, h, w), is corrected in sRGB.
+
+    The target is what dataset/sid_dataset.py renders of the packed reference, which is given here.
+    """
+    shown = eld_rendered(target, reference)
+    rescaled, factor = corrected(output, shown)
+    return assessed(rescaled, shown, factor)
+
+
 # --- SID's own --------------------------------------------------------------------------------------------------------
 
 
@@ -474,6 +490,7 @@ BAYER = {
     "eld-cvpr20": on_sid(ELD, eld_centre_score),
     "sid-tpami": on_sid(ELD, eld_centre_score),
     "sid-srgb": on_sid(ELD, eld_srgb_score),
+    "eld-srgb": Route(ELD.arranged, ELD.target, ELD.given, ELD.ratio, eld_whole_srgb_score),
     "pmn-sid": on_sid(PMN),
     "pmn-eld": PMN,
     "led-sid": on_sid(LED),
@@ -492,7 +509,8 @@ XTRANS = {
 }
 """Those that are for X-Trans too."""
 
-RENDERED = {"sid2018": sid_score}
+RENDERED = {"sid2018": sid_score, **dict.fromkeys(("sid-raw2rgb", "sid-rgb2rgb"), eld_rgb_score)}
+RENDERED |= {"eld-raw2rgb": eld_rgb_score, "eld-rgb2rgb": eld_rgb_score}
 """Protocols that score renderings."""
 
 CLIPS = {

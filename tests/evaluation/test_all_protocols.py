@@ -68,11 +68,11 @@ def preds(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_all_equals_single_runs(own: OwnSet, preds: Path) -> None:
     combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
-    names = ["raw", "eld", "eld-uncorrected", "led-sid", "lrd-sid"]
+    names = ["raw", "eld", "eld-uncorrected", "led-sid", "lrd-sid", "eld-srgb"]
     assert [result.protocol.name for result in combined.results] == names
     for result in combined.results:
         assert result == evaluate(preds, manifest=own.manifest, root=own.root, protocol=result.protocol.name)
-    assert len({image.psnr_db for result in combined.results for image in result.images}) == 20
+    assert len({image.psnr_db for result in combined.results for image in result.images}) == 24
     assert combined.scored == 4
 
 
@@ -135,9 +135,9 @@ def test_what_is_suspect_under_a_protocol_alone_is_not_laid_to_it(own: OwnSet, p
 
 def test_text_says_what_distinguishes_the_protocols(own: OwnSet, preds: Path) -> None:
     text = evaluate_all(preds, manifest=own.manifest, root=own.root).format_text()
-    assert text.startswith("mine, 5 protocols\n")
+    assert text.startswith("mine, 6 protocols\n")
     assert "lrd-sid: rescaling: one factor per image -> none" in text
-    assert "4 of 4 pairs: raw, eld, eld-uncorrected, led-sid, lrd-sid" in text
+    assert "4 of 4 pairs: raw, eld, eld-uncorrected, led-sid, lrd-sid, eld-srgb" in text
     assert "not scored: eld-cvpr20: s0/x100.dng: protocol eld-cvpr20 cannot score it: a packed image of" in text
     shown = text.split("4 of 4 pairs")[0].splitlines()
     assert len(shown) > 20
@@ -150,7 +150,8 @@ def test_files_of_all(own: OwnSet, preds: Path, tmp_path: Path) -> None:
     combined.write_csv(tmp_path / "all.csv")
     data = json.loads((tmp_path / "all.json").read_text(encoding="utf-8"))
     assert data["results"] == [json.loads(json.dumps(result.as_dict())) for result in combined.results]
-    assert {one["protocol"] for one in data["not_scored"]} == {"eld-cvpr20", "sid-srgb", "sid2018"}
+    left_out = {"eld-cvpr20", "sid-srgb", "sid-raw2rgb", "eld-raw2rgb", "sid2018"}
+    assert {one["protocol"] for one in data["not_scored"]} == left_out
     with (tmp_path / "all.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert tuple(rows[0]) == ("protocol", *IMAGES.columns)
@@ -178,7 +179,7 @@ def test_all_on_the_demos_set(tree: Tree, predictions: Path) -> None:
     """One protocol for each way to score: pmn-eld scores as eld does, and the pairs are the set's own."""
     combined = evaluate_all(predictions, manifest=tree.manifest, root=tree.root)
     names = [result.protocol.name for result in combined.results]
-    assert names == ["eld", "eld-uncorrected", "led-eld", "lrd-eld"]
+    assert names == ["eld", "eld-uncorrected", "led-eld", "lrd-eld", "eld-srgb"]
     assert combined.results[0] == evaluate(predictions, manifest=tree.manifest, root=tree.root)
     assert evaluate(predictions, manifest=tree.manifest, root=tree.root, protocol="led") == combined.results[2]
 
@@ -384,7 +385,8 @@ def test_another_white_level_than_the_files_is_said(
         assert json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))["notes"].count(said) == 1
         assert "saturate at 1023 DN, and the protocol divides by 16383" in (tmp_path / "r.html").read_text("utf-8")
         assert main(["evaluate", *given, *place, "all"]) == 0
-        assert f"note: {said} (eld, eld-uncorrected)" in " ".join(capsys.readouterr().out.split())
+        those = "eld, eld-uncorrected, eld-srgb" + (", eld-raw2rgb" if "input" in given else "")
+        assert f"note: {said} ({those})" in " ".join(capsys.readouterr().out.split())
         assert main(["evaluate", *given, *place, "lrd-sid"]) == 0, "the file's own white level"
         assert "saturate" not in capsys.readouterr().out
 

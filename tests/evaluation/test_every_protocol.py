@@ -267,7 +267,7 @@ def eld(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
     return build("eld", tmp_path_factory.mktemp("eld"), some_eld)
 
 
-ELD_COUNTS = {"eld": 40, "eld-uncorrected": 40, "pmn-eld": 20, "lrd-eld": 20, "led-eld": 32}
+ELD_COUNTS = {"eld": 40, "eld-uncorrected": 40, "pmn-eld": 20, "lrd-eld": 20, "led-eld": 32, "eld-srgb": 40}
 
 
 @pytest.mark.parametrize("name", ELD_COUNTS)
@@ -310,14 +310,14 @@ def test_libraw_states_white_levels_per_channel_of_one_of_the_cameras(eld: Pairs
 def test_all_scores_each_protocol_of_a_published_set_on_its_own_pairs(eld: Pairs) -> None:
     combined = evaluate_all(eld.predictions, manifest=eld.csv, root=eld.root, cameras=["SonyA7S2"])
     counts = {result.protocol.name: len(result.images) for result in combined.results}
-    assert counts == {"eld": 20, "eld-uncorrected": 20, "pmn-eld": 20, "led-eld": 16, "lrd-eld": 20}
+    assert counts == {"eld": 20, "eld-uncorrected": 20, "pmn-eld": 20, "led-eld": 16, "lrd-eld": 20, "eld-srgb": 20}
     for result in combined.results:
         assert result == eld.evaluate(result.protocol.name, cameras=["SonyA7S2"])
     assert combined.results[2].protocol.name == "pmn-eld"
     assert combined.results[2].images != combined.results[0].images  # the files' black level is not 512
     assert "pmn-eld: levels: white 16383, black the file's -> black 512, white 16383" in combined.format_text()
     assert "black 512, white 16383 was taken for every file, as protocol pmn-eld has it" in combined.format_text()
-    assert len(combined.groups) == 5
+    assert len(combined.groups) == 6
     assert "(16 pairs)" not in combined.format_table()  # all of led-eld's pairs are eld's too
 
 
@@ -409,7 +409,7 @@ def test_frames_that_are_too_small_for_a_region(sid: Pairs) -> None:
     combined = evaluate_all(sid.predictions, manifest=sid.csv, root=sid.root)
     assert [result.protocol.name for result in combined.results] == [*list(SID_COUNTS)[:3], "led-sid", "lrd-sid"]
     reasons = {one.protocol: one.reason for one in combined.not_scored}
-    assert set(reasons) == {"eld-cvpr20", "sid-tpami", "sid-srgb", "sid2018"}
+    assert set(reasons) == {"eld-cvpr20", "sid-tpami", "sid-srgb", "sid-raw2rgb", "sid-rgb2rgb", "sid2018"}
     assert "too small" in reasons["sid-tpami"]
     assert reasons["sid2018"] == "scores renderings in sRGB; the predictions are raw"
     assert not combined.problems
@@ -505,7 +505,7 @@ def test_a_set_of_ones_own_in_every_cfa(cfa: str, tmp_path: Path) -> None:
     written = {path: prediction_of(clean, path) for path in ("s0/x50.dng", "s0/x100.dng")}
     for path, mosaic in written.items():
         save_prediction(tmp_path / "p", path, mosaic)
-    for name in WHOLE:
+    for name in WHOLE if cfa in BAYER else set(WHOLE) - {"eld-srgb"}:  # ELD's pipeline is of Bayer
         if cfa in BAYER:
             route = published_code.BAYER[name]
         elif is_xtrans(pattern):
@@ -550,6 +550,27 @@ def test_the_centre_of_512_of_the_input(name: str, large: Pairs) -> None:
     assert abs(whole.images[0].psnr_db - centre.images[0].psnr_db) > 1e-3
 
 
+def test_predictions_in_srgb_of_the_centre(large: Pairs, tmp_path: Path) -> None:
+    """Those of Raw2RGB and RGB2RGB are scored alike, whatever their input was."""
+    made = {}
+    for pair in scored_pairs("", "sid-raw2rgb", manifest=large.csv, root=large.root):
+        with rawpy.imread(str(large.files / pair.reference)) as raw:
+            clean = published_code.eld_frame(raw)
+        noise = np.random.default_rng(zlib.crc32(pair.path.encode())).normal(0, 0.03, (3, *clean.shape[1:]))
+        shown = 0.9 * published_code.eld_rendered(clean, large.files / pair.reference) + noise
+        made[pair.path] = (shown.astype(np.float32), clean)
+        save_prediction(tmp_path, pair.path, made[pair.path][0])
+
+    def scored(pair: PairRecord) -> Score:
+        output, clean = (published_code.centre(one) for one in made[pair.path])
+        return published_code.eld_rgb_score(output, clean, large.files / pair.reference)
+
+    for name in ("sid-raw2rgb", "sid-rgb2rgb"):
+        result = evaluate(tmp_path, manifest=large.csv, root=large.root, protocol=name)
+        assert_equal(result, scored)
+        assert result.scored == 4
+
+
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[OwnSet, dict[str, NDArray[np.uint8]]]:
     folder = tmp_path_factory.mktemp("rendered")
@@ -583,7 +604,10 @@ def test_renderings_under_sid2018(
     combined = evaluate_all(tmp_path, manifest=own.manifest, root=own.root)
     assert [one.protocol.name for one in combined.results] == ["sid2018"]
     assert combined.results[0].images == result.images
-    assert {one.reason for one in combined.not_scored} == {"scores packed raw; the predictions are sRGB"}
+    assert {one.reason for one in combined.not_scored} == {
+        "scores packed raw; the predictions are sRGB",
+        "scores renderings in sRGB of a pixel for each packed one; the predictions are sRGB",
+    }
 
 
 def test_finer_predictions_are_rounded_to_8_bits(

@@ -207,13 +207,14 @@ def test_predictions_of_another_space_are_one_message(tree: Tree, predictions: P
     """And not one for each frame that the protocol would score besides."""
     (problem,) = evaluate(predictions, manifest=tree.manifest, root=tree.root, protocol="sid2018").problems
     assert problem.reason == (
-        f"protocol sid2018 scores renderings in sRGB, and these are raw frames, such as {FIRST}.npy; give a protocol "
-        "that scores them: eldata protocols lists all"
+        f"protocol sid2018 scores renderings in sRGB, and these are raw frames, such as {FIRST}.npy; give protocol "
+        "eld or eld-uncorrected or pmn-eld or led-eld or lrd-eld or eld-srgb"
     )
     for pair in tree.pairs:
         save_prediction(tmp_path / "srgb", pair.path, np.zeros((3, 128, 192), np.float32))
     (problem,) = run(tmp_path / "srgb", tree).problems
     assert problem.reason.startswith("protocol eld scores raw frames, and these are renderings in sRGB, such as ")
+    assert problem.reason.endswith("; give protocol eld-raw2rgb or eld-rgb2rgb")
 
 
 def test_why_more_frames_are_wanted_than_were_predicted_is_said(predictions: Path, tree: Tree) -> None:

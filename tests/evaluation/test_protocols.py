@@ -80,7 +80,8 @@ CHANGES: dict[str, Any] = {
     "data_range": 255.0, "region": "border-2", "subset": "x", "cameras": ("x",), "scenes": ("x",), "input_clip": "none",
     "amplification": "nominal", "space": "srgb", "rendering": "libraw", "rounding": "8-bit", "rescaling_mask": "all",
     "rescaling_region": "border-2", "prediction_clamp": "none", "mse_offset": 1e-8, "ssim_window": "gaussian-11",
-    "ssim_covariance": "population", "dark_shading": "sha256:" + "0" * 64,
+    "ssim_covariance": "population", "dark_shading": "sha256:" + "0" * 64, "input_space": "srgb",
+    "prediction_space": "srgb",
 }  # fmt: skip
 CHANGES_OF_CLIPS: dict[str, Any] = {"pixels": "rgb", "frames": "x", "frame_count": 4, "st_rred_peak": 255.0}
 PROSE = ("name", "title", "source", "family")
@@ -175,7 +176,13 @@ def test_a_family_is_one_protocol_a_dataset(family: str) -> None:
 @pytest.mark.parametrize(
     ("dataset", "names"),
     [
-        ("eld", ["eld", "eld-uncorrected", "pmn-eld", "led-eld", "lrd-eld"]),
+        (
+            "eld",
+            [
+                *("eld", "eld-uncorrected", "pmn-eld", "led-eld", "lrd-eld"),
+                *("eld-srgb", "eld-raw2rgb", "eld-rgb2rgb"),
+            ],
+        ),
         (
             "sid-sony",
             [
@@ -187,11 +194,19 @@ def test_a_family_is_one_protocol_a_dataset(family: str) -> None:
                 "led-sid",
                 "lrd-sid",
                 "sid-srgb",
+                "sid-raw2rgb",
+                "sid-rgb2rgb",
                 "sid2018",
             ],
         ),
         ("sid-fuji", ["sid", "sid-uncorrected", "sid2018"]),
-        ("mine", ["raw", "eld", "eld-uncorrected", "eld-cvpr20", "led-sid", "lrd-sid", "sid-srgb", "sid2018"]),
+        (
+            "mine",
+            [
+                *("raw", "eld", "eld-uncorrected", "eld-cvpr20", "led-sid", "lrd-sid"),
+                *("sid-srgb", "sid-raw2rgb", "eld-srgb", "eld-raw2rgb", "sid2018"),
+            ],
+        ),
     ],
 )
 def test_protocols_for_a_dataset(dataset: str, names: list[str]) -> None:
@@ -342,6 +357,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 START = 'base = "eld"\nname = "mine"\ntitle = "My own"\n'
+RGB = START.replace("eld", "eld-raw2rgb", 1)
 
 
 def test_a_protocol_of_ones_own(tmp_path: Path) -> None:
@@ -416,6 +432,10 @@ def test_any_dataset_and_all_factors(tmp_path: Path) -> None:
         (START + "data_range = 0\n", r"data_range must be positive"),
         (START + 'space = "srgb"\n', r"rendering 'none' does not go with space 'srgb'"),
         (START + 'space = "srgb"\nrendering = "eld-isp"\n', r"rounding must be '8-bit-truncated'"),
+        (RGB + 'rounding = "8-bit"\n', r"of predictions in srgb rounding must be 'none'"),
+        (RGB + 'prediction_space = "raw"\n', r"rounding must be '8-bit-truncated'"),
+        (START + 'prediction_space = "srgb"\n', r"prediction_space 'srgb' needs a reference to compare with"),
+        (START + 'input_space = "srgb"\n', r"input_space 'srgb' goes with rendering 'eld-isp'"),
         ('base = "eld"\ntitle = "x"\n', r"field name: is missing; a protocol needs base, name and title"),
         ('name = "x"\ntitle = "x"\n', r"field base: is missing; a protocol needs base"),
         ('base = "ELD"\nname = "x"\ntitle = "x"\n', r"field base: expected one of 'raw', 'eld', .*, found 'ELD'"),

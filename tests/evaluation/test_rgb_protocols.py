@@ -1,0 +1,203 @@
+"""Raw2Raw + ISP, Raw2RGB and RGB2RGB, scored in sRGB: against the published way, step by step (``published_code``)."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import rawpy
+import tifffile
+import torch
+from PIL import Image
+
+from eldata.baselines import load_network
+from eldata.baselines.predicting import write_predictions
+from eldata.cli.main import main
+from eldata.errors import ArgumentError
+from eldata.evaluation import evaluate, save_prediction
+from eldata.evaluation.request import SETTINGS
+from eldata.integrations.torchmetrics import ProtocolScore
+from eldata.manifest.table import load_records, save_records
+from eldata.protocols import PROTOCOLS
+from eldata.raw import read_raw, write_dng
+from tests.evaluation import published_code
+from tests.evaluation.own_set import OwnSet, build_own_set
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.evaluation import EvaluationResult
+    from eldata.records import PairRecord
+
+NOISY_BALANCE = (1.4, 1.0, 2.5, 1.0)
+SIZE = (60, 84)
+WAYS = ("eld-raw2rgb", "eld-rgb2rgb")
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
+    """Noisy frames with a white balance of their own; the manifest states the frames' size."""
+    made = build_own_set(tmp_path_factory.mktemp("own"), scenes=2, size=SIZE)
+    for path in made.files.rglob("x*.dng"):
+        raw = read_raw(path)
+        write_dng(path, raw.mosaic, replace(raw.sensor, white_balance=NOISY_BALANCE), raw.exposure)
+    rows = load_records(made.manifest)
+    save_records(made.manifest, [replace(row, height=SIZE[0], width=SIZE[1], size_bytes=None) for row in rows])
+    return made
+
+
+def packed(path: Path, ratio: float | None = None) -> NDArray[Any]:
+    with rawpy.imread(str(path)) as raw:
+        frame = published_code.eld_frame
+        return frame(raw) if ratio is None else published_code.amplified(frame, raw, ratio)
+
+
+def shown(own: OwnSet, reference: str, name: str) -> NDArray[np.float32]:
+    """A prediction, (3, h, w): the reference's rendering, darker and noisy, in places beyond [0, 1]."""
+    clean = published_code.eld_rendered(packed(own.files / reference), own.files / reference)
+    noise = np.random.default_rng(zlib.crc32(name.encode())).normal(0, 0.03, clean.shape)
+    noise[:, 4:6, 4:9] += 1
+    return (0.9 * clean + noise).astype(np.float32)
+
+
+def assert_scores(result: EvaluationResult, own: OwnSet, given: dict[str, NDArray[Any]]) -> None:
+    assert len(result.images) == 4
+    for pair, image in zip(result.pairs, result.images, strict=True):
+        score = score_of(own, pair, given[pair.path])
+        assert (image.psnr_db, image.ssim, image.rescale) == pytest.approx(
+            (score.psnr_db, score.ssim, score.factor), abs=1e-6, rel=0
+        )
+
+
+def score_of(own: OwnSet, pair: PairRecord, output: NDArray[Any]) -> published_code.Score:
+    reference = own.files / pair.reference
+    return published_code.eld_rgb_score(output, packed(reference), reference)
+
+
+@pytest.mark.parametrize("form", ["npy", "npy-last", "png8", "png16", "tif"])
+def test_predictions_of_three_channels(form: str, own: OwnSet, tmp_path: Path) -> None:
+    given = {}
+    for scene in ("s0", "s1"):
+        for ratio in (50, 100):
+            path = f"{scene}/x{ratio}.dng"
+            image = shown(own, f"{scene}/clean.dng", path)
+            last = np.ascontiguousarray(image.transpose(1, 2, 0))
+            file = (tmp_path / path).with_suffix({"png8": ".png", "png16": ".tif"}.get(form, f".{form[:3]}"))
+            file.parent.mkdir(exist_ok=True)
+            if form in ("png8", "png16"):
+                top, kind = (255, np.uint8) if form == "png8" else (65535, np.uint16)
+                codes = np.rint(np.clip(last, 0, 1) * top).astype(kind)
+                image = codes.transpose(2, 0, 1).astype(np.float32) / np.float32(top)
+                Image.fromarray(codes).save(file) if form == "png8" else tifffile.imwrite(file, codes)
+            elif form == "tif":
+                tifffile.imwrite(file, last, photometric="rgb")
+            else:
+                np.save(file, last if form == "npy-last" else image)
+            given[path] = image
+    for name in WAYS:
+        assert_scores(evaluate(tmp_path, manifest=own.manifest, root=own.root, protocol=name), own, given)
+
+
+@pytest.mark.parametrize("name", WAYS)
+def test_the_input_is_the_amplified_frame_in_its_own_colours(name: str, own: OwnSet) -> None:
+    result = evaluate(None, manifest=own.manifest, root=own.root, protocol=name, baseline="input")
+    given = {}
+    for pair in result.pairs:
+        noisy, reference = own.files / pair.path, own.files / pair.reference
+        amplified = packed(noisy, published_code.ratio_by_exif(noisy, reference))
+        given[pair.path] = published_code.eld_rendered(amplified, noisy)
+    assert_scores(result, own, given)
+
+
+# --- what does not go together ----------------------------------------------------------------------------------------
+
+
+def test_the_protocol_that_takes_them_is_named(own: OwnSet, tmp_path: Path) -> None:
+    sizes = {"raw": (4, 30, 42), "binned": (3, 30, 42), "whole": (3, *SIZE)}
+    for look, shape in sizes.items():
+        for scene in ("s0", "s1"):
+            for ratio in (50, 100):
+                save_prediction(tmp_path / look, f"{scene}/x{ratio}.dng", np.zeros(shape, np.float32))
+
+    def refused(look: str, protocol: str) -> str:
+        (problem,) = evaluate(tmp_path / look, manifest=own.manifest, root=own.root, protocol=protocol).problems
+        return problem.reason.partition("; ")[2]
+
+    assert refused("binned", "eld") == "give protocol sid-raw2rgb or eld-raw2rgb"
+    assert refused("raw", "eld-raw2rgb") == "give protocol sid-srgb or eld-srgb"
+    assert refused("whole", "eld-rgb2rgb") == "give protocol sid2018"
+    assert refused("binned", "sid2018") == "give protocol sid-raw2rgb or eld-raw2rgb"
+
+
+# --- predicting -------------------------------------------------------------------------------------------------------
+
+
+class Green(torch.nn.Module):
+    """Of four channels three."""
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return image[:, :3].clamp(min=0) ** 0.5
+
+
+class Same(torch.nn.Module):
+    """What is given."""
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return image
+
+
+def place(own: OwnSet) -> list[str]:
+    return ["--manifest", str(own.manifest), "--root", str(own.root)]
+
+
+def test_networks_to_srgb_are_run_and_scored(own: OwnSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, network in (("eld-raw2rgb", Green), ("eld-rgb2rgb", Same)):
+        model = f"{__name__}:{network.__name__}"
+        out = str(tmp_path / name)
+        assert main(["predict", model, *place(own), "--protocol", name, "-o", out]) == 0
+        assert np.load(tmp_path / name / "s0" / "x50.npy").shape == (3, 30, 42)
+        assert main(["evaluate", out, *place(own), "--protocol", name]) == 0
+    stated = json.loads((tmp_path / "eld-rgb2rgb" / SETTINGS).read_text(encoding="utf-8"))
+    assert (stated["input_space"], stated["prediction_space"]) == ("srgb", "srgb")
+    scored: dict[str, Any] = {"manifest": own.manifest, "root": own.root, "protocol": "eld-rgb2rgb"}
+    ours, theirs = evaluate(tmp_path / "eld-rgb2rgb", **scored), evaluate(None, baseline="input", **scored)
+    expected = [one.psnr_db for one in theirs.images]
+    assert [one.psnr_db for one in ours.images] == pytest.approx(expected, abs=1e-5, rel=0)  # files of float32
+    capsys.readouterr()
+    assert main(["evaluate", str(tmp_path / "eld-rgb2rgb"), *place(own), "--protocol", "eld-raw2rgb"]) == 2
+    assert "is of inputs in raw" in capsys.readouterr().err
+
+
+def test_a_network_of_other_channels_is_refused(own: OwnSet, tmp_path: Path) -> None:
+    for network, protocol, takers in ((Green, "eld", "sid-raw2rgb or eld-raw2rgb"), (Same, "eld-raw2rgb", "eld-srgb")):
+        report = write_predictions(
+            load_network(f"{__name__}:{network.__name__}", device="cpu"),
+            "",
+            tmp_path / protocol,
+            manifest=own.manifest,
+            root=own.root,
+            protocol=protocol,
+        )
+        assert report.written == 0
+        (problem,) = report.problems
+        assert takers in problem
+    with pytest.raises(ArgumentError, match="'sid2018' scores renderings"):
+        write_predictions(
+            load_network(f"{__name__}:Same"), "", tmp_path / "p", manifest=own.manifest, root=own.root,
+            protocol="sid2018",
+        )  # fmt: skip
+
+
+def test_tensors_of_renderings_are_scored(own: OwnSet) -> None:
+    image = shown(own, "s0/clean.dng", "s0/x50.dng")
+    target = published_code.eld_rendered(packed(own.files / "s0/clean.dng"), own.files / "s0/clean.dng")
+    metric = ProtocolScore(PROTOCOLS["eld-raw2rgb"])
+    metric.update(torch.from_numpy(image), torch.from_numpy(target.astype(np.float32)))
+    score = published_code.eld_rgb_score(image, packed(own.files / "s0/clean.dng"), own.files / "s0/clean.dng")
+    assert float(metric.compute()["psnr_db"]) == pytest.approx(score.psnr_db, abs=1e-5)

@@ -68,7 +68,8 @@ def noise_of_parameters(parameters: NoiseParameters, *, ratio: float, range_dn: 
     """
     scale = ratio / range_dn
     gauss, row = float(parameters.sigma_gauss_dn), float(parameters.sigma_row_dn)
-    return SignalNoise(float(parameters.gain_dn_per_e) * scale, (gauss**2 + row**2 + 1 / 12) * scale**2)
+    rounding = parameters.quantisation_step_dn**2 / 12
+    return SignalNoise(float(parameters.gain_dn_per_e) * scale, (gauss**2 + row**2 + rounding) * scale**2)
 
 
 def noise_of_image(image: Values) -> SignalNoise:

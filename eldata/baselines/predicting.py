@@ -161,7 +161,8 @@ def typical(profile: CameraProfile, iso: float) -> NoiseParameters:
     rows = rows_of(mode, profile.rows, profile.modes)
     nearest = (rows_nearest(gain, rows) or rows)[0]  # lambda goes with the gain
     scale, gauss, row = (fit.scale_dn(gain, 0.0) for fit in (mode.tukey_lambda_fit, mode.gauss_fit, mode.row_fit))
-    return NoiseParameters(gain, nearest.tukey_lambda, scale, gauss, row)
+    step = profile.quantisation_step_dn
+    return NoiseParameters(gain, nearest.tukey_lambda, scale, gauss, row, quantisation_step_dn=step)
 
 
 @dataclass(frozen=True, slots=True)

@@ -233,9 +233,10 @@ def joined(
         The checks that were to be accepted where the ISOs were measured; one that withheld nothing gets a remark.
     """
     everything = sorted(measured, key=lambda one: one.iso)
-    ordered = tuple(one for one in everything if isinstance(one, IsoCalibration))
     left_out = tuple(sorted(failed, key=lambda one: one.iso))
     remarks = [*(one.remark for one in left_out), *overall_remarks(everything)]
+    with_bias = tuple(one for one in everything if isinstance(one, IsoCalibration))
+    ordered, step_dn = _in_common_steps(with_bias, remarks)
     fits = joint_fits(ordered, modes)
     remarks += fits.remarks
     used = {finding.check for one in everything for finding in one.findings if finding.is_accepted}
@@ -279,6 +280,7 @@ def joined(
         modes=() if only is not None else tuple(modes_found),
         structure=_structure(ordered),
         accepted=found.accepted,
+        quantisation_step_dn=step_dn,
     )
     return replace(found, made_profile=profile)
 
@@ -288,6 +290,25 @@ def _structure(isos: Sequence[IsoCalibration]) -> tuple[NoiseStructure, ...]:
     known = [(one, one.structure) for one in isos if one.structure is not None and one.gain_dn_per_e is not None]
     prnu = pooled_prnu([structure for _, structure in known])
     return tuple(structure.at(one.gain_dn_per_e or 1.0, one.iso, prnu) for one, structure in known)
+
+
+def _in_common_steps(isos: tuple[IsoCalibration, ...], remarks: list[str]) -> tuple[tuple[IsoCalibration, ...], float]:
+    """Return the ISOs, in their steps where all have one and the same, and the profile's step; add to the remarks."""
+    steps = {one.step_dn if one.stepped is not None else 1 for one in isos}
+    if all(one.step_dn == 1 for one in isos):
+        return isos, 1.0
+    if len(steps) == 1 and steps != {1}:
+        (step,) = steps
+        remarks.append(f"values step by {step} DN at every ISO: the profile's quantisation_step_dn, for component U")
+        return tuple(one.in_steps for one in isos), float(step)
+    listed = ", ".join(f"{one.step_dn} at ISO {one.iso:g}" for one in isos)
+    quiet = ", ".join(f"{one.iso:g}" for one in isos if one.step_dn > 1 and one.stepped is None)
+    more = f"; the noise of ISO {quiet} is not told from that rounding" if quiet else ""
+    remarks.append(
+        f"values step by so many DN: {listed}{more}. The profile's quantisation_step_dn stays 1, and the read noise "
+        "holds what coarser rounding adds"
+    )
+    return isos, 1.0
 
 
 def _common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[float | None, float | None]:

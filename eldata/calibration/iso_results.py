@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from eldata.calibration.core.figures import (
     SIGMA_TL,
     TUKEY_LAMBDA,
 )
-from eldata.calibration.core.findings import SYMBOLS, GivenFigure, given, named, widened, withheld
+from eldata.calibration.core.findings import COARSE, SYMBOLS, GivenFigure, given, named, widened, withheld
 from eldata.calibration.core.row_noise import SpectrumLines
 
 if TYPE_CHECKING:
@@ -194,6 +194,11 @@ class IsoCalibration(IsoGain):
         few frames to hold one out, or one of the parameters is withheld.
     structure
         What the noise of pixels has in common; ``None`` if it was not asked for.
+    step_dn, stepped
+        By how many DN the values of the bias frames step, and the read noise that is left beside rounding to that;
+        ``None`` at 1 DN, or where the one is not told from the other.
+    quantisation_step_dn
+        The rounding that ``read`` is left beside: to 1 DN, or to ``step_dn``.
     tukey_lambda, sigma_tl_dn, sigma_gauss_dn
         Shape, scale and standard deviation of the read noise; ``None`` if it is withheld.
     sigma_row_dn, sigma_column_dn
@@ -210,6 +215,9 @@ class IsoCalibration(IsoGain):
     reproduction: Reproduction | None = None
     single_frame: SingleFramePlot | None = None
     structure: MeasuredStructure | None = None
+    step_dn: int = 1
+    stepped: ReadNoise | None = None
+    quantisation_step_dn: float = 1.0
 
     tukey_lambda = TUKEY_LAMBDA
     sigma_tl_dn = SIGMA_TL
@@ -240,6 +248,16 @@ class IsoCalibration(IsoGain):
         return (bias[0], bias[1], bias[2], bias[3] if len(bias) == 4 else bias[1])
 
     @property
+    def in_steps(self) -> IsoCalibration:
+        """The ISO with the read noise that is left beside rounding to its step; as it is, where that is not known."""
+        if self.stepped is None:
+            return self
+        text = f"the values step by {self.step_dn} DN: fewer bits than the file has room for; the read noise is without"
+        seen = COARSE.seen(self.step_dn, 1.0, f"{text} that rounding, which is component U's (quantisation_step_dn)")
+        findings = (*(one for one in self.findings if one.check != COARSE.name), seen)
+        return replace(self, read=self.stepped, findings=findings, quantisation_step_dn=float(self.step_dn))
+
+    @property
     def parameters(self) -> NoiseParameters | None:
         """The measured parameters as the noise model takes them; ``None`` if one of those in the dark is withheld.
 
@@ -258,6 +276,7 @@ class IsoCalibration(IsoGain):
             sigma_gauss_dn=gauss.value,
             sigma_row_dn=row.value,
             colour_bias_dn=bias,
+            quantisation_step_dn=self.quantisation_step_dn,
         )
 
     def as_dict(self) -> dict[str, Any]:

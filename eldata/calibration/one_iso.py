@@ -15,7 +15,7 @@ from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.acceptance.reproduction import compared_piece, reproduction
-from eldata.calibration.audit.bias_checks import bias_findings
+from eldata.calibration.audit.bias_checks import bias_findings, read_noise_in_steps
 from eldata.calibration.audit.bias_sums import BiasAudit, BiasSeen, BiasStatistics, code_step, missing_codes
 from eldata.calibration.audit.flat_checks import edge_findings, flat_findings, saturation_findings
 from eldata.calibration.audit.frames import (
@@ -180,6 +180,8 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
         single_frame=single,
         findings=found.findings,
         stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
+        step_dn=step,
+        stepped=None if found.residuals is None else read_noise_in_steps(found.residuals, step),
     )
     # Dark current is told by K, which the flats tell.
     gain = of_flats.on(dark).gain_dn_per_e
@@ -189,10 +191,11 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
         jumps = None if jumping is None or found.residuals is None else (jumping, found.residuals)
         dark = replace(dark, structure=measured_structure(dark.rows, of_bias, dark.read, jumps))
     whole = of_flats.on(replace(dark, findings=of_bias))
-    if held_out is not None and whole.parameters is not None:
+    parameters = whole.in_steps.parameters
+    if held_out is not None and parameters is not None:
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
-        compared = reproduction(held_out, fixed, sensor, whole.parameters, generator)
+        compared = reproduction(held_out, fixed, sensor, parameters, generator)
         whole = replace(whole, reproduction=compared)
     lossy = _lossy(reader, estimated) or _lossy(reader, [pair.first for pair in chosen.pairs])
     remarks = (*reader.copies.remarks, *bias_remarks(whole, chosen, lossy))

@@ -131,6 +131,7 @@ def run_show(arguments: argparse.Namespace) -> int:
             if level is not None
         ),
         *(("frames", f"colour biases of {n} bias frames, of which a draw takes one") for n in frames),
+        *(("step", f"{step:g} DN, the quantisation step") for step in [profile.quantisation_step_dn] if step != 1),
         *(("accepted", f" {one_line(one)}, with a larger error") for one in profile.accepted),
         *(("note", one_line(note)) for note in profile.notes),
     ]

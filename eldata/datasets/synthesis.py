@@ -411,8 +411,8 @@ def _synthesize_file(
         )
         names.append(draw.name)
         if recipe.format == "dng":
-            dn = noisy.astype(np.float64) * (range_dn / ratio) + black
-            mosaic = unpack(np.clip(np.rint(dn), 0, sensor.white_level_dn).astype(np.uint16), sensor.cfa)
+            dn = draw.parameters.rounded(noisy.astype(np.float64) * (range_dn / ratio) + black)
+            mosaic = unpack(np.clip(dn, 0, sensor.white_level_dn).astype(np.uint16), sensor.cfa)
             exposure = Exposure(draw.iso, draw.exposure_s, frame.exposure.f_number)
             with _naming(path):
                 write_dng(place / draw.name, mosaic, sensor, exposure, compression="lossless-jpeg")

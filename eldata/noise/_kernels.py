@@ -47,6 +47,7 @@ FIGURES = np.dtype(
         ("shape", np.float32),  # lambda
         ("sigma_read", np.float32),  # DN, as all of the next ones
         ("sigma_row", np.float32),
+        ("step", np.float32),
         ("bias", np.float32),
         ("black", np.float32),
         ("white", np.float32),
@@ -131,10 +132,10 @@ def _add_plane(offset: NDArray[np.float32], dn: NDArray[np.float32]) -> None:
 
 
 @kernel
-def _convert(value: NDArray[np.float32], black: Any, white: Any) -> None:
-    """Round to the converter's codes, without the black level."""
+def _convert(value: NDArray[np.float32], black: Any, white: Any, step: Any) -> None:
+    """Round to the converter's codes, without the black level: to its steps, and those to whole DN."""
     for j in range(value.size):
-        code = np.rint(value[j] + black)
+        code = np.rint(np.rint((value[j] + black) / step) * step)
         code = _ZERO if code < _ZERO else code
         code = white if code > white else code
         value[j] = code - black
@@ -268,9 +269,9 @@ def _add_noise_rows(
                 _compose(value, figures.gain, figures.sigma_read, noise, offset)
 
             if dithers:
-                add_uniform(value, dither)
+                add_uniform(value, dither, figures.step)
             if quantisation in (ADC, DITHERED_ADC):
-                _convert(value, figures.black, figures.white)
+                _convert(value, figures.black, figures.white, figures.step)
             _finish(value, flat_out[begin : begin + size], figures.scale, figures.low, figures.high)
 
 

@@ -362,7 +362,7 @@ def add_large(mean: NDArray[np.float32], out: NDArray[np.float32], first: Any, s
 
 
 @kernel
-def add_uniform(value: NDArray[np.float32], number: NDArray[np.uint32]) -> None:
-    """Add U(-1/2, 1/2), from the high 24 bits."""
+def add_uniform(value: NDArray[np.float32], number: NDArray[np.uint32], width: Any) -> None:
+    """Add U(-1/2, 1/2) times a width, from the high 24 bits."""
     for j in range(value.size):
-        value[j] += (_F(np.int32(_U4(number[j] >> _U4(8))) - np.int32(0x800000)) + _HALF) * _TO_24
+        value[j] += (_F(np.int32(_U4(number[j] >> _U4(8))) - np.int32(0x800000)) + _HALF) * _TO_24 * width

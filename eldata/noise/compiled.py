@@ -30,7 +30,7 @@ _PIECE = 1 << 16  # pixels in a band of rows: a fraction of a millisecond
 
 _SHOT = {"none": _kernels.NONE, "gaussian": _kernels.GAUSSIAN, "poisson": _kernels.POISSON}
 _READ = {"none": _kernels.NONE, "gaussian": _kernels.GAUSSIAN, "tukey-lambda": _kernels.TUKEY_LAMBDA}
-# By whether U(-1/2, 1/2) is added, and whether a converter rounds.
+# By whether U over one step is added, and whether a converter rounds.
 _QUANTISATION = {
     (False, False): _kernels.NONE,
     (True, False): _kernels.UNIFORM,
@@ -117,6 +117,7 @@ def _draw_of(
         "shape": lambdas,
         "sigma_read": exposures.sigma_read_dn,
         "sigma_row": exposures.sigma_row_dn,
+        "step": exposures.step_dn,
         "scale": exposures.ratio / exposures.range_dn,
     }
     for name, values in of_image.items():

@@ -7,7 +7,7 @@
 ``G*``  read noise, Tukey lambda                                tukey_lambda, sigma_tl_dn
 ``B``   colour bias: the read noise's mean per channel          colour_bias_dn
 ``R``   row noise, one Gaussian draw per mosaic row             sigma_row_dn
-``U``   quantisation noise, uniform over one DN                 none
+``U``   quantisation noise, uniform over one step of the DN     quantisation_step_dn
 ``D``   real dark frames, in place of G, B, R and U             gain of their ISO
 ``S``   dark shading of a sensor, with its colour bias          ISO
 ``C``   column noise, one Gaussian draw per mosaic column       sigma_column_dn

@@ -30,7 +30,10 @@ _LOWEST_SHAPE = -0.49  # lambda, whose variance ends at -1/2
 
 @dataclass(frozen=True, slots=True)
 class Adc:
-    """A real analogue-to-digital converter: rounds to whole DN and saturates at 0 and at the white level."""
+    """A real analogue-to-digital converter: rounds to whole DN and saturates at 0 and at the white level.
+
+    Where parameters state another ``quantisation_step_dn`` it rounds to multiples of that, and these to whole DN.
+    """
 
     black_level_dn: float
     white_level_dn: float
@@ -68,7 +71,7 @@ class DarkSource(Protocol):
 
     @property
     def dither(self) -> bool:
-        """Whether they are dithered by U(-1/2, 1/2)."""
+        """Whether they are dithered, by U over one step of the values."""
 
     def draw(self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator) -> DarkCrops:
         """Return crops (count, C, h, w) of as many frames of an ISO, from one place of them."""
@@ -81,11 +84,11 @@ class Exposures:
     With I = clean range / (ratio K) photoelectrons::
 
         D = K Poisson(I r) + read noise + bias + row noise + columns + telegraph + dark frame + dark shading
-            + U(-1/2, 1/2),
+            + U(-q/2, q/2),
         out = D ratio / range
 
-    each term if its component is there, as is r, the pixel's response. An ``adc`` rounds D + black to an integer from 0
-    to white and takes black off again; ``limits`` bound the output.
+    each term if its component is there, as is r, the pixel's response. An ``adc`` rounds D + black to a multiple of q,
+    and this to an integer from 0 to white, and takes black off again; ``limits`` bound the output.
 
     Attributes
     ----------
@@ -95,12 +98,14 @@ class Exposures:
         (N,) float64: K in DN per photoelectron, and the exposure ratio, above 0.
     tukey_lambda, sigma_read_dn, sigma_row_dn
         (N,) float64: shape of the read noise, its scale, and the row noise; 0 where the component is off.
+    step_dn
+        (N,) float64: the quantisation step q, above 0.
     bias_dn
         (N, C) float64: colour bias, 0 where it is off; with dark frames, what is taken off them, the black level.
     dark
         Crops of dark frames; ``None``: the component is off.
     dithers
-        Whether they are dithered: by U(-1/2, 1/2), before any rounding.
+        Whether they are dithered: by U(-q/2, q/2), before any rounding.
     shading_dn
         (N, C, h, w) float32, or (1, C, h, w) for all images alike: the dark shading of component S, DN; ``None``: it is
         off.
@@ -118,6 +123,7 @@ class Exposures:
     tukey_lambda: NDArray[np.float64]
     sigma_read_dn: NDArray[np.float64]
     sigma_row_dn: NDArray[np.float64]
+    step_dn: NDArray[np.float64]
     bias_dn: NDArray[np.float64]
     adc: Adc | None = None
     limits: tuple[float, float] = (-math.inf, math.inf)
@@ -162,6 +168,7 @@ class Exposures:
                 [p.sigma_tl_dn if tukey else p.sigma_gauss_dn for p in drawn], components.read != "none"
             ),
             sigma_row_dn=array([p.sigma_row_dn for p in drawn], components.row),
+            step_dn=array([p.quantisation_step_dn for p in drawn]),
             bias_dn=np.array(bias, dtype=np.float64).reshape(len(drawn), channels),
             dark=dark,
             structure=structure,

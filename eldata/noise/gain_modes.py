@@ -112,7 +112,9 @@ class ProfileRow:
         """Return the fields as plain types, without frames where none is known."""
         return {name: value for name, value in asdict(self).items() if value or name != "frame_bias_dn"}
 
-    def parameters(self, range_dn: float | None, structure: NoiseStructure | None) -> NoiseParameters | None:
+    def parameters(
+        self, range_dn: float | None, structure: NoiseStructure | None, step_dn: float = 1.0
+    ) -> NoiseParameters | None:
         """Return the figures as a draw, ``None`` unless K and all scales are known."""
         gain, scale, gauss, rows = self.gain_dn_per_e, self.sigma_tl_dn, self.sigma_gauss_dn, self.sigma_row_dn
         if rows is None and structure is not None and structure.row_spectrum is not None:
@@ -120,7 +122,7 @@ class ProfileRow:
         if gain is None or scale is None or gauss is None or rows is None:
             return None
         figures = gain, self.tukey_lambda, scale, gauss, rows, self.colour_bias_dn
-        return NoiseParameters(*figures, range_dn, self.iso, structure)
+        return NoiseParameters(*figures, range_dn, self.iso, structure, step_dn)
 
 
 def modes_problem(

@@ -73,7 +73,7 @@ class NoiseModel:
         published ELD loader gives a network). ``None``, the default, leaves it to who uses the model: called by itself
         it does not clip, and a dataset clips as its own ``clip`` says.
     adc
-        Round to whole DN and saturate as a converter does, in place of component U.
+        Round to whole DN (the parameters' step) and saturate as a converter does, in place of component U.
     dark_frames
         The frames of component D: :class:`eldata.datasets.DarkFrames`.
     dark_shading
@@ -352,9 +352,9 @@ class NoiseModel:
     def expected_variance_dn2(self, signal_e: float, parameters: NoiseParameters) -> float:
         """Return the closed-form variance of D over pixels and rows, in DN^2 (without saturation).
 
-        ``K (K I) + sigma_TL^2 Var(TL) + sigma_row^2 + 1/12``, each term if its component is there; F adds ``(prnu K
-        I)^2``, W has its own rows, and C and T add what the read noise has less with them. For an ``adc`` 1/12
-        is an approximation, good where the other noise is above half a DN.
+        ``K (K I) + sigma_TL^2 Var(TL) + sigma_row^2 + q^2/12``, each term if its component is there; F adds ``(prnu K
+        I)^2``, W has its own rows, and C and T add what the read noise has less with them. For an ``adc`` q^2/12
+        is an approximation, good where the other noise is above half a step q.
 
         Raises
         ------
@@ -371,7 +371,7 @@ class NoiseModel:
             found = known_structure(parts, parameters.structure)
             row += found.row_spectrum.variance_dn2 if parts.banding and found.row_spectrum is not None else 0.0
             shot += (found.prnu * gain * signal_e) ** 2 if parts.prnu and found.prnu is not None else 0.0
-        quantisation = 1 / 12 if parts.quantisation or self.adc is not None else 0.0
+        quantisation = parameters.quantisation_step_dn**2 / 12 if parts.quantisation or self.adc is not None else 0.0
         return shot + read + row + quantisation
 
     def _check_closed(self) -> None:

@@ -64,9 +64,11 @@ def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch
         added = offsets_dn((images, channels, height, width), exposures, keys, places)
         dn = dn + torch.from_numpy(added).to(device)
     if components.quantisation or exposures.dithers:
-        dn = dn + (torch.rand(clean.shape, generator=generator, device=device) - 0.5)
+        dn = dn + (torch.rand(clean.shape, generator=generator, device=device) - 0.5) * per_image(exposures.step_dn)
     if adc is not None:
-        dn = (dn + adc.black_level_dn).round().clamp(0.0, adc.white_level_dn) - adc.black_level_dn
+        step = per_image(exposures.step_dn)
+        codes = (((dn + adc.black_level_dn) / step).round() * step).round()
+        dn = codes.clamp(0.0, adc.white_level_dn) - adc.black_level_dn
     return (dn / scale).clamp(*exposures.limits)
 
 

@@ -15,6 +15,7 @@ from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import torch
+    from numpy.typing import NDArray
 
     from eldata.noise.structure import NoiseStructure
 
@@ -55,6 +56,10 @@ class NoiseParameters:
     structure
         Figures of components C, W, T and F, where the profile has any. They are of the camera at the gain that is
         nearest, and not drawn: nor do draws differ in them.
+    quantisation_step_dn
+        The step q by which the camera's values go, DN, above 0 (section 3.1.3 of the paper): component U is uniform
+        from -q / 2 to q / 2, and a converter rounds to it. 1 unless files hold fewer values than they have room for. It
+        is of the camera too: draws do not differ in it.
 
     Raises
     ------
@@ -83,6 +88,7 @@ class NoiseParameters:
     range_dn: float | None = field(default=None, compare=False)
     iso: float | None = field(default=None, compare=False)
     structure: NoiseStructure | None = field(default=None, compare=False, repr=False)
+    quantisation_step_dn: float = field(default=1.0, compare=False)
 
     def __post_init__(self) -> None:
         for name in _names():
@@ -96,6 +102,7 @@ class NoiseParameters:
         for value in values:
             checked_number("colour_bias_dn", value)
         object.__setattr__(self, "colour_bias_dn", values)
+        checked_number("quantisation_step_dn", self.quantisation_step_dn, above=0)
         if self.range_dn is not None:
             checked_number("range_dn", self.range_dn, above=0)
         if self.iso is not None:
@@ -112,6 +119,10 @@ class NoiseParameters:
     def as_dict(self) -> dict[str, Any]:
         """Return the parameters of the noise by name."""
         return {name: getattr(self, name) for name in _names()}
+
+    def rounded(self, dn: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+        """Return DN, black level included, as the camera's files hold them: in its steps, and whole."""
+        return np.asarray(np.rint(np.rint(dn / self.quantisation_step_dn) * self.quantisation_step_dn))
 
 
 @cache

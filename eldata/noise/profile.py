@@ -1,7 +1,6 @@
 """Camera profiles: what a calibration found, and how parameters are drawn from it.
 
 A profile is a JSON file, validated on load. Profiles of five cameras ship with the package (:func:`shipped_profiles`).
-
 A camera that switches its conversion gain has the noise of two cameras: its profile holds a :class:`GainMode` for each.
 """
 
@@ -81,6 +80,8 @@ class CameraProfile:
         Figures of components C, W, T and F by ISO; empty if they were not measured.
     accepted
         Figures that a check of the calibration would withhold and somebody has accepted, with check and ISOs.
+    quantisation_step_dn
+        The step by which the files' values go, DN, above 0 (:class:`~eldata.noise.parameters.NoiseParameters`).
 
     Raises
     ------
@@ -111,6 +112,7 @@ class CameraProfile:
     modes: tuple[GainMode, ...] = ()
     structure: tuple[NoiseStructure, ...] = ()
     accepted: tuple[str, ...] = ()
+    quantisation_step_dn: float = 1.0
 
     def __post_init__(self) -> None:
         if not self.rows:
@@ -154,8 +156,8 @@ class CameraProfile:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the profile as its file holds it, as plain types: with modes, or with fits of its own."""
-        empty = (name for name in ("structure", "accepted") if not getattr(self, name))
-        left_out = (*(OF_ONE_MODE if self.modes else ("modes",)), *empty)
+        usual = {"structure": (), "accepted": (), "quantisation_step_dn": 1}
+        left_out = {*(OF_ONE_MODE if self.modes else ("modes",)), *(n for n in usual if getattr(self, n) == usual[n])}
         found = {name: value for name, value in asdict(self).items() if name not in left_out}
         return found | {"rows": tuple(row.as_dict() for row in self.rows)}
 
@@ -324,7 +326,7 @@ class CameraProfile:
         complete: dict[float, NoiseParameters] = {}
         for row in self.rows:
             structure = None if row.gain_dn_per_e is None else self._structure_at(row.gain_dn_per_e)
-            found = row.parameters(self.range_dn, structure)
+            found = row.parameters(self.range_dn, structure, self.quantisation_step_dn)
             if row.iso is not None and found is not None:
                 complete.setdefault(row.iso, found)
         if iso in complete:
@@ -414,6 +416,7 @@ class CameraProfile:
             range_dn=self.range_dn,
             iso=iso,
             structure=self._structure_at(gain),
+            quantisation_step_dn=self.quantisation_step_dn,
         )
 
     def _structure_at(self, gain: float) -> NoiseStructure | None:

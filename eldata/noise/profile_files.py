@@ -95,6 +95,7 @@ def read_profile(path: Path, known: Collection[str]) -> dict[str, Any]:
         else (),
         "structure": tuple(map(read_structure, top.objects("structure", fewest=1))) if has_structure else (),
         "accepted": top.texts("accepted", missing_ok=True, empty=True),
+        "quantisation_step_dn": top.optional("quantisation_step_dn", top.number, 1.0, above=0),
     }
 
 

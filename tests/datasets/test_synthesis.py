@@ -141,6 +141,16 @@ def test_noise_of_quad_and_nona(block: int, word: str, tmp_path: Path) -> None:
         assert abs(means.var(ddof=1) / expected - 1) < 5 * np.sqrt(2 / (height - 1))
 
 
+def test_files_have_the_quantisation_step_of_the_camera(clean: Path, tmp_path: Path) -> None:
+    """White, 16383, is no multiple of 4, and no pixel of these reaches it."""
+    for step in (4.0, 1.0):
+        out = tmp_path / f"{step:g}"
+        synthesize(clean, out, Recipe(replace(SONY, quantisation_step_dn=step)))
+        for frame in recorded(out):
+            mosaic = read_raw(out / "data" / out.name / frame["path"]).mosaic
+            assert set(np.unique(mosaic % 4)) == ({0} if step == 4 else {0, 1, 2, 3})
+
+
 def test_files_depend_on_the_seed_alone(clean: Path, tmp_path: Path) -> None:
     def content(name: str, seed: int, jobs: int) -> dict[str, bytes]:
         out = tmp_path / name / "set"  # the same name: it stands in the manifest

@@ -73,8 +73,8 @@ class Law:
             variance += spread
             fourth += spread**2 * _excess_kurtosis(parameters.tukey_lambda)
         if "U" in names:
-            variance += 1 / 12
-            fourth -= 1 / 120
+            variance += parameters.quantisation_step_dn**2 / 12
+            fourth -= parameters.quantisation_step_dn**4 / 120
         return cls(
             mean=gain * signal_e + (bias_dn if "B" in names else 0.0),
             variance=variance,
@@ -139,7 +139,9 @@ def device_dn(
     return dn
 
 
-def check_closed_forms(draw: Callable[..., NDArray[np.float64]], spec: str, **options: Any) -> None:
+def check_closed_forms(
+    draw: Callable[..., NDArray[np.float64]], spec: str, parameters: NoiseParameters = PARAMETERS, **options: Any
+) -> None:
     """Compare channel means and the variance at each signal.
 
     Each image has 4096 rows of 16 entries in each of four channels: 65536 pixels for a mean, 262144 pixels in 8192
@@ -147,10 +149,10 @@ def check_closed_forms(draw: Callable[..., NDArray[np.float64]], spec: str, **op
     """
     shape = (4, 4096, 16)
     pixels, rows = 4096 * 16, 4096
-    dn = draw(spec, clean_of(SIGNALS_E, shape, PARAMETERS), PARAMETERS, **options)
+    dn = draw(spec, clean_of(SIGNALS_E, shape, parameters), parameters, **options)
     assert np.isfinite(dn).all()
     for signal_e, image in zip(SIGNALS_E, dn, strict=True):
-        laws = [Law.of(spec, PARAMETERS, float(signal_e), bias) for bias in PARAMETERS.colour_bias_dn]
+        laws = [Law.of(spec, parameters, float(signal_e), bias) for bias in parameters.colour_bias_dn]
         for channel, law in zip(image, laws, strict=True):
             # The second term: float32 of the clean value, of the product and of the result.
             tolerance = 5 * law.mean_error(pixels, rows) + 3e-7 * abs(law.mean)

@@ -59,6 +59,7 @@ def noisy(
         tukey_lambda=each("tukey_lambda", 0.0),
         sigma_read_dn=each("sigma_read_dn", 0.0),
         sigma_row_dn=each("sigma_row_dn", 0.0),
+        step_dn=each("step_dn", 1.0),
         bias_dn=each("bias_dn", 0.0, (images, channels)),
         adc=adc,
         limits=(changes.pop("low", -math.inf), changes.pop("high", math.inf)),

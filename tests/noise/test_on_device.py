@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from tests.noise.helpers import (
     PARAMETERS,
     RANGE_DN,
     RATIO,
+    Law,
     check_closed_forms,
     clean_of,
     compiled_dn,
@@ -29,6 +31,9 @@ from tests.noise.helpers import (
     poisson_p_value,
 )
 from tests.raw.helpers import NONA, QUAD, XTRANS_COLOURS, Cfa
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 CUDA = torch.cuda.is_available()
 FULL = "P*+G*+B+R+U"
@@ -41,6 +46,64 @@ def device(request: pytest.FixtureRequest) -> str:
 
 def dark(*shape: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     return np.zeros(shape, dtype=np.float32)
+
+
+# --- the quantisation step, on both engines -------------------------------------------------------------------------
+
+STEPS = [0.25, 4.0, 12.5]
+
+
+@pytest.mark.parametrize("draw", [compiled_dn, device_dn])
+@pytest.mark.parametrize("step", STEPS)
+def test_quantisation_of_another_step(step: float, draw: Callable[..., Any]) -> None:
+    """U alone: 100000 pixels, Kolmogorov-Smirnov; the whole model: see check_closed_forms; and as the model says."""
+    parameters = replace(PARAMETERS, quantisation_step_dn=step)
+    values = draw("U", dark(1, 4, 250, 100), parameters, seed=3).ravel()
+    assert stats.kstest(values, "uniform", (-step / 2, step)).pvalue > LEAST_P_VALUE
+    check_closed_forms(draw, FULL, parameters, seed=4)
+    model, law = NoiseModel(FULL), Law.of(FULL, parameters, 25.0)
+    assert model.expected_variance_dn2(25.0, parameters) == pytest.approx(law.variance + law.row_variance)
+
+
+@pytest.mark.parametrize("draw", [compiled_dn, device_dn])
+def test_a_converter_of_another_step(draw: Callable[..., Any]) -> None:
+    """Codes are multiples of 4 DN as of 12 bits in 14, or of 12.5 rounded to whole ones, and saturate as others do.
+
+    A ramp goes through all codes; one of its values in a thousand lies so near to a middle that float32 decides.
+    """
+    black, white = 512.0, 16383.0
+    ramp = np.linspace(0, 17000, 40_000).reshape(1, 4, 100, 100)
+    clean = (ramp * (RATIO / RANGE_DN)).astype(np.float32)
+    for step in (4.0, 12.5):
+        parameters = NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0, quantisation_step_dn=step)
+        codes = draw("R", clean, parameters, adc=Adc(black, white)) + black
+        expected = np.minimum(np.round(step * np.round((ramp + black) / step)), white)
+        differ = np.abs(codes - expected) > 0.01
+        assert differ.mean() < 1e-3
+        assert np.unique(np.rint(codes[~differ])).size == np.unique(expected).size
+        if step == 4:
+            assert {*np.unique(np.rint(codes) % 4)} == {0, white % 4}
+
+
+@pytest.mark.parametrize("draw", [compiled_dn, device_dn])
+@pytest.mark.parametrize("adc", [None, Adc(512.0, 16383.0)])
+def test_a_step_of_1_is_what_no_step_is(draw: Callable[..., Any], adc: Adc | None) -> None:
+    """To the bit; and images of one batch have each their own step."""
+    spec, clean = "P*+G*+B+R" + ("+U" if adc is None else ""), clean_of(np.array([3.0, 130.0]), (4, 16, 40), PARAMETERS)
+    one = draw(spec, clean, PARAMETERS, seed=5, adc=adc)
+    assert np.array_equal(one, draw(spec, clean, replace(PARAMETERS, quantisation_step_dn=1), seed=5, adc=adc))
+    other = draw(spec, clean, replace(PARAMETERS, quantisation_step_dn=8.0), seed=5, adc=adc)
+    if draw is compiled_dn:
+        mixed = [PARAMETERS, replace(PARAMETERS, quantisation_step_dn=8.0)]
+        both = draw(spec, clean, mixed, seed=5, adc=adc)
+        assert np.array_equal(both, np.stack([one[0], other[1]]))
+    assert not np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("step", [0.0, -1.0, math.nan, math.inf])
+def test_a_step_that_cannot_be(step: float) -> None:
+    with pytest.raises(ArgumentError, match="quantisation_step_dn"):
+        replace(PARAMETERS, quantisation_step_dn=step)
 
 
 # --- moments and distributions --------------------------------------------------------------------------------------

@@ -146,6 +146,18 @@ def test_the_variance_is_the_integral_of_the_squared_quantile(shape: float) -> N
     assert tukey_lambda_variance(shape) == pytest.approx(2 * half, rel=1e-8)
 
 
+def test_dn_are_rounded_as_files_hold_them() -> None:
+    """To steps of 1, of 4, and of 5/4 that are then whole: codes 0, 1, 2, 3, 4 are 0, 1, 2, 4, 5 DN."""
+    values = np.array([0.0, 0.4, 0.7, 1.8, 1.9, 2.6, 3.2, 5.9, 6.1])
+    for step, expected in (
+        (1.0, [0, 0, 1, 2, 2, 3, 3, 6, 6]),
+        (4.0, [0, 0, 0, 0, 0, 4, 4, 4, 8]),
+        (1.25, [0, 0, 1, 1, 2, 2, 4, 6, 6]),
+    ):
+        parameters = NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0, quantisation_step_dn=step)
+        assert parameters.rounded(values).tolist() == expected
+
+
 @pytest.mark.parametrize("switch", [-0.125, 0.0, 0.125])
 def test_no_step_where_the_formula_changes(switch: float) -> None:
     below, here, above = (tukey_lambda_variance(switch + step) for step in (-1e-9, 0.0, 1e-9))

@@ -15,6 +15,9 @@ import pytest
 import torch
 from scipy import stats
 
+from eldata.baselines.classical import noise_of_parameters
+from eldata.baselines.predicting import typical
+from eldata.calibration.acceptance.theory import diagnose
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters, shipped_profiles
 from eldata.noise.gain_modes import LogLogFit, ProfileRow
@@ -144,7 +147,7 @@ def test_a_shipped_profile_saved_and_loaded(name: str, tmp_path: Path) -> None:
         FULL,
         dataclasses.replace(FULL, iso_range=None, black_level_dn=None, white_level_dn=None, notes=()),
         dataclasses.replace(FULL, rows=FULL.rows[1:], gain_range_dn_per_e=(0.1 + 0.2, 1e300)),
-        WITH_FRAMES,
+        dataclasses.replace(WITH_FRAMES, quantisation_step_dn=4.0),
     ],
     ids=["full", "least", "odd numbers", "frames"],
 )
@@ -158,6 +161,7 @@ def test_every_field_survives_a_file(profile: CameraProfile, tmp_path: Path) -> 
         "modes",
         "structure",
         "accepted",
+        *(() if profile.quantisation_step_dn != 1 else ("quantisation_step_dn",)),
     }
 
 
@@ -215,6 +219,7 @@ NUMBER_FIELDS: list[tuple[str | int, ...]] = [
 OPTIONAL_FIELDS: list[tuple[str | int, ...]] = [
     ("black_level_dn",),
     ("white_level_dn",),
+    ("quantisation_step_dn",),
     *(
         ("rows", 0, name)
         for name in (
@@ -254,6 +259,7 @@ WRONG: list[tuple[tuple[str | int, ...], object]] = [
     *((("rows", 1, "colour_bias_dn"), value) for value in any_of(MISSING, None, 1.0, [1, 2, 3], [1, 2, 3, 4, 5])),
     *((("rows", 0, "colour_bias_dn", place), value) for place in range(4) for value in any_of(None, "a", math.nan)),
     *((("rows", 0, name), value) for name in ("iso", "gain_dn_per_e") for value in any_of(0, -1.0)),
+    *((("quantisation_step_dn",), value) for value in any_of(0, -4.0)),
     *((("schema",), value) for value in any_of(MISSING, None, 0, 4, "1", [1])),
     *(((name,), value) for name in ("notes", "accepted") for value in any_of(None, 5, "one text", {"a": 1})),
     (("extra",), 1),
@@ -446,6 +452,17 @@ def test_a_frame_of_the_drawn_row_gives_the_colour_bias(make: Callable[[int], Ge
     observed = [counts[frame] for frame in frames if frame in counts]
     assert stats.chisquare(observed, 3000 * shares).pvalue > LEAST_P_VALUE
     assert WITH_FRAMES.measured(100) == FULL.measured(100)
+
+
+def test_draws_have_the_quantisation_step_of_the_camera() -> None:
+    coarse = dataclasses.replace(FULL, quantisation_step_dn=4.0)
+    for profile, step in ((coarse, 4.0), (FULL, 1.0)):
+        assert profile.sample(np.random.default_rng(1)).quantisation_step_dn == step
+        assert profile.measured(100).quantisation_step_dn == step
+        assert typical(profile, 200).quantisation_step_dn == step
+        variance = noise_of_parameters(profile.measured(100), ratio=1.0, range_dn=1.0).offset
+        assert variance == pytest.approx(2.5**2 + 0.5**2 + step**2 / 12)
+    assert diagnose(coarse, coarse.sample(np.random.default_rng(1))).off == ()
 
 
 def numpy_generator(seed: int) -> np.random.Generator:

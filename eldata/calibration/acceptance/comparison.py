@@ -431,12 +431,12 @@ class MadeFrames:
         return result
 
     def frame(self, light_dn: Plane, *stream: int) -> Mosaic:
-        """Return a whole DN of each pixel."""
+        """Return a DN of each pixel, rounded as in the camera's files."""
         values = self.values_dn(light_dn, *stream)
         black = np.asarray(self.sensor.black_level_dn, dtype=np.float32)
         values += by_pixel(black, pattern_of(self.sensor.cfa), values.shape)
-        np.rint(values, out=values)
-        return np.clip(values, 0, self.sensor.white_level_dn, out=values).astype(np.uint16)
+        codes: Mosaic = np.clip(self.parameters.rounded(values), 0, self.sensor.white_level_dn).astype(np.uint16)
+        return codes
 
     def pair(self, light_dn: Plane, stream: int, index: int) -> tuple[Mosaic, Mosaic]:
         """Return two frames; stream and index number the pair."""

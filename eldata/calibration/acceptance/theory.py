@@ -183,14 +183,14 @@ class _Examined:
         return max(self.variance(signal_e) - self.row_variance, 0.0)
 
     def fourth_cumulant(self, signal_e: float) -> float:
-        """Of the pixel noise: Poisson K^4 I, uniform -1/120, Gaussian 0."""
+        """Of the pixel noise: Poisson K^4 I, uniform -q^4/120, Gaussian 0."""
         p = self.parameters
         shot = p.gain_dn_per_e**4 * signal_e if self.parts.shot == "poisson" else 0.0
         read = 0.0
         if self.parts.read == "tukey-lambda" and p.sigma_tl_dn > 0:
             variance = p.sigma_tl_dn**2 * tukey_lambda_variance(p.tukey_lambda)
             read = tukey_lambda_kurtosis(p.tukey_lambda) * variance**2
-        return shot + read + (-1 / 120 if self.parts.quantisation else 0.0)
+        return shot + read + (-(p.quantisation_step_dn**4) / 120 if self.parts.quantisation else 0.0)
 
     def rounding(self, signal_e: float) -> float:
         """How far rounding alone may move a mean."""
@@ -323,14 +323,15 @@ def _read_noise(one: _Examined) -> tuple[tuple[TheoryCheck, ...], NDArray[np.flo
 
 
 def _other_parts(one: _Examined) -> Iterator[TheoryCheck]:
-    """Quantiles of the row noise alone, of one pixel per row, and of quantisation alone, uniform over one DN."""
+    """Quantiles of the row noise alone, of one pixel per row, and of quantisation alone, uniform over one step."""
     if one.parts.row:
         values = np.sort(one.frame(0.0, _ROW, 3, "R")[[0, 2]], axis=None)  # R and B: every mosaic row once
         expected = _gaussian_quantiles(_PART_LEVELS, one.parameters.sigma_row_dn)
         yield from _quantile_comparisons("row noise alone", values, _PART_LEVELS, *expected)
     if one.parts.quantisation:
         values = np.sort(one.frame(0.0, _QUANTISATION, 4, "U"), axis=None)
-        uniform = _PART_LEVELS - 0.5, np.ones_like(_PART_LEVELS)
+        step = one.parameters.quantisation_step_dn
+        uniform = step * (_PART_LEVELS - 0.5), np.full_like(_PART_LEVELS, step)
         yield from _quantile_comparisons("quantisation alone", values, _PART_LEVELS, *uniform)
 
 

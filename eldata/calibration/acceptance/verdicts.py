@@ -100,6 +100,7 @@ def parameter_rows(parameters: NoiseParameters) -> list[tuple[str, str, str]]:
         ("sigma_G", f"{parameters.sigma_gauss_dn:.5g}", "DN"),
         ("sigma_row", f"{parameters.sigma_row_dn:.5g}", "DN"),
         *((f"bias {name}", f"{value:.5g}", "DN") for name, value in bias),
+        *([("q", f"{step:.5g}", "DN")] if (step := parameters.quantisation_step_dn) != 1 else []),
     ]
 
 

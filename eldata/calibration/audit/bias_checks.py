@@ -7,7 +7,7 @@ does not meet one; thresholds follow from that and from the number of blocks, pi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +25,7 @@ from eldata.calibration.core.findings import (
     LOPSIDED,
     UNLIKE,
 )
+from eldata.calibration.core.read_noise import read_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,7 +34,9 @@ if TYPE_CHECKING:
 
     from eldata.calibration.audit.bias_sums import BiasStatistics
     from eldata.calibration.audit.neighbours import NeighbourStatistics
+    from eldata.calibration.core._residual_fit import ResidualHistogram
     from eldata.calibration.core.findings import Figure, Finding
+    from eldata.calibration.core.read_noise import ReadNoise
     from eldata.calibration.core.row_noise import ColourBias
 
 _LOW_SHARE = 0.05  # of the blocks, the darkest: taken for those without light
@@ -49,6 +52,7 @@ _EXPONENTIAL = 2.0  # skewness of a dark signal over the pixels
 # What is added to the noise makes its tails lighter: sigma_TL goes up by so many times sigma_G's share.
 _OF_LIGHTER_TAILS = 2.0
 _SURELY = 2.0  # standard errors
+_MOST_RIPPLE = 0.02  # of the variance
 _FAINT_RIPPLE = 1e-3  # of sizes: the sum of sizes of a pixel then tells nothing of rounding
 
 
@@ -405,3 +409,16 @@ def coarse_values(seen: BiasSeen) -> Iterator[Finding]:
     )
     share = _OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(seen.read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
     yield from COARSE.judged(size, 1 / (1 - GAPS), text, {"read noise": (share, seen.read_error)})
+
+
+def read_noise_in_steps(residuals: ResidualHistogram, step: int) -> ReadNoise | None:
+    """Estimate the read noise beside rounding to a step of several DN, uniform over it, in place of that to whole DN.
+
+    ``None`` for a step of 1 DN, or where rounding depends on the noise: where the noise that is found would ripple by a
+    fiftieth of its variance from one step to the next.
+    """
+    if step == 1:
+        return None
+    found = read_noise(replace(residuals, rounding_dn=float(step), fractions=None))
+    ripple = Ripple.of(found.tukey_lambda, found.sigma_tl_dn / step)
+    return found if found.converged and ripple.variance < _MOST_RIPPLE else None

@@ -126,8 +126,9 @@ def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Datas
     """Return clean crops with noise made on the fly; for Noise2Noise, two noisy exposures of each."""
     if not options.profile:
         arguments().error("--clean needs a camera's noise: --profile")
-    source = CleanFrames(options.clean, levels=options.levels)
+    source = CleanFrames(options.clean if len(options.clean) > 1 else options.clean[0], levels=options.levels)
     noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio), "clip": options.input_clip}
+    noise["range_dn"] = options.range_dn
     if not options.noise2noise:
         return SyntheticPairs(source, options.profile, **crops, **noise)
     count = crops.pop("crops_per_frame", 1)
@@ -256,7 +257,8 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument("run", type=Path, help="folder of this training; the same command goes on with it")
     data = parser.add_argument_group("data")
     data.add_argument("--pairs", help="a packed store, or the address of a folder of shards")
-    data.add_argument("--clean", help="a packed store of clean frames, or a folder of raws")
+    data.add_argument("--clean", nargs="+", help="packed stores of clean frames, or folders of raws")
+    data.add_argument("--range-dn", type=float, help="the profile's white minus black, for --clean of other cameras")
     data.add_argument("--noise2noise", action="store_true", help="a second noisy frame in place of the clean one")
     data.add_argument(
         "--crops-per-frame",

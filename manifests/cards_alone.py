@@ -70,6 +70,50 @@ AIM25 = Card(
     ),
 )
 
+_FIVEK_HELD = "5,000 photographs by several photographers and cameras, each as a DNG file and retouched by five experts"
+
+FIVEK = Card(
+    name="fivek",
+    title="MIT-Adobe FiveK: clean raw photographs of many cameras",
+    version="1.0",
+    folder="FiveK",
+    citation=(
+        "V. Bychkovsky, S. Paris, E. Chan and F. Durand, Learning Photographic Global Tonal Adjustment with a Database "
+        "of Input / Output Image Pairs, IEEE Conference on Computer Vision and Pattern Recognition, 2011"
+    ),
+    licence="research use, by two texts of the publishers that cover a list of files each: read them on the set's page",
+    homepage="https://data.csail.mit.edu/graphics/fivek/",
+    cfa="bayer",
+    cameras={},
+    counts={},
+    downloads=(
+        Download(
+            "https://data.csail.mit.edu/graphics/fivek/",
+            notes="the set's page, with one archive of all and the files one by one",
+            about="50 GB",
+        ),
+    ),
+    known_defects=(
+        "Photographs as they were taken: that they are clean enough is the ELD paper's assumption.",
+        (
+            "Cameras of 12 to 16 bits: their white levels differ, so noise of a profile needs its own range_dn, and "
+            "levels are the files' (docs/training.md, clean frames of other cameras)."
+        ),
+    ),
+    sources=(
+        "The paper of the set, abstract: 5,000 photos, five retouchers",
+        "Public code and pages that fetch the set: DNG, two licence texts, some 50 GB",
+        "K. Wei et al., TPAMI 2021, section on training with more synthesized data: used as clean images beside SID",
+    ),
+    contents=f"{_FIVEK_HELD}. eldata uses the DNG files alone, as clean frames for synthetic noise",
+    levels="those of each file",
+    scored=("Nothing: it has no noisy frames, and eldata has no protocol for retouching.",),
+    unknown=(
+        "The list of files was not read, so eldata has no manifest. A folder of the DNG files needs none as --clean.",
+        "Which photographs the ELD paper took, and whether all of them; and which files hold no Bayer mosaic.",
+    ),
+)
+
 LLD = Card(
     name="lld",
     title="Low-light denoising dataset LLD, with dark and flat-field frames",
@@ -168,4 +212,4 @@ RAWNIND = Card(
     ),
 )
 
-CARDS_ALONE = (AIM25, LLD, RAWNIND)
+CARDS_ALONE = (AIM25, FIVEK, LLD, RAWNIND)

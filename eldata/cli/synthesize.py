@@ -15,12 +15,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "synthesize",
         help="make noisy raw files from clean ones, with a manifest",
         description=(
-            "Make noisy exposures of a folder of clean raw files with a camera's calibrated noise. OUT gets the clean "
+            "Make noisy exposures of folders of clean raw files with a camera's calibrated noise. OUT gets the clean "
             "and noisy frames, a manifest that eldata verify and the datasets read, and every parameter drawn. Work "
             "that was interrupted, even by kill -9, goes on if the command is repeated."
         ),
     )
-    parser.add_argument("clean", metavar="CLEAN", help="folder of clean raw files")
+    parser.add_argument("clean", metavar="CLEAN", nargs="+", help="folder of clean raw files, or several")
     parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a new folder")
     parser.add_argument("--camera", metavar="NAME", required=True, help="a shipped profile (SonyA7S2) or a JSON file")
     add_components(
@@ -114,7 +114,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     out = Path(arguments.output)
     with chosen_workers(arguments) as workers:
-        manifest = synthesize(Path(arguments.clean), out, recipe, workers=workers)
+        manifest = synthesize(list(map(Path, arguments.clean)), out, recipe, workers=workers)
     noisy = manifest.card.counts.get("noisy", 0)
     print(
         f"{noisy} noisy frames of {manifest.card.counts['reference']} clean ones: {out / 'data' / manifest.card.folder}"

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.raw.cfa import CfaRows, Sites
+    from eldata.records import FrameRecord
 
 _BAYER: CfaRows = ((0, 1), (3, 2))
 
@@ -65,8 +66,8 @@ class CleanFrames:
     Parameters
     ----------
     source
-        A folder, searched through for camera raws; the files themselves; or a store (``eldata pack``): the frames of a
-        packed folder, or the references of packed pairs.
+        A folder, searched through for camera raws; or a store (``eldata pack``): the frames of a packed folder, or the
+        references of packed pairs. Or several of these and of files, one after the other.
     names
         Of a :class:`~eldata.sources.frames.FrameSource` given as ``source``: its frames, in this order.
     levels
@@ -77,7 +78,7 @@ class CleanFrames:
     Raises
     ------
     DatasetError
-        If there is not a raw file, or the store holds no clean frames.
+        If there is not a raw file, a store holds no clean frames, or two of several places hold the same file.
     StoreError
         If the store is truncated, not complete, or of another version.
     ArgumentError
@@ -160,6 +161,11 @@ def clean_files(source: Path | str | Iterable[Path | str]) -> tuple[Path, ...]:
 
 def _found(source: Path | str | Iterable[Path | str]) -> tuple[FrameSource, tuple[str, ...]]:
     """Return where frames are read, and which they are."""
+    if not isinstance(source, (str, Path)):
+        source = places = [Path(place) for place in source]
+        if any(place.is_dir() or _is_store(place) for place in places):
+            several = _Several(places)
+            return several, several.names
     if not (isinstance(source, (str, Path)) and _is_store(source)):
         return Files(), tuple(map(str, clean_files(source)))
     store = StoreFrames(source)
@@ -167,6 +173,34 @@ def _found(source: Path | str | Iterable[Path | str]) -> tuple[FrameSource, tupl
     if not clean:
         raise DatasetError(f"{source}: holds no clean frames, but {len(store.store.every)} of other kinds")
     return store, tuple(clean)
+
+
+class _Several:
+    """Frames of several folders, files and stores, by the names that the frames have."""
+
+    records: tuple[FrameRecord, ...] = ()
+
+    def __init__(self, places: Iterable[Path]) -> None:
+        parts = [_found(place if place.is_dir() or _is_store(place) else (place,)) for place in places]
+        each = [(origin, name) for origin, names in parts for name in names]
+        self.names = tuple(
+            str(origin.path / name) if isinstance(origin, StoreFrames) else name for origin, name in each
+        )
+        check_once(self.names)
+        self._of = dict(zip(self.names, each, strict=True))
+        self.reads_parts = all(origin.reads_parts for origin, _ in parts)
+
+    def frame(self, path: str) -> Frame:
+        """Open one of the frames."""
+        origin, name = self._of[path]
+        return origin.frame(name)
+
+
+def check_once(names: Sequence[object]) -> None:
+    """Refuse a file that two of the places that were given hold, with a DatasetError."""
+    if len(set(names)) < len(names):
+        twice = next(name for place, name in enumerate(names) if name in names[:place])
+        raise DatasetError(f"{twice}: lies in two of the folders or stores that were given; give each once")
 
 
 def _is_store(source: Path | str) -> bool:
@@ -323,34 +357,34 @@ class CleanScene(NamedTuple):
     moment: int = 0
 
 
-def clean_scenes(clean: Path, clips: bool | None) -> list[CleanScene]:
-    """Return the raw files of a folder in order: frames of clips, or each a scene; ``None``: scenes, if that is sure.
+def clean_scenes(clean: Sequence[Path], clips: bool | None) -> list[CleanScene]:
+    """Return the raw files of folders in order: frames of clips, or each a scene; ``None``: scenes, if that is sure.
 
     Raises
     ------
     DatasetError
-        If there is no raw file, the names of a clip do not follow one numbering, or a folder below may be a clip or
-        not.
+        If there is no raw file, the names of a clip do not follow one numbering, two folders hold the same file, or a
+        folder below may be a clip or not.
     """
-    found: list[CleanScene] = []
+    groups = [[path] for folder in clean for path in clean_files(folder)]
     if clips:
-        for number, files in enumerate(clip_files(clean)):
-            first = len(found)
-            for moment, path in enumerate(files, 1):
-                scene = moment_name(f"clip-{number + 1}", moment)
-                found.append(CleanScene(len(found), path, scene, number, first, moment))
-        return found
+        groups = [files for folder in clean for files in clip_files(folder)]
+    check_once([path for files in groups for path in files])
+    found: list[CleanScene] = []
     folders: dict[Path, list[str]] = {}
-    for index, path in enumerate(clean_files(clean)):
-        found.append(CleanScene(index, path, f"scene-{index + 1}", index, index))
-        folders.setdefault(path.parent, []).append(path.name)
+    for number, files in enumerate(groups):
+        first = len(found)
+        for moment, path in enumerate(files, 1):
+            scene = moment_name(f"clip-{number + 1}", moment) if clips else f"scene-{number + 1}"
+            found.append(CleanScene(len(found), path, scene, number, first, moment if clips else 0))
+            folders.setdefault(path.parent, []).append(path.name)
     for folder, names in folders.items() if clips is None else ():
         sequence = sequence_of(names)
-        if folder != clean and sequence.numbers and not (sequence.odd or sequence.doubles or sequence.gaps):
+        if folder not in clean and sequence.numbers and not (sequence.odd or sequence.doubles or sequence.gaps):
             raise DatasetError(
-                f"{clean}: {len(names)} numbered frames in {folder.relative_to(clean)}, {sequence.names[0]} to "
-                f"{sequence.names[-1]}, may be a clip or stills. Say which: --clips (clips=True) draws parameters once "
-                "for each folder and keeps its frames together, --no-clips (clips=False) draws them for each frame"
+                f"{folder}: its {len(names)} numbered frames, {sequence.names[0]} to {sequence.names[-1]}, may be a "
+                "clip or stills. Say which: --clips (clips=True) draws parameters once for each folder and keeps its "
+                "frames together, --no-clips (clips=False) draws them for each frame"
             )
     return found
 

@@ -189,8 +189,7 @@ def draw_splits(seed: int, shares: tuple[float, float] | None, count: int) -> li
     held = round(count * test / (train + test))
     if not 0 < held < count:
         raise ArgumentError(
-            f"split {train:g}:{test:g} of {count} scenes or clips leaves {count - held} to train on and {held} to test "
-            "on; give more of them, or other shares"
+            f"split {train:g}:{test:g} of {count} scenes or clips leaves {held} to test on; give more, or other shares"
         )
     chosen = set(np.random.default_rng(purpose_sequence(seed, 0, _SPLIT)).permutation(count)[:held].tolist())
     return ["test" if number in chosen else "train" for number in range(count)]

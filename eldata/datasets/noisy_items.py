@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from eldata.base.arguments import keywords
+from eldata.base.numbers import checked_number
 from eldata.datasets.batches import threads_here
 from eldata.datasets.dark_frames import GAIN_SPREAD, DarkFrames
 from eldata.datasets.draws import NoiseChoice
@@ -57,6 +58,10 @@ class Noise(TypedDict, total=False):
         ``None``, the default: K is drawn for each item, as in the paper; with dark frames or a dark shading,
         their ISOs, drawn alike. One ISO; or several, as a sequence, which are drawn alike, or as a mapping to their
         weights.
+    range_dn
+        White minus black level of the simulated camera, in DN, which the profile's figures are in. ``None``, the
+        default, is each clean frame's own: right for frames of that camera. Frames of fewer bits are as bright in
+        photons with it, so clean frames of several cameras need it. Dark frames and a dark shading take none.
     row, extrapolate
         As in :meth:`eldata.noise.CameraProfile.sample`. By default each of several ISOs has its own row: as it was
         measured, where the profile has all figures of that ISO, else ``"nearest-gain"``; the repr says which. One ISO,
@@ -67,6 +72,7 @@ class Noise(TypedDict, total=False):
     clip: Clip
     ratio: float | tuple[float, float]
     iso: Isos | None
+    range_dn: float | None
     row: RowChoice | None
     extrapolate: bool
 
@@ -122,6 +128,10 @@ class NoisyItems(CroppedItems[Item, Sample]):
         self.noise = NoiseChoice.of(profiles, noise.get("ratio", (100.0, 300.0)), **sampling)
         if self._shading is not None:
             _check_shading(owner, self._shading, self.noise)
+        given = noise.get("range_dn")
+        self.range_dn = None if given is None else checked_number("range_dn", given, above=0)
+        if self.range_dn is not None and (self._dark is not None or self._shading is not None):
+            raise ArgumentError(f"{owner}: dark frames and shadings are in the frames' own DN; leave range_dn out")
         _check_structure(self.model, self.noise)
         self._turns = None if self._dark is None else _turns(owner, self._dark, self.noise, self.seed, exposures)
         records = map(getattr(source, method), range(len(source)))
@@ -164,7 +174,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
                 out=noisy,
                 parameters=[item.draw.parameters for item in each],
                 ratio=[item.draw.ratio for item in each],
-                range_dn=[item.frame.range_dn for item in each],
+                range_dn=[self.range_dn or item.frame.range_dn for item in each],
                 generator=[item.generator for item in items],
                 threads=threads_here(),
             )
@@ -198,7 +208,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
         options: dict[str, Any] = {
             "parameters": item.draw.parameters,
             "ratio": item.draw.ratio,
-            "range_dn": item.frame.range_dn,
+            "range_dn": self.range_dn or item.frame.range_dn,
             "generator": item.generator,
         }
         if isinstance(model, NoiseModel):
@@ -221,9 +231,10 @@ class NoisyItems(CroppedItems[Item, Sample]):
         model = (
             repr(self.model) if isinstance(self.model, NoiseModel) else f"{maker_name(self.model)}, clip={self.clip!r}"
         )
+        ranged = "" if self.range_dn is None else f", range_dn={self.range_dn:g}"
         return (
             f"{type(self).__name__}({source!r}, {items}, cameras: {self.noise}; {model}, "
-            f"ratio={self.noise.ratio}, {self.cut}, seed={self.seed})"
+            f"ratio={self.noise.ratio}{ranged}, {self.cut}, seed={self.seed})"
         )
 
 

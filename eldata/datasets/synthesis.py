@@ -150,7 +150,7 @@ class Recipe:
         return model
 
 
-def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 1) -> Manifest:
+def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, workers: AnyWorkers = 1) -> Manifest:
     """Write a noisy tree for a folder of clean raw files; return its manifest.
 
     Whatever ends the work (an error, a full disk, Ctrl-C, kill -9) leaves whole files, and the same call goes on:
@@ -159,7 +159,7 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
     Parameters
     ----------
     clean
-        Folder, searched through for camera raws; each must state its ISO and exposure time.
+        Folder, or several, searched through for camera raws; each must state its ISO and exposure time.
     out
         A new or empty folder, or one in which the same work was begun.
     recipe
@@ -181,7 +181,8 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
         If a file cannot be written.
     """
     workers = Workers.of(workers)
-    sources, dark = clean_scenes(clean, recipe.clips), recipe.dark()
+    folders = [Path(clean)] if isinstance(clean, (str, Path)) else list(map(Path, clean))
+    sources, dark = clean_scenes(folders, recipe.clips), recipe.dark()
     splits = draw_splits(recipe.seed, recipe.split, sources[-1].drawn_for + 1)
     paths = [source.path for source in sources]
     name = re.sub(r"[^\w.+-]", "-", out.resolve().name) or "synthetic"
@@ -216,13 +217,9 @@ def synthesize(clean: Path, out: Path, recipe: Recipe, *, workers: AnyWorkers = 
 def _begun(recipe: Recipe, paths: Sequence[Path], dark: DarkFrames | None) -> dict[str, object]:
     """Return what decides the content of every file, as plain types."""
     options = asdict(recipe) | {"ratio": list(recipe.ratio), "profile": recipe.profile.camera}
+    options["split"] = recipe.split and list(recipe.split)
     for name in ("dark_frames", "dark_shading"):  # their content is compared, wherever it lies
         del options[name]
-    for name in ("clips", "split"):
-        if options[name] is None:
-            del options[name]
-    if recipe.split is not None:
-        options["split"] = list(recipe.split)
     if dark is not None and recipe.dark_frames is not None:
         names = dark.names(dark.isos[0])
         files = [path for path in map(Path, names) if path.is_file()] or [recipe.dark_frames]  # or a store of them

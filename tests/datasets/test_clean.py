@@ -15,11 +15,13 @@ import eldata.raw.reading
 from eldata.datasets.augmentation import oriented
 from eldata.datasets.clean import Arrays, CleanFrames
 from eldata.datasets.crops import Crop
+from eldata.datasets.synthetic import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, unpack
 from eldata.raw.levels import CLIP_RANGES, normalise
 from eldata.sources.frames import Frame
+from eldata.sources.store import build_store, source_of_folder
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
 
 CFAS = [BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"]]
@@ -50,6 +52,27 @@ def test_a_folder_is_searched_through_for_raw_files(folder: Path) -> None:
             "deep/c.dng",
             "deep/deeper/d.dng",
         ]
+
+
+def test_several_places_are_one_source(folder: Path, tmp_path: Path) -> None:
+    """Folders, files and stores, one after the other, and the frames are those of each alone."""
+    other, store = tmp_path / "other", tmp_path / "clean.h5"
+    other.mkdir()
+    write_dng(other / "z.dng", random_mosaic(40, 52, seed=9), make_sensor(CFAS[0], 40, 52), EXPOSURE)
+    build_store(source_of_folder(other), store)
+    lone = [CleanFrames(folder), CleanFrames(other), CleanFrames(store)]
+    several = CleanFrames([folder, other / "z.dng", str(store)])
+    assert len(several) == 6
+    assert [several.frame(number).name for number in range(6)] == list(several.names)
+    for number, frame in enumerate([source.frame(n) for source in lone for n in range(len(source))]):
+        np.testing.assert_array_equal(several.frame(number).whole(), frame.whole())
+        assert several.frame(number).name == frame.name
+    assert not several.reads_parts
+    assert CleanFrames([store]).reads_parts
+    pairs = SyntheticPairs(several, "SonyA7S2", crop=8, crops="grid")
+    assert len(pairs) == sum(len(SyntheticPairs(one, "SonyA7S2", crop=8, crops="grid")) for one in lone)
+    with pytest.raises(DatasetError, match=r"a\.dng: lies in two"):
+        CleanFrames([folder, folder / "a.dng"])
 
 
 @pytest.mark.parametrize(("levels", "white"), [("metadata", 15871.0), ("published", 16383.0)])

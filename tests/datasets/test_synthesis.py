@@ -634,6 +634,20 @@ def test_clips_are_scored_by_the_command(tmp_path: Path, capsys: pytest.CaptureF
     assert len({draw_of(frame) for frame in recorded(tmp_path / "stills")}) == 6
 
 
+def test_several_clean_folders_make_one_set(clean: Path, tmp_path: Path) -> None:
+    more = tmp_path / "more"
+    more.mkdir()
+    write_flat(more / "c.dng", 96, 96)
+    out = tmp_path / "out"
+    command = ["synthesize", str(clean), str(more), "-o", str(out), "--camera", "SonyA7S2", "--split", "2:1"]
+    assert main(command) == 0
+    assert [Path(frame["clean"]).name for frame in recorded(out)] == ["a.dng", "b.dng", "c.dng"]
+    records = load_manifest(out / "manifests" / "out.csv").records
+    assert sorted(row.split for row in records) == ["test"] * 2 + ["train"] * 4
+    with pytest.raises(DatasetError, match=r"b\.dng: lies in two"):
+        synthesize([clean, clean / "sub"], tmp_path / "twice", Recipe(SONY))
+
+
 def test_a_frame_of_another_clip_is_named(tmp_path: Path) -> None:
     clean = write_clips(tmp_path / "clean", 2, 3)
     write_flat(clean / "001" / "9.dng")

@@ -821,6 +821,21 @@ def test_an_odd_crop_of_xtrans() -> None:
 # --- the object -----------------------------------------------------------------------------------------------------
 
 
+def test_the_range_of_the_simulated_camera_decides_the_noise() -> None:
+    """A frame of 12 bits with it has the noise of one of 14 bits to the bit, for both are the same share of white."""
+    shared = np.full((1, 4, 64, 64), 0.25, np.float32)
+    twelve, fourteen = (Arrays(shared, range_dn=range_dn) for range_dn in (4095.0 - 128, 15871.0))
+    wanted = pairs(fourteen, crop=32, iso=1600)[0]
+    given = pairs(twelve, crop=32, iso=1600, range_dn=15871.0)[0]
+    assert torch.equal(given["input"], wanted["input"])
+    alone = pairs(twelve, crop=32, iso=1600)
+    assert alone[0]["input"].std() > 1.9 * wanted["input"].std()  # in DN it is as large, of a quarter of the range
+    assert "range_dn=15871" in repr(pairs(twelve, range_dn=15871.0))
+    assert "range_dn=" not in repr(alone).split("NoiseModel", 1)[1]
+    with pytest.raises(ArgumentError, match="range_dn"):
+        pairs(twelve, range_dn=0)
+
+
 def test_the_repr_says_what_is_made() -> None:
     dataset = flat(profiles=("SonyA7S2", "NikonD850"), seed=5, augment=False)
     text = repr(dataset)

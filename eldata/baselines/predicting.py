@@ -14,10 +14,16 @@ from eldata import __version__
 from eldata.base.files import inside, remove_leftovers
 from eldata.base.numbers import counted
 from eldata.base.workers import Failed, require_files
-from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_image, noise_of_parameters
+from eldata.baselines.classical import (
+    BASELINES,
+    SignalNoise,
+    noise_of_image,
+    noise_of_parameters,
+    noise_of_patches,
+)
 from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames
 from eldata.baselines.prediction_folder import ANSWERS, begun, remarks_on
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.evaluation.layouts import stem_of
 from eldata.evaluation.pairs import files_of, frames_of, place_of
 from eldata.evaluation.planning import plan_scoring, require_pairs
@@ -84,11 +90,15 @@ class BaselineDenoiser:
         The cameras' noise; without, it is estimated from each frame.
     profile_of_another_camera
         Whether the only profile may stand for cameras that it is not of.
+    noise
+        ``"chen2015"``: one level for each frame by :func:`eldata.baselines.classical.noise_of_patches`, which ``bm3d``
+        alone takes, and no profile goes with. ``None``: the line of the noise, by profile or frame.
     """
 
     name: str
     profiles: tuple[CameraProfile, ...] = ()
     profile_of_another_camera: bool = False
+    noise: Literal["chen2015"] | None = None
 
     def __post_init__(self) -> None:
         if self.name not in BASELINES:
@@ -96,6 +106,15 @@ class BaselineDenoiser:
         cameras = [profile.camera for profile in self.profiles]
         if len(set(cameras)) < len(cameras):
             raise ArgumentError(f"give one profile of each camera; found profiles of {', '.join(cameras)}")
+        if self.noise is None:
+            return
+        check_choice("noise", self.noise, ("chen2015",))
+        if self.name != "bm3d" or self.profiles:
+            found = f"{self.name} takes a line or none" if self.name != "bm3d" else "a profile tells the noise, too"
+            raise ArgumentError(
+                f"noise {self.noise!r} is one level for a frame, for bm3d without a profile; found that {found}: leave "
+                "--noise (noise=...) out"
+            )
 
     def settings(self, cameras: Collection[str], channels: Collection[int]) -> dict[str, Any]:  # noqa: ARG002 # any
         """Return its name, the versions of what it needs, and where the noise is known from.
@@ -115,7 +134,7 @@ class BaselineDenoiser:
         return {
             "denoiser": self.name,
             **baseline.versions(),
-            "noise": noise or "each frame's own",
+            "noise": noise or ("each frame's own" if self.noise is None else f"each frame's own, by {self.noise}"),
             ANOTHER: bool(self.profiles) and self.profile_of_another_camera,
         }
 
@@ -125,6 +144,8 @@ class BaselineDenoiser:
         return baseline.denoise(frame.image, self._line(frame) if baseline.uses_noise else None)
 
     def _line(self, frame: NoisyFrame) -> SignalNoise:
+        if self.noise is not None:
+            return noise_of_patches(frame.image)
         if not self.profiles:
             try:
                 return noise_of_image(frame.image)

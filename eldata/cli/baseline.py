@@ -41,6 +41,11 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="the camera's noise: a shipped profile (SonyA7S2) or a JSON file; once for each camera. Without it the "
         "noise is estimated from each frame",
     )
+    parser.add_argument(
+        "--noise",
+        choices=("chen2015",),
+        help="with bm3d and no profile: one noise level for each frame, by the estimator that the paper names",
+    )
     add_another_camera(parser, "frames of cameras that have none of their own")
     kept = "{output} keeps the finished predictions, and the same command goes on"
     add_shared(parser, run, "root", "workers", interrupted=kept, example=_EXAMPLE)
@@ -100,7 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.noise.profile import CameraProfile
 
     profiles = tuple(CameraProfile.load(name) for name in arguments.profiles)
-    denoiser = BaselineDenoiser(arguments.name, profiles, arguments.profile_of_another_camera)
+    denoiser = BaselineDenoiser(arguments.name, profiles, arguments.profile_of_another_camera, arguments.noise)
     with chosen_workers(arguments) as workers:
         report = write_predictions(
             denoiser, arguments.dataset or "", arguments.output, workers=workers, **chosen_options(arguments)

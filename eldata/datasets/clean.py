@@ -379,11 +379,11 @@ def clean_scenes(clean: Sequence[Path], clips: bool | None) -> list[CleanScene]:
             found.append(CleanScene(len(found), path, scene, number, first, moment if clips else 0))
             folders.setdefault(path.parent, []).append(path.name)
     for folder, names in folders.items() if clips is None else ():
-        sequence = sequence_of(names)
-        if folder not in clean and sequence.numbers and not (sequence.odd or sequence.doubles or sequence.gaps):
+        # A clip's frames differ in their numbers; one stray name among them makes it no stills.
+        if folder not in clean and len(names) > 1 and 3 * len(sequence_of(names).odd) < len(names):
             raise DatasetError(
-                f"{folder}: its {len(names)} numbered frames, {sequence.names[0]} to {sequence.names[-1]}, may be a "
-                "clip or stills. Say which: --clips (clips=True) draws parameters once for each folder and keeps its "
+                f"{folder}: its {len(names)} raw files, {names[0]} to {names[-1]}, may be frames of a clip or "
+                "stills. Say which: --clips (clips=True) draws parameters once for each folder and keeps its "
                 "frames together, --no-clips (clips=False) draws them for each frame"
             )
     return found

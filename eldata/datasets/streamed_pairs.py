@@ -126,6 +126,8 @@ class StreamedPairs(IterableDataset[Sample]):
         **options: Unpack[StreamOptions],
     ) -> None:
         super().__init__()
+        if "crops" in options:
+            raise ArgumentError("shards have no crops=: they are tiles, each of which comes once (eldata shard --tile)")
         (given,) = understood(self, options, StreamOptions)
         crops_per_frame: int = given.get("crops_per_frame", 1)
         if crops_per_frame < 1 or shuffle_buffer < 1 or (crop is not None and crop < 2):

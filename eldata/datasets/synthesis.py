@@ -75,7 +75,8 @@ class Recipe:
     clips
         ``True``: each folder that holds raws is a clip (:class:`~eldata.datasets.CleanClips`); parameters and ratio are
         drawn once for it, and the noise afresh for each frame (K. Wei et al., TPAMI 2021, section on videography).
-        ``False``: they are drawn for each frame. ``None``: for each frame, and a folder that may be either is refused.
+        ``False``: they are drawn for each frame. ``None``: for each frame, and a folder below that may be either, with
+        several raws whose names differ in numbers, is refused.
     split
         Shares of the splits ``train`` and ``test``, such as (95, 5), to which whole clips, or else scenes, are drawn by
         the seed; to the nearest whole number for ``test``. ``None``: no splits.

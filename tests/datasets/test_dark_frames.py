@@ -366,6 +366,7 @@ def test_isos_and_models_that_are_refused(bias: Path, store: Path) -> None:
     for wrong, words in (
         (lambda: pairs(dark, iso=800), there),
         (lambda: pairs(dark, iso=[400, 800]), there),
+        (lambda: pairs(dark, range_dn=15871.0), "leave range_dn out"),
         (lambda: DarkFrames(bias, isos=[800]), there),
         (lambda: DarkFrames(bias, isos=[]), "isos is empty; there are 400, 1600"),
         (lambda: NoiseModel("P*+D"), r"D takes real frames; give dark_frames=DarkFrames\(...\)"),

@@ -36,6 +36,7 @@ from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
 from eldata.datasets import CleanFrames, DarkFrames, Noise2Noise, describe, evaluation_loader, training_loader
 from eldata.datasets.rgb import raw2rgb, rgb2rgb
 from eldata.noise import NoiseModel
+from eldata.protocols import get_protocol
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -99,16 +100,21 @@ def training_data(options: argparse.Namespace) -> Dataset[Any]:
         arguments().error("give --pairs, --clean with --profile, or both")
     if options.task != "raw2raw" and (options.noise2noise or any(isinstance(part, StreamedPairs) for part in parts)):
         arguments().error(f"--task {options.task} takes stores or clean frames: not shards, nor --noise2noise")
-    parts = [SIDES_OF[options.task](part) for part in parts]
+    parts = [as_task(part, options) for part in parts]
     return parts[0] if len(parts) == 1 else ConcatDataset([Sides(part) for part in parts])
 
 
-SIDES_OF: dict[str, Callable[[Dataset[Any]], Dataset[Any]]] = {
-    "raw2raw": lambda pairs: pairs,
-    "raw2rgb": raw2rgb,
-    "rgb2rgb": rgb2rgb,
-}
-"""What becomes of pairs of packed raw, by the task."""
+def as_task(pairs: Dataset[Any], options: argparse.Namespace) -> Dataset[Any]:
+    """Return pairs of packed raw as the task has them, rendered with the response of the protocol."""
+    if options.task == "raw2raw":
+        return pairs
+    render = {"raw2rgb": raw2rgb, "rgb2rgb": rgb2rgb}[options.task]
+    return render(pairs, response=get_protocol(protocol_of(options)).curve)
+
+
+def protocol_of(options: argparse.Namespace) -> str:
+    """Return the protocol that was asked for, or the task's own."""
+    return options.protocol or ("eld" if options.task == "raw2raw" else f"eld-{options.task}")
 
 
 def real_pairs(place: str, is_noise2noise: bool, choice: dict[str, Any]) -> Dataset[Any]:
@@ -205,8 +211,8 @@ def score(network: UNet, options: argparse.Namespace, device: torch.device) -> d
     from eldata.integrations.torchmetrics import ProtocolScore
 
     raw = ELDDataset(options.validate, manifest=options.manifest, clip=options.input_clip, levels=options.levels)
-    pairs = SIDES_OF[options.task](raw)
-    metric = ProtocolScore(options.protocol or ("eld" if options.task == "raw2raw" else f"eld-{options.task}"))
+    pairs = as_task(raw, options)
+    metric = ProtocolScore(protocol_of(options))
     network.eval()
 
     def predicted(image: Any) -> Any:
@@ -265,7 +271,9 @@ def arguments() -> argparse.ArgumentParser:
         type=int,
         help="so many at random in an epoch (default: the paper's, each of a grid once; of shards one of each tile)",
     )
-    data.add_argument("--task", choices=tuple(SIDES_OF), default="raw2raw", help="(default: %(default)s)")
+    data.add_argument(
+        "--task", choices=("raw2raw", "raw2rgb", "rgb2rgb"), default="raw2raw", help="(default: %(default)s)"
+    )
     how = add_shared(parser, data)
     how.add_argument("--depth", type=int, default=4, help="how often it halves the image (default: %(default)s)")
     check = parser.add_argument_group("validation")

@@ -172,7 +172,8 @@ LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
 # Rooms that need less than all that lies under them.
 ONLY = {
     "eldata.metrics": ("eldata.errors", "eldata.base"),
-    "eldata.protocols": ("eldata.errors", "eldata.base", "eldata.metrics", "eldata.manifest.card"),
+    # It states response curves, which are read as the ISP reads them.
+    "eldata.protocols": ("eldata.errors", "eldata.base", "eldata.metrics", "eldata.isp", "eldata.manifest.card"),
     "eldata.isp": ("eldata.errors", "eldata.records", "eldata.base", "eldata.raw"),
     "eldata.plots": ("eldata.errors", "eldata.base"),  # it draws numbers, and knows no room's records
     "eldata.download": ("eldata.errors", "eldata.records", "eldata.base", "eldata.manifest"),

@@ -112,7 +112,7 @@ class NoisyFrames:
         black, white = levels_dn(frame, self.protocol.levels)
         iso = iso_of(pair) or float(frame.exposure.iso or 0)
         if self.protocol.input_space == "srgb":
-            image = rendered_frame(image, frame).astype(np.float32)
+            image = rendered_frame(image, frame, self.protocol.curve).astype(np.float32)
             return NoisyFrame(image, ratio, math.nan, pair, path, iso or None, near)
         return NoisyFrame(image, ratio, white[0] - float(np.mean(black)), pair, path, iso or None, near)
 

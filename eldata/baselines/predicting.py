@@ -37,6 +37,7 @@ from eldata.noise.parameters import NoiseParameters
 from eldata.noise.profile import profile_of
 from eldata.protocols.kinds import IMAGES
 from eldata.protocols.named import protocols_for
+from eldata.protocols.words import in_words
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -56,6 +57,7 @@ PixelType = Literal["float32", "float16", "uint16"]
 ANOTHER = "profile_of_another_camera"
 """In the settings: whether a profile was allowed to stand for cameras that it is not of."""
 _SCHEMA = 1
+_OF_SRGB = ("input_space", "prediction_space", "response")  # what the settings say in words of predictions in sRGB
 
 
 class Denoiser(Protocol):
@@ -290,7 +292,7 @@ def write_predictions(
         "clip": wanted_clip,
         "dtype": dtype,
         "dark_shading": chosen.dark_shading,
-        **({"input_space": chosen.input_space, "prediction_space": "srgb"} if chosen.pixels == "srgb" else {}),
+        **({name: in_words(name, getattr(chosen, name)) for name in _OF_SRGB} if chosen.pixels == "srgb" else {}),
     }
     with begun(folder, settings):
         every = [_file_of(folder, pair, path) for pair in pairs for path in frames_of(pair)]

@@ -20,6 +20,7 @@ from eldata.evaluation.diagnosis.places import Circumstances
 from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame, rendered_frame
 from eldata.evaluation.pairs import Pair, amplified_by, ratio_of
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
+from eldata.isp.response import response_of
 from eldata.metrics.registry import OF_FRAMES
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.digests import CHOOSING, OF_INPUT, canonical
@@ -99,7 +100,7 @@ class Reference:
         self._raw = raw
         self._rgb, self._rendered = (read_once(partial(read, path)) for read in (originals.rgb, originals.rendered))
         self._normalised = cache(lambda levels, clip: normalised_frame(raw(), levels, clip=clip))
-        self._shown = cache(lambda levels, clip: rendered_frame(self._normalised(levels, clip), raw()))
+        self._shown = cache(lambda curve, *how: rendered_frame(self._normalised(*how), raw(), response_of(curve)))
 
     @property
     def frame(self) -> RawFrame:
@@ -121,8 +122,9 @@ class Reference:
         """Return what predictions are compared with, (C, h, w) of the whole frame."""
         if not protocol.is_of_packed:
             return self._rendered() if protocol.pixels == "srgb" else self._rgb()
-        made = self._shown if protocol.pixels == "srgb" else self._normalised
-        return cast("NDArray[Any]", made(_first_equal(self.frame, protocol.levels), protocol.reference_clip))
+        how = _first_equal(self.frame, protocol.levels), protocol.reference_clip
+        made = self._shown(protocol.response, *how) if protocol.pixels == "srgb" else self._normalised(*how)
+        return cast("NDArray[Any]", made)
 
 
 class NoisyInput:
@@ -145,7 +147,9 @@ class NoisyInput:
             return self._rgb()
         ratio = self._ratio(protocol.amplification)
         taken = self._normalised(_first_equal(self.frame, protocol.levels), protocol.input_clip, ratio)
-        return cast("NDArray[Any]", rendered_frame(taken, self.frame) if protocol.pixels == "srgb" else taken)
+        return cast(
+            "NDArray[Any]", taken if protocol.pixels != "srgb" else rendered_frame(taken, self.frame, protocol.curve)
+        )
 
     @property
     def frame(self) -> RawFrame:
@@ -277,7 +281,8 @@ class ComparedFrame:
         factor = factor_by(prediction[part], target[part], rules, threads=threads)
         p, g = prediction[crop], target[crop]
         if protocol.rendering == "eld-isp" and protocol.pixels == "packed":
-            return _score_rendered(p, g, self.reference.frame.sensor, rules, factor, threads)
+            codes = _rendered(p, g, self.reference.frame.sensor, protocol, factor)
+            return _score_codes(*codes, rules, factor, threads)
         return score_by(p, g, rules, factor=factor, threads=threads)
 
     def inspected(self, protocol: Protocol, target: NDArray[Any], psnr_db: float) -> Inspection:
@@ -324,7 +329,7 @@ class ComparedFrame:
         p, g = self.prediction(protocol)[crop], target[crop]
         is_rendered = protocol.rendering == "eld-isp" and protocol.pixels == "packed"
         if protocol.pixels == "packed" and (images == "srgb" or (images == "compared" and is_rendered)):
-            first, second = _rendered(p, g, self.reference.frame.sensor, rules, factor)
+            first, second = _rendered(p, g, self.reference.frame.sensor, protocol, factor)
             return first / np.float32(255), second / np.float32(255)
         if is_rendered:  # the rounding of its rules is that of renderings
             return as_scored(p, rules, factor, np.float32), g
@@ -341,31 +346,24 @@ def _equal_levels(protocol: Protocol, frames: Sequence[RawFrame]) -> frozenset[s
 
 
 def _rendered(
-    prediction: NDArray[Any], target: NDArray[Any], sensor: Sensor, rules: ScoringRules, factor: float
+    prediction: NDArray[Any], target: NDArray[Any], sensor: Sensor, protocol: Protocol, factor: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return a packed raw prediction, rescaled in raw, and its reference in sRGB, (3, h, w) of the codes of 8 bits."""
     from eldata.isp.rendering import render_pair_for_scoring
 
-    treated = as_scored(prediction, rules, factor, np.float64)
-    first, second = render_pair_for_scoring(treated, target, sensor)
+    treated = as_scored(prediction, protocol.rules, factor, np.float64)
+    first, second = render_pair_for_scoring(treated, target, sensor, response=protocol.curve)
     return first.astype(np.float32), second.astype(np.float32)
 
 
-def _score_rendered(
-    prediction: NDArray[Any],
-    target: NDArray[Any],
-    sensor: Sensor,
-    rules: ScoringRules,
-    factor: float,
-    threads: int | None,
+def _score_codes(
+    prediction: NDArray[Any], target: NDArray[Any], rules: ScoringRules, factor: float, threads: int | None
 ) -> Score:
-    """Score a packed raw prediction in sRGB: rescaled in raw, rendered, truncated to 8 bits."""
+    """Score codes of 8 bits of a rendered prediction, which was rescaled in raw."""
     from eldata.metrics.image_score import score_by
 
-    codes = _rendered(prediction, target, sensor, rules, factor)
     of_codes = replace(rules, rescaling="none", prediction_clamp="none", rounding="none", data_range=255.0)
-    found = score_by(codes[0], codes[1], of_codes, threads=threads)
-    return replace(found, rescale=factor)
+    return replace(score_by(prediction, target, of_codes, threads=threads), rescale=factor)
 
 
 def as_scored(prediction: NDArray[Any], rules: ScoringRules, factor: float, dtype: Any) -> NDArray[Any]:

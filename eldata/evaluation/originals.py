@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.isp.rendering import Response
     from eldata.manifest.catalogue import Manifest
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Clip, Levels
@@ -185,7 +186,7 @@ def normalised_frame(frame: RawFrame, levels: Levels, *, clip: Clip, gain: float
     return packed
 
 
-def rendered_frame(packed: NDArray[np.floating[Any]], frame: RawFrame) -> NDArray[np.float64]:
+def rendered_frame(packed: NDArray[np.floating[Any]], frame: RawFrame, response: Response) -> NDArray[np.float64]:
     """Return a frame's packed image in sRGB by the ELD paper's pipeline, with the colours that its file states.
 
     (3, h, w) in [0, 1], of 256 levels, which float32 would move by more than scores are told apart.
@@ -193,7 +194,7 @@ def rendered_frame(packed: NDArray[np.floating[Any]], frame: RawFrame) -> NDArra
     """
     from eldata.isp.rendering import render_to_8_bits
 
-    return render_to_8_bits(packed, frame.sensor) / 255.0
+    return render_to_8_bits(packed, frame.sensor, response=response) / 255.0
 
 
 def levels_dn(frame: RawFrame, levels: Levels) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -16,6 +16,7 @@ from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.kinds import IMAGES, Kind
 from eldata.protocols.named import default_protocol, get_protocol, protocols_for
 from eldata.protocols.protocol import NO_SHADING, OWN_SEQUENCES
+from eldata.protocols.words import FIELDS, in_words
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -240,14 +241,14 @@ def _stated(folder: Path, name: str) -> str | None:
 def _check_inputs(request: Request, folder: Path) -> None:
     """Check that the folder's own words on what its predictions were made of do not contradict the request."""
     first = request.protocols[0]
-    inputs = _stated(folder, "input_space")
-    if not request.every and first.is_of_packed and first.pixels == "srgb" and inputs not in (None, first.input_space):
-        fitting = [one.name for one in protocols_for(request.manifest.name) if one.input_space == inputs]
-        known = ", such as ".join(["one that states it", *fitting[-1:]])
-        raise ArgumentError(
-            f"{folder / SETTINGS} says that these predictions are of inputs in {inputs}, and protocol "
-            f"{first.name!r} is of inputs in {first.input_space} (input_space): give {known}"
-        )
+    if not request.every and first.is_of_packed and first.pixels == "srgb":
+        for name in ("input_space", "response"):
+            stated, given = _stated(folder, name), in_words(name, getattr(first, name))
+            if stated not in (None, given):
+                raise ArgumentError(
+                    f"{folder / SETTINGS} says of these predictions {FIELDS[name][0]}: {stated}, and protocol "
+                    f"{first.name!r} has {given} ({name}); give the protocol that they were made under"
+                )
     stated, given = stated_shading(folder), first.dark_shading
     if stated in (None, given):
         return

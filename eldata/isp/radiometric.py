@@ -154,6 +154,19 @@ class CurveModel:
         values[0], values[-1] = 0, 1
         return values
 
+    def response(self, weights: Sequence[float]) -> ResponseCurve:
+        """Return the response with these weights of the leading components.
+
+        Raises
+        ------
+        ArgumentError
+            If the model has fewer components or is of inverses, or the curve falls.
+        """
+        if self.inverse:
+            raise ArgumentError(f"{self.name} models inverse responses; weights of responses need emor.txt's kind")
+        values = self.first(len(weights)).values(np.array(weights, float))
+        return ResponseCurve(self.grid, values, f"{self.name}, weights {', '.join(f'{one:g}' for one in weights)}")
+
     def at(self, positions: Floats) -> tuple[Floats, Floats]:
         """Return mean (m,) and components (m, k) at positions on the grid's axis."""
         mean = np.interp(positions, self.grid, self.mean)

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from hashlib import sha256
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.base.numbers import number_of
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
+    from eldata.isp.rendering import Response
+
 _LEAST_POINTS = 2
+_CURVE, _GAMMA = "curve ", "gamma-"
 _END_TOLERANCE = 1e-4
 
 
@@ -134,6 +140,13 @@ class ResponseCurve:
         brightness = [np.interp(grid, e, b) for e, b in zip(self.irradiance, self.brightness, strict=True)]
         return ResponseCurve(np.broadcast_to(grid, (len(brightness), len(grid))), np.array(brightness), self.name)
 
+    @property
+    def text(self) -> str:
+        """All of its points in a line, as a protocol states them: irradiance; brightness of each colour."""
+        shared = (self.irradiance == self.irradiance[0]).all()
+        rows = [*(self.irradiance[:1] if shared else self.irradiance), *self.brightness]
+        return f"{_CURVE}{'; '.join(' '.join(repr(float(value)) for value in row) for row in rows)}"
+
     def describe(self) -> str:
         """Say in a few words what it is."""
         curves = "one curve for R, G and B" if len(self.irradiance) == 1 else "a curve each for R, G, B"
@@ -141,3 +154,34 @@ class ResponseCurve:
 
     def __repr__(self) -> str:
         return f"ResponseCurve({self.name!r}, {len(self.irradiance)} x {self.irradiance.shape[1]} points)"
+
+
+@lru_cache(maxsize=8)
+def response_of(text: str) -> Response:
+    """Return the response that a protocol states: ``gamma-2.2``, or a curve's :attr:`ResponseCurve.text`.
+
+    Raises
+    ------
+    ArgumentError
+        If it is neither, or no curve from 0 to 1.
+    """
+    from eldata.isp.rendering import Gamma
+
+    try:
+        if text.startswith(_GAMMA):
+            exponent = number_of(text.removeprefix(_GAMMA))
+            if text == f"{_GAMMA}{exponent:g}":
+                return Gamma(exponent)
+        elif text.startswith(_CURVE):
+            rows = [[number_of(value) for value in row.split()] for row in text.removeprefix(_CURVE).split(";")]
+            if len(rows) in (2, 4, 6) and len(set(map(len, rows))) == 1:
+                values = np.array(rows)
+                count = 3 if len(rows) > 2 else 1
+                irradiance = np.broadcast_to(values[:-count], (count, values.shape[1]))
+                name = f"the protocol's response {sha256(text.encode()).hexdigest()[:8]}"
+                return ResponseCurve(irradiance, values[-count:], name)
+    except ArgumentError as error:
+        raise ArgumentError(f"response: {error}") from error
+    raise ArgumentError(
+        f"response must be 'gamma-2.2' or another exponent, or the points of a curve; found {text!r:.60}"
+    )

@@ -31,6 +31,7 @@ NEUTRAL: Final[Mapping[str, Any]] = {
     "rendering": "none",
     "input_space": "raw",
     "prediction_space": "raw",
+    "response": "gamma-2.2",
     "rescaling_mask": "unsaturated",
     "rescaling_region": SCORED,
     "prediction_clamp": "both",

@@ -13,6 +13,7 @@ from eldata.protocols.digests import NEUTRAL, SCORED, fields_digest
 from eldata.protocols.kinds import CLIPS, IMAGES, Kind
 
 if TYPE_CHECKING:
+    from eldata.isp.rendering import Response
     from eldata.metrics.image_score import ScoringRules
 
 
@@ -92,6 +93,10 @@ class Protocol:
         "Applicability to sRGB Denoising"). A prediction in ``srgb`` is (3, h, w), a pixel for each packed one, rescaled
         and compared as it is; an input in ``srgb`` is the amplified frame, rendered in 8 bits with the white balance
         and matrix of its own file. The score of the input itself is that of such a rendering in either case.
+    response
+        The curve of ``eld-isp``: ``gamma-2.2`` or of another exponent, or all points of a measured one
+        (:attr:`eldata.isp.ResponseCurve.text`), which a file of one's own names instead
+        (:func:`eldata.protocols.load_protocol`).
     """
 
     kind: ClassVar[Kind] = IMAGES
@@ -119,6 +124,7 @@ class Protocol:
     rendering: Rendering = "none"
     input_space: Space = "raw"
     prediction_space: Space = "raw"
+    response: str = "gamma-2.2"
     rescaling_mask: RescalingMask = "unsaturated"
     rescaling_region: str = SCORED
     prediction_clamp: PredictionClamp = "both"
@@ -164,6 +170,13 @@ class Protocol:
     def is_of_packed(self) -> bool:
         """Whether references are packed raw values or made of them: levels and clips have a meaning."""
         return self.pixels == "packed" or self.rendering == "eld-isp"
+
+    @property
+    def curve(self) -> Response:
+        """The response of renderings by ``eld-isp``."""
+        from eldata.isp.response import response_of
+
+        return response_of(self.response)
 
     @property
     def frame_levels(self) -> Literal["metadata", "published", "sid-sony", "sid-fuji"]:
@@ -225,6 +238,9 @@ class Protocol:
             raise ArgumentError("prediction_space 'srgb' needs a reference to compare with: space 'srgb', a rendering")
         if self.input_space == "srgb" and (self.rendering, self.prediction_space) != ("eld-isp", "srgb"):
             raise ArgumentError("input_space 'srgb' goes with rendering 'eld-isp' and prediction_space 'srgb'")
+        if self.response != NEUTRAL["response"] and self.rendering != "eld-isp":
+            raise ArgumentError("response goes with rendering 'eld-isp' alone, which applies it")
+        self.curve  # noqa: B018 # it checks
         rounding = "none" if self.prediction_space == "srgb" else "8-bit-truncated"
         if self.rendering == "eld-isp" and self.rounding != rounding:
             raise ArgumentError(
@@ -246,8 +262,9 @@ class Protocol:
 
 
 def _shown(value: Any) -> str:
-    """Return a field's value as text."""
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    """Return a field's value as text; of a curve's points the first."""
+    text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return text if not text.startswith("curve ") else f"{text[:60]} ..."
 
 
 def _crop(region: str, shape: tuple[int, ...]) -> tuple[slice, ...]:

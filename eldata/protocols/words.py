@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
 from eldata.protocols.digests import NEUTRAL, OF_THE_FACTOR, SCORED, canonical
@@ -55,6 +56,14 @@ def region_words(region: str) -> str:
     return {"full": "full frame", **words}.get(kind, region)
 
 
+def _response_words(value: str) -> str:
+    """Return a curve in words; of a measured one its digest and the number of its points."""
+    if not value.startswith("curve "):
+        return value.replace("-", " ")
+    digest, points = sha256(value.encode()).hexdigest()[:8], len(value.partition(";")[0].split()) - 1
+    return f"a curve of {points} points ({digest})"
+
+
 # Field -> its name in words, and its value's.
 FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "dataset": ("dataset", str),
@@ -69,6 +78,7 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "input_space": ("network's input", lambda value: _SPACES[value]),
     "prediction_space": ("predictions", lambda value: _SPACES[value]),
     "rendering": ("rendering", lambda value: _RENDERINGS[value]),
+    "response": ("response curve", _response_words),
     "levels": ("levels", lambda value: LEVELS[value]),
     "reference_clip": ("reference's clip", lambda value: CLIPS[value]),
     "reference": ("reference", str),
@@ -110,6 +120,8 @@ def described(protocol: Protocol) -> list[tuple[str, str]]:
         skipped |= {"rescaling_mask", "rescaling_region"}
     if protocol.rendering == "none":
         skipped.add("rendering")
+    if protocol.response == NEUTRAL["response"]:
+        skipped.add("response")
     if not protocol.is_of_packed:
         skipped |= {"levels", "reference_clip"}
     if protocol.pixels != "srgb" or not protocol.is_of_packed:

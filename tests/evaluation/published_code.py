@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array: TypeAlias = NDArray[Any]
+    Response: TypeAlias = Callable[[Array], Array]
 
 psnr_of: Any = peak_signal_noise_ratio  # scikit-image has annotations in part only
 ssim_of: Any = structural_similarity
@@ -367,14 +368,27 @@ def eld_colour(path: Path) -> tuple[Array, Array]:
     return np.array([*gains, gains[1]]), to_srgb
 
 
-def eld_rendered(packed: Array, path: Path) -> Array:
-    """ELD util/process.py process and gamma_compression: codes of 8 bits, cut off and not rounded, over 255."""
+def eld_gamma(linear: Array) -> Array:
+    """ELD util/process.py gamma_compression, up to the codes."""
+    return np.maximum(linear, 1e-8) ** (1 / 2.2)
+
+
+def eld_curve(irradiance: Array, brightness: Array) -> Response:
+    """ELD util/process.py camera_response_function: each colour's own curve, straight between its points."""
+
+    def shown(linear: Array) -> Array:
+        return np.stack([np.interp(one, irradiance, curve) for one, curve in zip(linear, brightness, strict=True)])
+
+    return shown
+
+
+def eld_rendered(packed: Array, path: Path, response: Response = eld_gamma) -> Array:
+    """ELD util/process.py process: codes of 8 bits, cut off and not rounded, over 255."""
     gains, to_srgb = eld_colour(path)
     balanced = np.clip(packed.astype(np.float64) * gains[:, None, None], 0.0, 1.0)
     rgb = np.stack([balanced[0], balanced[[1, 3]].mean(axis=0), balanced[2]])
     linear = np.clip(np.tensordot(to_srgb, rgb, axes=1), 0.0, 1.0)
-    shown = np.maximum(linear, 1e-8) ** (1 / 2.2)
-    codes: Array = np.clip((shown.astype(np.float32) * np.float32(255)).astype(np.int32), 0, 255)
+    codes: Array = np.clip((response(linear).astype(np.float32) * np.float32(255)).astype(np.int32), 0, 255)
     return codes / 255.0
 
 
@@ -393,18 +407,18 @@ def eld_srgb_score(output: Array, target: Array, reference: Path) -> Score:
     return assessed(*eld_shown(output, target, reference))
 
 
-def eld_whole_srgb_score(output: Array, target: Array, reference: Path) -> Score:
+def eld_whole_srgb_score(output: Array, target: Array, reference: Path, response: Response = eld_gamma) -> Score:
     """The same of the whole frame, ``crop=False``."""
     rescaled, factor = corrected(output, target)
-    return assessed(eld_rendered(rescaled, reference), eld_rendered(target, reference), factor)
+    return assessed(eld_rendered(rescaled, reference, response), eld_rendered(target, reference, response), factor)
 
 
-def eld_rgb_score(output: Array, target: Array, reference: Path) -> Score:
+def eld_rgb_score(output: Array, target: Array, reference: Path, response: Response = eld_gamma) -> Score:
     """ELD models/ELD_model.py eval with ``stage_out`` srgb: what the network makes, (3, h, w), is corrected in sRGB.
 
     The target is what dataset/sid_dataset.py renders of the packed reference, which is given here.
     """
-    shown = eld_rendered(target, reference)
+    shown = eld_rendered(target, reference, response)
     rescaled, factor = corrected(output, shown)
     return assessed(rescaled, shown, factor)
 

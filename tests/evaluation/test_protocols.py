@@ -81,7 +81,7 @@ CHANGES: dict[str, Any] = {
     "amplification": "nominal", "space": "srgb", "rendering": "libraw", "rounding": "8-bit", "rescaling_mask": "all",
     "rescaling_region": "border-2", "prediction_clamp": "none", "mse_offset": 1e-8, "ssim_window": "gaussian-11",
     "ssim_covariance": "population", "dark_shading": "sha256:" + "0" * 64, "input_space": "srgb",
-    "prediction_space": "srgb",
+    "prediction_space": "srgb", "response": "gamma-1.8",
 }  # fmt: skip
 CHANGES_OF_CLIPS: dict[str, Any] = {"pixels": "rgb", "frames": "x", "frame_count": 4, "st_rred_peak": 255.0}
 PROSE = ("name", "title", "source", "family")
@@ -434,6 +434,11 @@ def test_any_dataset_and_all_factors(tmp_path: Path) -> None:
         (START + 'space = "srgb"\nrendering = "eld-isp"\n', r"rounding must be '8-bit-truncated'"),
         (RGB + 'rounding = "8-bit"\n', r"of predictions in srgb rounding must be 'none'"),
         (RGB + 'prediction_space = "raw"\n', r"rounding must be '8-bit-truncated'"),
+        (START + 'response = "gamma-2.4"\n', r"response goes with rendering 'eld-isp' alone"),
+        (RGB + 'response = "gamma-2.20"\n', r"response must be 'gamma-2.2' or another exponent"),
+        (RGB + 'response = "gamma-0"\n', r"response: the exponent of a gamma curve must be positive"),
+        (RGB + 'response = "curve 0 1; 1 0"\n', r"response: the protocol's response \w+: brightness must never fall"),
+        (RGB + "response = {gamma = 2}\n", r"field response: expected 'gamma-2.2', \{table = FILE\}.*, found 'gamma'"),
         (START + 'prediction_space = "srgb"\n', r"prediction_space 'srgb' needs a reference to compare with"),
         (START + 'input_space = "srgb"\n', r"input_space 'srgb' goes with rendering 'eld-isp'"),
         ('base = "eld"\ntitle = "x"\n', r"field name: is missing; a protocol needs base, name and title"),

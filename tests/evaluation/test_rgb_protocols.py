@@ -18,7 +18,7 @@ from eldata.baselines import load_network
 from eldata.baselines.predicting import write_predictions
 from eldata.cli.main import main
 from eldata.errors import ArgumentError
-from eldata.evaluation import evaluate, save_prediction
+from eldata.evaluation import evaluate, reproduce, save_prediction
 from eldata.evaluation.request import SETTINGS
 from eldata.integrations.torchmetrics import ProtocolScore
 from eldata.manifest.table import load_records, save_records
@@ -164,14 +164,19 @@ def test_networks_to_srgb_are_run_and_scored(own: OwnSet, tmp_path: Path, capsys
         assert np.load(tmp_path / name / "s0" / "x50.npy").shape == (3, 30, 42)
         assert main(["evaluate", out, *place(own), "--protocol", name]) == 0
     stated = json.loads((tmp_path / "eld-rgb2rgb" / SETTINGS).read_text(encoding="utf-8"))
-    assert (stated["input_space"], stated["prediction_space"]) == ("srgb", "srgb")
+    assert [stated[name] for name in ("input_space", "prediction_space", "response")] == ["sRGB", "sRGB", "gamma 2.2"]
     scored: dict[str, Any] = {"manifest": own.manifest, "root": own.root, "protocol": "eld-rgb2rgb"}
     ours, theirs = evaluate(tmp_path / "eld-rgb2rgb", **scored), evaluate(None, baseline="input", **scored)
     expected = [one.psnr_db for one in theirs.images]
     assert [one.psnr_db for one in ours.images] == pytest.approx(expected, abs=1e-5, rel=0)  # files of float32
     capsys.readouterr()
     assert main(["evaluate", str(tmp_path / "eld-rgb2rgb"), *place(own), "--protocol", "eld-raw2rgb"]) == 2
-    assert "is of inputs in raw" in capsys.readouterr().err
+    assert "network's input: sRGB, and protocol 'eld-raw2rgb' has packed raw (input_space)" in capsys.readouterr().err
+    (tmp_path / "mine.toml").write_text(
+        'base = "eld-rgb2rgb"\nname = "x"\ntitle = "x"\nresponse = "gamma-1.8"\n', encoding="utf-8"
+    )
+    with pytest.raises(ArgumentError, match=r"response curve: gamma 2.2, .* has gamma 1.8 \(response\)"):
+        evaluate(tmp_path / "eld-rgb2rgb", **scored | {"protocol": tmp_path / "mine.toml"})
 
 
 def test_a_network_of_other_channels_is_refused(own: OwnSet, tmp_path: Path) -> None:
@@ -201,3 +206,69 @@ def test_tensors_of_renderings_are_scored(own: OwnSet) -> None:
     metric.update(torch.from_numpy(image), torch.from_numpy(target.astype(np.float32)))
     score = published_code.eld_rgb_score(image, packed(own.files / "s0/clean.dng"), own.files / "s0/clean.dng")
     assert float(metric.compute()["psnr_db"]) == pytest.approx(score.psnr_db, abs=1e-5)
+
+
+# --- response curves --------------------------------------------------------------------------------------------------
+
+GRID = np.linspace(0, 1, 33)
+COLOURS = np.stack([GRID**power for power in (0.45, 0.5, 0.6)])
+MEAN, BEND = GRID**0.5, GRID * (1 - GRID)
+
+
+def numbers(values: NDArray[Any]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def written_responses(folder: Path) -> dict[str, published_code.Response]:
+    """What a protocol of one's own may say of its curve, and that curve step by step."""
+    table = np.column_stack([GRID, *COLOURS])
+    (folder / "mine.txt").write_text("\n".join(map(numbers, table)), encoding="utf-8")
+    (folder / "crf.txt").write_text("\n".join(map(numbers, COLOURS)), encoding="utf-8")
+    labels = {"E =": GRID, "f0 =": MEAN, "h(1)=": BEND, "h(2)=": BEND * (GRID - 0.5)}
+    text = "\n".join(f"{label}\n{numbers(values)}" for label, values in labels.items())
+    (folder / "emor.txt").write_text(text, encoding="utf-8")
+    measured = published_code.eld_curve(GRID, COLOURS)
+    modelled = np.tile(MEAN + 0.2 * BEND - 0.1 * BEND * (GRID - 0.5), (3, 1))
+    return {
+        '"gamma-1.8"': lambda linear: np.maximum(linear, 1e-8) ** (1 / 1.8),
+        '{table = "mine.txt"}': measured,
+        '{published = "crf.txt"}': measured,
+        '{emor = "emor.txt", coefficients = [0.2, -0.1]}': published_code.eld_curve(GRID, modelled),
+    }
+
+
+def test_a_protocol_states_its_response_curve(own: OwnSet, tmp_path: Path) -> None:
+    """Of predictions in sRGB, of rendered raw ones and of the input; the digest is of the curve, not of its file."""
+    digests = []
+    for path in ("s0/x50.dng", "s0/x100.dng", "s1/x50.dng", "s1/x100.dng"):
+        save_prediction(tmp_path / "rgb", path, shown(own, f"{path[:2]}/clean.dng", path))
+    for number, (stated, response) in enumerate(written_responses(tmp_path).items()):
+        for base in ("eld-rgb2rgb", "eld-srgb"):
+            file = tmp_path / f"{base}-{number}.toml"
+            text = f'base = "{base}"\nname = "{base}-mine"\ntitle = "x"\nresponse = {stated}\n'
+            file.write_text(text, encoding="utf-8")
+            place: dict[str, Any] = {"manifest": own.manifest, "root": own.root, "protocol": file}
+            result = evaluate(None, baseline="input", **place)
+            results = [(result, False)]
+            if base == "eld-rgb2rgb":
+                digests.append(result.protocol.digest)
+                results.append((evaluate(tmp_path / "rgb", **place), True))
+            for scored, is_of_files in results:
+                for pair, image in zip(scored.pairs, scored.images, strict=True):
+                    noisy, reference = own.files / pair.path, own.files / pair.reference
+                    output = packed(noisy, published_code.ratio_by_exif(noisy, reference))
+                    score = published_code.eld_whole_srgb_score
+                    if base == "eld-rgb2rgb":
+                        score = published_code.eld_rgb_score
+                        output = published_code.eld_rendered(output, noisy, response)
+                    if is_of_files:
+                        output = shown(own, pair.reference, pair.path)
+                    wanted = score(output, packed(reference), reference, response)
+                    found = (image.psnr_db, image.ssim)
+                    assert found == pytest.approx((wanted.psnr_db, wanted.ssim), abs=1e-6, rel=0), (base, stated)
+    gamma, table, published, model = digests
+    assert table == published
+    assert len({gamma, table, model, PROTOCOLS["eld-rgb2rgb"].digest}) == 4
+    result.write_json(tmp_path / "r.json")  # of the last protocol, whose curve's file is not needed again
+    (tmp_path / "emor.txt").unlink()
+    assert reproduce(tmp_path / "r.json", manifest=own.manifest, root=own.root).same

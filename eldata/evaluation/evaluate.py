@@ -231,7 +231,7 @@ def _of_one_space(request: Request, plans: Sequence[ScoringPlan]) -> tuple[list[
         there, unfit = "the input is raw", [plan for plan in plans if not plan.protocol.is_of_packed]
     else:
         places = dict.fromkeys(pair.path for plan in plans for pair in plan.pairs)
-        look = look_of_folder(find_predictions(request.predictions, places), request.manifest.records)
+        look = look_of_folder(find_predictions(request.predictions, places), request)
         there = f"the predictions are {LOOKS[look].removeprefix('renderings in ').removesuffix(' frames')}"
         unfit = [plan for plan in plans if look_wanted(plan.protocol) != look]
     wanted = LOOKS | {"raw": "packed raw"}

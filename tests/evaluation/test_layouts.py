@@ -215,6 +215,8 @@ def test_predictions_of_another_space_are_one_message(tree: Tree, predictions: P
     (problem,) = run(tmp_path / "srgb", tree).problems
     assert problem.reason.startswith("protocol eld scores raw frames, and these are renderings in sRGB, such as ")
     assert problem.reason.endswith("; give protocol eld-raw2rgb or eld-rgb2rgb")
+    combined = evaluate_all(tmp_path / "srgb", manifest=tree.manifest, root=tree.root)
+    assert [result.protocol.name for result in combined.results] == ["eld-raw2rgb"]
 
 
 def test_why_more_frames_are_wanted_than_were_predicted_is_said(predictions: Path, tree: Tree) -> None:

@@ -84,7 +84,7 @@ class Parser(argparse.ArgumentParser):
             known = [option.removeprefix("--") for option in self._option_string_actions if option.startswith("--")]
             near = nearest(name.removeprefix("--"), known)
             hint = f"; did you mean --{near}?" if near else ""
-            after = ", and a command's options come after its name" if self._subparsers is not None else ""
+            after = ", and a command's options come after its name" if self._subparsers is not None and not near else ""
             self.error(f"there is no option {name}{after}{hint}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -117,7 +117,7 @@ class PairItems(ReadItems[PairItem, Sample]):
         """Return the shapes of input and target."""
         return dict.fromkeys(SIDES, item.crop.packed_shape)
 
-    def parts(self, item: PairItem) -> Iterator[Part]:
+    def _parts(self, item: PairItem) -> Iterator[Part]:
         """Yield the target, then the input."""
         yield Part("target", item.pair.target, is_light=True)
         if item.pair.input is not None:
@@ -186,7 +186,7 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         self._pairs: dict[int, OpenedPair] = {}
         if self.reads_parts:
             self._check_pairs()
-        self.lay_grid(map(cache(self._outlined), (record.reference for record in self.records)))
+        self._lay_grid(map(cache(self._outlined), (record.reference for record in self.records)))
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -194,21 +194,21 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         return frame_of(self.records)
 
     def __len__(self) -> int:
-        return self.length_of(len(self.records), self.crops_per_frame)
+        return self._length_of(len(self.records), self.crops_per_frame)
 
     def drawn(self, index: int, generator: np.random.Generator) -> PairItem:
         """Draw a crop of pair ``index`` modulo their number, or of a grid its crop."""
-        place, tile = self.record_of(index, len(self.records))
+        place, tile = self._record_of(index, len(self.records))
         pair = self._known(place) if self.reads_parts else self._begun(self.records[place])
         return PairItem(pair, Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment, tile=tile))
 
-    def parts(self, item: PairItem) -> Iterator[Part]:
+    def _parts(self, item: PairItem) -> Iterator[Part]:
         """Yield the target, then the input; frames that are decoded whole are held one at a time."""
         if self.reads_parts:
-            yield from super().parts(item)
+            yield from super()._parts(item)
             return
         pair = item.pair
-        parts = super().parts(item)
+        parts = super()._parts(item)
         yield next(parts)
         pair.target = pair.target.without_pixels()
         self._open_input(pair)
@@ -264,7 +264,7 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         del target
         return self.source.frame(record.path).with_levels(self.levels)
 
-    def outline(self) -> list[tuple[str, str]]:
+    def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is, as names and values."""
         scenes = len({(record.camera, record.scene) for record in self.records})
         named = (("cameras", "camera"), ("splits", "split"), ("ISO", "iso"), ("ratios", "ratio"))
@@ -293,7 +293,7 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
             f"splits {counted('split')}; ISO {counted('iso')}; ratios {counted('ratio')}; "
             f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r}"
             + shading_text(self.dark_shading)
-            + (f", {self.cut}, crops_per_frame={self.crops_per_frame}, seed={self.seed}" if cropped else "")
+            + (f", {self._cut}, crops_per_frame={self.crops_per_frame}, seed={self.seed}" if cropped else "")
             + ")"
         )
 

@@ -196,7 +196,7 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
                 self._check(clip)
         if self.crops == "grid":  # clips may have several windows
             like = cache(lambda path: self.source.frame(path).without_pixels())
-            self.lay_grid(like(record.reference or record.path) for record in self.records)
+            self._lay_grid(like(record.reference or record.path) for record in self.records)
 
     def _check(self, clip: Clip) -> None:
         """Make sure that the frames of a clip belong together."""
@@ -208,7 +208,7 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
             self._check_frame(self._input(path), path, reference or first, reference, first.name, ratio)
 
     @property
-    def may_differ(self) -> bool:
+    def _may_differ(self) -> bool:
         """Whether frames are decoded whole, which takes so much memory that windows are read one by one."""
         return not self.reads_parts
 
@@ -220,11 +220,11 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
         return pd.DataFrame([asdict(record) | {"paths": list(record.paths)} for record in self.records])
 
     def __len__(self) -> int:
-        return self.length_of(len(self.records), self.crops_per_window)
+        return self._length_of(len(self.records), self.crops_per_window)
 
     def drawn(self, index: int, generator: np.random.Generator) -> _Item:
         """Draw a crop of window ``index`` modulo their number, or of a grid its crop."""
-        number, tile = self.record_of(index, len(self.records))
+        number, tile = self._record_of(index, len(self.records))
         record = self.records[number]
         reference = None if record.reference is None else self._frame(record.reference)
         first = self._frame(record.path) if reference is None or self.reads_parts else None
@@ -243,7 +243,7 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
         shapes: dict[str, tuple[int, ...]] = {"input": (len(item.record.paths), *shape)}
         return shapes | {"target": shapes["input"] if item.record.references else shape} if self._is_paired else shapes
 
-    def parts(self, item: _Item) -> Iterator[Part]:
+    def _parts(self, item: _Item) -> Iterator[Part]:
         """Yield the reference, then the frames in order; what is of another clip is refused on the way."""
         reference, item.reference = item.reference, None
         known = reference and reference.without_pixels()
@@ -320,7 +320,7 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
         like = item.reference or item.first
         return None if like is None else like.sensor
 
-    def outline(self) -> list[tuple[str, str]]:
+    def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is, as names and values."""
         return [
             ("place", str(self.root)),
@@ -348,7 +348,7 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
     def __repr__(self) -> str:
         part = f"region={self.region}"
         if self.region is None:
-            part = self.cut
+            part = self._cut
         return (
             f"{type(self).__name__}({str(self.root)!r}, {self._text}; {part}, "
             f"crops_per_window={self.crops_per_window}, seed={self.seed}, levels={self.levels!r}, "

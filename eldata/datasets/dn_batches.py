@@ -71,9 +71,9 @@ class DnPairs(ReadItems[PairItem, DnSample]):
         return len(self.pairs)
 
     @property
-    def may_differ(self) -> bool:
+    def _may_differ(self) -> bool:
         """As that of the pairs."""
-        return self.pairs.may_differ
+        return self.pairs._may_differ
 
     def item(self, index: int) -> PairItem:
         """Draw an item of the pairs."""
@@ -83,21 +83,21 @@ class DnPairs(ReadItems[PairItem, DnSample]):
         """Return the shapes of both mosaics."""
         return {f"{side}_dn": (item.crop.height, item.crop.width) for side in SIDES}
 
-    def parts(self, item: PairItem) -> Iterator[Part]:
+    def _parts(self, item: PairItem) -> Iterator[Part]:
         """Yield both mosaics."""
-        return (part._replace(tensor=f"{part.tensor}_dn") for part in self.pairs.parts(item))
+        return (part._replace(tensor=f"{part.tensor}_dn") for part in self.pairs._parts(item))
 
-    def fill(self, item: PairItem, part: Part, out: NDArray[Any]) -> None:
+    def _fill(self, item: PairItem, part: Part, out: NDArray[Any]) -> None:
         """Copy one crop in DN, turned."""
         out[...] = item.crop.cut(part.frame)
 
-    def seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
+    def _seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
         """Read the same item of the pairs, normalised."""
-        return self.pairs.seen(index)
+        return self.pairs._seen(index)
 
-    def outline(self) -> list[tuple[str, str]]:
+    def _outline(self) -> list[tuple[str, str]]:
         """Return what the pairs are."""
-        return [("in DN", "for normalise_batch"), *self.pairs.outline()]
+        return [("in DN", "for normalise_batch"), *self.pairs._outline()]
 
     def facts(self, item: PairItem) -> dict[str, Any]:
         """Return the fields of a :class:`DnSample` that are not mosaics."""

@@ -102,7 +102,7 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
 
     @property
     @abstractmethod
-    def may_differ(self) -> bool:
+    def _may_differ(self) -> bool:
         """Whether the items of a batch may differ in size, which only reading them shows."""
 
     @abstractmethod
@@ -114,21 +114,21 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
         """Return the shapes of an item's tensors, by name."""
 
     @abstractmethod
-    def parts(self, item: Item) -> Iterator[Part]:
+    def _parts(self, item: Item) -> Iterator[Part]:
         """Yield what is read; a source that decodes whole frames is asked for one after the other."""
 
     @abstractmethod
     def facts(self, item: Item) -> dict[str, Any]:
         """Return what a sample has beside its tensors, once they were read."""
 
-    def fill(self, item: Item, part: Part, out: NDArray[Any]) -> None:
+    def _fill(self, item: Item, part: Part, out: NDArray[Any]) -> None:
         """Read one part."""
         item.crop.fill(part.frame, out, clip="both" if part.is_light else self.clip, gain=part.gain)
 
-    def finish(self, items: Sequence[Item], arrays: Mapping[str, NDArray[Any]]) -> None:
+    def _finish(self, items: Sequence[Item], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Make what is not read, of several items at once; the arrays have as many, one after the other."""
 
-    def given(self, items: Sequence[Item]) -> None:
+    def _given(self, items: Sequence[Item]) -> None:
         """Note that items were given out, to be trained on; those that are only looked at are not noted."""
 
     def sensor(self, item: Item) -> Sensor | None:
@@ -136,7 +136,7 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
         del item
         return None
 
-    def seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
+    def _seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
         """Read one item to be looked at, and the sensor of its target; raises like ``dataset[index]``."""
         item = self.item(index)
         sensor = self.sensor(item)
@@ -159,16 +159,16 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
         """
         from eldata.datasets.looking import drawn_sample
 
-        return drawn_sample(*self.seen(index))
+        return drawn_sample(*self._seen(index))
 
-    def outline(self) -> list[tuple[str, str]]:
+    def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is, as names and values, for a notebook."""
         return [("items", str(len(self)))]
 
     def _repr_html_(self) -> str:
         from eldata.datasets.looking import shown_dataset
 
-        return shown_dataset(type(self).__name__, self.outline(), self.seen if len(self) else None)
+        return shown_dataset(type(self).__name__, self._outline(), self._seen if len(self) else None)
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[index] for index in range(len(self)))
@@ -188,7 +188,7 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
         """
         item = self.item(index)
         sample: Any = self._sample(item)
-        self.given([item])
+        self._given([item])
         return sample  # type: ignore[no-any-return] # a TypedDict of the subclass
 
     def _sample(self, item: Item) -> dict[str, Any]:
@@ -201,7 +201,7 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
 
         torch's DataLoader calls this. The values are those of ``dataset[i]``; errors too.
         """
-        if self.may_differ:
+        if self._may_differ:
             return [self[index] for index in indices]
         batch: Batch | None = None
         samples: list[dict[str, Any]] = []
@@ -215,7 +215,7 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
                 return [self[index] for index in indices]
             places = slice(len(samples), len(samples) + len(items))
             self._read(items, {name: array[places] for name, array in batch.arrays.items()})
-            self.given(items)
+            self._given(items)
             samples += [dict.fromkeys(shapes) | self.facts(item) for item in items]
             del items  # their frames, before the next ones are decoded
         return [] if batch is None else batch.parts(samples)
@@ -223,18 +223,18 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
     def _read(self, items: Sequence[Item], arrays: Mapping[str, NDArray[Any]]) -> None:
         def fill(place: int, part: Part) -> None:
             array = arrays[part.tensor][place]
-            self.fill(items[place], part, array if part.place is None else array[part.place])
+            self._fill(items[place], part, array if part.place is None else array[part.place])
 
         if self.reads_parts:
-            works = [(place, part) for place, item in enumerate(items) for part in self.parts(item)]
+            works = [(place, part) for place, item in enumerate(items) for part in self._parts(item)]
             values = sum(array[0].size for array in arrays.values())
             in_threads(lambda work: fill(*work), works, reading_threads(len(items), values))
         else:
             for place, item in enumerate(items):
-                for part in self.parts(item):
+                for part in self._parts(item):
                     fill(place, part)
                     del part  # its frame, before the next one is decoded
-        self.finish(items, arrays)
+        self._finish(items, arrays)
 
 
 class Cropping(TypedDict, total=False):
@@ -297,29 +297,29 @@ class CroppedItems(ReadItems[Item, Sample]):
         self._epoch = SharedNumber()
         self._starts: list[int] | None = None  # of a grid: the first item of each record, and their number
 
-    def lay_grid(self, frames: Iterable[Frame]) -> None:
+    def _lay_grid(self, frames: Iterable[Frame]) -> None:
         """Count the crops of a grid, if it is to be one, in a frame of each record."""
         if self.crops == "grid" and self.crop is not None:
             counts = (Crop.count_tiles(frame, crop=self.crop, augment=self.augment) for frame in frames)
             self._starts = list(accumulate(counts, initial=0))
 
-    def length_of(self, records: int, repeats: int) -> int:
+    def _length_of(self, records: int, repeats: int) -> int:
         """Return the number of items: that of the grid's crops, or ``repeats`` of each record."""
         return records * repeats if self._starts is None else self._starts[-1]
 
-    def record_of(self, index: int, records: int) -> tuple[int, int | None]:
+    def _record_of(self, index: int, records: int) -> tuple[int, int | None]:
         """Return the record that an item is of, and which crop of its grid."""
         if self._starts is None:
             return index % records, None
         record = bisect_right(self._starts, index) - 1
         return record, index - self._starts[record]
 
-    def indices_of(self, record: int) -> range:
+    def _indices_of(self, record: int) -> range:
         """Return the indices of the items of a record; of random crops the first one's."""
         return range(record, record + 1) if self._starts is None else range(*self._starts[record : record + 2])
 
     @property
-    def cut(self) -> str:
+    def _cut(self) -> str:
         """The choice of crops, as a repr says it."""
         grid = f", crops={self.crops!r}" if self._starts is not None else ""
         return f"crop={self.crop}, augment={self.augment}{grid}"
@@ -329,7 +329,7 @@ class CroppedItems(ReadItems[Item, Sample]):
         """Draw an item; ``index`` is not negative."""
 
     @property
-    def may_differ(self) -> bool:
+    def _may_differ(self) -> bool:
         """Whether whole frames are decoded, which may differ in size."""
         return self.crop is None and not self.reads_parts
 

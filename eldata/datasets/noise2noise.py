@@ -60,7 +60,7 @@ class Noise2Noise(ReadItems[_Item, Sample]):
             (group, place, step)
             for group in self._groups
             for place in range(len(group))
-            for step in range(len(pairs.indices_of(group[place])))
+            for step in range(len(pairs._indices_of(group[place])))
         ]
         if not self._members:
             raise ArgumentError(
@@ -72,9 +72,9 @@ class Noise2Noise(ReadItems[_Item, Sample]):
         return len(self._members) * self.pairs.crops_per_frame
 
     @property
-    def may_differ(self) -> bool:
+    def _may_differ(self) -> bool:
         """As that of the pairs."""
-        return self.pairs.may_differ
+        return self.pairs._may_differ
 
     def item(self, index: int) -> _Item:
         """Draw an item from (seed, epoch, index): a crop of a pair, and another pair of its scene."""
@@ -84,27 +84,27 @@ class Noise2Noise(ReadItems[_Item, Sample]):
         group, place, step = self._members[index % len(self._members)]
         generator = item_generator(self.pairs.seed, self.pairs.epoch, index)
         other_place = (place + 1 + int(generator.integers(len(group) - 1))) % len(group)
-        pair, crop = self.pairs.drawn(self.pairs.indices_of(group[place])[step], generator)
-        other, _ = self.pairs.drawn(self.pairs.indices_of(group[other_place])[step], generator)
+        pair, crop = self.pairs.drawn(self.pairs._indices_of(group[place])[step], generator)
+        other, _ = self.pairs.drawn(self.pairs._indices_of(group[other_place])[step], generator)
         return _Item(pair, other, crop)
 
     def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
         """Return the shapes of input and target."""
         return dict.fromkeys(SIDES, item.crop.packed_shape)
 
-    def parts(self, item: _Item) -> Iterator[Part]:
+    def _parts(self, item: _Item) -> Iterator[Part]:
         """Yield both noisy frames, each times its ratio."""
         for side, pair in (("input", item.pair), ("target", item.other)):
-            noisy = self.pairs.parts(PairItem(pair, item.crop))
+            noisy = self.pairs._parts(PairItem(pair, item.crop))
             yield from (part._replace(tensor=side) for part in noisy if part.tensor == "input")
 
     def sensor(self, item: _Item) -> Sensor | None:
         """Return the sensor of the pair's reference."""
         return item.pair.target.sensor
 
-    def outline(self) -> list[tuple[str, str]]:
+    def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is: two noisy frames of each of these pairs."""
-        return [("noisy frames", str(self._count)), *self.pairs.outline()]
+        return [("noisy frames", str(self._count)), *self.pairs._outline()]
 
     def facts(self, item: _Item) -> dict[str, Any]:
         """Return the fields of a :class:`~eldata.datasets.base.Sample` that are not tensors."""

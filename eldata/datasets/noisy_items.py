@@ -135,8 +135,8 @@ class NoisyItems(CroppedItems[Item, Sample]):
         _check_structure(self.model, self.noise)
         self._turns = None if self._dark is None else _turns(owner, self._dark, self.noise, self.seed, exposures)
         records = map(getattr(source, method), range(len(source)))
-        self.lay_grid(records if method == "frame" else (clip.frame(0) for clip in records))
-        self._length = self.length_of(len(source), crops[1])
+        self._lay_grid(records if method == "frame" else (clip.frame(0) for clip in records))
+        self._length = self._length_of(len(source), crops[1])
         self._repeats = Repeats(owner, self._length)
 
     def __len__(self) -> int:
@@ -163,7 +163,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
             facts["dark_frame"] = ", ".join(names[member] for member in item.draw.dark)
         return facts
 
-    def finish(self, items: Sequence[Item], arrays: Mapping[str, NDArray[Any]]) -> None:
+    def _finish(self, items: Sequence[Item], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Add the noise: ours to all items at once, for the call alone costs as much as the noise of a small crop."""
         clean, noisy, model = arrays["target"], arrays["input"], self.model
         if isinstance(model, NoiseModel) and self._dark is None and not model.components.placed:
@@ -182,7 +182,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
             for place, item in enumerate(items):
                 self._add_noise(item, clean[place], noisy[place])
 
-    def given(self, items: Sequence[Item]) -> None:
+    def _given(self, items: Sequence[Item]) -> None:
         """Note the items, for a second pass over the same ones."""
         self._repeats.note(*(item.index for item in items))
 
@@ -190,7 +190,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
         """Return the sensor of the clean frame, if a file states it."""
         return item.frame.sensor
 
-    def outline(self) -> list[tuple[str, str]]:
+    def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is, as names and values."""
         model = repr(self.model) if isinstance(self.model, NoiseModel) else maker_name(self.model)
         low, high = self.noise.ratio
@@ -234,7 +234,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
         ranged = "" if self.range_dn is None else f", range_dn={self.range_dn:g}"
         return (
             f"{type(self).__name__}({source!r}, {items}, cameras: {self.noise}; {model}, "
-            f"ratio={self.noise.ratio}{ranged}, {self.cut}, seed={self.seed})"
+            f"ratio={self.noise.ratio}{ranged}, {self._cut}, seed={self.seed})"
         )
 
 

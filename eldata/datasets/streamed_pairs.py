@@ -50,7 +50,7 @@ class _Crops(PairItems):
     """Crops in DN, turned, in memory of their own, that become samples."""
 
     reads_parts = True
-    may_differ = False
+    _may_differ = False
 
     def __init__(self, items: Sequence[PairItem], clip: Clip) -> None:
         self.items = items

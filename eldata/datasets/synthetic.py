@@ -93,7 +93,7 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
 
     def drawn(self, index: int, generator: np.random.Generator) -> NoisyItem:
         """Draw a crop of frame ``index`` modulo their number, or of a grid its crop, and its noise."""
-        number, tile = self.record_of(index, len(self.source))
+        number, tile = self._record_of(index, len(self.source))
         frame = self.source.frame(number)
         crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment, tile=tile)
         return NoisyItem(frame, crop, self.draw_noise(generator, index), generator, index)
@@ -102,7 +102,7 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
         """Return the shapes of input and target."""
         return dict.fromkeys(SIDES, item.crop.packed_shape)
 
-    def parts(self, item: NoisyItem) -> Iterator[Part]:
+    def _parts(self, item: NoisyItem) -> Iterator[Part]:
         """Yield the clean crop."""
         yield Part("target", item.frame, is_light=True)
 
@@ -189,7 +189,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
 
     def drawn(self, index: int, generator: np.random.Generator) -> _Item:
         """Draw a window of clip ``index`` modulo their number, or of a crop's clip, its crop and its noise."""
-        place, tile = self.record_of(index, len(self.source))
+        place, tile = self._record_of(index, len(self.source))
         clip = self.source.clip(place)
         if len(clip) < self.frames:
             raise DatasetError(f"{clip!r}: {len(clip)} frames are too few for a window of {self.frames}")
@@ -202,7 +202,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
         """Return the shapes of input and target."""
         return dict.fromkeys(SIDES, (self.frames, *item.crop.packed_shape))
 
-    def parts(self, item: _Item) -> Iterator[Part]:
+    def _parts(self, item: _Item) -> Iterator[Part]:
         """Yield the clean frames in order."""
         yield Part("target", item.frame, 0, is_light=True)
         for step in range(1, self.frames):

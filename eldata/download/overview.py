@@ -86,7 +86,7 @@ class Overview:
     def next_step(self) -> str:
         """What to do next: get the files, check them, or list one's own."""
         if self.presence is None:
-            return 'list your copy in a manifest of your own: docs/adding-a-dataset.md, "Your own files"'
+            return "list your copy of camera raws: eldata manifest FOLDER -o mine.csv (docs/adding-a-dataset.md)"
         return self.verify_command if self.presence.complete else self.download_command
 
     @property
@@ -128,7 +128,7 @@ class Overview:
 
     def _files(self) -> list[str]:
         if self.manifest is None or self.presence is None:
-            return ["files      no public text lists them: eldata has this card alone"]
+            return ["files      eldata has no list of them, only this card"]
         counts = ", ".join(f"{count} {role}" for role, count in sorted(self.card.counts.items()))
         patterns = f" ({self.presence.patterns} of them stand for a folder of files)" if self.presence.patterns else ""
         return [

@@ -182,7 +182,7 @@ class EldataPairs(Dataset[BatchSample]):
         crop = self._cut(pair.target, crop)
         images: dict[str, torch.Tensor] = {}
         sensors: dict[str, Sensor | None] = {}
-        for part in self.pairs.parts(PairItem(pair, crop)):
+        for part in self.pairs._parts(PairItem(pair, crop)):
             name = "gt" if part.is_light else "lq"
             values, black, white = self._dn(part.frame, crop)
             values -= black

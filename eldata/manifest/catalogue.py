@@ -138,8 +138,8 @@ def shipped_manifest(name: str) -> Manifest:
     """
     if name in carded_names() and name not in shipped_names():
         raise ManifestError(
-            f"eldata knows {name!r} by its card alone, since no public text lists its files: eldata info {name} says "
-            "what is known; list your copy in a manifest of your own (docs/adding-a-dataset.md)"
+            f"eldata knows {name!r} by its card alone, without a list of its files: eldata info {name} says what is "
+            "known; eldata manifest FOLDER -o mine.csv lists your copy of camera raws (docs/adding-a-dataset.md)"
         )
     if name not in shipped_names():
         raise ManifestError(_unknown(name, shipped_names()))

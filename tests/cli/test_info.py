@@ -120,9 +120,9 @@ def test_a_set_with_a_card_alone(eldata: Cli, tmp_path: Path) -> None:
     for words in (
         "rawnind: Raw Natural Image Noise Dataset (RawNIND) (card version 1.0)",
         "CFA        bayer and xtrans",
-        "files      no public text lists them: eldata has this card alone",
+        "files      eldata has no list of them, only this card",
         "\nnot known\n    - ",
-        '\nnext\n    list your copy in a manifest of your own: docs/adding-a-dataset.md, "Your own files"\n',
+        "\nnext\n    list your copy of camera raws: eldata manifest FOLDER -o mine.csv (docs/adding-a-dataset.md)\n",
     ):
         assert words in outcome.out
     (dataset,) = json.loads((tmp_path / "x.json").read_text())["datasets"]

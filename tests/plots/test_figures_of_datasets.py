@@ -91,7 +91,7 @@ def test_a_store_draws_its_crop(tree: Tree, tmp_path: Path) -> None:
     noisy, clean, _ = images_of(packed.plot(5))
     assert noisy.shape == clean.shape == (16, 16, 3)
     sample = packed[5]
-    shown = preview(sample["target"].numpy() * brightening(sample["target"].numpy()), packed.seen(5)[1])
+    shown = preview(sample["target"].numpy() * brightening(sample["target"].numpy()), packed._seen(5)[1])
     np.testing.assert_array_equal(clean, shown)
     in_dn = DnPairs(packed)
     np.testing.assert_array_equal(images_of(in_dn.plot(5))[1], clean)
@@ -103,7 +103,7 @@ def test_synthetic_pairs_are_drawn_and_not_counted_as_a_pass(eld: ELDDataset, tr
     path = tree.data / eld.records[0].reference
     pairs = SyntheticPairs(CleanFrames([path], keep=1), "SonyA7S2", crop=16)
     for _ in range(30):  # as a person looks again and again: a second pass over the items would warn, which is an error
-        pairs.seen(0)
+        pairs._seen(0)
     sample = pairs[0]
     noisy, clean, _ = images_of(pairs.plot(0))
     brighter = brightening(sample["target"].numpy())

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 SCENE = "{scene}"
 
-_UNFIT = re.compile(r"[^A-Za-z0-9._+/-]+")  # for the name of a scene
+_UNFIT = re.compile(r"[^\w.+-]+")  # for a name in a manifest
 _BY_HAND = "or write its row by hand (docs/adding-a-dataset.md)"
 _WHICH = "say which are references with --reference PATTERN, or where a scene's name stands with --scene PATTERN"
 
@@ -161,10 +161,15 @@ def sort_own_set(
             problems.append(problem(frame.path, "scene", f"a path like {scene}", "another", "mend --scene PATTERN"))
         else:
             place = frame.path.rpartition("/")[0] if found is None else found[1]
-            scenes[_UNFIT.sub("-", place or folder.name), frame.camera].append(frame)
-    for (place, camera), members in scenes.items():
-        alike = [other for other, of in scenes if of == camera and _last(other) == _last(place)]
-        title = _last(place) if len(alike) == 1 else place.replace("/", "-")
+            scenes[place or folder.name, frame.model].append(frame)
+    titles: dict[tuple[str, str], str] = {}
+    for (place, model), members in scenes.items():
+        alike = [other for other, of in scenes if of == model and _last(other) == _last(place)]
+        title = _UNFIT.sub("-", _last(place) if len(alike) == 1 else place)
+        other = titles.setdefault((title, members[0].camera), f"{place} of {model}")
+        if other != f"{place} of {model}":
+            problems.append(problem(place, "scene", f"a name of its own, not {title}", other, "rename one of them"))
+            continue
         rows, unclear = _sort_scene(title, members, reference, problem)
         records += rows
         problems += unclear
@@ -182,7 +187,7 @@ def _scene_pattern(scene: str) -> re.Pattern[str]:
 
 def _looked_into(folder: Path, path: Path) -> _Frame:
     header, _ = raw_facts(path, decode=False)
-    camera, exposure = re.sub(r"[^A-Za-z0-9._-]+", "", header.model), header.exposure
+    camera, exposure = _UNFIT.sub("", header.model), header.exposure
     place = path.relative_to(folder).as_posix()
     return _Frame(place, header.model, camera, exposure.iso, exposure.exposure_s, header.taken)
 

@@ -133,6 +133,10 @@ def test_scenes_of_one_name_are_kept_apart_and_calibration_frames_are_told(tmp_p
     found = sort_own_set(tmp_path, "mine")
     assert not found.problems
     assert {one.scene for one in found.records} == {"first-night-hall", "second-hall", ""}
+    for name in ("a b", "a  b"):  # one name without spaces
+        shoot(tmp_path / name / "clean.dng", REFERENCE)
+        shoot(tmp_path / name / "dark.dng", NOISY)
+    assert [(one.path, one.field) for one in sort_own_set(tmp_path, "mine").problems] == [("a b", "scene")]
     assert told(found)["calibration/bias/ISO100/b.dng"] == ("bias", "", None, None)
     assert found.card.counts == {"bias": 1, "noisy": 2, "reference": 2}
 

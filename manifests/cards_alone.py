@@ -103,7 +103,7 @@ FIVEK = Card(
     sources=(
         "The paper of the set, abstract: 5,000 photos, five retouchers",
         "Public code and pages that fetch the set: DNG, two licence texts, some 50 GB",
-        "K. Wei et al., TPAMI 2021, section on training with more synthesized data: used as clean images beside SID",
+        "K. Wei et al., TPAMI 2021, section 4.3.2: used as clean images beside SID",
     ),
     contents=f"{_FIVEK_HELD}. eldata uses the DNG files alone, as clean frames for synthetic noise",
     levels="those of each file",

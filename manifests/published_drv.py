@@ -152,7 +152,7 @@ def published_drv(split_of: Mapping[str, str]) -> tuple[Card, tuple[FrameRecord,
                 "DRV repository, commit e3e81e7, train.py, test_video.py, test_image.py: names of folders and "
                 "references, 16-bit RGB divided by 65535, dynamic clips, frames tested; README: downloads, licence"
             ),
-            "K. Wei et al., TPAMI 2021, section on videography: the camera, a Sony RX100 VI",
+            "K. Wei et al., TPAMI 2021, section 4.6: the camera, a Sony RX100 VI",
         ),
     )
     return card, records

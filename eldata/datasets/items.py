@@ -251,7 +251,7 @@ class Cropping(TypedDict, total=False):
     crops
         ``"random"``, the default: each item is of a place that is drawn. ``"grid"``: the crops lie side by side from
         the frame's first row and column on, in order with the CFA, and each is one item, so once an epoch, turned anew
-        in each (K. Wei et al., TPAMI 2021, implementation details). What is left over at the bottom and at the right is
+        in each (K. Wei et al., TPAMI 2021, section 4.1.1). What is left over at the bottom and at the right is
         in none; turning a mosaic shifts a crop by at most one period of its CFA. Frames that are decoded whole are
         decoded once for their size as the dataset is made.
     seed

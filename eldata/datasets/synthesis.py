@@ -74,7 +74,7 @@ class Recipe:
         Noisy frames per clean one; of clips, noisy clips per clean one.
     clips
         ``True``: each folder that holds raws is a clip (:class:`~eldata.datasets.CleanClips`); parameters and ratio are
-        drawn once for it, and the noise afresh for each frame (K. Wei et al., TPAMI 2021, section on videography).
+        drawn once for it, and the noise afresh for each frame (K. Wei et al., TPAMI 2021, section 4.6).
         ``False``: they are drawn for each frame. ``None``: for each frame, and a folder below that may be either, with
         several raws whose names differ in numbers, is refused.
     split

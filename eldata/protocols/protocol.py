@@ -90,7 +90,7 @@ class Protocol:
         paper's pipeline (:mod:`eldata.isp.rendering`), which renders a packed raw prediction too, once rescaled.
     input_space, prediction_space
         What a network gets and what it makes, ``raw`` or ``srgb``: the paper's Raw2Raw, Raw2RGB and RGB2RGB (section
-        "Applicability to sRGB Denoising"). A prediction in ``srgb`` is (3, h, w), a pixel for each packed one, rescaled
+        4.5). A prediction in ``srgb`` is (3, h, w), a pixel for each packed one, rescaled
         and compared as it is; an input in ``srgb`` is the amplified frame, rendered in 8 bits with the white balance
         and matrix of its own file. The score of the input itself is that of such a rendering in either case.
     response

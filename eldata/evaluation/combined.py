@@ -81,12 +81,16 @@ class CombinedResult:
         known = {(one.words, one.where) for one in self.results[0].suspicions}
         return any((one.words, one.where) not in known for one in result.suspicions)
 
+    def is_of_another_space(self, result: EvaluationResult) -> bool:
+        """Return whether a protocol compares renderings and the first one raw values: its dB are of other images."""
+        return _space(result) != _space(self.results[0])
+
     def spans(self) -> dict[str, float]:
         """Return how far apart the protocols' means of each metric lie, over the pairs that each shares.
 
-        Protocols under which the predictions are suspect are left out.
+        Protocols under which the predictions are suspect, and those of another space than the first's, are left out.
         """
-        sound = [result for result in self.results if not self.is_suspect(result)]
+        sound = [one for one in self.results if not (self.is_suspect(one) or self.is_of_another_space(one))]
         found = {}
         for metric in self.results[0].kind.metrics:
             shifts = [shift for shift, shared in (self.shift(one, metric.name) for one in sound) if shared]
@@ -117,6 +121,8 @@ class CombinedResult:
         against = ""
         if self.is_suspect(result):
             against = "suspect"
+        elif self.is_of_another_space(result):
+            against = "in raw" if _space(result) == "raw" else "in sRGB"
         elif result is not self.results[0]:
             difference, shared = self.shift(result, metric.name)
             places = metric.decimals
@@ -254,6 +260,10 @@ class CombinedResult:
     def write_csv(self, path: Path | str) -> None:
         """Write the scores as CSV, ``protocol`` before the columns of a single one, whole or not at all."""
         write_scores(self.results, path, named=True)
+
+
+def _space(result: EvaluationResult) -> str:
+    return str(result.protocol.as_dict().get("space", "raw"))
 
 
 def _names(group: Sequence[EvaluationResult]) -> str:

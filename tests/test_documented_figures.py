@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).parents[1]
-_BLOCK = re.compile(r"^```\n\$ (eldata (?:evaluate|demo) eldata-.*)\n((?:.*\n)*?)```$", re.MULTILINE)
+_BLOCK = re.compile(r"^```\n\$ (eldata (?:evaluate|demo) eldata-(?:.*\\\n)*.*)\n((?:.*\n)*?)```$", re.MULTILINE)
 BLOCKS = [
     (f"{path.name} {number}", command, shown.splitlines())
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -50,7 +50,7 @@ def test_a_command_prints_what_a_document_shows(
     (tmp_path / "eldata-demo").symlink_to(demo / "eldata-demo")
     monkeypatch.chdir(tmp_path)
     capsys.readouterr()
-    assert main(shlex.split(command)[1:]) == 0
+    assert main(shlex.split(command.replace("\\\n", " "))[1:]) == 0
     printed = capsys.readouterr().out.splitlines()
     at, may_skip = 0, False
     for line in shown:

@@ -104,11 +104,11 @@ def _set_openmp_threads() -> Callable[[int], object]:
     return lambda _: None
 
 
-def check_sizes(path: Path, raw: rawpy.RawPy) -> None:
+def check_sizes(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> None:
     """Refuse impossible sizes before memory is taken for the pixels."""
     sizes, held = raw.sizes, path.stat().st_size
     raw_pixels = sizes.raw_height * sizes.raw_width
-    if held * 8 < raw_pixels:
+    if held * max((one.most_pixels for one in directories if one.is_mosaic), default=8) < raw_pixels:
         raise RawFileError(path, f"truncated: {held} bytes cannot hold {raw_pixels} pixels")
     inside = sizes.top_margin + sizes.height <= sizes.raw_height and sizes.left_margin + sizes.width <= sizes.raw_width
     if not (inside and sizes.height and sizes.width):
@@ -123,6 +123,9 @@ def check_libraw_decodes(path: Path, raw: rawpy.RawPy, directories: Sequence[Dir
     """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
     for main in stated_images(raw, directories)[:1]:
         found = "floating-point or interleaved pixels" if main.is_float or main.interleaved != (1, 1) else ""
+        if main.is_jpeg_xl:
+            todo = "pack it and use eldata.isp.Rendering"
+            raise UnusableRawError(path, "has pixels in JPEG XL, which LibRaw does not decode", todo)
         if any(len(set(main.values.get(tag, ()))) > 1 for tag in BLACK_DELTAS):
             found = "black levels by row or column"
         if found:

@@ -4,7 +4,8 @@ Which figures are taken
 -----------------------
 mosaic
     LibRaw's visible area, copied, rows and columns that a DNG interleaves in order; the file is closed before the
-    function returns. Floating-point DNGs are decoded here (:mod:`eldata.raw.strips`), LibRaw says their visible area.
+    function returns. Floating-point DNGs and JPEG XL are decoded here (:mod:`eldata.raw.strips`), LibRaw says their
+    visible area.
 CFA
     Asked of LibRaw for the visible area's own first sites. rawpy's ``raw_pattern`` counts from the corner of the
     full raw image and is out of phase where a margin is odd. Of quad-Bayer and nona-Bayer the file's own tags: LibRaw
@@ -16,7 +17,7 @@ black level
     without a recorded level it is measured in the masked pixels of that very file.
 white level
     LibRaw's ``white_level``: the level at which the format saturates, from the file where the file has one (DNG).
-    Of floats, and of a DNG with several CFA images, what is stated beside the pixels that are read.
+    Of floats, JPEG XL, and a DNG with several CFA images, what is stated beside the pixels that are read.
     The per-channel ``camera_white_level_per_channel`` is missing for most cameras, comes from LibRaw's table or
     maker notes, and even for a DNG overrides what the file says. It is kept beside, for protocols that name it.
 colour matrix
@@ -65,7 +66,7 @@ from eldata.raw.sensor_facts import (
     image_remarks,
 )
 from eldata.raw.stated import StatedFile
-from eldata.raw.strips import read_floats
+from eldata.raw.strips import read_stored
 from eldata.raw.tiff import read_directories
 from eldata.raw.unsupported import NEEDED, refuse_unsupported
 from eldata.records import RawFrame, Sensor
@@ -118,7 +119,7 @@ def _header_of(file: RawContainer, images: Sequence[Directory | None], image: in
     header, main = file.header, _chosen(file.path, images, image)
     if main is not None and file.is_dng:
         check_black_counts(file.path, main)
-    return replace(header, remarks=(*directory_remarks(main), *image_remarks(len(images), image)))
+    return replace(header, remarks=(*directory_remarks(file.path, main), *image_remarks(len(images), image)))
 
 
 def facts_of(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
@@ -186,16 +187,18 @@ def _frame(file: RawContainer, image: int) -> RawFrame:
     check_samples(path, directories)
     with opened_raw(path, directories, image=image) as raw:
         tags = file.tags
-        check_sizes(path, raw)
+        check_sizes(path, raw, directories)
         images = stated_images(raw, directories) or (None,) * count_images(path)
         main = _chosen(path, images, image)
         sizes = raw.sizes
         size = sizes.raw_height, sizes.raw_width
         if main is None and any(one.is_float and one.shape == size for one in directories):
             raise UnusableRawError(path, "its pixels are floating-point numbers, and no mosaic by its tags", NEEDED)
+        if main is None and any(one.is_jpeg_xl and one.shape == size for one in directories):
+            raise UnusableRawError(path, "already demosaiced (an RGB raw in JPEG XL), or no mosaic by its tags", NEEDED)
         header = _header_of(file, images, image)
-        in_floats = main is not None and main.is_float
-        stored = _stored_floats(path, raw, main) if main and in_floats else _stored_by_libraw(file, raw, main, header)
+        ours = main is not None and (main.is_float or main.is_jpeg_xl)
+        stored = _stored_pixels(path, raw, main) if main and ours else _stored_by_libraw(file, raw, main, header)
         area = VisibleArea(sizes.top_margin, sizes.left_margin, (sizes.height, sizes.width), stored.cfa)
         pixels = _in_place(path, raw, stored.pixels, main)
         mosaic, white = area.of(pixels).copy(), stored.white_dn
@@ -204,7 +207,7 @@ def _frame(file: RawContainer, image: int) -> RawFrame:
         black = levels.level_dn
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        decoder = None if in_floats else raw  # whatever LibRaw is asked, it decodes the pixels first
+        decoder = None if ours else raw  # whatever LibRaw is asked, it decodes the pixels first
         matrix, illuminant = camera_matrix(decoder, directories)
         balance = as_shot_multipliers(path, decoder, directories, tags)
         make, model, (height, width) = header.make, header.model, area.shape
@@ -224,12 +227,12 @@ class _Stored(NamedTuple):
     channel_whites_dn: tuple[float, ...] | None
 
 
-def _stored_floats(path: Path, raw: rawpy.RawPy, main: Directory) -> _Stored:
+def _stored_pixels(path: Path, raw: rawpy.RawPy, main: Directory) -> _Stored:
     stated = stated_cfa(raw, main)
     if stated is None:
-        raise RawFileError(path, "states no colour filter array that can be used, and its pixels are floats")
+        raise RawFileError(path, "states no colour filter array that can be used, and LibRaw does not know it")
     cfa, index_of = stated
-    return _Stored(read_floats(path, main), cfa, (0.0,) * len(index_of), dng_white_level(main), None)
+    return _Stored(read_stored(path, main), cfa, (0.0,) * len(index_of), dng_white_level(main), None)
 
 
 def _stored_by_libraw(file: RawContainer, raw: rawpy.RawPy, main: Directory | None, header: RawHeader) -> _Stored:

@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.isolation import guarded_file
-from eldata.errors import ArgumentError, RawFileError
+from eldata.errors import ArgumentError, RawFileError, UnusableRawError
 from eldata.raw.colour import white_balance_of
+from eldata.raw.jpeg_xl import read_first_header
 from eldata.raw.tiff import (
     BITS,
     COMPRESSION,
+    JPEG_XL_DISTANCE,
     NOISE_PROFILE,
     OPCODE_LISTS,
     WHITE_LEVEL,
@@ -43,6 +45,7 @@ COLOUR_MATRICES = ((50721, 50778), (50722, 50779))
 """Each with the tag of its illuminant."""
 
 _SONY, _LOSSY_JPEG = 32767, 34892
+_LEAST_SCALED = 1 << 15  # the least white level of samples that are scaled to 16 bits: half of their range
 # By number, DNG specification 1.7.1, chapter 7.
 _OPCODES = (
     *("WarpRectilinear", "WarpFisheye", "FixVignetteRadial", "FixBadPixelsConstant", "FixBadPixelsList"),
@@ -63,6 +66,30 @@ def dng_white_level(mosaic: Directory) -> float:
     """Return a DNG's WhiteLevel; where it states none, by the specification 1 of floats, else the largest number."""
     largest = 1 if mosaic.is_float else (1 << mosaic.number(BITS, 16)) - 1
     return exact_number(next(iter(mosaic.values.get(WHITE_LEVEL, ())), Fraction(largest)))
+
+
+def scaled_bits(path: Path, mosaic: Directory) -> int:
+    """Return of how many bits samples in JPEG XL are that have to be scaled to 16; 0 if they are DN as they are.
+
+    By the specification a sample is a number of BitsPerSample. Adobe's DNG SDK asks libjxl for 16 bits, whatever the
+    stream has, so that files made for it state levels of 16 bits. LinearizationTable or WhiteLevel say which is meant.
+
+    Raises
+    ------
+    UnusableRawError
+        If they are meant for neither.
+    RawFileError
+        If the first stream is damaged.
+    """
+    bits, table = read_first_header(path, mosaic).bits, mosaic.linearization
+    largest = dng_white_level(mosaic) if table is None else len(table) // 2 - 1
+    if largest < 1 << bits:
+        return 0
+    if bits <= 8 or largest < _LEAST_SCALED:  # a byte is never scaled
+        name = "WhiteLevel" if table is None else "LinearizationTable"
+        found = f"its JPEG XL has samples of {bits} bits, but its {name} is for numbers up to {largest:g}"
+        raise UnusableRawError(path, found, f"write it again with a {name} for what its samples hold")
+    return bits
 
 
 def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
@@ -165,15 +192,16 @@ def _three(numbers: Sequence[float]) -> tuple[float, float, float]:
 def lossy_compression(path: Path) -> str | None:
     """Return what loses data in a raw file, in words, or ``None`` if nothing known does.
 
-    Known are Sony's compressed ARW 2 (one byte per pixel: 11 of 14 bits by a curve, differences within 16 pixels) and
-    the lossy JPEG of DNG. Nikon's lossy NEF says so in its maker notes alone, Canon's CRAW in a container that is not
-    TIFF: the gaps that such compression leaves between the values show it
+    Known are Sony's compressed ARW 2 (one byte per pixel: 11 of 14 bits by a curve, differences within 16 pixels), the
+    lossy JPEG of DNG, and JPEG XL that says so, by its JXLDistance or by the colours that it codes. Nikon's lossy NEF
+    says so in its maker notes alone, Canon's CRAW in a container that is not TIFF: the gaps that such compression
+    leaves between the values show it
     (:func:`eldata.calibration.audit.bias_sums.missing_codes`).
 
     Raises
     ------
     RawFileError
-        If the file is truncated.
+        If the file is truncated or damaged.
     """
     for directory in read_directories(path):
         if not directory.is_mosaic:
@@ -184,15 +212,22 @@ def lossy_compression(path: Path) -> str | None:
             return "Sony's lossy compression (choose uncompressed raw in the camera)"
         if _LOSSY_JPEG in compression:
             return "a DNG's lossy JPEG compression (convert from the original without it)"
+        if directory.is_jpeg_xl and _is_lossy(path, directory):
+            return "a DNG's lossy JPEG XL compression (convert from the original without it)"
     return None
+
+
+def _is_lossy(path: Path, mosaic: Directory) -> bool:
+    """Whether JPEG XL lost data, as far as can be told: not of a lossy stream without XYB and without the tag."""
+    return any(mosaic.values.get(JPEG_XL_DISTANCE, ())) or read_first_header(path, mosaic).is_transformed
 
 
 # --- remarks ----------------------------------------------------------------------------------------------------------
 
 
-def directory_remarks(mosaic: Directory | None) -> tuple[str, ...]:
+def directory_remarks(path: Path, mosaic: Directory | None) -> tuple[str, ...]:
     """Return what there is to say before pixels are decoded; ``mosaic``: the directory whose pixels are read."""
-    return () if mosaic is None else (*_of_samples(mosaic), *_of_opcodes(mosaic))
+    return () if mosaic is None else (*_of_samples(path, mosaic), *_of_opcodes(mosaic))
 
 
 def image_remarks(images: int, image: int) -> tuple[str, ...]:
@@ -203,9 +238,15 @@ def image_remarks(images: int, image: int) -> tuple[str, ...]:
     return (f"it holds {images} images of one size, as of a pixel shift: {which}",)
 
 
-def _of_samples(mosaic: Directory) -> Iterator[str]:
+def _of_samples(path: Path, mosaic: Directory) -> Iterator[str]:
     if mosaic.samples > 1:
         yield f"it has {mosaic.samples} samples of each pixel, as dual pixels give: the mosaic is the first"
+    if mosaic.is_jpeg_xl and not mosaic.is_float:
+        if _is_lossy(path, mosaic):
+            yield "its JPEG XL compression is lossy: its noise is not the sensor's"
+        bits = scaled_bits(path, mosaic)
+        if bits:
+            yield f"its samples of {bits} bits are scaled to 16, which its levels are for, as Adobe's software does"
 
 
 def _of_opcodes(mosaic: Directory) -> Iterator[str]:

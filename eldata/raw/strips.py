@@ -1,8 +1,10 @@
-"""Strips and tiles of a floating-point DNG's mosaic.
+"""Strips and tiles of a DNG's mosaic that LibRaw does not decode, or wrongly: floating-point numbers, JPEG XL.
 
 LibRaw makes integers of floats, scaled by the frame's own maximum, without negative values. Here they stay what the
 file holds: DN on the scale of its own black and white level. Of 16 bits, 24 bits (one of sign, 7 of exponent, 16 of
 fraction) or 32 bits, which float32 holds exactly; uncompressed or in Deflate, with the predictors of TIFF and DNG.
+
+JPEG XL (DNG 1.7) is read of whole numbers: libjxl gives back other halves below 0.00006 than it was given.
 
 Everything that a file declares is held against its bytes before memory is taken for it.
 """
@@ -10,11 +12,13 @@ Everything that a file declares is held against its bytes before memory is taken
 from __future__ import annotations
 
 import zlib
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from eldata.errors import RawFileError, UnusableRawError
+from eldata.raw.jpeg_xl import can_decode, decode_stream, read_first_header, read_stream_header
+from eldata.raw.sensor_facts import scaled_bits
 from eldata.raw.tiff import (
     BITS,
     COMPRESSION,
@@ -24,6 +28,7 @@ from eldata.raw.tiff import (
     ROWS_PER_STRIP,
     TILE_HEIGHT,
     TILE_WIDTH,
+    require,
 )
 
 if TYPE_CHECKING:
@@ -38,6 +43,7 @@ _BITS = (16, 24, 32)
 _UNCOMPRESSED, _DEFLATE = 1, 8
 # Those that mix the bytes of a row, and by how many samples they reach back; 1 is none.
 _PREDICTORS = {1: 0, 3: 1, 34894: 2, 34895: 4}
+_MOST_BITS = 16  # of whole numbers
 _DENSEST = 1032  # bytes that one byte of Deflate can stand for, at most
 # Of strips and tiles, which may be larger than the image: a file with more is made to keep a reader busy.
 _MOST_BESIDE, _LARGE_TILE = 4, 1 << 24
@@ -71,32 +77,71 @@ def check_floats(path: Path, mosaic: Directory) -> None:
             )
 
 
-def read_floats(path: Path, mosaic: Directory) -> NDArray[np.float32]:
-    """Return the pixels that a directory describes, (H, W) in DN as they are stored; of several samples the first.
-
-    The directory is one that :func:`check_floats` lets pass.
+def check_jpeg_xl(path: Path, mosaic: Directory) -> None:
+    """Refuse whole numbers in JPEG XL that cannot be read.
 
     Raises
     ------
     UnusableRawError
-        If they are not all finite.
+        If it has several samples of each pixel, a LinearizationTable of another type than the specification's, or this
+        machine has no decoder.
+    """
+    if mosaic.samples != 1:
+        raise UnusableRawError(
+            path, f"has {mosaic.samples} samples of each pixel in JPEG XL; expected 1", "write it again with one"
+        )
+    if LINEARIZATION in mosaic.tags and mosaic.linearization is None:
+        raise UnusableRawError(path, "has a LinearizationTable that is not of SHORTs", "write it again as SHORTs")
+    if not can_decode():
+        todo = "install imagecodecs as PyPI's wheels have it, or convert the file to lossless JPEG"
+        raise UnusableRawError(
+            path, "is a DNG with JPEG XL compression, which this imagecodecs was built without", todo
+        )
+
+
+def read_stored(path: Path, mosaic: Directory) -> NDArray[Any]:
+    """Return the pixels that a directory describes, (H, W) in DN: float32 as they are stored, or uint16 of JPEG XL.
+
+    Those of JPEG XL went through the file's LinearizationTable, if it has one. Of several samples it is the first. The
+    directory is one that :func:`check_floats` or :func:`check_jpeg_xl` lets pass.
+
+    Raises
+    ------
+    UnusableRawError
+        If they are not all finite, or JPEG XL has fewer bits than its white level is meant for.
     RawFileError
         If they are damaged.
     """
     layout = _Layout(path, mosaic)
     height, width = mosaic.shape
-    pixels = np.empty((height, width), np.float32)
+    pixels = np.empty((height, width), np.uint16 if mosaic.is_jpeg_xl else np.float32)
     with path.open("rb") as file:
         for (top, left), (offset, count) in zip(layout.places, mosaic.extents, strict=False):
             rows = layout.height if layout.is_tiled else min(layout.height, height - top)
             place = pixels[top : top + rows, left : left + layout.width]
-            place[...] = layout.decode(file, offset, count, rows)[: place.shape[0], : place.shape[1]]
+            place[...] = layout.decode(file, offset, count, rows, place.shape)[: place.shape[0], : place.shape[1]]
+    if mosaic.is_jpeg_xl:
+        return _linear(path, mosaic, pixels)
     bad = ~np.isfinite(pixels)
     if bad.any():
         row, column = divmod(int(bad.argmax()), width)
         found = f"{int(bad.sum())} of its pixels are not finite numbers, the first in row {row}, column {column}"
         raise UnusableRawError(path, found, "write it again without them")
     return pixels
+
+
+def _linear(path: Path, mosaic: Directory, pixels: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Return samples of JPEG XL as DN."""
+    bits = scaled_bits(path, mosaic)
+    if bits:
+        most = (1 << bits) - 1  # odd, so that nothing is half-way
+        pixels = np.rint(np.arange(1 << bits) * (((1 << 16) - 1) / most)).astype(np.uint16)[pixels]
+    place = mosaic.linearization
+    if not place:
+        return pixels
+    require(path, path.stat().st_size, place.stop)
+    table = np.fromfile(path, f"{mosaic.order}u2", len(place) // 2, offset=place.start).astype(np.uint16)
+    return table[np.minimum(pixels, len(table) - 1)]  # beyond its end its last number stands, by the specification
 
 
 class _Layout:
@@ -113,6 +158,7 @@ class _Layout:
         self.samples = mosaic.samples if mosaic.number(PLANAR, 1) == 1 else 1
         self.compression, self.predictor = mosaic.number(COMPRESSION, _UNCOMPRESSED), mosaic.number(PREDICTOR, 1)
         self.bytes = mosaic.number(BITS, 32) // 8
+        self.header = read_first_header(path, mosaic) if mosaic.is_jpeg_xl else None
         if min(height, width, self.height, self.width, self.samples) < 1:
             raise RawFileError(path, f"damaged: one of the sizes that it declares is 0; {_AGAIN}")
         down, across = -(-height // self.height), -(-width // self.width)
@@ -124,8 +170,12 @@ class _Layout:
             )
         self.places = ((self.height * (i // across), self.width * (i % across)) for i in range(down * across))
 
-    def decode(self, file: IO[bytes], offset: int, count: int, rows: int) -> NDArray[np.float32]:
-        """Return the first samples of a strip or tile, (rows, columns)."""
+    def decode(
+        self, file: IO[bytes], offset: int, count: int, rows: int, least: tuple[int, ...]
+    ) -> NDArray[np.float32 | np.uint16]:
+        """Return the first samples of a strip or tile, (rows, columns); of JPEG XL ``least`` (H, W) or more."""
+        if self.header is not None:
+            return self._from_jpeg_xl(file, offset, count, ((least[0], rows), (least[1], self.width)))
         size = rows * self.width * self.samples * self.bytes
         if size > count * (1 if self.compression == _UNCOMPRESSED else _DENSEST):
             raise self._damaged(offset, f"{count} bytes cannot hold {rows} x {self.width} pixels")
@@ -149,6 +199,27 @@ class _Layout:
         if len(found) != size or not decoder.eof:
             raise self._damaged(offset, f"it does not decompress to just the {size} bytes of its pixels")
         return found
+
+    def _from_jpeg_xl(
+        self, file: IO[bytes], offset: int, count: int, sides: tuple[tuple[int, int], ...]
+    ) -> NDArray[np.uint16]:
+        """Return what a stream holds, whose sides are each one of two; its header is held against them first."""
+        header = read_stream_header(self.path, file, offset, count)
+        if any(found not in known for found, known in zip(header.shape, sides, strict=True)):
+            expected = " x ".join(str(known[1]) for known in sides)
+            raise self._damaged(offset, f"it holds {header.shape} pixels; expected {expected}")
+        if self.header is None or header.bits != self.header.bits or header.bits > _MOST_BITS:
+            raise self._damaged(
+                offset, f"it has samples of {header.bits} bits; expected those of the first, at most 16"
+            )
+        file.seek(offset)
+        try:
+            pixels = decode_stream(file.read(count))
+        except ValueError as error:
+            raise self._damaged(offset, str(error)) from error
+        if pixels.shape != header.shape:
+            raise self._damaged(offset, f"it decodes to {pixels.shape}; expected {header.shape}")
+        return pixels
 
     def _damaged(self, offset: int, what: str) -> RawFileError:
         return RawFileError(self.path, f"damaged: its image data, from byte {offset} of the file on: {what}; {_AGAIN}")

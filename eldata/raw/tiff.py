@@ -29,6 +29,7 @@ COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
 
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
 SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT = 277, 278, 284, 317, 339
+JPEG_XL, JPEG_XL_DISTANCE = 52546, 52553  # a compression (DNG 1.7), and how lossy its maker says it is
 TILE_WIDTH, TILE_HEIGHT = 322, 323
 DNG_VERSION, LINEARIZATION = 50706, 50712
 ROW_INTERLEAVE, COLUMN_INTERLEAVE = 50975, 52547
@@ -50,7 +51,7 @@ _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
     *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
     *(SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT, DNG_VERSION),
-    *(ROW_INTERLEAVE, COLUMN_INTERLEAVE),
+    *(ROW_INTERLEAVE, COLUMN_INTERLEAVE, JPEG_XL_DISTANCE),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, MASKED_AREAS, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
     *(WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
     *OPCODE_LISTS,
@@ -95,6 +96,8 @@ class Directory:
     """Every tag that it has, relied on or not."""
     wide_cfa: int | None = None
     """Where the entry of its CFAPattern stands in the file, if it has 16-bit numbers in place of bytes."""
+    linearization: range | None = None
+    """Which bytes of the file hold its LinearizationTable, of 16-bit numbers."""
 
     def number(self, tag: int, default: int) -> int:
         """Return the first number of a tag; ``default`` if it is not there."""
@@ -114,6 +117,19 @@ class Directory:
     def is_float(self) -> bool:
         """Whether its samples are floating-point numbers."""
         return self.number(SAMPLE_FORMAT, 1) == _FLOAT
+
+    @property
+    def is_jpeg_xl(self) -> bool:
+        """Whether it is compressed as JPEG XL."""
+        return self.number(COMPRESSION, 1) == JPEG_XL
+
+    @property
+    def most_pixels(self) -> int:
+        """Pixels that a byte of its data can hold at most.
+
+        No lossless code of noise takes less than one bit, but JPEG XL takes 0.02 of flat fields.
+        """
+        return 8000 if self.is_jpeg_xl else 8
 
     @property
     def is_mosaic(self) -> bool:
@@ -243,8 +259,7 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
     if directory.samples < 1:
         raise RawFileError(path, f"damaged: it declares {directory.samples} samples of each pixel")
     held = sum(count for _, count in directory.extents)
-    # No lossless code takes less than one bit per pixel.
-    if held * 8 < directory.pixels:
+    if held * directory.most_pixels < directory.pixels:
         raise RawFileError(path, f"truncated: its image data, {held} bytes, cannot hold {directory.pixels} pixels")
 
 
@@ -259,13 +274,16 @@ def _read_directory(
     table = file.read(12 * count + 4)
     values: dict[int, Numbers] = {}
     tags: set[int] = set()
-    wide_cfa = None
+    wide_cfa = linearization = None
     for index in range(count):
         entry = table[12 * index : 12 * index + 12]
         tag, kind, number = struct.unpack(order + "HHI", entry[:8])
         tags.add(tag)
         if (tag, kind) == (CFA_PATTERN, _SHORT):
             wide_cfa = at + 2 + 12 * index
+        if (tag, kind) == (LINEARIZATION, _SHORT):
+            place = at + 10 + 12 * index if number <= 2 else struct.unpack(order + "I", entry[8:])[0]
+            linearization = range(place, place + 2 * number)
         if tag not in _READ:
             continue
         length = _SIZES.get(kind, 1) * number
@@ -290,7 +308,7 @@ def _read_directory(
             raise RawFileError(path, f"damaged: its {_LEVELS[tag]} is not a number (0 for its denominator, or NaN)")
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
-    return Directory(values, order, frozenset(tags), wide_cfa), following
+    return Directory(values, order, frozenset(tags), wide_cfa, linearization), following
 
 
 def _opcodes(path: Path, file: IO[bytes], place: range, budget: _Budget) -> Iterator[Fraction]:

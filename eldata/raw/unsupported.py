@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from eldata.errors import UnusableRawError
 from eldata.raw import tiff
 from eldata.raw.cfa import cfa_of_letters
-from eldata.raw.strips import check_floats
+from eldata.raw.strips import check_floats, check_jpeg_xl
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,10 +34,6 @@ _BY_COMPRESSION = {
     9: (
         "is a GPR (GoPro, VC-5 compression), which LibRaw cannot decode",
         "convert it to DNG with GoPro's gpr_tools (gpr_tools -i NAME.GPR -o NAME.DNG; github.com/gopro/gpr)",
-    ),
-    52546: (
-        "is a DNG with JPEG XL compression (DNG 1.7), which LibRaw cannot decode",
-        "convert it to one with lossless JPEG compression (Adobe DNG Converter, compatibility 1.6 or earlier)",
     ),
 }
 _GREY_TIFF = (
@@ -83,6 +79,8 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
         values = directory.values
         if directory.is_float:
             check_floats(path, directory)
+        elif directory.is_jpeg_xl:
+            check_jpeg_xl(path, directory)
         elif directory.number(tiff.COMPRESSION, 1) in _DEFLATE:
             raise UnusableRawError(path, *_WHOLE_IN_DEFLATE)
         for compression in map(int, values.get(tiff.COMPRESSION, ())):

@@ -324,13 +324,12 @@ def test_staggered_rows_are_no_bayer(layout: int, tmp_path: Path) -> None:
     refused(tmp_path / "a.dng", f"its CFALayout is {layout} ")
 
 
-@pytest.mark.parametrize(("compression", "words"), [(9, "is a GPR .*gpr_tools -i"), (52546, "JPEG XL")])
-def test_compressions_that_libraw_cannot_decode(compression: int, words: str, tmp_path: Path) -> None:
+def test_a_compression_that_libraw_cannot_decode(tmp_path: Path) -> None:
     path = tmp_path / "GOPR0001.GPR"
     write_plain_dng(path, random_mosaic(64, 66))
     entry = struct.pack("<HHI", 259, 3, 1)
-    path.write_bytes(path.read_bytes().replace(entry + b"\1\0", entry + struct.pack("<H", compression)))
-    refused(path, words)
+    path.write_bytes(path.read_bytes().replace(entry + b"\1\0", entry + b"\x09\0"))
+    refused(path, "is a GPR .*gpr_tools -i")
 
 
 @pytest.mark.parametrize(("head", "words"), [(b"FOVb", "is a Sigma X3F, .*Foveon"), (b"PK\3\4", "Capture One's EIP")])

@@ -14,6 +14,7 @@ import sys
 import traceback
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
+from inspect import cleandoc
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from eldata import __version__
@@ -98,11 +99,32 @@ class Parser(argparse.ArgumentParser):
         raise argparse.ArgumentError(action, f"invalid choice: {value!r} (choose from {', '.join(known)}){hint}")
 
 
+def add_command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, documented: str | None
+) -> argparse.ArgumentParser:
+    """Add a subcommand whose help is what its module's or function's docstring says, so that it is said once.
+
+    That is a line "`program name`: help.", a description, the examples, indented, and what the help ends with.
+    """
+    heading, *paragraphs = cleandoc(documented or "").split("\n\n")
+    examples = [index for index, paragraph in enumerate(paragraphs) if paragraph.startswith("    ")]
+    first = examples[0] if examples else len(paragraphs)
+    parser = commands.add_parser(
+        name,
+        help=heading.partition("`: ")[2].removesuffix("."),
+        description="\n\n".join(paragraphs[:first]),
+        epilog="\n\n".join(paragraphs[first + 1 :]),
+    )
+    add_examples(parser, *(line.strip() for index in examples for line in paragraphs[index].splitlines()))
+    return parser
+
+
 def add_examples(parser: argparse.ArgumentParser, *commands: str) -> None:
     """Put commands to copy first in what a parser's help ends with."""
-    lines = "\n".join(f"    {command}" for command in commands)
-    heading = "example:" if len(commands) == 1 else "examples:"
-    parser.epilog = "\n\n".join(filter(None, (f"{heading}\n{lines}", parser.epilog)))
+    if commands:
+        lines = "\n".join(f"    {command}" for command in commands)
+        heading = "example:" if len(commands) == 1 else "examples:"
+        parser.epilog = "\n\n".join(filter(None, (f"{heading}\n{lines}", parser.epilog)))
 
 
 def terminal_columns() -> int | None:

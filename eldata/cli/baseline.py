@@ -1,11 +1,20 @@
-"""`eldata baseline`: a data set through a denoiser that needs no training."""
+"""`eldata baseline`: denoise a dataset without a network, for the other rows of a table.
+
+Denoise each noisy frame that a protocol scores by a method without training, and write the predictions that eldata
+evaluate reads. input is the amplified frame itself; gaussian a filter; wavelet, BayesShrink (scikit-image); dct,
+sliding-window thresholding; bm3d takes one noise level for a frame, anscombe-bm3d stabilises the variance first. Both
+need the bm3d package, which its authors allow for non-commercial use only. Predictions that are there are kept, so that
+interrupted work goes on.
+
+    eldata baseline anscombe-bm3d --dataset eld --root data -o preds/bm3d
+"""
 
 from __future__ import annotations
 
 import shlex
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, chosen_workers
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_command, add_shared, chosen_workers
 
 if TYPE_CHECKING:
     import argparse
@@ -14,22 +23,10 @@ if TYPE_CHECKING:
 
 NAMES = ("input", "gaussian", "wavelet", "dct", "bm3d", "anscombe-bm3d")
 
-_EXAMPLE = "eldata baseline anscombe-bm3d --dataset eld --root data -o preds/bm3d"
-
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "baseline",
-        help="denoise a dataset without a network, for the other rows of a table",
-        description=(
-            "Denoise each noisy frame that a protocol scores by a method without training, and write the predictions "
-            "that eldata evaluate reads. input is the amplified frame itself; gaussian a filter; wavelet, BayesShrink "
-            "(scikit-image); dct, sliding-window thresholding; bm3d takes one noise level for a frame, anscombe-bm3d "
-            "stabilises the variance first. Both need the bm3d package, which its authors allow for non-commercial "
-            "use only. Predictions that are there are kept, so that interrupted work goes on."
-        ),
-    )
+    parser = add_command(commands, "baseline", __doc__)
     parser.add_argument("name", metavar="NAME", choices=NAMES, help=", ".join(NAMES))
     add_choice(parser)
     parser.add_argument(
@@ -48,7 +45,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_another_camera(parser, "frames of cameras that have none of their own")
     kept = "{output} keeps the finished predictions, and the same command goes on"
-    add_shared(parser, run, "root", "workers", interrupted=kept, example=_EXAMPLE)
+    add_shared(parser, run, "root", "workers", interrupted=kept)
 
 
 def add_another_camera(parser: argparse.ArgumentParser, what: str) -> None:

@@ -1,4 +1,15 @@
-"""`eldata calibrate`: a camera's noise profile from its bias and flat-field frames."""
+"""`eldata calibrate`: measure a camera's noise from bias and flat-field frames.
+
+Measure system gain, colour bias, row noise and read noise at each ISO from bias frames (lens capped, shortest exposure)
+and pairs of flat-field frames, fit their joint distribution, and write the camera's profile for the noise model. Frames
+that cannot be used are listed, and their ISO is left out; figures that the frames cannot bear are withheld, and the
+text says why. Flats alone give K; with bias frames alone, state K with --gain. Exit code 1 if an ISO is left out, a
+figure is withheld, or the profile that -o asks for, or the dark shading, cannot be made.
+
+    eldata calibrate data/calibration --camera MyCamera -o mycamera.json --html report.html
+
+What to shoot, how failures show and what to do about each: docs/calibration.md.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +17,7 @@ import shlex
 from argparse import ArgumentTypeError
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of, whole_number
+from eldata.base.console import OK, PROBLEMS, add_command, add_shared, chosen_workers, each_of, whole_number
 from eldata.base.files import write_json
 from eldata.base.numbers import counted, number_of, whole_of
 from eldata.base.outputs import PROFILE, FileKind, add_output, json_kind, page_kind
@@ -24,19 +35,7 @@ _SHADING = FileKind(rb"PK\x03\x04.{26}about\.npy")  # the first of its arrays
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "calibrate",
-        help="measure a camera's noise from bias and flat-field frames",
-        description=(
-            "Measure system gain, colour bias, row noise and read noise at each ISO from bias frames (lens capped, "
-            "shortest exposure) and pairs of flat-field frames, fit their joint distribution, and write the camera's "
-            "profile for the noise model. Frames that cannot be used are listed, and their ISO is left out; figures "
-            "that the frames cannot bear are withheld, and the text says why. Flats alone give K; with bias frames "
-            "alone, state K with --gain. Exit code 1 if an ISO is left out, a figure is withheld, or the profile that "
-            "-o asks for, or the dark shading, cannot be made."
-        ),
-        epilog="What to shoot, how failures show and what to do about each: docs/calibration.md.",
-    )
+    parser = add_command(commands, "calibrate", __doc__)
     parser.add_argument(
         "frames",
         metavar="FRAMES",
@@ -104,15 +103,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "column noise, bands, telegraph pixels, PRNU. The profile is then of schema 3"
         ),
     )
-    add_shared(
-        parser,
-        run,
-        "isos",
-        "root",
-        "workers",
-        json=json_kind("camera isos gains", "camera problems"),
-        example="eldata calibrate data/calibration --camera MyCamera -o mycamera.json --html report.html",
-    )
+    add_shared(parser, run, "isos", "root", "workers", json=json_kind("camera isos gains", "camera problems"))
 
 
 def _stated_gain(text: str) -> tuple[int, float] | str:

@@ -1,4 +1,12 @@
-"""`eldata compare`: results of several methods in, their differences on common images out."""
+"""`eldata compare`: hold results of several methods against each other on their common images.
+
+Compare results that eldata evaluate --json wrote, all with the first: means by camera and factor over the images that
+all have scores of, and differences with intervals over scenes. Differing protocols, subsets and manifests are warned
+of.
+
+    eldata compare first.json second.json --name first --name second --html compare.html
+    eldata compare first.json second.json --html compare.html --pictures --root data
+"""
 
 from __future__ import annotations
 
@@ -6,7 +14,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared, each_of
+from eldata.base.console import OK, add_command, add_shared, each_of
 from eldata.base.files import write_json
 from eldata.base.outputs import COMPARISON_DATA, COMPARISON_PAGE, add_output
 from eldata.base.tables import FORMATS
@@ -22,15 +30,7 @@ if TYPE_CHECKING:
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "compare",
-        help="hold results of several methods against each other on their common images",
-        description=(
-            "Compare results that eldata evaluate --json wrote, all with the first: means by camera and factor over "
-            "the images that all have scores of, and differences with intervals over scenes. Differing protocols, "
-            "subsets and manifests are warned of."
-        ),
-    )
+    parser = add_command(commands, "compare", __doc__)
     parser.add_argument(
         "results", nargs="+", metavar="RESULT", help="JSON of eldata evaluate; the first is the baseline"
     )
@@ -72,17 +72,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--dark-shading", metavar="FILE", help="with --pictures: the dark shading that the results state, if any"
     )
-    add_shared(
-        parser,
-        run,
-        "root",
-        "jobs",
-        json=COMPARISON_DATA,
-        example=(
-            "eldata compare first.json second.json --name first --name second --html compare.html",
-            "eldata compare first.json second.json --html compare.html --pictures --root data",
-        ),
-    )
+    add_shared(parser, run, "root", "jobs", json=COMPARISON_DATA)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,11 +1,21 @@
-"""`eldata demo`: the whole path on simulated raw files."""
+"""`eldata demo`: the whole path on simulated raw files, without a download.
+
+Photograph procedural scenes with two simulated cameras into real DNG files, verify them, denoise them, score the
+results and draw a contact sheet. With --calibration, take bias and flat-field frames with a camera whose noise is
+known, calibrate it from them, and compare with the truth. With --benchmark, make a benchmark in ELD's layout, with
+scenes to train on and scenes to test on, of two cameras whose noise is not the noise model's, and calibrate them
+(docs/proof.md). DIR must be new, empty, or an earlier demo.
+
+    eldata demo
+    eldata demo eldata-calibration --calibration
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared
+from eldata.base.console import OK, add_command, add_shared
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
@@ -22,17 +32,7 @@ _FEATURES = {
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "demo",
-        help="the whole path on simulated raw files, without a download",
-        description=(
-            "Photograph procedural scenes with two simulated cameras into real DNG files, verify them, denoise them, "
-            "score the results and draw a contact sheet. With --calibration, take bias and flat-field frames with a "
-            "camera whose noise is known, calibrate it from them, and compare with the truth. With --benchmark, make a "
-            "benchmark in ELD's layout, with scenes to train on and scenes to test on, of two cameras whose noise is "
-            "not the noise model's, and calibrate them (docs/proof.md). DIR must be new, empty, or an earlier demo."
-        ),
-    )
+    parser = add_command(commands, "demo", __doc__)
     parser.add_argument("folder", metavar="DIR", nargs="?", default="eldata-demo", help="default: %(default)s")
     parser.add_argument(
         "--scenes", type=int, metavar="N", help="scenes per camera (default: 4; with --benchmark 10, to test on)"
@@ -49,7 +49,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FEATURE",
         help=f"with --calibration: a camera without this ({', '.join(_FEATURES)}); may be repeated",
     )
-    add_shared(parser, run, "jobs", example=("eldata demo", "eldata demo eldata-calibration --calibration"))
+    add_shared(parser, run, "jobs")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,15 @@
-"""`eldata evaluate`: a folder of predictions in, the paper's table out."""
+"""`eldata evaluate`: score predictions under a named protocol, of one method or of several.
+
+Score predictions under a named protocol and print the paper's table. The prediction of CAMERA/scene-1/IMG_0004.ARW is
+PREDS/CAMERA/scene-1/IMG_0004.EXT with EXT one of npy, npz, h5, tif, png (16 bit), dng: packed (C, h, w) or mosaic (H,
+W), float in [0, 1] or uint16 with 65535 = 1.0 (dng: raw DN). Under a protocol of sRGB it is a rendering: an RGB PNG of
+8 or 16 bits. Of clips (drv) it is PREDS/CLIP/FRAME.EXT for five frames of each. Several folders are scored in one pass,
+each raw file decoded once, and held against the first.
+
+    eldata evaluate preds --dataset eld --root data
+    eldata evaluate preds --manifest mine.csv --root data --protocol all --html page.html --json scores.json
+    eldata evaluate preds/bm3d preds/ours --dataset eld --root data --store eld.h5 -o results
+"""
 
 from __future__ import annotations
 
@@ -11,6 +22,7 @@ from eldata.base.console import (
     OK,
     PROBLEMS,
     add_cameras,
+    add_command,
     add_shared,
     chosen_workers,
     each_of,
@@ -33,19 +45,9 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     from eldata.metrics.registry import OF_FRAMES, ST_RRED
     from eldata.protocols.named import FAMILIES, PROTOCOLS
 
-    parser = commands.add_parser(
-        "evaluate",
-        help="score predictions under a named protocol, of one method or of several",
-        description=(
-            "Score predictions under a named protocol and print the paper's table. The prediction of "
-            "CAMERA/scene-1/IMG_0004.ARW is PREDS/CAMERA/scene-1/IMG_0004.EXT with EXT one of npy, npz, h5, tif, "
-            "png (16 bit), dng: packed (C, h, w) or mosaic (H, W), float in [0, 1] or uint16 with 65535 = 1.0 (dng: "
-            "raw DN). Under a protocol of sRGB it is a rendering: an RGB PNG of 8 or 16 bits. Of clips (drv) it is "
-            "PREDS/CLIP/FRAME.EXT for five frames of each. Several folders are scored in one pass, each raw file "
-            "decoded once, and held against the first. "
-            f"Scored are {', '.join(one.heading for one in OF_FRAMES.values())}, and {ST_RRED.heading} of clips."
-        ),
-    )
+    parser = add_command(commands, "evaluate", __doc__)
+    scored = ", ".join(one.heading for one in OF_FRAMES.values())
+    parser.description = f"{parser.description} Scored are {scored}, and {ST_RRED.heading} of clips."
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument(
         "predictions", metavar="PREDS", nargs="*", default=[], help="folder of predictions; several: one of each method"
@@ -149,18 +151,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--compare", action="store_true", help="show the result among the published numbers that compare with it"
     )
-    add_shared(
-        parser,
-        run,
-        "root",
-        "workers",
-        json=RESULT,
-        example=(
-            "eldata evaluate preds --dataset eld --root data",
-            "eldata evaluate preds --manifest mine.csv --root data --protocol all --html page.html --json scores.json",
-            "eldata evaluate preds/bm3d preds/ours --dataset eld --root data --store eld.h5 -o results",
-        ),
-    )
+    add_shared(parser, run, "root", "workers", json=RESULT)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,10 +1,21 @@
-"""`eldata export`: a set as published code reads it, by names and lists, or as `datasets` does, with its card."""
+"""`eldata export`: a set as the code of LED, PMN, ELD or SID reads it, or with its card for the Hugging Face Hub.
+
+Write what the published code of a repository reads of a set, your own included: links to its files under the names from
+which that code takes scene and ratio, and its lists of pairs; for PMN, infos. Or, as hub, a folder that the package
+datasets reads and that can be uploaded as it is: dataset card, manifest and Croissant with the pixels as shards, or,
+where no licence lets these be passed on, references alone. Links are no copies, and nothing that is there is
+overwritten.
+
+    eldata export led datasets/ELD --dataset eld --root data --camera SonyA7S2
+    eldata export eld for-eld --manifest my-set.csv --root data
+    eldata export hub for-the-hub --manifest my-set.csv --shards shards/train --shards shards/test
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared, chosen_workers
+from eldata.base.console import OK, add_command, add_shared, chosen_workers
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -15,17 +26,7 @@ if TYPE_CHECKING:
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "export",
-        help="a set as the code of LED, PMN, ELD or SID reads it, or with its card for the Hugging Face Hub",
-        description=(
-            "Write what the published code of a repository reads of a set, your own included: links to its files under "
-            "the names from which that code takes scene and ratio, and its lists of pairs; for PMN, infos. Or, as hub, "
-            "a folder that the package datasets reads and that can be uploaded as it is: dataset card, manifest and "
-            "Croissant with the pixels as shards, or, where no licence lets these be passed on, references alone. "
-            "Links are no copies, and nothing that is there is overwritten."
-        ),
-    )
+    parser = add_command(commands, "export", __doc__)
     codes = ("led", "pmn", "eld", "sid", "hub")
     parser.add_argument("code", metavar="CODE", choices=codes, help="led, pmn, eld, sid or hub")
     parser.add_argument("folder", metavar="FOLDER", help="where to write")
@@ -51,19 +52,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--exclude", action="append", default=[], metavar="FLAG", help="leave out pairs with this flag; may be repeated"
     )
     kept = "the links that were made are kept, the lists come last, and the same command goes on"
-    add_shared(
-        parser,
-        run,
-        "root",
-        "cameras",
-        "workers",
-        interrupted=kept,
-        example=(
-            "eldata export led datasets/ELD --dataset eld --root data --camera SonyA7S2",
-            "eldata export eld for-eld --manifest my-set.csv --root data",
-            "eldata export hub for-the-hub --manifest my-set.csv --shards shards/train --shards shards/test",
-        ),
-    )
+    add_shared(parser, run, "root", "cameras", "workers", interrupted=kept)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,11 +1,20 @@
-"""`eldata info`: which datasets there are, where to get them, and what of them is here."""
+"""`eldata info`: datasets known: where to get them, size, licence, citation.
+
+List the datasets that eldata knows, or all that is known about one: where to get it, size, licence, citation, known
+defects, where its files belong and whether they are there. It looks at names, not at contents: eldata verify checks
+those.
+
+    eldata info
+    eldata info eld --root data
+    eldata info eld --croissant eld.croissant.json
+"""
 
 from __future__ import annotations
 
 import sys
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, terminal_columns
+from eldata.base.console import OK, PROBLEMS, add_command, add_shared, terminal_columns
 from eldata.base.files import write_json
 from eldata.base.outputs import CROISSANT, add_output, json_kind
 from eldata.errors import ArgumentError, EldataError
@@ -16,15 +25,7 @@ if TYPE_CHECKING:
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "info",
-        help="datasets known: where to get them, size, licence, citation",
-        description=(
-            "List the datasets that eldata knows, or all that is known about one: where to get it, size, licence, "
-            "citation, known defects, where its files belong and whether they are there. It looks at names, not at "
-            "contents: eldata verify checks those."
-        ),
-    )
+    parser = add_command(commands, "info", __doc__)
     parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
     add_output(
         parser,
@@ -34,8 +35,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         const="",
         help="describe DATASET, or the set of a manifest's CSV file, in Croissant 1.1 (JSON-LD): in FILE, or printed",
     )
-    examples = ("eldata info", "eldata info eld --root data", "eldata info eld --croissant eld.croissant.json")
-    add_shared(parser, run, "root", json=json_kind("datasets", begins=rb'\{\n  "datasets"'), example=examples)
+    add_shared(parser, run, "root", json=json_kind("datasets", begins=rb'\{\n  "datasets"'))
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,10 +1,18 @@
-"""`eldata lock`: record sizes and hashes from a trusted copy."""
+"""`eldata lock`: record sizes and hashes of a trusted copy in a manifest.
+
+Record the size and SHA-256 of every file of a copy that you trust in its manifest. The copy must pass eldata verify
+--level metadata first, and files without a recorded hash must decode and show no damage; with any problem the manifest
+stays as it is. Of a dataset by name, the filled-in manifest is written to manifests/NAME.csv in the folder that holds
+the datasets, and eldata verify NAME finds it there.
+
+    eldata lock eld --root data
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of
+from eldata.base.console import OK, PROBLEMS, add_command, add_shared, chosen_workers, each_of
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.manifest.lock import lock
@@ -17,28 +25,11 @@ if TYPE_CHECKING:
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "lock",
-        help="record sizes and hashes of a trusted copy in a manifest",
-        description=(
-            "Record the size and SHA-256 of every file of a copy that you trust in its manifest. The copy must pass "
-            "eldata verify --level metadata first, and files without a recorded hash must decode and show no damage; "
-            "with any problem the manifest stays as it is. Of a dataset by name, the filled-in manifest is written to "
-            "manifests/NAME.csv in the folder that holds the datasets, and eldata verify NAME finds it there."
-        ),
-    )
+    parser = add_command(commands, "lock", __doc__)
     parser.add_argument(
         "manifest", metavar="MANIFEST", help="a dataset's name, or a manifest's CSV file, which is changed"
     )
-    add_shared(
-        parser,
-        run,
-        "root",
-        "cameras",
-        "workers",
-        json="files_locked problems",
-        example="eldata lock eld --root data",
-    )
+    add_shared(parser, run, "root", "cameras", "workers", json="files_locked problems")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,12 @@
-"""`eldata manifest`: a manifest and card of one's own raws."""
+"""`eldata manifest`: make a manifest and a card of your own raws, from their EXIF and folders.
+
+Make the manifest (CSV) and, beside it, the card (JSON) of a folder of your own raws, by their EXIF. A scene is a
+folder; its reference is what was exposed most at the lowest ISO, the others are noisy frames of it. What cannot be told
+is asked, and nothing is written. Frames in folders called bias and flat are calibration frames.
+
+    eldata manifest data/MINE -o mine.csv
+    eldata manifest data/MINE -o mine.csv --reference 'long/*' --scene '*/{scene}_*'
+"""
 
 from __future__ import annotations
 
@@ -6,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of
+from eldata.base.console import OK, PROBLEMS, add_command, add_shared, chosen_workers, each_of
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.outputs import NEW, add_output, json_kind
@@ -20,16 +28,7 @@ if TYPE_CHECKING:
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "manifest",
-        help="make a manifest and a card of your own raws, from their EXIF and folders",
-        description=(
-            "Make the manifest (CSV) and, beside it, the card (JSON) of a folder of your own raws, by their EXIF. A "
-            "scene is a folder; its reference is what was exposed most at the lowest ISO, the others are noisy frames "
-            "of it. What cannot be told is asked, and nothing is written. Frames in folders called bias and flat are "
-            "calibration frames."
-        ),
-    )
+    parser = add_command(commands, "manifest", __doc__)
     parser.add_argument("folder", metavar="FOLDER", help="the set's own folder, in the folder that holds the datasets")
     add_output(
         parser,
@@ -51,16 +50,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="PATTERN",
         help="where a scene's name stands in all paths, such as '*/{scene}_*' (default: a scene is a folder)",
     )
-    add_shared(
-        parser,
-        run,
-        "workers",
-        json=json_kind("card frames problems"),
-        example=(
-            "eldata manifest data/MINE -o mine.csv",
-            "eldata manifest data/MINE -o mine.csv --reference 'long/*' --scene '*/{scene}_*'",
-        ),
-    )
+    add_shared(parser, run, "workers", json=json_kind("card frames problems"))
 
 
 def run(arguments: argparse.Namespace) -> int:

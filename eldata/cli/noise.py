@@ -1,10 +1,15 @@
-"""`eldata noise`: whether a noise model makes frames like the camera's."""
+"""`eldata noise`: hold a noise model against frames of the camera.
+
+Noise models: hold the frames that one makes against frames of the camera.
+
+    eldata noise check mycamera.json --frames data/held-out
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_examples, add_shared, chosen_workers, each_of, whole_number
+from eldata.base.console import OK, PROBLEMS, add_command, add_shared, chosen_workers, each_of, whole_number
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.outputs import add_output, page_kind
@@ -20,27 +25,9 @@ if TYPE_CHECKING:
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "noise",
-        help="hold a noise model against frames of the camera",
-        description="Noise models: hold the frames that one makes against frames of the camera.",
-    )
-    add_examples(parser, "eldata noise check mycamera.json --frames data/held-out")
+    parser = add_command(commands, "noise", __doc__)
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    check = subcommands.add_parser(
-        "check",
-        help="the acceptance test of a noise model",
-        description=(
-            "Hold the frames that a profile's noise model makes against bias frames and flats of the same camera that "
-            "its calibration did not see: level, distribution and tails, rows and columns, neighbours, fixed pattern, "
-            "pixels of unlike noise, variance over mean. Each statistic gets a verdict; its standard error is that of "
-            "the scatter from pair to pair of frames. Exit code 1 if one is off by more than 4 standard errors."
-        ),
-        epilog=(
-            "Any other model (a network, recorded dark frames) is judged by eldata.calibration.check_noise: "
-            "docs/noise.md, examples/check_noise_model.py."
-        ),
-    )
+    check = add_command(subcommands, "check", run_check.__doc__)
     check.add_argument("profile", metavar="PROFILE", help="name of a shipped profile, or path of a JSON file")
     check.add_argument(
         "--frames",
@@ -68,14 +55,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_another_camera(check, "frames of another camera")
     add_output(check, "--html", kind=page_kind("acceptance"), help="write a page with plots to FILE")
-    add_shared(
-        check,
-        run_check,
-        "isos",
-        "workers",
-        json="camera isos limit_standard_errors model",
-        example="eldata noise check mycamera.json --frames data/held-out --camera MyCamera --html check.html",
-    )
+    add_shared(check, run_check, "isos", "workers", json="camera isos limit_standard_errors model")
 
 
 def add_components(parser: argparse.ArgumentParser, *, dark_frames: str, dark_shading: str) -> None:
@@ -133,7 +113,18 @@ def _check_apart(dark: DarkFrames, frames: CalibrationFrames) -> None:
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Judge one model."""
+    """`eldata noise check`: the acceptance test of a noise model.
+
+    Hold the frames that a profile's noise model makes against bias frames and flats of the same camera that its
+    calibration did not see: level, distribution and tails, rows and columns, neighbours, fixed pattern, pixels of
+    unlike noise, variance over mean. Each statistic gets a verdict; its standard error is that of the scatter from pair
+    to pair of frames. Exit code 1 if one is off by more than 4 standard errors.
+
+        eldata noise check mycamera.json --frames data/held-out --camera MyCamera --html check.html
+
+    Any other model (a network, recorded dark frames) is judged by eldata.calibration.check_noise: docs/noise.md,
+    examples/check_noise_model.py.
+    """
     from eldata.base.files import write_text
     from eldata.base.tables import one_line
     from eldata.calibration.acceptance.comparison import check_noise

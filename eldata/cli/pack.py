@@ -1,11 +1,21 @@
-"""`eldata pack`: a dataset's files to one store for training."""
+"""`eldata pack`: decode a dataset once, into a store that training reads fast.
+
+Decode each file of a dataset's pairs or clips, or of a folder of clean raws, once, into one HDF5 file: the pixels in DN
+with levels, CFA, exposure and manifest (of preprocessed clips, their 16-bit RGB), lossless. PackedStore, PackedClips,
+CleanFrames and CleanClips read random crops of it; DarkFrames reads those of bias frames, CAMERA/bias/ISO100/... below
+the folder (that of DATASET calibration). Work that was interrupted, even by kill -9, goes on where it was if the
+command is repeated.
+
+    eldata pack sid-sony --split train -o sid-train.h5
+    eldata pack data/SID/Sony/long -o clean.h5
+"""
 
 from __future__ import annotations
 
 import shlex
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_cameras, add_shared, chosen_workers
+from eldata.base.console import OK, add_cameras, add_command, add_shared, chosen_workers
 from eldata.base.files import folder_problem
 from eldata.base.numbers import counted
 from eldata.base.outputs import NEW, add_output
@@ -23,17 +33,7 @@ _CALIBRATION = "calibration"
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "pack",
-        help="decode a dataset once, into a store that training reads fast",
-        description=(
-            "Decode each file of a dataset's pairs or clips, or of a folder of clean raws, once, into one HDF5 file: "
-            "the pixels in DN with levels, CFA, exposure and manifest (of preprocessed clips, their 16-bit RGB), "
-            "lossless. PackedStore, PackedClips, CleanFrames and CleanClips read random crops of it; DarkFrames "
-            "reads those of bias frames, CAMERA/bias/ISO100/... below the folder (that of DATASET calibration). Work "
-            "that was interrupted, even by kill -9, goes on where it was if the command is repeated."
-        ),
-    )
+    parser = add_command(commands, "pack", __doc__)
     parser.add_argument("dataset", metavar="DATASET", help=NAME_HELP)
     add_output(parser, "-o", "--output", kind=NEW, metavar="STORE", required=True, help="a new file, such as store.h5")
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
@@ -48,14 +48,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="lossless; lz4 and zstd need the extra eldata[compression] (default: %(default)s)",
     )
     kept = "the finished frames are kept in {output}.part, and the same command goes on"
-    add_shared(
-        parser,
-        run,
-        "root",
-        "workers",
-        interrupted=kept,
-        example=("eldata pack sid-sony --split train -o sid-train.h5", "eldata pack data/SID/Sony/long -o clean.h5"),
-    )
+    add_shared(parser, run, "root", "workers", interrupted=kept)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,33 +1,29 @@
-"""`eldata predict`: a data set through a network from a file."""
+"""`eldata predict`: run a network over a dataset, in tiles.
+
+Run a network over each noisy frame that a protocol scores, of photographs or of clips, and write the predictions that
+eldata evaluate reads. The network takes (1, C, h, w) float32, packed, normalised and amplified, and returns the same
+shape, or (1, 3, h, w) under a protocol of Raw2RGB; one of RGB2RGB takes and returns (1, 3, h, w) in sRGB; one of clips
+takes a window (1, T, C, h, w) and returns its middle frame, and at a clip's ends the frames inside are mirrored.
+Predictions that are there are kept, so that interrupted work goes on. A model, whatever its format, is a program that
+runs with all your rights: give your own, or one that you trust as such.
+
+    eldata predict model.pt --dataset eld --root data -o preds/mine
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import add_shared, whole_number
+from eldata.base.console import add_command, add_shared, whole_number
 from eldata.cli.baseline import add_choice, chosen_options, show_report
 
 if TYPE_CHECKING:
     import argparse
 
-_EXAMPLE = "eldata predict model.pt --dataset eld --root data -o preds/mine"
-
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "predict",
-        help="run a network over a dataset, in tiles",
-        description=(
-            "Run a network over each noisy frame that a protocol scores, of photographs or of clips, and write the "
-            "predictions that eldata evaluate reads. The network takes (1, C, h, w) float32, packed, normalised and "
-            "amplified, and returns the same shape, or (1, 3, h, w) under a protocol of Raw2RGB; one of RGB2RGB takes "
-            "and returns (1, 3, h, w) in sRGB; one of clips takes a window (1, T, C, h, w) and returns its middle "
-            "frame, and at a clip's ends the frames inside are mirrored. Predictions that are there are kept, so that "
-            "interrupted work goes on. A model, whatever its format, is a program that runs with all your rights: give "
-            "your own, or one that you trust as such."
-        ),
-    )
+    parser = add_command(commands, "predict", __doc__)
     parser.add_argument(
         "model",
         metavar="MODEL",
@@ -82,7 +78,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="mixed precision by torch's autocast (default: %(default)s)",
     )
     kept = "{output} keeps the finished predictions, and the same command goes on"
-    add_shared(parser, run, "root", "isolation", interrupted=kept, example=_EXAMPLE)
+    add_shared(parser, run, "root", "isolation", interrupted=kept)
 
 
 def run(arguments: argparse.Namespace) -> int:

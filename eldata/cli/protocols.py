@@ -1,10 +1,18 @@
-"""`eldata protocols`: the evaluation protocols that are known, and all that one of them fixes."""
+"""`eldata protocols`: evaluation protocols: what each fixes, and its source.
+
+List the protocols under which images and clips are scored, or show all that one of them fixes: pairs, region, levels,
+clips, rescaling, metrics, source and digest. A protocol of your own is a TOML file: see docs/evaluation.md.
+
+    eldata protocols
+    eldata protocols eld
+    eldata protocols --dataset sid-sony
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared, terminal_columns
+from eldata.base.console import OK, add_command, add_shared, terminal_columns
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
@@ -17,15 +25,7 @@ _DIGEST = "sha256:"
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "protocols",
-        help="evaluation protocols: what each fixes, and its source",
-        description=(
-            "List the protocols under which images and clips are scored, or show all that one of them fixes: pairs, "
-            "region, levels, clips, rescaling, metrics, source and digest. A protocol of your own is a TOML file: see "
-            "docs/evaluation.md."
-        ),
-    )
+    parser = add_command(commands, "protocols", __doc__)
     parser.add_argument(
         "protocol",
         metavar="NAME",
@@ -36,12 +36,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("--dataset", metavar="N", help="only those for this dataset")
-    add_shared(
-        parser,
-        run,
-        json="protocols",
-        example=("eldata protocols", "eldata protocols eld", "eldata protocols --dataset sid-sony"),
-    )
+    add_shared(parser, run, json="protocols")
 
 
 def run(arguments: argparse.Namespace) -> int:

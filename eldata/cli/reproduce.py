@@ -1,10 +1,18 @@
-"""`eldata reproduce`: a saved result in, the same evaluation again, and what differs."""
+"""`eldata reproduce`: evaluate again as a saved result states, and say what differs.
+
+Evaluate again as a result that eldata evaluate --json wrote states, on the data at hand: its protocol field by field,
+its pairs, its task. Every value is held against the saved one to the last digit, and so is what the numbers depend on:
+versions, manifest, protocol. Exit code 1 if a value differs.
+
+    eldata reproduce results/ours.json --root data
+    eldata reproduce paper.json --predictions preds/ours --root data --json again.json
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of
+from eldata.base.console import OK, PROBLEMS, add_command, add_shared, chosen_workers, each_of
 from eldata.base.files import write_json
 from eldata.base.outputs import json_kind
 
@@ -16,15 +24,7 @@ _KIND = json_kind("results", begins=rb'\{\n  "results": \[\n    \{\n      "sourc
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "reproduce",
-        help="evaluate again as a saved result states, and say what differs",
-        description=(
-            "Evaluate again as a result that eldata evaluate --json wrote states, on the data at hand: its protocol "
-            "field by field, its pairs, its task. Every value is held against the saved one to the last digit, and so "
-            "is what the numbers depend on: versions, manifest, protocol. Exit code 1 if a value differs."
-        ),
-    )
+    parser = add_command(commands, "reproduce", __doc__)
     parser.add_argument("result", metavar="RESULT", help="JSON of eldata evaluate, with one protocol or several")
     parser.add_argument(
         "--predictions", metavar="FOLDER", help="where the predictions lie now (default: where they lay)"
@@ -35,17 +35,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--task", metavar="MODULE:NAME", help="the task of the result, if it is not the function that the result names"
     )
     parser.add_argument("--store", metavar="FILE", help="take the dataset's frames from this store (eldata pack)")
-    add_shared(
-        parser,
-        run,
-        "root",
-        "workers",
-        json=_KIND,
-        example=(
-            "eldata reproduce results/ours.json --root data",
-            "eldata reproduce paper.json --predictions preds/ours --root data --json again.json",
-        ),
-    )
+    add_shared(parser, run, "root", "workers", json=_KIND)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,10 +1,17 @@
-"""`eldata shard`: a store's pairs to sequential shards, for slow disks and networks."""
+"""`eldata shard`: write a store's pairs as tar shards, to be streamed from slow disks or over a network.
+
+Write the pairs of a store as tar files of the WebDataset convention, shuffled over all of them, with an index that
+StreamedPairs reads: the pixels in DN with levels, CFA, exposure and record, lossless. Work that was interrupted, even
+by kill -9, goes on if the command is repeated. Copy the folder to where it is to be read from.
+
+    eldata shard sid-train.h5 -o shards
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared, whole_number
+from eldata.base.console import OK, add_command, add_shared, whole_number
 from eldata.base.numbers import counted
 
 if TYPE_CHECKING:
@@ -13,16 +20,7 @@ if TYPE_CHECKING:
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "shard",
-        help="write a store's pairs as tar shards, to be streamed from slow disks or over a network",
-        description=(
-            "Write the pairs of a store as tar files of the WebDataset convention, shuffled over all of them, with an "
-            "index that StreamedPairs reads: the pixels in DN with levels, CFA, exposure and record, lossless. Work "
-            "that was interrupted, even by kill -9, goes on if the command is repeated. Copy the folder to where it is "
-            "to be read from."
-        ),
-    )
+    parser = add_command(commands, "shard", __doc__)
     parser.add_argument("store", metavar="STORE", help="a store of pairs, from eldata pack")
     parser.add_argument("-o", "--output", metavar="DIR", required=True, help="a new folder")
     parser.add_argument(
@@ -43,7 +41,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
     kept = "the finished shards are kept in {output}, and the same command goes on"
-    add_shared(parser, run, "cameras", "isolation", interrupted=kept, example="eldata shard sid-train.h5 -o shards")
+    add_shared(parser, run, "cameras", "isolation", interrupted=kept)
 
 
 def run(arguments: argparse.Namespace) -> int:

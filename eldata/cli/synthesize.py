@@ -1,25 +1,24 @@
-"""`eldata synthesize`: a folder of clean raw files to a noisy tree."""
+"""`eldata synthesize`: make noisy raw files from clean ones, with a manifest.
+
+Make noisy exposures of folders of clean raw files with a camera's calibrated noise. OUT gets the clean and noisy
+frames, a manifest that eldata verify and the datasets read, and every parameter drawn. Work that was interrupted, even
+by kill -9, goes on if the command is repeated.
+
+    eldata synthesize data/SID/Sony/long -o noisy --camera SonyA7S2 --ratio 100:300 --seed 1
+"""
 
 from __future__ import annotations
 
 import argparse
 import shlex
 
-from eldata.base.console import OK, add_shared, chosen_workers
+from eldata.base.console import OK, add_command, add_shared, chosen_workers
 from eldata.cli.noise import add_components, check_components
 
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "synthesize",
-        help="make noisy raw files from clean ones, with a manifest",
-        description=(
-            "Make noisy exposures of folders of clean raw files with a camera's calibrated noise. OUT gets the clean "
-            "and noisy frames, a manifest that eldata verify and the datasets read, and every parameter drawn. Work "
-            "that was interrupted, even by kill -9, goes on if the command is repeated."
-        ),
-    )
+    parser = add_command(commands, "synthesize", __doc__)
     parser.add_argument("clean", metavar="CLEAN", nargs="+", help="folder of clean raw files, or several")
     parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a new folder")
     parser.add_argument("--camera", metavar="NAME", required=True, help="a shipped profile (SonyA7S2) or a JSON file")
@@ -66,13 +65,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="default: %(default)s")
     kept = "{output} is an unfinished run: the finished frames are kept, and the same command goes on"
-    add_shared(
-        parser,
-        run,
-        "workers",
-        interrupted=kept,
-        example="eldata synthesize data/SID/Sony/long -o noisy --camera SonyA7S2 --ratio 100:300 --seed 1",
-    )
+    add_shared(parser, run, "workers", interrupted=kept)
 
 
 def _ratio(text: str) -> tuple[float, float]:

@@ -1,4 +1,14 @@
-"""`eldata verify`: check the files on disk against manifests."""
+"""`eldata verify`: check the files on disk against manifests, or a store or shards.
+
+Check the files on disk against manifests and list every problem. Levels: quick (present, size, no unlisted raw files),
+metadata (also: opens, camera, ISO, exposure, ratio; remarks), full (also: hashes). Nothing is written. For a training
+store (.h5) every level checks its structure, full also its pixels; shards (their index.json, at any address) are read
+whole.
+
+    eldata verify
+    eldata verify eld --root data --level metadata
+    eldata verify store.h5 --level full
+"""
 
 from __future__ import annotations
 
@@ -6,7 +16,7 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, chosen_workers, each_of
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_command, add_shared, chosen_workers, each_of
 from eldata.base.files import write_json
 from eldata.base.outputs import json_kind
 from eldata.errors import ArgumentError
@@ -24,16 +34,7 @@ _INDEX = "index.json"
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "verify",
-        help="check the files on disk against manifests, or a store or shards",
-        description=(
-            "Check the files on disk against manifests and list every problem. Levels: quick (present, size, no "
-            "unlisted raw files), metadata (also: opens, camera, ISO, exposure, ratio; remarks), full (also: hashes). "
-            "Nothing is written. For a training store (.h5) every level checks its structure, full also its pixels; "
-            "shards (their index.json, at any address) are read whole."
-        ),
-    )
+    parser = add_command(commands, "verify", __doc__)
     parser.add_argument(
         "manifests",
         metavar="MANIFESTS",
@@ -45,18 +46,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
-    add_shared(
-        parser,
-        run,
-        "root",
-        "workers",
-        json=json_kind("level ok datasets", "shards problems"),
-        example=(
-            "eldata verify",
-            "eldata verify eld --root data --level metadata",
-            "eldata verify store.h5 --level full",
-        ),
-    )
+    add_shared(parser, run, "root", "workers", json=json_kind("level ok datasets", "shards problems"))
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.console import add_running, add_shared
+from eldata.base.console import Arguments, Commands, add_running, add_shared
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -24,10 +24,10 @@ _PLAIN = (argparse._StoreAction, argparse._AppendAction)  # noqa: SLF001 # actio
 
 
 def add_completion(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    commands: Commands,
     program: str,
     what: str,
-    run: Callable[[argparse.Namespace], int],
+    run: Callable[[Arguments], int],
 ) -> None:
     """Add a program's command ``completion``, which prints the script for one of :data:`SHELLS`.
 

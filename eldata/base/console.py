@@ -15,9 +15,10 @@ import traceback
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
 from inspect import cleandoc
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias
 
 from eldata import __version__
+from eldata.base.files import write_json
 from eldata.base.numbers import whole_of
 from eldata.base.outputs import NEW, FileKind, add_output, check_outputs, json_kind
 from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_it_did
@@ -28,6 +29,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from eldata.base.workers import Workers
+
+Arguments: TypeAlias = argparse.Namespace
+"""What a subcommand's function ``run`` is handed."""
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 # its only name
+"""What its function ``add_parser`` adds it to."""
 
 OK, PROBLEMS, UNUSABLE, CLOSED_PIPE = 0, 1, 2, 141
 _EXIT_CODES = (
@@ -99,9 +106,7 @@ class Parser(argparse.ArgumentParser):
         raise argparse.ArgumentError(action, f"invalid choice: {value!r} (choose from {', '.join(known)}){hint}")
 
 
-def add_command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, documented: str | None
-) -> argparse.ArgumentParser:
+def add_command(commands: Commands, name: str, documented: str | None) -> argparse.ArgumentParser:
     """Add a subcommand whose help is what its module's or function's docstring says, so that it is said once.
 
     That is a line "`program name`: help.", a description, the examples, indented, and what the help ends with.
@@ -135,8 +140,6 @@ def terminal_columns() -> int | None:
 def each_of(*steps: Callable[[], object] | None) -> None:
     """Take all of these steps but ``None``, whatever becomes of some, so that nothing computed is lost.
 
-    Usage: ``each_of(arguments.json and (lambda: write_json(arguments.json, data)), lambda: print(text))``.
-
     Raises
     ------
     Exception
@@ -152,6 +155,21 @@ def each_of(*steps: Callable[[], object] | None) -> None:
         raise ExceptionGroup("several outputs failed", failed)
     if failed:
         raise failed[0]
+
+
+def show_and_write(
+    arguments: Arguments,
+    text: Callable[[], str],
+    data: Callable[[], object],
+    *more: Callable[[], object] | None,
+) -> None:
+    """Print a text, write the data that ``--json`` asks for, and take more steps, each as :func:`each_of` does."""
+    each_of(lambda: print(text()), arguments.json and (lambda: write_json(arguments.json, data())), *more)
+
+
+def chosen(arguments: Arguments, names: Iterable[str]) -> dict[str, Any]:
+    """Return options as keyword arguments, for functions whose parameters are called as the options are stored."""
+    return {name: getattr(arguments, name) for name in names}
 
 
 def add_cameras(parser: argparse.ArgumentParser) -> None:
@@ -175,7 +193,7 @@ def add_camera_and_isos(parser: argparse.ArgumentParser) -> None:
 
 
 @contextmanager
-def chosen_workers(arguments: argparse.Namespace) -> Iterator[Workers]:
+def chosen_workers(arguments: Arguments) -> Iterator[Workers]:
     """Yield the workers that ``--jobs`` or ``--dask`` asks for; a cluster is connected to, and left, in between.
 
     Usage: ``with chosen_workers(arguments) as workers: verify(..., workers=workers)``.
@@ -261,7 +279,7 @@ _BRINGS = {"root": ("root",), "jobs": ("jobs",), "workers": ("jobs", "dask", "is
 
 def add_shared(
     parser: argparse.ArgumentParser,
-    run: Callable[[argparse.Namespace], int],
+    run: Callable[[Arguments], int],
     *options: Literal["root", "cameras", "isos", "jobs", "workers", "isolation"],
     json: str | FileKind | None = None,
     example: str | tuple[str, ...] = (),
@@ -352,7 +370,7 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     return code
 
 
-def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: argparse.Namespace) -> int:
+def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: Arguments) -> int:
     try:
         parser.parse_args(argv, arguments)
     except SystemExit as leaving:  # argparse has said why
@@ -367,7 +385,7 @@ def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arg
     return code
 
 
-def _as_isolated(arguments: argparse.Namespace) -> AbstractContextManager[None]:
+def _as_isolated(arguments: Arguments) -> AbstractContextManager[None]:
     """Return the isolation that a subcommand is to run under, if it has the choice."""
     if not hasattr(arguments, "isolate"):
         return nullcontext()
@@ -376,7 +394,7 @@ def _as_isolated(arguments: argparse.Namespace) -> AbstractContextManager[None]:
     return isolation(arguments.isolate)
 
 
-def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int, str]:
+def _explained(error: BaseException, arguments: Arguments) -> tuple[int, str]:
     """Return exit code and message of what a command raised."""
     if isinstance(error, ExceptionGroup):
         codes, messages = zip(*(_explained(one, arguments) for one in error.exceptions), strict=True)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_command, add_shared, chosen_workers
+from eldata.base import console
 
 if TYPE_CHECKING:
     import argparse
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 NAMES = ("input", "gaussian", "wavelet", "dct", "bm3d", "anscombe-bm3d")
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(commands: console.Commands) -> None:
     """Add this command."""
-    parser = add_command(commands, "baseline", __doc__)
+    parser = console.add_command(commands, "baseline", __doc__)
     parser.add_argument("name", metavar="NAME", choices=NAMES, help=", ".join(NAMES))
     add_choice(parser)
     parser.add_argument(
@@ -45,7 +45,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_another_camera(parser, "frames of cameras that have none of their own")
     kept = "{output} keeps the finished predictions, and the same command goes on"
-    add_shared(parser, run, "root", "workers", interrupted=kept)
+    console.add_shared(parser, run, "root", "workers", interrupted=kept)
 
 
 def add_another_camera(parser: argparse.ArgumentParser, what: str) -> None:
@@ -81,7 +81,7 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="take this dark shading (eldata calibrate --dark-shading) off the inputs; give it to eldata evaluate, too",
     )
-    add_cameras(parser)
+    console.add_cameras(parser)
     parser.add_argument(
         "--dtype",
         choices=("float32", "float16", "uint16"),
@@ -90,35 +90,35 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def chosen_options(arguments: argparse.Namespace) -> dict[str, Any]:
+def chosen_options(arguments: console.Arguments) -> dict[str, Any]:
     """Return what :func:`add_choice` has added, as keyword arguments."""
     names = ("manifest", "root", "cameras", "subset", "ids", "protocol", "dtype", "dark_shading")
-    return {name: getattr(arguments, name) for name in names}
+    return console.chosen(arguments, names)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.baselines.predicting import BaselineDenoiser, write_predictions
     from eldata.noise.profile import CameraProfile
 
     profiles = tuple(CameraProfile.load(name) for name in arguments.profiles)
     denoiser = BaselineDenoiser(arguments.name, profiles, arguments.profile_of_another_camera, arguments.noise)
-    with chosen_workers(arguments) as workers:
+    with console.chosen_workers(arguments) as workers:
         report = write_predictions(
             denoiser, arguments.dataset or "", arguments.output, workers=workers, **chosen_options(arguments)
         )
     return show_report(report, arguments)
 
 
-def show_report(report: PredictionReport, arguments: argparse.Namespace) -> int:
+def show_report(report: PredictionReport, arguments: console.Arguments) -> int:
     """Show what was predicted, and the command that scores it if there is anything; return the exit code."""
     print(report.format_text())
     if report.written or report.kept:
         print(_scoring_line(arguments))
-    return PROBLEMS if report.problems else OK
+    return console.PROBLEMS if report.problems else console.OK
 
 
-def _scoring_line(arguments: argparse.Namespace) -> str:
+def _scoring_line(arguments: console.Arguments) -> str:
     """Return the command that scores what was written."""
     given = ("dataset", "manifest", "protocol", "subset", "root", "dark_shading")
     options = [

@@ -14,23 +14,20 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_command, add_shared, each_of
-from eldata.base.files import write_json
+from eldata.base import console
 from eldata.base.outputs import COMPARISON_DATA, COMPARISON_PAGE, add_output
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import argparse
-
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.looking import ScoredImage
     from eldata.evaluation.results import EvaluationResult
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(commands: console.Commands) -> None:
     """Add this command."""
-    parser = add_command(commands, "compare", __doc__)
+    parser = console.add_command(commands, "compare", __doc__)
     parser.add_argument(
         "results", nargs="+", metavar="RESULT", help="JSON of eldata evaluate; the first is the baseline"
     )
@@ -72,10 +69,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--dark-shading", metavar="FILE", help="with --pictures: the dark shading that the results state, if any"
     )
-    add_shared(parser, run, "root", "jobs", json=COMPARISON_DATA)
+    console.add_shared(parser, run, "root", "jobs", json=COMPARISON_DATA)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.evaluation.comparison import Method, compare
     from eldata.evaluation.comparison.tables import format_comparison
@@ -90,10 +87,10 @@ def run(arguments: argparse.Namespace) -> int:
         [Method(name, _result(path, arguments.protocol)) for name, path in zip(names, paths, strict=True)]
     )
 
-    def show() -> None:
+    def told() -> str:
         for warning in comparison.warnings:
             print(f"eldata compare: warning: {' '.join(warning.split())}", file=sys.stderr)
-        print(format_comparison(comparison, arguments.format))
+        return format_comparison(comparison, arguments.format)
 
     images = _images(comparison, arguments) if arguments.pictures else ()
 
@@ -109,15 +106,11 @@ def run(arguments: argparse.Namespace) -> int:
             workers=Workers(arguments.jobs),
         )
 
-    each_of(
-        arguments.json and (lambda: write_json(arguments.json, comparison.as_dict())),
-        show,
-        arguments.html and write_page,
-    )
-    return OK
+    console.show_and_write(arguments, told, comparison.as_dict, arguments.html and write_page)
+    return console.OK
 
 
-def _images(comparison: Comparison, arguments: argparse.Namespace) -> tuple[ScoredImage, ...]:
+def _images(comparison: Comparison, arguments: console.Arguments) -> tuple[ScoredImage, ...]:
     """Return what to decode for the pictures, from what the results state of their data."""
     from eldata.evaluation.looking import images_of
     from eldata.evaluation.reproduction import stated_predictions, units_again

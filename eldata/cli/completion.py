@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from eldata.base import console
 from eldata.base.completion import add_completion, completion_script
-from eldata.base.console import OK
-
-if TYPE_CHECKING:
-    import argparse
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(commands: console.Commands) -> None:
     """Add this command."""
     what = "names of datasets, protocols, cameras and profiles (those that packages register too), and files"
     add_completion(commands, "eldata", what, run)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.cli.main import parser
     from eldata.manifest.catalogue import carded_names, known_names, shipped_card
@@ -36,4 +31,4 @@ def run(arguments: argparse.Namespace) -> int:
         "profiles": shipped_profiles(),
     }
     print(completion_script(parser(), arguments.shell, names))
-    return OK
+    return console.OK

@@ -18,11 +18,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_command, add_shared
+from eldata.base import console
 from eldata.base.files import write_json
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Sequence
 
     from eldata.download.installing import Installed
@@ -31,9 +30,9 @@ if TYPE_CHECKING:
     from eldata.manifest.catalogue import Manifest
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(commands: console.Commands) -> None:
     """Add this command."""
-    parser = add_command(commands, "download", __doc__)
+    parser = console.add_command(commands, "download", __doc__)
     parser.add_argument("dataset", metavar="DATASET", help="a dataset's name; eldata info lists them")
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--yes", action="store_true", help="fetch: you have read the addresses, sizes and licence")
@@ -55,10 +54,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="only this archive of a dataset that comes in several; may be repeated",
     )
     kept = "what has arrived is kept, and the same command goes on from there"
-    add_shared(parser, run, "root", json="dataset folder presence archives", interrupted=kept)
+    console.add_shared(parser, run, "root", json="dataset folder presence archives", interrupted=kept)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.download.card_downloads import choose_parts
     from eldata.download.installing import unpack_dataset
@@ -92,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
             "archives": [one.as_dict() for one in installed],
         }
         write_json(arguments.json, data)
-    return OK if presence.complete and not differing else PROBLEMS
+    return console.OK if presence.complete and not differing else console.PROBLEMS
 
 
 def _terms(found: Overview, downloads: Sequence[Download]) -> str:

@@ -18,34 +18,24 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from eldata.base.console import (
-    OK,
-    PROBLEMS,
-    add_cameras,
-    add_command,
-    add_shared,
-    chosen_workers,
-    each_of,
-)
+from eldata.base import console
 from eldata.base.outputs import RESULT, SCORES, add_output, page_kind
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import argparse
-
     from eldata.base.tables import Format
     from eldata.evaluation.combined import CombinedResult
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.results import EvaluationResult
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(commands: console.Commands) -> None:
     """Add this command."""
     from eldata.metrics.registry import OF_FRAMES, ST_RRED
     from eldata.protocols.named import FAMILIES, PROTOCOLS
 
-    parser = add_command(commands, "evaluate", __doc__)
+    parser = console.add_command(commands, "evaluate", __doc__)
     scored = ", ".join(one.heading for one in OF_FRAMES.values())
     parser.description = f"{parser.description} Scored are {scored}, and {ST_RRED.heading} of clips."
     source = parser.add_mutually_exclusive_group(required=True)
@@ -114,7 +104,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "bit, and nothing is decoded again"
         ),
     )
-    add_cameras(parser)
+    console.add_cameras(parser)
     parser.add_argument(
         "--allow-missing",
         action="store_true",
@@ -151,10 +141,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--compare", action="store_true", help="show the result among the published numbers that compare with it"
     )
-    add_shared(parser, run, "root", "workers", json=RESULT)
+    console.add_shared(parser, run, "root", "workers", json=RESULT)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.evaluation.evaluate import perform
     from eldata.evaluation.request import EvaluationOptions, make_request
@@ -162,12 +152,10 @@ def run(arguments: argparse.Namespace) -> int:
     if len(arguments.predictions) > 1 or arguments.output or arguments.names:
         return _run_several(arguments)
     predictions = next(iter(arguments.predictions), None)
-    with chosen_workers(arguments) as workers:
-        options = {name: getattr(arguments, name) for name in EvaluationOptions.__annotations__ if name != "workers"}
-        options["workers"] = workers
-        request = make_request(
-            predictions, arguments.dataset or "", arguments.protocol, cast("EvaluationOptions", options)
-        )
+    with console.chosen_workers(arguments) as workers:
+        names = EvaluationOptions.__annotations__.keys() - {"workers"}
+        options = cast("EvaluationOptions", console.chosen(arguments, names) | {"workers": workers})
+        request = make_request(predictions, arguments.dataset or "", arguments.protocol, options)
         combined = perform(request)
     result = combined if request.every else combined.results[0]
 
@@ -183,16 +171,16 @@ def run(arguments: argparse.Namespace) -> int:
             store=request.store,
         )
 
-    each_of(
+    console.each_of(
         arguments.json and (lambda: result.write_json(arguments.json)),
         arguments.csv and (lambda: result.write_csv(arguments.csv)),
         lambda: _show(result, combined, arguments),
         arguments.html and write_page,  # last, because it takes longest
     )
-    return OK if result.scored and not result.problems else PROBLEMS
+    return console.OK if result.scored and not result.problems else console.PROBLEMS
 
 
-def _run_several(arguments: argparse.Namespace) -> int:
+def _run_several(arguments: console.Arguments) -> int:
     """Score several folders, or one whose results go to a folder."""
     from eldata.evaluation.comparison.folders import (
         COMPARISON,
@@ -215,10 +203,10 @@ def _run_several(arguments: argparse.Namespace) -> int:
         )
     folders = named_folders([Path(name) for name in arguments.predictions], arguments.names)
     out = None if arguments.output is None else Path(arguments.output)
-    with chosen_workers(arguments) as workers:
-        options = {name: getattr(arguments, name) for name in EvaluationOptions.__annotations__ if name != "workers"}
-        options["workers"] = workers
-        requests = requests_of(folders, arguments.dataset or "", arguments.protocol, cast("EvaluationOptions", options))
+    with console.chosen_workers(arguments) as workers:
+        names = EvaluationOptions.__annotations__.keys() - {"workers"}
+        options = cast("EvaluationOptions", console.chosen(arguments, names) | {"workers": workers})
+        requests = requests_of(folders, arguments.dataset or "", arguments.protocol, options)
         if out is not None:
             results_folder(out, folders)
         methods = ScoredMethods.of(dict(zip(folders, perform_each(requests), strict=True)))
@@ -247,11 +235,11 @@ def _run_several(arguments: argparse.Namespace) -> int:
         if comparison is not None and out is not None and arguments.format == "text":
             print(f"\nwritten: {out}\nto see every image beside each other: {_with_pictures(comparison, arguments)}")
 
-    each_of(None if out is None else lambda: methods.write(out), show, write_page, say_how_to_see)
-    return OK if methods.all_well else PROBLEMS
+    console.each_of(None if out is None else lambda: methods.write(out), show, write_page, say_how_to_see)
+    return console.OK if methods.all_well else console.PROBLEMS
 
 
-def _with_pictures(comparison: Comparison, arguments: argparse.Namespace) -> str:
+def _with_pictures(comparison: Comparison, arguments: console.Arguments) -> str:
     """Return the command that draws a comparison's images."""
     out = Path(arguments.output)
     options = {name: getattr(arguments, name) for name in ("manifest", "root", "dark_shading")}
@@ -266,7 +254,7 @@ def _with_pictures(comparison: Comparison, arguments: argparse.Namespace) -> str
     )
 
 
-def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, arguments: argparse.Namespace) -> None:
+def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, arguments: console.Arguments) -> None:
     from eldata.evaluation.scores import problem_lines
 
     form: Format = arguments.format if result.scored else "text"

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_command, add_shared, chosen_workers, each_of, whole_number
-from eldata.base.files import write_json
+from eldata.base import console
 from eldata.base.numbers import counted
 from eldata.base.outputs import add_output, page_kind
 from eldata.cli.baseline import add_another_camera
@@ -23,11 +22,11 @@ if TYPE_CHECKING:
     from eldata.noise.components import Components
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(commands: console.Commands) -> None:
     """Add this command."""
-    parser = add_command(commands, "noise", __doc__)
+    parser = console.add_command(commands, "noise", __doc__)
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    check = add_command(subcommands, "check", run_check.__doc__)
+    check = console.add_command(subcommands, "check", run_check.__doc__)
     check.add_argument("profile", metavar="PROFILE", help="name of a shipped profile, or path of a JSON file")
     check.add_argument(
         "--frames",
@@ -45,17 +44,17 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     check.add_argument(
         "--pairs",
-        type=whole_number(16),
+        type=console.whole_number(16),
         default=32,
         metavar="N",
         help="pairs of frames that the model makes for each comparison, 16 or more (default: %(default)s)",
     )
     check.add_argument(
-        "--seed", type=whole_number(0), default=0, metavar="S", help="seed of the model (default: %(default)s)"
+        "--seed", type=console.whole_number(0), default=0, metavar="S", help="seed of the model (default: %(default)s)"
     )
     add_another_camera(check, "frames of another camera")
     add_output(check, "--html", kind=page_kind("acceptance"), help="write a page with plots to FILE")
-    add_shared(check, run_check, "isos", "workers", json="camera isos limit_standard_errors model")
+    console.add_shared(check, run_check, "isos", "workers", json="camera isos limit_standard_errors model")
 
 
 def add_components(parser: argparse.ArgumentParser, *, dark_frames: str, dark_shading: str) -> None:
@@ -112,7 +111,7 @@ def _check_apart(dark: DarkFrames, frames: CalibrationFrames) -> None:
             )
 
 
-def run_check(arguments: argparse.Namespace) -> int:
+def run_check(arguments: console.Arguments) -> int:
     """`eldata noise check`: the acceptance test of a noise model.
 
     Hold the frames that a profile's noise model makes against bias frames and flats of the same camera that its
@@ -146,7 +145,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     model = NoiseModel(arguments.model, dark_frames=dark, dark_shading=shading)
     of_sensor = parts.shading or parts.dark
     try:
-        with chosen_workers(arguments) as workers:
+        with console.chosen_workers(arguments) as workers:
             options = {"seed": arguments.seed, "pairs": arguments.pairs, "whole_frames": of_sensor}
             options["profile_of_another_camera"] = arguments.profile_of_another_camera
             found = check_noise(model, frames, profile, workers=workers, **options)
@@ -156,10 +155,10 @@ def run_check(arguments: argparse.Namespace) -> int:
         print(
             f"{frames.camera}: {counted(len(error.problems), 'problem')} with the held-out frames; nothing was judged"
         )
-        return PROBLEMS
+        return console.PROBLEMS
 
-    def show() -> None:
-        print(f"{one_line(profile.camera)}: {found.model} against {one_line(found.camera)}\n\n{found.format_text()}")
+    def told() -> str:
+        return f"{one_line(profile.camera)}: {found.model} against {one_line(found.camera)}\n\n{found.format_text()}"
 
     def write_page() -> None:
         from eldata.reports.acceptance import acceptance_page
@@ -167,9 +166,5 @@ def run_check(arguments: argparse.Namespace) -> int:
         write_text(arguments.html, acceptance_page(found))
         print(f"\nreport: {arguments.html}")
 
-    each_of(
-        show,
-        arguments.json and (lambda: write_json(arguments.json, found.as_dict())),
-        arguments.html and write_page,
-    )
-    return PROBLEMS if found.off else OK
+    console.show_and_write(arguments, told, found.as_dict, arguments.html and write_page)
+    return console.PROBLEMS if found.off else console.OK

@@ -12,18 +12,13 @@ runs with all your rights: give your own, or one that you trust as such.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from eldata.base.console import add_command, add_shared, whole_number
+from eldata.base import console
 from eldata.cli.baseline import add_choice, chosen_options, show_report
 
-if TYPE_CHECKING:
-    import argparse
 
-
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(commands: console.Commands) -> None:
     """Add this command."""
-    parser = add_command(commands, "predict", __doc__)
+    parser = console.add_command(commands, "predict", __doc__)
     parser.add_argument(
         "model",
         metavar="MODEL",
@@ -43,27 +38,27 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument(
         "--window",
-        type=whole_number(1),
+        type=console.whole_number(1),
         metavar="T",
         help="frames of a clip that the network takes, an odd number (default: what the network states, else 1)",
     )
     parser.add_argument(
         "--tile",
-        type=whole_number(0),
+        type=console.whole_number(0),
         default=1024,
         metavar="PX",
         help="packed pixels; 0: whole frames (default: 1024)",
     )
     parser.add_argument(
         "--overlap",
-        type=whole_number(0),
+        type=console.whole_number(0),
         default=128,
         metavar="PX",
         help="of tiles; four times the network's reach makes them equal to the whole frame (default: 128)",
     )
     parser.add_argument(
         "--multiple",
-        type=whole_number(1),
+        type=console.whole_number(1),
         metavar="M",
         help="sides and places of tiles are multiples of it: 16 for a network that halves its image four times "
         "(default: what the network states, else 16)",
@@ -78,17 +73,17 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="mixed precision by torch's autocast (default: %(default)s)",
     )
     kept = "{output} keeps the finished predictions, and the same command goes on"
-    add_shared(parser, run, "root", "isolation", interrupted=kept)
+    console.add_shared(parser, run, "root", "isolation", interrupted=kept)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.baselines.networks import load_network
     from eldata.baselines.predicting import write_predictions
 
-    options = ("weights", "device", "precision", "tile", "overlap", "multiple", "window")
-    network = load_network(arguments.model, **{name: getattr(arguments, name) for name in options})
+    names = ("weights", "device", "precision", "tile", "overlap", "multiple", "window")
+    network = load_network(arguments.model, **console.chosen(arguments, names))
     clip = arguments.input_clip or network.clip or "protocol"
-    chosen = chosen_options(arguments)
-    report = write_predictions(network, arguments.dataset or "", arguments.output, clip=clip, **chosen)
+    options = chosen_options(arguments)
+    report = write_predictions(network, arguments.dataset or "", arguments.output, clip=clip, **options)
     return show_report(report, arguments)

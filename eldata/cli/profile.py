@@ -9,21 +9,16 @@ Camera profiles: list those that ship, show one and test the noise model, or est
 from __future__ import annotations
 
 import shlex
-from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_command, add_shared, each_of, whole_number
-from eldata.base.files import write_json
+from eldata.base import console
 from eldata.base.outputs import PROFILE, FileKind, add_output, page_kind
 
-if TYPE_CHECKING:
-    import argparse
 
-
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(commands: console.Commands) -> None:
     """Add this command."""
-    parser = add_command(commands, "profile", __doc__)
+    parser = console.add_command(commands, "profile", __doc__)
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    show = add_command(subcommands, "show", run_show.__doc__)
+    show = console.add_command(subcommands, "show", run_show.__doc__)
     show.add_argument("camera", metavar="CAMERA", help="name of a shipped profile, or path of a JSON file")
     where = show.add_mutually_exclusive_group()
     where.add_argument("--iso", type=float, metavar="ISO", help="at this ISO (default: a gain drawn from the profile)")
@@ -35,11 +30,15 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
     )
     show.add_argument(
-        "--seed", type=whole_number(0), default=0, metavar="S", help="seed of all randomness (default: %(default)s)"
+        "--seed",
+        type=console.whole_number(0),
+        default=0,
+        metavar="S",
+        help="seed of all randomness (default: %(default)s)",
     )
     add_output(show, "--html", kind=page_kind("profile"), help="write a page with plots to FILE")
-    add_shared(show, run_show, json="camera profile model comparisons")
-    estimate = add_command(subcommands, "estimate", run_estimate.__doc__)
+    console.add_shared(show, run_show, json="camera profile model comparisons")
+    estimate = console.add_command(subcommands, "estimate", run_estimate.__doc__)
     estimate.add_argument("image", metavar="IMAGE", help="a raw file as the camera wrote it")
     add_output(estimate, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)")
     estimate.add_argument(
@@ -49,8 +48,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="auto",
         help="take the file's NoiseProfile, or the pixels (default: the former where there is one)",
     )
-    add_shared(estimate, run_estimate, "isolation", json="path source problems remarks")
-    importing = add_command(subcommands, "import", run_import.__doc__)
+    console.add_shared(estimate, run_estimate, "isolation", json="path source problems remarks")
+    importing = console.add_command(subcommands, "import", run_import.__doc__)
     importing.add_argument("file", metavar="FILE", help="the parameters, JSON")
     add_output(importing, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)", required=True)
     importing.add_argument("--camera", metavar="NAME", help="the camera's name (default: the file's, less _params)")
@@ -59,12 +58,12 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="NAME",
         help="which of several calibrations in the file, such as Profile-2 (default: the only one)",
     )
-    add_shared(importing, run_import)
-    listing = add_command(subcommands, "list", run_list.__doc__)
-    add_shared(listing, run_list, json=FileKind(rb'\[\s*\{\s*"profile":'))
+    console.add_shared(importing, run_import)
+    listing = console.add_command(subcommands, "list", run_list.__doc__)
+    console.add_shared(listing, run_list, json=FileKind(rb'\[\s*\{\s*"profile":'))
 
 
-def run_show(arguments: argparse.Namespace) -> int:
+def run_show(arguments: console.Arguments) -> int:
     """`eldata profile show`: show a profile and compare simulated frames with the theory.
 
     Show a profile, draw parameters from it, simulate flats and bias frames and compare them with the model's closed
@@ -122,15 +121,11 @@ def run_show(arguments: argparse.Namespace) -> int:
 
         write_text(arguments.html, profile_page(diagnostics))
 
-    each_of(
-        lambda: print("\n".join(lines)),
-        arguments.json and (lambda: write_json(arguments.json, diagnostics.as_dict())),
-        arguments.html and write_page,
-    )
-    return PROBLEMS if diagnostics.off else OK
+    console.show_and_write(arguments, lambda: "\n".join(lines), diagnostics.as_dict, arguments.html and write_page)
+    return console.PROBLEMS if diagnostics.off else console.OK
 
 
-def run_estimate(arguments: argparse.Namespace) -> int:
+def run_estimate(arguments: console.Arguments) -> int:
     """`eldata profile estimate`: a profile from one raw photograph, without a calibration.
 
     Estimate gain and read noise at one ISO from one raw photograph: from the NoiseProfile of a DNG that has one, held
@@ -153,15 +148,11 @@ def run_estimate(arguments: argparse.Namespace) -> int:
         found.profile.save(arguments.output)
         print(f"\nprofile: {arguments.output}; look at it with eldata profile show {shlex.quote(arguments.output)}")
 
-    each_of(
-        lambda: print(found.format_text()),
-        arguments.output and write_profile,
-        arguments.json and (lambda: write_json(arguments.json, found.as_dict())),
-    )
-    return PROBLEMS if found.profile is None else OK
+    console.show_and_write(arguments, found.format_text, found.as_dict, arguments.output and write_profile)
+    return console.PROBLEMS if found.profile is None else console.OK
 
 
-def run_import(arguments: argparse.Namespace) -> int:
+def run_import(arguments: console.Arguments) -> int:
     """`eldata profile import`: make a profile of published parameters (JSON).
 
     Make a profile of parameters as the ELD authors publish them, turned into JSON: CAMERA_params.npy is a pickle, which
@@ -194,10 +185,10 @@ def run_import(arguments: argparse.Namespace) -> int:
         f"{in_line(camera)}: {len(profile.rows)} rows, {chosen}\n"
         f"profile: {arguments.output}; look at it with eldata profile show {shlex.quote(arguments.output)}"
     )
-    return OK
+    return console.OK
 
 
-def run_list(arguments: argparse.Namespace) -> int:
+def run_list(arguments: console.Arguments) -> int:
     """`eldata profile list`: list the profiles that ship.
 
     List shipped profiles.
@@ -214,18 +205,17 @@ def run_list(arguments: argparse.Namespace) -> int:
         low, high = profile.gain_range_dn_per_e
         isos = "-" if profile.iso_range is None else "{:g} to {:g}".format(*profile.iso_range)
         rows.append((name, f"{low:.4g} to {high:.4g}", isos, str(len(profile.rows)), profile.source))
-    print(text_table(("profile", "gain [DN/e-]", "ISO", "rows", "source"), rows, left=(0, 4)))
-    if arguments.json:
-        listed = [
-            {
-                "profile": name,
-                "camera": profile.camera,
-                "gain_range_dn_per_e": profile.gain_range_dn_per_e,
-                "iso_range": profile.iso_range,
-                "rows": len(profile.rows),
-                "source": profile.source,
-            }
-            for name, profile in profiles.items()
-        ]
-        write_json(arguments.json, listed)
-    return OK
+    listed = [
+        {
+            "profile": name,
+            "camera": profile.camera,
+            "gain_range_dn_per_e": profile.gain_range_dn_per_e,
+            "iso_range": profile.iso_range,
+            "rows": len(profile.rows),
+            "source": profile.source,
+        }
+        for name, profile in profiles.items()
+    ]
+    header = ("profile", "gain [DN/e-]", "ISO", "rows", "source")
+    console.show_and_write(arguments, lambda: text_table(header, rows, left=(0, 4)), lambda: listed)
+    return console.OK

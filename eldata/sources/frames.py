@@ -15,7 +15,7 @@ import numpy as np
 
 from eldata.base.files import inside
 from eldata.base.memory import scratch
-from eldata.base.png import read_rgb16
+from eldata.base.pixels import read_rgb16
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.pairs import UNCERTAIN_ISO
 from eldata.manifest.patterns import is_png

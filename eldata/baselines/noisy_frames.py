@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.files import inside
 from eldata.base.pixels import rgb_frame
 from eldata.baselines.exported import checked_window
 from eldata.errors import DatasetError
@@ -20,12 +20,12 @@ from eldata.raw.reading import exposure_ratio, read_header, read_raw
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from eldata.evaluation.pairs import Pair
     from eldata.manifest.clips import Clip
+    from eldata.manifest.frame_files import FrameFiles
     from eldata.protocols.protocol import Protocol as ScoringProtocol
     from eldata.raw.levels import Clip as ClipRange
 
@@ -74,7 +74,7 @@ class NoisyFrames:
     Attributes
     ----------
     dataset
-        Its folder.
+        Its files.
     pair, clip
         Of the manifest.
     protocol
@@ -83,7 +83,7 @@ class NoisyFrames:
         Of the input, and what is taken off it.
     """
 
-    dataset: Path
+    dataset: FrameFiles
     pair: Pair
     clip: Clip | None
     protocol: ScoringProtocol
@@ -100,13 +100,13 @@ class NoisyFrames:
     def _taken(self, path: str) -> NoisyFrame:
         pair = self.pair
         near = partial(self._window, path)
-        noisy = inside(self.dataset, path)
-        if self.protocol.pixels == "rgb":  # amplified by its authors
+        noisy = self.dataset.at(path)
+        if self.protocol.pixels == "rgb" and isinstance(noisy, Path):  # amplified by its authors
             return NoisyFrame(rgb_frame(noisy), 1.0, math.nan, pair, path, None, near)
         frame = read_raw(noisy)
         ratio = amplified_by(pair, self.protocol.amplification)
         if ratio is None:
-            ratio = float(exposure_ratio(read_header(inside(self.dataset, reference_of(pair, path) or path)), frame))
+            ratio = float(exposure_ratio(read_header(self.dataset.at(reference_of(pair, path) or path)), frame))
         taken = less_shading(frame, dark_shading_in(self.dark_shading), path) if self.dark_shading else frame
         image = normalised_frame(taken, self.protocol.levels, clip=self.clip_range, gain=ratio)
         black, white = levels_dn(frame, self.protocol.levels)

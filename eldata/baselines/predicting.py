@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from eldata.evaluation.pairs import Pair
     from eldata.evaluation.request import EvaluationOptions, Request
     from eldata.manifest.clips import Clip
+    from eldata.manifest.frame_files import FrameFiles
     from eldata.noise.profile import CameraProfile
     from eldata.protocols.protocol import Protocol as ScoringProtocol
     from eldata.raw.levels import Clip as ClipRange
@@ -302,7 +303,7 @@ def write_predictions(
         units = _units(request, pairs, folder)
         missing = [_file_of(folder, unit.pair, path) for unit in units for path in unit.missing]
         others = " or ".join(_of_other_channels(request, chosen))
-        work = _Prediction(denoiser, request.folder, folder, chosen, wanted_clip, dtype, request.dark_shading, others)
+        work = _Prediction(denoiser, request.files, folder, chosen, wanted_clip, dtype, request.dark_shading, others)
         outcomes = request.workers.attempt(work, units, label="denoising", unit=_unit_name(request))
         failed: dict[str, list[str]] = {}
         for one in outcomes:
@@ -377,7 +378,7 @@ class _Prediction:
     """The work on one unit: from raw files to the predictions' files."""
 
     denoiser: Denoiser
-    dataset: Path
+    dataset: FrameFiles
     out: Path
     protocol: ScoringProtocol
     clip: ClipRange
@@ -387,7 +388,7 @@ class _Prediction:
 
     def __call__(self, unit: _Unit) -> None:
         pair = unit.pair
-        require_files(*(inside(self.dataset, path) for path in files_of(pair)))
+        require_files(*(inside(self.dataset.folder, path) for path in files_of(pair)))
         frames = NoisyFrames(self.dataset, pair, unit.clip, self.protocol, self.clip, self.dark_shading)
         for path in unit.missing:
             frame = frames.frame(path)

@@ -165,7 +165,7 @@ def run(arguments: console.Arguments) -> int:
         write_evaluation_page(
             combined.results,
             arguments.html,
-            dataset_folder=request.folder,
+            dataset_folder=request.files,
             predictions=request.predictions,
             dark_shading=request.dark_shading,
             store=request.store,

@@ -19,6 +19,7 @@ from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, Cropping, Part, ReadItems
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import Manifest, data_root, known_manifest, known_names, load_manifest
+from eldata.manifest.frame_files import FrameFiles
 from eldata.manifest.pairs import Choice, select_pairs
 from eldata.protocols.named import default_protocol
 from eldata.raw.cfa import packed_area, packed_shape, unpack
@@ -342,8 +343,10 @@ class PairDataset(SourcePairs):
         records = select_pairs(loaded.records, loaded.card.subsets, **choice)
         levels = representation.get("levels") or default_protocol(loaded.card).frame_levels
         self._check_folders(loaded, records)
+        files = FrameFiles.of(self.root, loaded.card, loaded.records)
+        self._stated = files.stated
         super().__init__(
-            Files(self.root, loaded.records),
+            Files(files, loaded.records),
             records,
             name=loaded.name,
             representation=representation | {"levels": levels},
@@ -365,7 +368,7 @@ class PairDataset(SourcePairs):
                 raise DatasetError(f"{self.root}: has no folder {top!r} for camera {camera}; {hint}")
 
     def _noisy(self, record: PairRecord, target: Frame) -> Frame:
-        if record.path.endswith(".npy"):
+        if record.path.endswith(".npy") and record.path not in self._stated:
             return _packed_noisy(inside(self.root, record.path), record, target)
         return super()._noisy(record, target)
 

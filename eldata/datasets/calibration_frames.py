@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
@@ -16,6 +16,7 @@ from eldata.base.tables import frame_of
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError, did_you_mean
 from eldata.manifest.catalogue import data_root, load_manifest
+from eldata.manifest.frame_files import FrameFiles
 from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
 from eldata.raw.files import RAW_EXTENSIONS
 from eldata.records import FrameRecord
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.plots.axes import Drawing
-    from eldata.records import RawFrame, Role
+    from eldata.records import RawFrame, RawHeader, Role
 
 _ROLES: tuple[Role, ...] = ("bias", "flat")
 _FOLDER = "calibration"
@@ -104,6 +105,7 @@ class CalibrationFrames:
         isos: Collection[int] | None = None,
     ) -> None:
         self.skipped: tuple[str, ...] = ()
+        stated = None
         if manifest is not None:
             loaded = load_manifest(manifest)
             self.root = loaded.folder() if root is None else Path(root)
@@ -113,6 +115,7 @@ class CalibrationFrames:
                 if record.role in _ROLES and not {LONGER_DARK, WARM_SENSOR} & {*record.flags}
             )
             self.camera = _chosen_camera(camera, {record.camera for record in found}, str(loaded.path))
+            stated = FrameFiles.of(self.root, loaded.card, found)
             found = tuple(record for record in found if record.camera == self.camera)
             for record in found:
                 if record.iso is None:
@@ -121,6 +124,7 @@ class CalibrationFrames:
             self.root = data_root() / _FOLDER if root is None else Path(root)
             self.camera, found, self.skipped = _from_folders(self.root, camera)
         self.records = _of_isos(found, isos)
+        self._files = stated or FrameFiles(self.root)
 
     @property
     def isos(self) -> tuple[Fraction, ...]:
@@ -141,6 +145,12 @@ class CalibrationFrames:
         """
         return inside(self.root, record.path)
 
+    def header(self, record: FrameRecord) -> RawHeader:
+        """Return what one frame's file states of itself; raises like :meth:`read`."""
+        from eldata.raw.reading import read_header
+
+        return read_header(replace(self._files, folder=self.root).at(record.path))
+
     def read(self, record: FrameRecord) -> RawFrame:
         """Decode one frame.
 
@@ -151,7 +161,7 @@ class CalibrationFrames:
         """
         from eldata.raw.reading import read_raw
 
-        frame = read_raw(self.path(record))
+        frame = read_raw(replace(self._files, folder=self.root).at(record.path))
         frame.whole_dn("calibration")
         return frame
 

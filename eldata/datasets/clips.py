@@ -14,7 +14,7 @@ from eldata.datasets.items import CroppedItems, Cropping, Part
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
-from eldata.manifest.pairs import Choice
+from eldata.manifest.pairs import NOMINAL_RATIO, Choice
 from eldata.manifest.patterns import expand
 from eldata.records import Exposure
 from eldata.sources.frames import stated_ratio
@@ -302,6 +302,9 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
             return None
         if reference is None:
             return Fraction(1)
+        row = self._row_of[path]
+        if NOMINAL_RATIO in row.flags:
+            return row.ratio
         ratio = exposure_ratio(reference.header, frame.header)
         if ratio < 1:
             raise DatasetError(
@@ -310,7 +313,7 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
             )
         if self.amplification == "metadata":
             return ratio
-        stated = stated_ratio(self._row_of[path], self.amplification)
+        stated = stated_ratio(row, self.amplification)
         if stated is None:
             raise ArgumentError(f"{path}: the manifest states no ratio, so amplification must be 'metadata'")
         return stated

@@ -11,6 +11,7 @@ from eldata.datasets.clips import ClipWindows, WindowOptions
 from eldata.errors import check_choice
 from eldata.manifest.catalogue import data_root, load_manifest, shipped_manifest
 from eldata.manifest.drv import DYNAMIC, scan_raw
+from eldata.manifest.frame_files import FrameFiles
 from eldata.sources.frames import Files
 
 if TYPE_CHECKING:
@@ -100,4 +101,5 @@ class DRVDataset(ClipWindows):
         elif form == "raw":
             found = scan_raw(folder, reference=reference)
         rows = [row for row in found.records if (row.split == DYNAMIC) == dynamic]
-        super().__init__(Files(folder, rows), rows, found.card.subsets, folder, dynamic=dynamic, **options)
+        files = Files(FrameFiles.of(folder, found.card, rows), rows)
+        super().__init__(files, rows, found.card.subsets, folder, dynamic=dynamic, **options)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
+    from eldata.manifest.frame_files import FrameFiles
     from eldata.plots.scores import Strip
     from eldata.protocols.kinds import Kind
     from eldata.records import Sensor
@@ -275,7 +276,7 @@ def images_of(
     results: Sequence[EvaluationResult],
     scores: Sequence[Sequence[UnitScore]],
     *,
-    dataset_folder: Path,
+    dataset_folder: Path | FrameFiles,
     predictions: Sequence[Path | None],
     dark_shading: Path | None = None,
     store: Path | None = None,

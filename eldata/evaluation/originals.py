@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from eldata.base.pixels import rgb_frame
 from eldata.base.workers import require_files
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.clip_checks import size_findings
+from eldata.manifest.frame_files import FrameFiles
 from eldata.manifest.patterns import RowFinding
 from eldata.manifest.verify import header_findings, ratio_findings
 from eldata.manifest.verify_report import Problem
@@ -23,7 +25,6 @@ from eldata.sources.frames import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -44,29 +45,32 @@ class Originals:
 
     Attributes
     ----------
-    folder
-        The dataset's, absolute.
+    files
+        The dataset's, below an absolute folder.
     store
         The store that is read in place of its files, absolute; ``None``: the files are decoded.
     held
         What the store holds of the frames that are asked for, by their paths.
     """
 
-    folder: Path
+    files: FrameFiles
     store: Path | None = None
     held: Mapping[str, StoredFrame] = field(default_factory=dict)
 
     @classmethod
-    def opened(cls, folder: Path, store: Path | None) -> Originals:
+    def opened(cls, files: FrameFiles | Path, store: Path | None) -> Originals:
         """Return all frames of a dataset whose files, or store, an evaluation has checked."""
         from eldata.sources.store.read import open_store
 
         held = {} if store is None else {frame.path: frame for frame in open_store(store).frames}
-        return cls(folder.absolute(), None if store is None else store.absolute(), held)
+        files = FrameFiles(files) if isinstance(files, Path) else files
+        return cls(files.absolute(), None if store is None else store.absolute(), held)
 
     def of(self, paths: Collection[str]) -> Originals:
         """Return the same for these frames alone: what a worker gets."""
-        return self if self.store is None else replace(self, held={path: self.held[path] for path in paths})
+        if self.store is None:
+            return replace(self, files=self.files.only(paths))
+        return replace(self, held={path: self.held[path] for path in paths})
 
     def place(self, path: str) -> Path:
         """Return what messages call a frame.
@@ -76,7 +80,7 @@ class Originals:
         ManifestError
             If a file's path leads out of the folder.
         """
-        return inside(self.folder, path) if self.store is None else self.store / path
+        return inside(self.files.folder, path) if self.store is None else self.store / path
 
     def require(self, path: str) -> None:
         """Raise :class:`~eldata.base.workers.UnseenFileError` unless this machine sees where a frame is read from."""
@@ -93,14 +97,14 @@ class Originals:
         from eldata.raw.reading import read_raw
 
         if self.store is None:
-            return read_raw(self.place(path))
+            return read_raw(self.files.at(path))
         return _stored_frame(self.store, self.held[path])
 
     def header(self, path: str) -> RawHeader:
         """Return what a frame's file says of itself."""
         from eldata.raw.reading import read_header
 
-        return read_header(self.place(path)) if self.store is None else _header(self.store, self.held[path])
+        return read_header(self.files.at(path)) if self.store is None else _header(self.store, self.held[path])
 
     def rgb(self, path: str) -> NDArray[np.float32]:
         """Return a frame of preprocessed RGB, (3, h, w) in [0, 1]; of files alone."""
@@ -289,7 +293,7 @@ def store_of(manifest: Manifest, folder: Path, store: Path, records: Sequence[Fr
     _refuse(store, (Problem.of(manifest.name, finding) for finding in findings))
     decoders = sorted({frame.file.decoder for frame in taken.values()})
     return CheckedOriginals(
-        Originals(folder.absolute(), store.absolute(), taken),
+        Originals(FrameFiles(folder.absolute()), store.absolute(), taken),
         {"file": str(store), "digest": opened.digest, "decoded_by": ", ".join(decoders)},
     )
 

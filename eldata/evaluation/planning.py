@@ -296,7 +296,7 @@ def require_pairs(request: Request, pairs: Iterable[Pair]) -> CheckedOriginals:
     require_folder(request)
     listed = rows if request.kind is IMAGES else expand(rows, request.folder)
     check_rows(request, [row for row in listed if row.path in needed], "metadata")
-    return CheckedOriginals(Originals(request.folder.absolute()))
+    return CheckedOriginals(Originals(request.files.absolute()))
 
 
 def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from eldata.base.array_files import declared_array, read_array
 from eldata.base.files import atomic_write, file_problem
 from eldata.errors import ArgumentError, PredictionError, RawFileError
 from eldata.evaluation.layouts import (
@@ -23,7 +24,6 @@ from eldata.evaluation.layouts import (
 )
 from eldata.evaluation.originals import normalised_frame
 from eldata.evaluation.pairs import place_of
-from eldata.evaluation.prediction_files import declared_array, read_array
 from eldata.protocols.named import protocols_for
 from eldata.raw.cfa import pack, packed_shape
 from eldata.raw.levels import with_levels
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.base.array_files import Declared
     from eldata.evaluation.layouts import FoundPredictions
-    from eldata.evaluation.prediction_files import Declared
     from eldata.evaluation.request import Request
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.clips import ClipRecord

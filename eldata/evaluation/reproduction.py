@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from eldata.evaluation.pairs import Pair
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.tasks import TaskFunction
+    from eldata.manifest.frame_files import FrameFiles
 
 _PLACES = ("predictions",)  # of the provenance: where files lay, which decides no score
 _SHOWN = 12  # differing scores
@@ -292,7 +293,7 @@ def protocol_of(result: EvaluationResult) -> Protocol:
 
 def units_again(
     result: EvaluationResult, *, manifest: Path | None = None, root: Path | None = None
-) -> tuple[Path, dict[str, Pair]]:
+) -> tuple[FrameFiles, dict[str, Pair]]:
     """Return the dataset's folder, and the pairs of a result that was read back, by their paths.
 
     Parameters
@@ -323,7 +324,7 @@ def units_again(
             f"is {request.manifest.digest[:15]}); give that one with --manifest"
         )
     require_folder(request)
-    return request.folder, {pair.path: pair for pair in plan_scoring(request, _plain(protocol)).pairs}
+    return request.files, {pair.path: pair for pair in plan_scoring(request, _plain(protocol)).pairs}
 
 
 def _plain(protocol: Protocol) -> Protocol:

@@ -12,6 +12,7 @@ from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.tasks import Task
 from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest, shipped_names
+from eldata.manifest.frame_files import FrameFiles
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.kinds import IMAGES, Kind
 from eldata.protocols.named import default_protocol, get_protocol, protocols_for
@@ -96,6 +97,11 @@ class Request:
     def kind(self) -> Kind:
         """What is scored: images or clips."""
         return self.protocols[0].kind
+
+    @property
+    def files(self) -> FrameFiles:
+        """The set's files, with what its card states of them."""
+        return FrameFiles.of(self.folder, self.manifest.card, self.manifest.records)
 
     @property
     def is_own(self) -> bool:

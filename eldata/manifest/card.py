@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
+from functools import partial
 from typing import TYPE_CHECKING
 
 from eldata.base.fields import Fields, TextFile, names_of
@@ -13,6 +14,7 @@ from eldata.base.files import json_text, path_problem, write_text
 from eldata.base.numbers import counted
 from eldata.base.visible import has_unseen, shown
 from eldata.errors import ArgumentError, ManifestError, did_you_mean
+from eldata.raw.stated import MOSAIC_CFAS, MosaicFacts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -162,6 +164,8 @@ class Card:
     protocol
         Name of the protocol that scores the set unless another is named; of a card that states none it is ``raw``, by
         the files' own levels.
+    mosaics
+        What is stated of files that are pixels alone, such as ``.npy``; of each file the first that fits counts.
     known_defects, sources
         What is wrong with the published files, and where this card's facts come from.
     contents, levels
@@ -188,6 +192,7 @@ class Card:
     downloads: tuple[Download, ...] = ()
     subsets: tuple[Subset, ...] = ()
     protocol: str = OWN_PROTOCOL
+    mosaics: tuple[MosaicFacts, ...] = ()
     known_defects: tuple[str, ...] = ()
     sources: tuple[str, ...] = field(default=())
     contents: str = ""
@@ -284,6 +289,7 @@ def load_card(path: Path, content: bytes | None = None) -> Card:
         downloads=tuple(map(_download, top.objects("downloads", missing_ok=True))),
         subsets=subsets,
         protocol=top.optional("protocol", top.text, OWN_PROTOCOL),
+        mosaics=tuple(map(_mosaic, top.objects("mosaics", missing_ok=True))),
         known_defects=top.texts("known_defects", missing_ok=True, empty=True),
         sources=top.texts("sources", missing_ok=True, empty=True),
         contents=top.optional("contents", top.text, "", empty=True),
@@ -323,6 +329,31 @@ def _download(entry: Fields) -> Download:
     )
 
 
+def _mosaic(entry: Fields) -> MosaicFacts:
+    entry.only(names_of(MosaicFacts))
+    levels = "one level, or one for each of R, G1, B and G2"
+    black = entry.each("black_level_dn", Fields.number, expected=levels, fewest=1, at_least=0)
+    if len(black) not in (1, 4):
+        raise entry.wrong("black_level_dn", levels, list(black))
+    return MosaicFacts(
+        paths=entry.text("paths"),
+        cfa=entry.choice("cfa", MOSAIC_CFAS),
+        black_level_dn=black,
+        white_level_dn=entry.number("white_level_dn", above=max(black)),
+        cameras=entry.texts("cameras", missing_ok=True),
+        array=entry.optional("array", entry.text, "", empty=True),
+        shape=entry.optional("shape", partial(_sides, entry)),
+        bits=entry.optional("bits", entry.whole, 16),
+        packing=entry.optional("packing", entry.text, "le16"),
+        stride=entry.optional("stride", entry.whole),
+    )
+
+
+def _sides(entry: Fields, name: str) -> tuple[int, int]:
+    height, width = entry.each(name, Fields.whole, expected="[rows, columns]", count=2, at_least=1)
+    return height, width
+
+
 def _subset(entry: Fields) -> Subset:
     entry.only(names_of(Subset))
     return Subset(
@@ -343,4 +374,4 @@ def save_card(path: Path, card: Card) -> None:
 
 def card_text(card: Card) -> str:
     """Return a dataset card as it is written."""
-    return json_text(asdict(card))
+    return json_text({name: value for name, value in asdict(card).items() if name != "mosaics" or value})

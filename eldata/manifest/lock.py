@@ -12,6 +12,7 @@ from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ManifestError
 from eldata.manifest.card import counts_of, load_card
 from eldata.manifest.catalogue import Manifest, data_root, is_name, known_manifest, load_manifest, locked_path
+from eldata.manifest.frame_files import FrameFiles
 from eldata.manifest.patterns import expand
 from eldata.manifest.table import load_table
 from eldata.manifest.verify import content_findings, verify
@@ -84,7 +85,8 @@ def lock(
     locked: dict[str, FrameRecord] = {}
     unfit: list[Problem] = []
     label = f"{loaded.name} (hashing)"
-    for outcome in workers.attempt(partial(_locked, folder.absolute()), chosen, label=label):
+    work = partial(_locked, FrameFiles.of(folder.absolute(), loaded.card, chosen))
+    for outcome in workers.attempt(work, chosen, label=label):
         if isinstance(outcome, Failed):
             advice = "make it readable where the hash is taken, and lock again"
             unfit.append(Problem(loaded.name, outcome.unit.path, "sha256", "a hash", outcome.reason, advice))
@@ -140,9 +142,9 @@ def _loaded(path: Path, root: Path | str | None) -> Manifest:
         return Manifest(path, replace(card, counts=counts_of(records)), records, digest)
 
 
-def _locked(folder: Path, record: FrameRecord) -> tuple[FrameRecord, list[RowFinding]]:
-    path = folder / record.path
+def _locked(files: FrameFiles, record: FrameRecord) -> tuple[FrameRecord, list[RowFinding]]:
+    path = files.folder / record.path
     require_files(path)
     # A hash of a damaged file would make the damage official.
-    findings = content_findings(folder, record) if record.sha256 is None else []
+    findings = content_findings(files, record) if record.sha256 is None else []
     return replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path)), findings

@@ -23,6 +23,8 @@ Item = TypeVar("Item", "PairRecord", "FrameRecord")
 
 # Flag of a frame whose ISO is stated in two ways, or is known not to be its speed: EXIF cannot check its ratio.
 UNCERTAIN_ISO = "uncertain-iso"
+# Flag of a noisy frame whose ratio cannot follow from what files state: the manifest's is taken.
+NOMINAL_RATIO = "nominal-ratio"
 # Flags of bias frames that are longer than the others of their ISO, or of a sensor that was warm from shooting.
 LONGER_DARK = "longer-dark"
 WARM_SENSOR = "warm-sensor"

@@ -32,11 +32,13 @@ from eldata.manifest.clip_checks import (
     png_size_findings,
     size_findings,
 )
-from eldata.manifest.pairs import UNCERTAIN_ISO
+from eldata.manifest.frame_files import FrameFiles
+from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.manifest.patterns import RowFinding, expand, is_png, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.manifest.verify_report import LEVELS, DatasetReport, FileRemark, Level, Problem, VerifyReport, distinct
 from eldata.raw.files import raw_facts
+from eldata.raw.stated import StatedFile
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -147,7 +149,8 @@ def check_files(
     of_clips = pattern_findings(records, folder)
     remarks: tuple[FileRemark, ...] = ()
     if level != "quick":
-        work = partial(_check_file, folder.absolute(), manifest.card.cameras, level)
+        files = FrameFiles.of(folder.absolute(), manifest.card, present)
+        work = partial(_check_file, files, manifest.card.cameras, level)
         outcomes = [
             _unchecked(outcome) if isinstance(outcome, Failed) else outcome
             for outcome in workers.attempt(work, present, label=f"{manifest.name} ({level})")
@@ -262,10 +265,13 @@ def _unchecked(failed: Failed[FrameRecord]) -> CheckedFile:
     return CheckedFile([RowFinding(failed.unit.path, "check", "a finished check", failed.reason, advice)])
 
 
-def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, record: FrameRecord) -> CheckedFile:
+def _check_file(files: FrameFiles, cameras: Mapping[str, CameraCard], level: Level, record: FrameRecord) -> CheckedFile:
+    folder, file = files.folder, files.at(record.path)
     path = folder / record.path
     require_files(path)
-    if path.suffix == ".npy":
+    if isinstance(file, StatedFile):
+        outcome = _stated_findings(file, record, decode=level == "full" and record.sha256 is None)
+    elif path.suffix == ".npy":
         outcome = CheckedFile(_packed_findings(path, record))
     elif is_png(record.path):
         outcome = CheckedFile(png_findings(folder, record))
@@ -281,9 +287,12 @@ def _check_file(folder: Path, cameras: Mapping[str, CameraCard], level: Level, r
     return outcome
 
 
-def content_findings(folder: Path, record: FrameRecord) -> list[RowFinding]:
+def content_findings(files: FrameFiles, record: FrameRecord) -> list[RowFinding]:
     """Say what is wrong with the content of a file whose hash is not known: decode it and look for damage."""
+    folder, file = files.folder, files.at(record.path)
     path = folder / record.path
+    if isinstance(file, StatedFile):
+        return _stated_findings(file, record, decode=True).findings
     if is_png(record.path):
         return png_decode_findings(folder, record)
     if path.suffix == ".npy":
@@ -318,6 +327,18 @@ def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, dec
         return CheckedFile([_unreadable(record, error)])
     findings, product = header_findings(header, record, models)
     return CheckedFile([*findings, *_decoded_findings(record, decoded)], product, header.remarks)
+
+
+def _stated_findings(file: StatedFile, record: FrameRecord, *, decode: bool) -> CheckedFile:
+    """Look into a mosaic without levels of its own; of its exposure no more is known than its row states."""
+    iso, exposure_s = record.iso, record.exposure_s
+    product = None if iso is None or exposure_s is None else iso * exposure_s
+    try:
+        file.check()
+        decoded = file.read().sensor if decode else None
+    except RawFileError as error:
+        return CheckedFile([_unreadable(record, error, "a mosaic as its card states it")])
+    return CheckedFile(_decoded_findings(record, decoded), product)
 
 
 def header_findings(
@@ -378,7 +399,7 @@ def ratio_findings(records: Sequence[FrameRecord], product_of: Mapping[str, Frac
     advice = "are both the frames that their names say? look for shifted numbering and swapped references"
     findings = []
     for record in records:
-        if record.reference is None or record.ratio is None or UNCERTAIN_ISO in record.flags:
+        if record.reference is None or record.ratio is None or {UNCERTAIN_ISO, NOMINAL_RATIO} & {*record.flags}:
             continue
         reference, noisy = product_of.get(record.reference), product_of[record.path]
         if reference is None or noisy is None:

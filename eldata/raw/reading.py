@@ -64,6 +64,7 @@ from eldata.raw.sensor_facts import (
     dng_white_level,
     image_remarks,
 )
+from eldata.raw.stated import StatedFile
 from eldata.raw.strips import read_floats
 from eldata.raw.tiff import read_directories
 from eldata.raw.unsupported import NEEDED, refuse_unsupported
@@ -81,10 +82,10 @@ if TYPE_CHECKING:
     from eldata.records import RawHeader
 
 
-def read_header(path: Path | str) -> RawHeader:
+def read_header(path: Path | str | StatedFile) -> RawHeader:
     """Read camera and exposure of a raw file without decoding its pixels.
 
-    The file must be one that LibRaw opens, and hold all that it declares.
+    The file must be one that LibRaw opens, and hold all that it declares; or a mosaic of which a card states the rest.
 
     Raises
     ------
@@ -92,6 +93,8 @@ def read_header(path: Path | str) -> RawHeader:
         If the file is missing, empty, truncated or not a raw file; or, with :func:`eldata.isolation`, if its decoder
         crashes, hangs or needs too much memory.
     """
+    if isinstance(path, StatedFile):
+        return path.header
     return guarded_file(_header, Path(path), RawFileError)
 
 
@@ -133,13 +136,13 @@ def facts_of(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileEr
     return replace(header, remarks=frame.remarks), frame.sensor
 
 
-def read_raw(path: Path | str, *, image: int = 0) -> RawFrame:
+def read_raw(path: Path | str | StatedFile, *, image: int = 0) -> RawFrame:
     """Decode a raw file.
 
     Parameters
     ----------
     path
-        The file.
+        The file; of a mosaic without levels of its own, the file with what a card states of it.
     image
         Which one, counted from 0, of a file that holds several of one size, such as the four of a pixel shift.
 
@@ -169,6 +172,8 @@ def read_raw(path: Path | str, *, image: int = 0) -> RawFrame:
     """
     if image < 0:
         raise ArgumentError(f"image counts from 0; found {image}")
+    if isinstance(path, StatedFile):
+        return path.read()
     return guarded_file(partial(_decoded, image=image), Path(path), RawFileError)
 
 

@@ -20,7 +20,12 @@ if TYPE_CHECKING:
 
 NEEDED = "a mosaic of a Bayer, quad-Bayer, nona-Bayer or X-Trans sensor is needed"
 
+_STATE = "state them in the mosaics of its set's card (docs/adding-a-dataset.md)"
+_ARRAY = ("is an array, which states no colour filter array and neither black nor white level", _STATE)
 _BY_HEAD = {
+    b"\x93NUM": _ARRAY,
+    b"MATL": _ARRAY,
+    b"\x89HDF": _ARRAY,
     b"FOVb": ("is a Sigma X3F, whose Foveon sensor has no colour filter array", NEEDED),
     b"\xff\xd8\xff": ("is a JPEG picture whatever its name says", "use the raw file that the camera wrote with it"),
     b"PK\x03\x04": ("is a ZIP archive (Capture One's EIP is one)", "unpack it and use the raw file inside"),
@@ -37,7 +42,7 @@ _BY_COMPRESSION = {
 }
 _GREY_TIFF = (
     "is a grey TIFF, which states no colour filter array and neither black nor white level",
-    "use the camera's raw file, or write the mosaic to a DNG with eldata.raw.write_dng (docs/datasets.md: CRVD)",
+    f"use the camera's raw file, or {_STATE}",
 )
 # What only a camera's raw file has in a directory: a DNG's version, a CFA, and Kodak's, Leaf's, Imacon's, Sinar's and
 # Hasselblad's own tags, by which LibRaw knows raws that call themselves grey.

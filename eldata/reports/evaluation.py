@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
+    from eldata.manifest.frame_files import FrameFiles
     from eldata.plots.axes import Theme
     from eldata.protocols.kinds import Kind
     from eldata.reports.figures import Plot
@@ -58,7 +59,7 @@ def write_evaluation_page(
     results: Sequence[EvaluationResult],
     out: Path | str,
     *,
-    dataset_folder: Path,
+    dataset_folder: Path | FrameFiles,
     predictions: Path | None,
     dark_shading: Path | None = None,
     store: Path | None = None,

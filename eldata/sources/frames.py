@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from eldata.base.files import inside
 from eldata.base.memory import scratch
 from eldata.base.pixels import read_rgb16
 from eldata.errors import ArgumentError, DatasetError
-from eldata.manifest.pairs import UNCERTAIN_ISO
+from eldata.manifest.frame_files import FrameFiles
+from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.manifest.patterns import is_png
 from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
@@ -241,16 +241,16 @@ class Files:
 
     Parameters
     ----------
-    root
-        The folder that paths are relative to, and that they may not leave; ``None``: they are paths by themselves.
+    files
+        Where they lie; a folder alone: nothing is stated of them; ``None``: they are paths by themselves.
     records
         Rows of the manifest that lists the files.
     """
 
     reads_parts = False
 
-    def __init__(self, root: Path | None = None, records: Sequence[FrameRecord] = ()) -> None:
-        self.root = root
+    def __init__(self, files: FrameFiles | Path | None = None, records: Sequence[FrameRecord] = ()) -> None:
+        self._files = FrameFiles(files) if isinstance(files, Path) else files
         self.records = tuple(records)
 
     def frame(self, path: str) -> Frame:
@@ -263,15 +263,15 @@ class Files:
         """
         from eldata.raw.reading import read_raw
 
-        file = Path(path) if self.root is None else inside(self.root, path)
-        if is_png(path):
+        file = Path(path) if self._files is None else self._files.at(path)
+        if is_png(path) and isinstance(file, Path):
             return Frame.of_rgb(read_rgb16(file).transpose(2, 0, 1), str(file))
         raw = read_raw(file)
         return Frame.of_raw(raw.mosaic, raw.sensor, str(raw.path), raw.exposure, raw.channel_white_levels_dn)
 
 
 def checked_ratio(record: PairRecord, reference: Frame, noisy: Frame) -> Fraction:
-    """Return the exposure ratio that a pair's files state; the manifest's if the noisy one is not a raw file.
+    """Return the exposure ratio that a pair's files state; the manifest's if they state none (:data:`NOMINAL_RATIO`).
 
     Raises
     ------
@@ -282,7 +282,8 @@ def checked_ratio(record: PairRecord, reference: Frame, noisy: Frame) -> Fractio
     """
     from eldata.raw.reading import exposure_ratio
 
-    ratio = record.ratio if noisy.sensor is None else exposure_ratio(reference.header, noisy.header)
+    states_none = noisy.sensor is None or NOMINAL_RATIO in record.flags
+    ratio = record.ratio if states_none else exposure_ratio(reference.header, noisy.header)
     differs = abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio
     if differs and UNCERTAIN_ISO not in record.flags:
         raise DatasetError(
@@ -298,7 +299,7 @@ def checked_ratio(record: PairRecord, reference: Frame, noisy: Frame) -> Fractio
 
 
 def stated_ratio(record: PairRecord | FrameRecord, amplification: Amplification) -> Fraction | None:
-    """Return the ratio that the manifest has for a way to amplify; ``None`` for ``"metadata"``, or if none is stated.
+    """Return the ratio that the manifest has for a way to amplify; ``None`` if files are to say it, or it has none.
 
     Raises
     ------
@@ -310,4 +311,5 @@ def stated_ratio(record: PairRecord | FrameRecord, amplification: Amplification)
             f"{record.path}: the manifest has no measured ratio for amplification 'measured'; capture check --write "
             "measures it, 'nominal' and 'metadata' need none"
         )
-    return {"metadata": None, "nominal": record.ratio, "measured": record.measured_ratio}[amplification]
+    of_files = record.ratio if NOMINAL_RATIO in record.flags else None
+    return {"metadata": of_files, "nominal": record.ratio, "measured": record.measured_ratio}[amplification]

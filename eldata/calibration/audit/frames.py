@@ -21,7 +21,6 @@ from eldata.errors import DatasetError, EldataError, RawFileError, UnusableRawEr
 from eldata.manifest.table import number_text
 from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.manifest.verify_report import Problem
-from eldata.raw.reading import read_header
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -112,7 +111,7 @@ def sorted_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS)
 
     def header_of(record: FrameRecord) -> RawHeader | EldataError:
         try:
-            return read_header(frames.path(record))
+            return frames.header(record)
         except EldataError as error:
             return error
 

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.manifest.frame_files import FrameFiles
     from eldata.records import Role
     from eldata.sources.store.format import AnyStored, Compression
     from eldata.sources.store.journal import JournaledFile
@@ -137,7 +138,7 @@ def _fill(
         facts = FactsWriter(store)
         resumed = facts.count
         waiting = enumerate(source.files[resumed:], resumed)  # frames are written in order
-        decoded = workers.read_ahead(partial(_decoded, source.folder.absolute()), [*waiting])
+        decoded = workers.read_ahead(partial(_decoded, source.frame_files.absolute()), [*waiting])
         bar = tqdm(total=len(source.files), initial=resumed, desc="packing", unit="file", disable=None, leave=False)
         with bar, closing(decoded):  # type: ignore[type-var] # a generator, declared as an iterator
             for pixels, frame in decoded:
@@ -222,17 +223,17 @@ def _commit(store: h5py.File, file: JournaledFile) -> None:
     file.commit()
 
 
-def _decoded(folder: Path, unit: tuple[int, tuple[str, Role]]) -> tuple[NDArray[np.uint16], AnyStored]:
+def _decoded(files: FrameFiles, unit: tuple[int, tuple[str, Role]]) -> tuple[NDArray[np.uint16], AnyStored]:
     from eldata.raw.reading import read_raw
 
     number, (path, role) = unit
-    key, file = frame_key(number), inside(folder, path)
+    key, file = frame_key(number), inside(files.folder, path)
     require_files(file)
     if is_png(path):
         planes = np.ascontiguousarray(read_rgb16(file).transpose(2, 0, 1))
         _, height, width = planes.shape
         return planes, StoredRgb(key, path, role, height, width, pixels_digest(planes), PackedFile.of(file))
-    raw = read_raw(file)
+    raw = read_raw(files.at(path))
     pixels = raw.whole_dn("a store")
     stated = raw.sensor, raw.exposure, pixels_digest(pixels), PackedFile.of(file), raw.channel_white_levels_dn
     return pixels, StoredFrame(key, path, role, *stated)

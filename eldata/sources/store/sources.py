@@ -15,6 +15,7 @@ from eldata.manifest.card import card_text
 from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest
 from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.drv import scan_raw
+from eldata.manifest.frame_files import FrameFiles
 from eldata.manifest.pairs import Choice, select_pairs
 from eldata.manifest.patterns import expand, is_pattern, is_png
 from eldata.manifest.table import table_text
@@ -72,6 +73,13 @@ class Source:
     files: tuple[tuple[str, Role], ...]
     manifest: Manifest | None = None
     listing: tuple[bytes, bytes] | None = None
+
+    @property
+    def frame_files(self) -> FrameFiles:
+        """Where they lie, with what the manifest's card states of them."""
+        if self.manifest is None:
+            return FrameFiles(self.folder)
+        return FrameFiles.of(self.folder, self.manifest.card, self.manifest.records)
 
     @property
     def digest(self) -> str:
@@ -134,7 +142,8 @@ def source_of_dataset(
     for pair in pairs:
         files.setdefault(pair.reference, "reference")
         files[pair.path] = "noisy"
-    packed = [path for path in files if path.endswith(".npy")]
+    stated = FrameFiles.of(loaded.folder(root), loaded.card, loaded.records).stated
+    packed = [path for path in files if path.endswith(".npy") and path not in stated]
     if packed:
         raise DatasetError(
             f"{packed[0]}: is a packed array, not a raw file in DN, as are {len(packed)} in all; a store holds raw "

@@ -9,12 +9,15 @@ npy
     The header is matched, not evaluated; the file holds as many bytes as it declares.
 npz
     So does the member. Members are stored or deflated; no more is decompressed than is declared.
-h5
+h5, mat of MATLAB 7.3
     One data set of numbers in the file itself: no links, no external or virtual storage, every chunk written. Filters
     are gzip, lzf, shuffle and Fletcher's checksum, which are undone here: HDF5's believe what a chunk says of itself.
 tif, tiff
     A short chain of pages, whose strips or tiles are all there and inside the file, without compression or with a
     lossless one. Formats within TIFF that refer to other files are taken for plain TIFF.
+mat of MATLAB 5 to 7
+    The table of variables says shape and type; scipy reads the one that is wanted. Of either format an array has the
+    shape that MATLAB shows.
 png
     Size and depth from the header; no more compressed data than such pixels can need.
 """
@@ -34,7 +37,7 @@ from eldata.base.files import file_problem
 from eldata.base.isolation import GuardError, guarded
 from eldata.base.pixels import opened_npz, read_npy, read_png
 from eldata.base.visible import in_line
-from eldata.errors import PredictionError
+from eldata.errors import FileError, PredictionError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -47,7 +50,7 @@ if TYPE_CHECKING:
     from eldata.base.pixels import NpyHeader, PngHeader
 
     Check = Callable[["Declared"], None]
-    Reader = Callable[[Path, Check], NDArray[Any]]
+    Reader = Callable[[Path, Check, str], NDArray[Any]]
 
 _PIECE_BYTES = 1 << 20
 _MOST_NAMES = 1000  # of the arrays and groups of a file
@@ -67,73 +70,97 @@ class _EnoughError(Exception):
     """Raised by a check that only wanted to know."""
 
 
-def read_array(path: Path, check: Check) -> NDArray[Any]:
+class _UnfitError(Exception):
+    """A file does not hold the one array that is wanted; the message reads on from the file's name."""
+
+
+def read_array(
+    path: Path,
+    check: Check,
+    *,
+    name: str = "prediction",
+    error: type[FileError] = PredictionError,
+    advice: str = "write it again",
+) -> NDArray[Any]:
     """Return a file's array, in the file's byte order and order of values.
 
     Parameters
     ----------
     path
-        npy, npz, h5, png; anything else is taken for TIFF.
+        npy, npz, h5, mat, png; anything else is taken for TIFF.
     check
-        Raises :class:`PredictionError` if what the file declares, or then holds, is not what is wanted. It must be
+        Raises a :class:`FileError` if what the file declares, or then holds, is not what is wanted. It must be
         picklable: it may be called in another process.
+    name
+        The array that is meant where a file holds several.
+    error, advice
+        What is raised of a file that cannot be read, and what to do about it.
 
     Raises
     ------
-    PredictionError
-        What ``check`` raises; or if the file cannot be read.
+    FileError
+        What ``check`` raises; ``error``, if the file cannot be read.
     """
     kind = path.suffix.lower().removeprefix(".")
     problem = file_problem(path)
     if problem is not None:
-        raise PredictionError(path, problem)
+        raise error(path, problem)
     try:
-        array = _read_here(kind, path, check) if kind in _IN_PYTHON else guarded(_read_here, kind, path, check)
-    except (PredictionError, _EnoughError):
+        if kind in _IN_PYTHON:
+            array = _read_here(kind, path, check, name)
+        else:
+            array = guarded(_read_here, kind, path, check, name)
+    except (FileError, _EnoughError):
         raise
-    except GuardError as error:
-        raise PredictionError(path, f"{error}; write it again") from error
-    except Exception as error:  # five libraries, each with its own kinds
+    except _UnfitError as unfit:
+        raise error(path, str(unfit)) from None
+    except GuardError as how:
+        raise error(path, f"{how}; {advice}") from how
+    except Exception as cause:  # six libraries, each with its own kinds
         # Its first line; libpng's may be memory that is not text.
-        reason = in_line(str(error).splitlines()[0][:_LONGEST_REASON]) if str(error) else type(error).__name__
-        raise PredictionError(path, f"cannot be read as {path.suffix[1:]} ({reason}); write it again") from error
+        reason = in_line(str(cause).splitlines()[0][:_LONGEST_REASON]) if str(cause) else type(cause).__name__
+        raise error(path, f"cannot be read as {path.suffix[1:]} ({reason}); {advice}") from cause
     check(Declared(array.shape, str(array.dtype.newbyteorder("="))))
     return array
 
 
-def declared_array(path: Path) -> Declared:
+def declared_array(
+    path: Path, *, name: str = "prediction", error: type[FileError] = PredictionError, advice: str = "write it again"
+) -> Declared:
     """Return what a file declares; raises like :func:`read_array`."""
     try:
-        read_array(path, _enough)
+        read_array(path, _enough, name=name, error=error, advice=advice)
     except _EnoughError as told:
         declared: Declared = told.args[0]
         return declared
-    raise PredictionError(path, "declares no array")
+    raise error(path, "declares no array")
 
 
 def _enough(declared: Declared) -> None:
     raise _EnoughError(declared)
 
 
-def _read_here(kind: str, path: Path, check: Check) -> NDArray[Any]:
-    return _READERS.get(kind, _read_tiff)(path, check)
+def _read_here(kind: str, path: Path, check: Check, name: str) -> NDArray[Any]:
+    return _READERS.get(kind, _read_tiff)(path, check, name)
 
 
-def _only(path: Path, names: Sequence[str]) -> str:
-    """Return the name of a file's one array, or ``prediction`` among several."""
+def _only(names: Sequence[str], wanted: str) -> str:
+    """Return the name of a file's one array, or the wanted one among several."""
     if len(names) == 1:
         return names[0]
-    if names.count("prediction") == 1:
-        return "prediction"
+    if names.count(wanted) == 1:
+        return wanted
     shown = ", ".join(in_line(name[:_LONGEST_REASON]) for name in names[:_NAMES_SHOWN])
     more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
-    raise PredictionError(path, f"expected one array, or one called 'prediction'; found {shown or 'none'}{more}")
+    called = f", or one called {wanted!r}" if wanted else ""
+    raise _UnfitError(f"expected one array{called}; found {shown or 'none'}{more}")
 
 
 # --- npy and npz --------------------------------------------------------------------------------------------------
 
 
-def _read_npy(path: Path, check: Check) -> NDArray[Any]:
+def _read_npy(path: Path, check: Check, name: str) -> NDArray[Any]:
+    del name
     with path.open("rb") as file:
         return read_npy(file, path.stat().st_size, lambda header: check(_of_npy(header)))
 
@@ -142,9 +169,9 @@ def _of_npy(header: NpyHeader) -> Declared:
     return Declared(header.shape, header.kind)
 
 
-def _read_npz(path: Path, check: Check) -> NDArray[Any]:
+def _read_npz(path: Path, check: Check, name: str) -> NDArray[Any]:
     with opened_npz(path) as archive:
-        return archive.read(_only(path, archive.names), lambda header: check(_of_npy(header)))
+        return archive.read(_only(archive.names, name), lambda header: check(_of_npy(header)))
 
 
 # --- h5 -----------------------------------------------------------------------------------------------------------
@@ -153,19 +180,19 @@ _SHUFFLE, _DEFLATE, _FLETCHER, _LZF = 2, 1, 3, 32000
 _CHECKSUM_BYTES = 4
 
 
-def _read_h5(path: Path, check: Check) -> NDArray[Any]:
+def _read_h5(path: Path, check: Check, name: str) -> NDArray[Any]:
     import h5py
 
     with h5py.File(path, "r") as file:
         if len(file) > _MOST_NAMES:
-            raise PredictionError(path, f"expected one array, or one called 'prediction'; found {len(file)} items")
-        kinds = {name: file.get(name, getclass=True, getlink=True) for name in file}
-        links = [name for name, kind in kinds.items() if kind is not h5py.HardLink]
+            raise _UnfitError(f"expected one array, or one called {name!r}; found {len(file)} items")
+        kinds = {item: file.get(item, getclass=True, getlink=True) for item in file}
+        links = [item for item, kind in kinds.items() if kind is not h5py.HardLink]
         if links:
-            raise PredictionError(
-                path, f"{links[0][:_LONGEST_REASON]!r} is a link; expected the array itself: copy it into the file"
+            raise _UnfitError(
+                f"{links[0][:_LONGEST_REASON]!r} is a link; expected the array itself: copy it into the file"
             )
-        held = file[_only(path, [name for name in kinds if file.get(name, getclass=True) is h5py.Dataset])]
+        held = file[_only([item for item in kinds if file.get(item, getclass=True) is h5py.Dataset], name)]
         declared = Declared(held.shape or (), _h5_values(held.id))
         check(declared)
         return _h5_array(held.id)
@@ -277,10 +304,33 @@ def _inflated(content: bytes | memoryview, size: int) -> NDArray[np.uint8]:
     return target
 
 
+# --- MATLAB -------------------------------------------------------------------------------------------------------
+
+# As MATLAB names them, of its numbers; the rest (cell, struct, char, sparse ...) has no array.
+_MATLAB_TYPES = {"double": "float64", "single": "float32", "logical": "bool"}
+_MATLAB_TYPES |= {name: name for sign in ("", "u") for bits in (8, 16, 32, 64) for name in (f"{sign}int{bits}",)}
+
+
+def _read_mat(path: Path, check: Check, name: str) -> NDArray[Any]:
+    import scipy.io
+    from scipy.io.matlab import matfile_version
+
+    if matfile_version(path)[0] == 2:  # HDF5, whose arrays have MATLAB's sides in reverse
+        return _read_h5(path, lambda found: check(Declared(found.shape[::-1], found.values)), name).transpose()
+    held = {item: (shape, _MATLAB_TYPES.get(kind)) for item, shape, kind in scipy.io.whosmat(path)}
+    if len(held) > _MOST_NAMES:
+        raise _UnfitError(f"expected one array, or one called {name!r}; found {len(held)} variables")
+    chosen = _only([item for item, (_, values) in held.items() if values is not None], name)
+    shape, values = held[chosen]
+    check(Declared(tuple(shape), values or ""))
+    return np.asarray(scipy.io.loadmat(path, variable_names=[chosen])[chosen])
+
+
 # --- pictures -----------------------------------------------------------------------------------------------------
 
 
-def _read_png(path: Path, check: Check) -> NDArray[Any]:
+def _read_png(path: Path, check: Check, name: str) -> NDArray[Any]:
+    del name
     return read_png(path, lambda header: check(_of_png(header)))
 
 
@@ -288,9 +338,10 @@ def _of_png(header: PngHeader) -> Declared:
     return Declared(header.shape, header.values)
 
 
-def _read_tiff(path: Path, check: Check) -> NDArray[Any]:
+def _read_tiff(path: Path, check: Check, name: str) -> NDArray[Any]:
     import tifffile
 
+    del name
     check_pages(path)
     plain: dict[str, Any] = {f"is_{kind}": False for kind in tifffile.TIFF.FILE_FLAGS - {"shaped", "uniform"}}
     with tifffile.TiffFile(path, **plain) as file:
@@ -301,7 +352,13 @@ def _read_tiff(path: Path, check: Check) -> NDArray[Any]:
     return array
 
 
-_READERS: dict[str, Reader] = {"npy": _read_npy, "npz": _read_npz, "h5": _read_h5, "png": _read_png}
+_READERS: dict[str, Reader] = {
+    "npy": _read_npy,
+    "npz": _read_npz,
+    "h5": _read_h5,
+    "mat": _read_mat,
+    "png": _read_png,
+}
 _IN_PYTHON = ("npy", "npz")
 
 
@@ -354,7 +411,7 @@ def check_pages(path: Path) -> None:
     Raises
     ------
     TiffError
-        If it is not TIFF, a page or a value lies beyond the end, or there are more of them than a prediction needs.
+        If it is not TIFF, a page or a value lies beyond the end, or there are more of them than an array needs.
     OSError
         If the file cannot be read.
     """

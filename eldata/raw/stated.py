@@ -1,0 +1,160 @@
+"""Mosaics in files that hold pixels and nothing else: NumPy, MATLAB and TIFF arrays, and buffers without a header.
+
+What a raw file states of itself, a dataset's card and the rows of its manifest state of them (:class:`MosaicFacts`).
+Nothing is guessed: a file of which nothing is stated is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from eldata.errors import RawFileError, UnusableRawError
+from eldata.records import Exposure, RawFrame, RawHeader, Sensor
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.base.array_files import Declared
+
+ARRAY_EXTENSIONS = frozenset((".npy", ".npz", ".mat", ".h5", ".tif", ".tiff"))
+"""Lower case, with the dot: files whose header says the shape; of any other name they are buffers without one."""
+
+MOSAIC_CFAS = ("RGGB", "GRBG", "GBRG", "BGGR")
+
+_AGAIN = "copy or download it again"
+_LARGEST_DN = (1 << 16) - 1
+_VALUES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")
+
+
+@dataclass(frozen=True, slots=True)
+class MosaicFacts:
+    """What a card states of mosaics.
+
+    Attributes
+    ----------
+    paths, cameras
+        Which rows of the manifest it is of: a pattern of paths with ``*`` and ``?`` as in a shell, and names of
+        cameras; none means all.
+    cfa
+        The colours of its first 2 x 2 sites, row by row, such as ``"GBRG"``.
+    black_level_dn
+        One level, or one for each of R, G1, B and G2, as the file's numbers are.
+    white_level_dn
+        The number that is 1 after normalisation: 1 of a file of shares of white.
+    array
+        Which array of a file that holds several.
+    shape, bits, packing, stride
+        Of a buffer without a header, as :func:`eldata.raw.read_buffer` has them.
+    """
+
+    paths: str
+    cfa: str
+    black_level_dn: tuple[float, ...]
+    white_level_dn: float
+    cameras: tuple[str, ...] = ()
+    array: str = ""
+    shape: tuple[int, int] | None = None
+    bits: int = 16
+    packing: str = "le16"
+    stride: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StatedFile:
+    """A mosaic's file, and what is stated of it by the card (``facts``) and by its row (``exposure``)."""
+
+    path: Path
+    facts: MosaicFacts
+    exposure: Exposure = Exposure()  # noqa: RUF009 # frozen
+
+    @property
+    def header(self) -> RawHeader:
+        """What a raw file's header would say."""
+        return RawHeader(self.path, "", "", self.exposure)
+
+    def read(self) -> RawFrame:
+        """Return the mosaic: uint16; float32 of floating-point numbers, rounded to it.
+
+        Raises
+        ------
+        RawFileError
+            If the file is missing, damaged, or not one mosaic of numbers in [0, 65535]; or if what is stated does not
+            fit it.
+        """
+        from eldata.raw.cfa import bayer_cfa
+
+        facts, cfa = self.facts, bayer_cfa(self.facts.cfa)
+        black, white = facts.black_level_dn, facts.white_level_dn
+        if self.path.suffix.lower() not in ARRAY_EXTENSIONS:
+            return self._buffer(cfa)
+        mosaic = self._checked(self._array())
+        levels = black * 4 if len(black) == 1 else black
+        return RawFrame(self.path, mosaic, Sensor("", "", cfa, levels, white, *mosaic.shape), self.exposure)
+
+    def check(self) -> None:
+        """Look at what the file declares, without its pixels; raises like :meth:`read`."""
+        from eldata.base.array_files import declared_array
+
+        if self.path.suffix.lower() in ARRAY_EXTENSIONS:
+            declared = declared_array(self.path, name=self.facts.array, error=RawFileError, advice=_AGAIN)
+            _check_declared(self.path, declared)
+        else:
+            self.read()  # of a buffer the size is all that can be looked at
+
+    def _array(self) -> NDArray[Any]:
+        from eldata.base.array_files import read_array
+
+        check = partial(_check_declared, self.path)
+        return read_array(self.path, check, name=self.facts.array, error=RawFileError, advice=_AGAIN)
+
+    def _checked(self, array: NDArray[Any]) -> NDArray[Any]:
+        import numpy as np
+
+        from eldata.raw.damage import mosaic_fault
+
+        if array.dtype.kind == "f":
+            mosaic = np.ascontiguousarray(array, np.float32)
+            if not np.isfinite(mosaic).all():
+                raise RawFileError(self.path, f"damaged: holds values that are not finite; {_AGAIN}")
+            return mosaic
+        low, high = int(array.min()), int(array.max())
+        if low < 0 or high > _LARGEST_DN:
+            raise RawFileError(self.path, f"expected DN from 0 to {_LARGEST_DN}, found {low} to {high}")
+        mosaic = np.ascontiguousarray(array, np.uint16)
+        fault = mosaic_fault(mosaic, self.facts.black_level_dn, self.facts.white_level_dn)
+        if fault is not None:
+            raise RawFileError(self.path, f"damaged, or its black level is another: {fault}")
+        return mosaic
+
+    def _buffer(self, cfa: Any) -> RawFrame:
+        from eldata.raw.buffers import read_buffer
+
+        facts, exposure = self.facts, self.exposure
+        if facts.shape is None:
+            raise UnusableRawError(
+                self.path, "is a buffer without a header", "give its shape, bits and packing in the card's mosaics"
+            )
+        black = facts.black_level_dn[0] if len(facts.black_level_dn) == 1 else facts.black_level_dn
+        return read_buffer(
+            self.path,
+            facts.shape,
+            cfa=cfa,
+            black=black,
+            white=facts.white_level_dn,
+            bits=facts.bits,
+            packing=facts.packing,  # type: ignore[arg-type] # checked there
+            iso=exposure.iso,
+            exposure_s=exposure.exposure_s,
+            stride=facts.stride,
+        )
+
+
+def _check_declared(path: Path, declared: Declared) -> None:
+    if len(declared.shape) != 2 or 0 in declared.shape or declared.values not in _VALUES:
+        raise RawFileError(
+            path, f"expected a mosaic of numbers, (H, W); found {declared.values} of shape {declared.shape}"
+        )

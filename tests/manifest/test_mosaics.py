@@ -1,0 +1,232 @@
+"""Mosaics without levels of their own, whose card states them: whatever holds them, as the same frames in DNG files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from fractions import Fraction
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+import tifffile
+
+from eldata import evaluate
+from eldata.cli.main import main
+from eldata.datasets import CalibrationFrames, PairDataset
+from eldata.errors import DatasetError, ManifestError, RawFileError
+from eldata.manifest import load_manifest, verify
+from eldata.manifest.card import CameraCard, Card, load_card, save_card
+from eldata.manifest.frame_files import FrameFiles
+from eldata.manifest.writing import save_manifest
+from eldata.raw import bayer_cfa, read_raw, write_dng
+from eldata.raw.stated import MosaicFacts, StatedFile
+from eldata.records import Exposure, FrameRecord, Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+SHAPE, BLACK, WHITE, CFA = (48, 64), 240.0, 4095.0, "GBRG"
+REFERENCE, NOISY = Exposure(Fraction(100), Fraction(1)), Exposure(Fraction(1600), Fraction(1, 1600))
+RATIO = Fraction(100)
+
+
+def save_matlab_73(path: Path, mosaic: NDArray[Any]) -> None:
+    """Write as MATLAB does: HDF5 behind a block of 512 bytes, columns first, beside what is not an array."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file.create_dataset("x", data=mosaic.T, compression="gzip", chunks=(16, 16))
+        file.create_group("#refs#")
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+
+WRITERS: dict[str, Callable[[Path, NDArray[Any]], object]] = {
+    "npy": np.save,
+    "tiff": tifffile.imwrite,
+    "mat": lambda path, mosaic: scipy.io.savemat(path, {"x": mosaic}, do_compression=True),
+    "MAT": save_matlab_73,
+    "bin": lambda path, mosaic: mosaic.astype("<u2").tofile(path),
+}
+
+
+def mosaic_of(exposure: Exposure, seed: int) -> NDArray[np.uint16]:
+    generator = np.random.default_rng(seed)
+    scene = np.random.default_rng(1).gamma(2.0, 600.0, SHAPE)
+    light = scene if exposure is REFERENCE else scene / float(RATIO)
+    return np.clip(generator.poisson(light) + BLACK + generator.normal(0, 2, SHAPE), 0, WHITE).astype(np.uint16)
+
+
+def own_set(folder: Path, kind: str, facts: MosaicFacts | None) -> Path:
+    """Write a set of two pairs; return its manifest. ``kind`` is the files' extension; DNGs state all themselves."""
+    data, rows = folder / "data" / "own", []
+    sensor = Sensor("Maker", "Model", bayer_cfa(CFA), (BLACK,) * 4, WHITE, *SHAPE)
+    for scene in ("a", "b"):
+        (data / scene).mkdir(parents=True)
+        for seed, (name, exposure) in enumerate((("clean", REFERENCE), ("noisy", NOISY)), ord(scene)):
+            mosaic, path = mosaic_of(exposure, seed), data / scene / f"{name}.{kind}"
+            if kind == "dng":
+                write_dng(path, mosaic, sensor, exposure)
+            else:
+                WRITERS[kind](path, mosaic)
+        shot = partial(FrameRecord, camera="Cam", scene=scene, split="test")
+        clean = shot(f"{scene}/clean.{kind}", "reference", iso=REFERENCE.iso, exposure_s=REFERENCE.exposure_s)
+        noisy = shot(f"{scene}/noisy.{kind}", "noisy", iso=NOISY.iso, exposure_s=NOISY.exposure_s)
+        noisy = replace(noisy, ratio=RATIO, reference=clean.path)
+        rows += [clean, noisy]
+    card = Card("own", "Own", "1", "own", "", "", "", "bayer", {"Cam": CameraCard(())}, {"noisy": 2, "reference": 2})
+    path = folder / "own.csv"
+    save_manifest(path, replace(card, mosaics=() if facts is None else (facts,)), rows)
+    return path
+
+
+FACTS = MosaicFacts("*", CFA, (BLACK,), WHITE)
+
+
+def scored(manifest: Path, **options: Any) -> list[tuple[float, float, float | None]]:
+    result = evaluate(None, "own", manifest=manifest, root=manifest.parent / "data", baseline="input", **options)
+    return [(score.psnr_db, score.ssim, score.ratio) for score in result.scores]
+
+
+@pytest.fixture(scope="module")
+def as_dng(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return own_set(tmp_path_factory.mktemp("dng"), "dng", None)
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_mosaics_are_read_scored_packed_and_denoised_as_raws_are(kind: str, as_dng: Path, tmp_path: Path) -> None:
+    facts = replace(FACTS, shape=SHAPE, bits=12, packing="le16") if kind == "bin" else FACTS
+    path = own_set(tmp_path, kind, facts)
+    root = tmp_path / "data"
+    report = verify([load_manifest(path)], root, level="full")
+    assert report.problems == ()
+    expected = PairDataset(as_dng.parent / "data" / "own", as_dng, clip="none")
+    found = PairDataset(root / "own", path, clip="none")
+    for raw, mosaic in zip(expected, found, strict=True):
+        np.testing.assert_array_equal(raw["input"], mosaic["input"])
+        np.testing.assert_array_equal(raw["target"], mosaic["target"])
+        assert (raw["ratio"], raw["iso"], raw["exposure_s"]) == (mosaic["ratio"], mosaic["iso"], mosaic["exposure_s"])
+    expected_scores = scored(as_dng)
+    assert scored(path) == expected_scores
+    common = ["--manifest", str(path), "--root", str(root)]
+    predictions = str(tmp_path / "preds")
+    assert main(["baseline", "gaussian", *common, "-o", predictions]) == 0
+    assert main(["evaluate", predictions, *common]) == 0
+    assert main(["pack", "own", *common, "-o", str(tmp_path / "own.h5")]) == 0
+    assert scored(path, store=tmp_path / "own.h5") == expected_scores
+
+
+def test_floats_are_what_the_card_calls_white(tmp_path: Path) -> None:
+    shares = (np.arange(16, dtype=np.float64).reshape(4, 4) / 20).astype(np.float64)
+    np.save(tmp_path / "x.npy", shares)
+    frame = read_raw(StatedFile(tmp_path / "x.npy", MosaicFacts("*", "RGGB", (0.0,), 1.0)))
+    assert frame.mosaic.dtype == np.float32
+    np.testing.assert_array_equal(frame.mosaic, shares.astype(np.float32))
+
+
+def test_a_file_of_which_nothing_is_stated_is_refused(tmp_path: Path) -> None:
+    """By its card's name for it, whatever reads it."""
+    path = own_set(tmp_path, "mat", None)
+    report = verify([load_manifest(path)], tmp_path / "data", level="metadata")
+    assert len(report.problems) == 4
+    assert "mosaics" in report.problems[0].advice
+    with pytest.raises(RawFileError, match="mosaics"):
+        PairDataset(tmp_path / "data" / "own", path)[0]
+
+
+@pytest.mark.parametrize(
+    ("mosaic", "word"),
+    [
+        (np.zeros((4, 4, 3), np.uint16), "mosaic of numbers"),
+        (np.full((4, 4), -1, np.int16), "DN from 0"),
+        (np.full((4, 4), 1 << 16, np.uint32), "DN from 0"),
+        (np.full((4, 4), np.nan, np.float32), "not finite"),
+        (np.ones((4, 4), np.complex64), "mosaic of numbers"),
+    ],
+)
+def test_what_is_no_mosaic_is_named(mosaic: NDArray[Any], word: str, tmp_path: Path) -> None:
+    np.save(tmp_path / "x.npy", mosaic)
+    with pytest.raises(RawFileError, match=word):
+        read_raw(StatedFile(tmp_path / "x.npy", FACTS))
+
+
+def test_which_of_several_arrays_is_said(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "x.mat", {"x": np.full(SHAPE, 300.0), "y": np.full(SHAPE, 400.0), "name": "text"})
+    with pytest.raises(RawFileError, match="x, y"):
+        read_raw(StatedFile(tmp_path / "x.mat", FACTS))
+    assert read_raw(StatedFile(tmp_path / "x.mat", replace(FACTS, array="y"))).mosaic.max() == 400
+    (tmp_path / "cut.mat").write_bytes((tmp_path / "x.mat").read_bytes()[:300])
+    with pytest.raises(RawFileError, match="again"):
+        read_raw(StatedFile(tmp_path / "cut.mat", replace(FACTS, array="y")))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("cfa", "RGBG"),
+        ("black_level_dn", []),
+        ("black_level_dn", [1, 2]),
+        ("white_level_dn", 240),
+        ("shape", [3]),
+        ("whyte", 1),
+    ],
+)
+def test_a_card_that_misstates_them_is_refused(field: str, value: object, tmp_path: Path) -> None:
+    path = own_set(tmp_path, "npy", FACTS).with_suffix(".json")
+    card = json.loads(path.read_text())
+    card["mosaics"][0][field] = value
+    path.write_text(json.dumps(card))
+    with pytest.raises(ManifestError, match=field):
+        load_card(path)
+
+
+def test_the_first_that_fits_camera_and_path_counts(tmp_path: Path) -> None:
+    own, other = replace(FACTS, cameras=("Other",)), replace(FACTS, paths="a/*", cfa="RGGB")
+    path = own_set(tmp_path, "npy", FACTS)
+    loaded = load_manifest(path)
+    card = replace(loaded.card, mosaics=(own, other, FACTS))
+    files = FrameFiles.of(tmp_path, card, loaded.records)
+    assert {path: facts.cfa for path, (facts, _) in files.stated.items()} == {
+        "a/clean.npy": "RGGB",
+        "a/noisy.npy": "RGGB",
+        "b/clean.npy": CFA,
+        "b/noisy.npy": CFA,
+    }
+    save_card(tmp_path / "card.json", card)
+    assert load_card(tmp_path / "card.json") == card
+
+
+def test_ratios_that_no_file_states_are_the_manifests(tmp_path: Path) -> None:
+    """Rows without an exposure time need the flag that says so; without it the missing time is named."""
+    path = own_set(tmp_path, "npy", FACTS)
+    loaded = load_manifest(path)
+    rows = [replace(row, exposure_s=None) for row in loaded.records]
+    save_manifest(path, loaded.card, rows)
+    with pytest.raises(RawFileError, match="exposure time"):
+        PairDataset(tmp_path / "data" / "own", path)[0]
+    flagged = [replace(row, flags=("nominal-ratio",)) if row.role == "noisy" else row for row in rows]
+    save_manifest(path, loaded.card, flagged)
+    assert PairDataset(tmp_path / "data" / "own", path)[0]["ratio"] == 100
+    assert scored(path)[0][2] == 100
+
+
+def test_bias_frames_in_arrays_calibrate_as_raws_do(tmp_path: Path) -> None:
+    rows = []
+    for number in range(3):
+        path = tmp_path / "data" / "own" / f"{number}.npy"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.save(path, mosaic_of(NOISY, number))
+        rows.append(FrameRecord(path.name, "bias", "Cam", iso=Fraction(800), exposure_s=Fraction(1, 1000)))
+    card = Card("own", "Own", "1", "own", "", "", "", "bayer", {"Cam": CameraCard(())}, {"bias": 3}, mosaics=(FACTS,))
+    save_manifest(tmp_path / "own.csv", card, rows)
+    frames = CalibrationFrames(tmp_path / "data" / "own", manifest=tmp_path / "own.csv")
+    assert frames.header(frames.records[0]).exposure.iso == 800
+    np.testing.assert_array_equal(frames[1]["mosaic"], mosaic_of(NOISY, 1))
+    np.save(tmp_path / "data" / "own" / "0.npy", mosaic_of(NOISY, 0).astype(np.float32) + 0.5)
+    with pytest.raises((DatasetError, RawFileError), match="whole DN"):
+        frames.read(frames.records[0])

@@ -1,10 +1,17 @@
-"""`capture average`: the mean of references that follow each other."""
+"""`capture average`: compare noisy frames with the mean of several references.
+
+Write the mean of references that follow each other (capture plan --references 10) into a DNG beside them, and let the
+manifest compare their noisy frames with it. The single frames stay. Frames among which light or camera changed are not
+averaged. What was measured against a single one is removed from the manifest: run capture check --write afterwards.
+
+    capture average manifests/mine.csv --root data
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared
+from eldata.base.console import OK, PROBLEMS, add_command, add_shared
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.visible import in_line
@@ -15,26 +22,9 @@ if TYPE_CHECKING:
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "average",
-        help="compare noisy frames with the mean of several references",
-        description=(
-            "Write the mean of references that follow each other (capture plan --references 10) into a DNG beside "
-            "them, and let the manifest compare their noisy frames with it. The single frames stay. Frames among which "
-            "light or camera changed are not averaged. What was measured against a single one is removed from the "
-            "manifest: run capture check --write afterwards."
-        ),
-    )
+    parser = add_command(commands, "average", __doc__)
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
-    add_shared(
-        parser,
-        run,
-        "root",
-        "jobs",
-        "isolation",
-        json="blocks",
-        example="capture average manifests/mine.csv --root data",
-    )
+    add_shared(parser, run, "root", "jobs", "isolation", json="blocks")
 
 
 def run(arguments: argparse.Namespace) -> int:

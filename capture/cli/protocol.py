@@ -1,4 +1,11 @@
-"""`capture protocol`: the frames of one scene, on the terminal."""
+"""`capture protocol`: print the frames of one scene: order, ISO, low-light factor, exposure time, reference.
+
+Print the frames that the capture protocol takes of one scene, in order. The defaults are those of the released ELD
+dataset; the paper's own settings are --factors 100 200.
+
+    capture protocol --metered 4
+    capture protocol --repeats 10
+"""
 
 from __future__ import annotations
 
@@ -7,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from capture.cli.values import add_alike, given_counts, nine_digits, or_dash, seconds, spaced
 from capture.protocol import RELEASED, CaptureProtocol
-from eldata.base.console import OK, add_shared
+from eldata.base.console import OK, add_command, add_shared
 from eldata.base.files import write_json
 from eldata.base.tables import text_table
 
@@ -21,12 +28,7 @@ if TYPE_CHECKING:
 
 def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add this command."""
-    parser = commands.add_parser(
-        "protocol",
-        help="print the frames of one scene: order, ISO, low-light factor, exposure time, reference",
-        description="Print the frames that the capture protocol takes of one scene, in order. The defaults "
-        "are those of the released ELD dataset; the paper's own settings are --factors 100 200.",
-    )
+    parser = add_command(commands, "protocol", __doc__)
     parser.add_argument(
         "--metered",
         type=seconds,
@@ -57,12 +59,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help=f"low-light factors (default: {spaced(RELEASED.low_light_factors)})",
     )
     add_alike(parser)
-    add_shared(
-        parser,
-        run,
-        json="base_iso metered_s frames",
-        example=("capture protocol --metered 4", "capture protocol --repeats 10"),
-    )
+    add_shared(parser, run, json="base_iso metered_s frames")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.console import Arguments, Commands, add_running, add_shared
+from eldata.base.console import Arguments, Commands, add_examples, add_running, add_shared
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -51,14 +51,12 @@ def add_completion(
         ),
     )
     parser.add_argument("shell", choices=SHELLS, help="for which shell")
-    add_shared(
+    add_shared(parser, run)
+    add_examples(
         parser,
-        run,
-        example=(
-            f'eval "$({program} completion bash)"',
-            f"{program} completion bash > ~/.local/share/bash-completion/completions/{program}",
-            f"{program} completion fish > ~/.config/fish/completions/{program}.fish",
-        ),
+        f'eval "$({program} completion bash)"',
+        f"{program} completion bash > ~/.local/share/bash-completion/completions/{program}",
+        f"{program} completion fish > ~/.config/fish/completions/{program}.fish",
     )
 
 

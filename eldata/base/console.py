@@ -282,15 +282,13 @@ def add_shared(
     run: Callable[[Arguments], int],
     *options: Literal["root", "cameras", "isos", "jobs", "workers", "isolation"],
     json: str | FileKind | None = None,
-    example: str | tuple[str, ...] = (),
     interrupted: str = "files are written whole or not at all, so none is left half",
 ) -> None:
     """Finish a subcommand: say which of the options that commands share it takes, and what :func:`run` is to call.
 
     ``"workers"`` are of work on strangers' files: ``--jobs``, ``--dask`` and ``--isolate``; ``"isolation"`` is for
-    commands without; ``--debug`` is for all. ``example`` is what its help ends with: one or several commands, as
-    somebody would type them. ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument.
-    ``json`` is for ``--json``: the fields of what it writes, or its kind.
+    commands without; ``--debug`` is for all. ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of
+    that argument. ``json`` is for ``--json``: the fields of what it writes, or its kind.
     """
     if "cameras" in options:
         add_cameras(parser)
@@ -300,7 +298,6 @@ def add_shared(
     names += ["debug"] if json is None else ["json", "debug"]
     forms = (f"--{name} {one.get('metavar', '')}".rstrip() for name, one in _running().items() if name in names)
     parser.add_argument_group("running", f"{', '.join(forms)}: see {parser.prog.partition(' ')[0]} --help")
-    add_examples(parser, *([example] if isinstance(example, str) else example))
     parser.set_defaults(
         run=run,
         command=parser.prog,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from PIL import Image, ImageDraw, ImageFont
 
 from eldata.base.files import atomic_write
+from eldata.base.numbers import checked_whole
 from eldata.baselines.networks import load_network
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.calibration.joint import fit_log_log
@@ -62,10 +63,8 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     EldataError
         If the folder holds something that no demo made, or ``scenes`` is not positive.
     """
-    if scenes < 1:
-        raise EldataError(f"scenes must be 1 or more; found {scenes}")
-    if seed < 0:
-        raise EldataError(f"seed must be 0 or more; found {seed}")
+    checked_whole("scenes", scenes, at_least=1)
+    checked_whole("seed", seed)
     start = time.perf_counter()
     prepare_folder(folder)
     manifest = make_tree(folder, scenes=scenes, seed=seed)

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.files import write_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,15 +81,13 @@ def run(arguments: console.Arguments) -> int:
         print(one.format_text())
     presence = presence_of(found.folder, wanted)
     differing = sum(len(one.unpacked.differing) for one in installed)
-    print(_conclusion(found, presence, differing))
-    if arguments.json:
-        data = {
-            "dataset": manifest.name,
-            "folder": str(found.folder),
-            "presence": asdict(presence) | {"complete": presence.complete},
-            "archives": [one.as_dict() for one in installed],
-        }
-        write_json(arguments.json, data)
+    data = {
+        "dataset": manifest.name,
+        "folder": str(found.folder),
+        "presence": asdict(presence) | {"complete": presence.complete},
+        "archives": [one.as_dict() for one in installed],
+    }
+    console.show_and_write(arguments, lambda: _conclusion(found, presence, differing), lambda: data)
     return console.OK if presence.complete and not differing else console.PROBLEMS
 
 

@@ -17,12 +17,11 @@ from eldata.calibration.joint import fit_log_log
 from eldata.calibration.one_photograph.estimate import GAUSSIAN_SHAPE
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_title
-from eldata.demo.tree import make_tree, prepare_folder
+from eldata.demo.tree import make_tree, prepare_folder, verify_own
 from eldata.errors import EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import load_prediction
 from eldata.isp.preview import preview
-from eldata.manifest.verify import verify
 from eldata.noise.gain_modes import ProfileRow
 from eldata.noise.parameters import tukey_lambda_variance
 from eldata.noise.profile import CameraProfile
@@ -74,12 +73,7 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     )
 
     at_root = f"--root {shlex.quote(str(root))}"
-    print(f"\n$ eldata verify {shlex.quote(str(folder / 'manifests'))} {at_root} --level metadata")
-    verified = verify([manifest], root, level="metadata")
-    print(verified.format_text())
-    if not verified.ok:
-        raise EldataError("the demo's own files do not verify")
-
+    verify_own(manifest, root)
     predictions = folder / "predictions"
     profiles = _write_profiles(folder, manifest)
     listed = shlex.quote(str(manifest.path))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_command, add_shared
+from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.visible import in_line
@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     import argparse
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = add_command(commands, "average", __doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
     add_shared(parser, run, "root", "jobs", "isolation", json="blocks")
 

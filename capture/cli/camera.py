@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_command, add_shared
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 from eldata.base.outputs import NEW, add_output
 from eldata.errors import ArgumentError
@@ -22,9 +22,8 @@ if TYPE_CHECKING:
     from capture.camera import CameraDescription
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = add_command(commands, "camera", __doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("camera", metavar="CAMERA", nargs="?", help="a camera description (JSON)")
     add_output(parser, "--example", kind=NEW, help="write an example description to FILE, which must be new")
     add_shared(parser, run, json="name models shutter times")

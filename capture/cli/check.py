@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_command, add_shared, each_of
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, each_of
 from eldata.base.files import write_json
 from eldata.base.outputs import add_output, page_kind
 
@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     import argparse
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = add_command(commands, "check", __doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
     parser.add_argument(
         "--scene",

@@ -12,7 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_command, add_shared
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json, write_text
 from eldata.base.outputs import FileKind, add_output
 from eldata.errors import ArgumentError
@@ -26,9 +26,8 @@ _CHECKLIST = FileKind(
 _FORMATS = ("html", "md", "txt")
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = add_command(commands, "checklist", __doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("plan", metavar="PLAN", help="a plan (capture plan)")
     add_output(
         parser, "-o", "--output", kind=_CHECKLIST, help="write it to FILE; without, md and txt go to the terminal"

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 from capture.cli.values import add_only, add_progress, progress_of
 from capture.observed import ORDERS
-from eldata.base.console import OK, PROBLEMS, add_command, add_shared
+from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.outputs import CARD, FileKind, add_output
@@ -40,9 +40,8 @@ if TYPE_CHECKING:
     from eldata.manifest.card import Card
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = add_command(commands, "manifest", __doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("plan", metavar="PLAN", help="the plan (JSON) that was shot")
     parser.add_argument("files", metavar="FILES", nargs="+", help="the camera's raw files, or folders of them")
     add_output(

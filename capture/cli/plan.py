@@ -33,7 +33,7 @@ from capture.cli.values import (
     seconds,
 )
 from capture.protocol import COUNTS, PROTOCOLS, CaptureProtocol
-from eldata.base.console import OK, add_command, add_shared, each_of
+from eldata.base.console import OK, add_shared, each_of
 from eldata.base.files import write_json
 from eldata.base.outputs import NEW, add_output, json_kind
 from eldata.errors import ArgumentError
@@ -52,9 +52,8 @@ if TYPE_CHECKING:
 _CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors", *COUNTS)
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = add_command(commands, "plan", __doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("plan", metavar="PLAN", nargs="?", help="a plan to show or to change in place")
     new = parser.add_argument_group("a new plan")
     new.add_argument("--camera", metavar="FILE", help="camera description; capture camera --example writes one")

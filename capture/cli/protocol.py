@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from capture.cli.values import add_alike, given_counts, nine_digits, or_dash, seconds, spaced
 from capture.protocol import RELEASED, CaptureProtocol
-from eldata.base.console import OK, add_command, add_shared
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
 from eldata.base.tables import text_table
 
@@ -26,9 +26,8 @@ if TYPE_CHECKING:
     from capture.protocol import ProtocolFrame
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = add_command(commands, "protocol", __doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument(
         "--metered",
         type=seconds,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from capture.cli.values import add_only
-from eldata.base.console import OK, add_command, add_shared
+from eldata.base.console import OK, add_shared
 from eldata.base.files import write_text
 from eldata.base.outputs import FileKind, add_output
 
@@ -25,9 +25,8 @@ if TYPE_CHECKING:
 _SCRIPT = FileKind(rb"#!/bin/sh\n# [^\n]*\n# Written by capture script")
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = add_command(commands, "script", __doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("plan", metavar="PLAN", help="the plan (capture plan)")
     add_output(
         parser, "-o", "--output", kind=_SCRIPT, required=True, help="the script; frames go into folders beside it"

@@ -27,14 +27,12 @@ from eldata.errors import ArgumentError, EldataError, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
+    from types import ModuleType
 
     from eldata.base.workers import Workers
 
 Arguments: TypeAlias = argparse.Namespace
 """What a subcommand's function ``run`` is handed."""
-
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 # its only name
-"""What its function ``add_parser`` adds it to."""
 
 OK, PROBLEMS, UNUSABLE, CLOSED_PIPE = 0, 1, 2, 141
 _EXIT_CODES = (
@@ -106,7 +104,12 @@ class Parser(argparse.ArgumentParser):
         raise argparse.ArgumentError(action, f"invalid choice: {value!r} (choose from {', '.join(known)}){hint}")
 
 
-def add_command(commands: Commands, name: str, documented: str | None) -> argparse.ArgumentParser:
+def add_module(commands: argparse._SubParsersAction[Parser], module: ModuleType) -> None:
+    """Add the subcommand that a module is, by its docstring and its function ``add_options``."""
+    module.add_options(add_command(commands, module.__name__.rpartition(".")[2], module.__doc__))
+
+
+def add_command(commands: argparse._SubParsersAction[Parser], name: str, documented: str | None) -> Parser:
     """Add a subcommand whose help is what its module's or function's docstring says, so that it is said once.
 
     That is a line "`program name`: help.", a description, the examples, indented, and what the help ends with.
@@ -120,11 +123,11 @@ def add_command(commands: Commands, name: str, documented: str | None) -> argpar
         description="\n\n".join(paragraphs[:first]),
         epilog="\n\n".join(paragraphs[first + 1 :]),
     )
-    add_examples(parser, *(line.strip() for index in examples for line in paragraphs[index].splitlines()))
+    _add_examples(parser, *(line.strip() for index in examples for line in paragraphs[index].splitlines()))
     return parser
 
 
-def add_examples(parser: argparse.ArgumentParser, *commands: str) -> None:
+def _add_examples(parser: argparse.ArgumentParser, *commands: str) -> None:
     """Put commands to copy first in what a parser's help ends with."""
     if commands:
         lines = "\n".join(f"    {command}" for command in commands)
@@ -311,7 +314,7 @@ def add_shared(
 def command_line(
     prog: str, description: str, package: str, modules: Iterable[str], examples: Iterable[str], running: Iterable[str]
 ) -> Parser:
-    """Return a program's parser. Each subcommand is a module of a package, with a function ``add_parser``.
+    """Return a program's parser. Each subcommand is a module of a package (:func:`add_module`).
 
     ``running`` names the options of its running, which stand before a command's name or after it.
     """
@@ -320,13 +323,13 @@ def command_line(
         description=description,
         epilog=_EXIT_CODES,
     )
-    add_examples(parser, *examples)
+    _add_examples(parser, *examples)
     parser.add_argument("--version", action="version", version=f"{prog} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     where = "before a command's name or after it; a command's help names those that it takes"
     _add_running(parser.add_argument_group("running", where), running, None, shown=True)
     for module in modules:
-        import_module(f"{package}.{module}").add_parser(commands)
+        add_module(commands, import_module(f"{package}.{module}"))
     return parser
 
 

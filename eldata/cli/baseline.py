@@ -24,9 +24,8 @@ if TYPE_CHECKING:
 NAMES = ("input", "gaussian", "wavelet", "dct", "bm3d", "anscombe-bm3d")
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "baseline", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("name", metavar="NAME", choices=NAMES, help=", ".join(NAMES))
     add_choice(parser)
     parser.add_argument(

@@ -31,9 +31,8 @@ if TYPE_CHECKING:
 _SHADING = FileKind(rb"PK\x03\x04.{26}about\.npy")  # the first of its arrays
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "calibrate", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "frames",
         metavar="FRAMES",

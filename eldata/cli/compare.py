@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from eldata.evaluation.results import EvaluationResult
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "compare", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "results", nargs="+", metavar="RESULT", help="JSON of eldata evaluate; the first is the baseline"
     )

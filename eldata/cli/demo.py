@@ -26,9 +26,8 @@ _FEATURES = {
 }
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "demo", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("folder", metavar="DIR", nargs="?", default="eldata-demo", help="default: %(default)s")
     parser.add_argument(
         "--scenes", type=int, metavar="N", help="scenes per camera (default: 4; with --benchmark 10, to test on)"

@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     from eldata.manifest.catalogue import Manifest
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "download", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("dataset", metavar="DATASET", help="a dataset's name; eldata info lists them")
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--yes", action="store_true", help="fetch: you have read the addresses, sizes and licence")

@@ -30,12 +30,11 @@ if TYPE_CHECKING:
     from eldata.evaluation.results import EvaluationResult
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     from eldata.metrics.registry import OF_FRAMES, ST_RRED
     from eldata.protocols.named import FAMILIES, PROTOCOLS
 
-    parser = console.add_command(commands, "evaluate", __doc__)
     scored = ", ".join(one.heading for one in OF_FRAMES.values())
     parser.description = f"{parser.description} Scored are {scored}, and {ST_RRED.heading} of clips."
     source = parser.add_mutually_exclusive_group(required=True)

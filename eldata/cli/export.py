@@ -19,9 +19,8 @@ from eldata.errors import ArgumentError
 _CHOICE = ("manifest", "link", "cameras", "split", "subset", "exclude_flags")
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "export", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     codes = ("led", "pmn", "eld", "sid", "hub")
     parser.add_argument("code", metavar="CODE", choices=codes, help="led, pmn, eld, sid or hub")
     parser.add_argument("folder", metavar="FOLDER", help="where to write")

@@ -20,9 +20,8 @@ from eldata.base.outputs import CROISSANT, add_output, json_kind
 from eldata.errors import ArgumentError, EldataError
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "info", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
     add_output(
         parser,

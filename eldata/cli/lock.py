@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     from eldata.manifest.lock import LockReport
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "lock", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "manifest", metavar="MANIFEST", help="a dataset's name, or a manifest's CSV file, which is changed"
     )

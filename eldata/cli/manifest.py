@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from eldata.manifest.own import OwnSet
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "manifest", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("folder", metavar="FOLDER", help="the set's own folder, in the folder that holds the datasets")
     add_output(
         parser,

@@ -22,9 +22,8 @@ if TYPE_CHECKING:
     from eldata.noise.components import Components
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "noise", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     check = console.add_command(subcommands, "check", run_check.__doc__)
     check.add_argument("profile", metavar="PROFILE", help="name of a shipped profile, or path of a JSON file")

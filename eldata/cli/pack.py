@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 _CALIBRATION = "calibration"
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "pack", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "dataset",
         metavar="DATASET",

@@ -16,9 +16,8 @@ from eldata.base import console
 from eldata.cli.baseline import add_choice, chosen_options, show_report
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "predict", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "model",
         metavar="MODEL",

@@ -14,9 +14,8 @@ from eldata.base import console
 from eldata.base.outputs import PROFILE, FileKind, add_output, page_kind
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "profile", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     show = console.add_command(subcommands, "show", run_show.__doc__)
     show.add_argument("camera", metavar="CAMERA", help="name of a shipped profile, or path of a JSON file")

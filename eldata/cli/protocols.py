@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 _DIGEST = "sha256:"
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "protocols", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "protocol",
         metavar="NAME",

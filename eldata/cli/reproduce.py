@@ -16,9 +16,8 @@ from eldata.base.outputs import json_kind
 _KIND = json_kind("results", begins=rb'\{\n  "results": \[\n    \{\n      "source"')  # those of evaluate have no source
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "reproduce", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("result", metavar="RESULT", help="JSON of eldata evaluate, with one protocol or several")
     parser.add_argument(
         "--predictions", metavar="FOLDER", help="where the predictions lie now (default: where they lay)"

@@ -13,9 +13,8 @@ from eldata.base import console
 from eldata.base.numbers import counted
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "shard", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("store", metavar="STORE", help="a store of pairs, from eldata pack")
     parser.add_argument("-o", "--output", metavar="DIR", required=True, help="a new folder")
     parser.add_argument(

@@ -21,9 +21,8 @@ _OF_RECIPE = (
 )
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "synthesize", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("clean", metavar="CLEAN", nargs="+", help="folder of clean raw files, or several")
     parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a new folder")
     parser.add_argument("--camera", metavar="NAME", required=True, help="a shipped profile (SonyA7S2) or a JSON file")

@@ -30,9 +30,8 @@ if TYPE_CHECKING:
 _INDEX = "index.json"
 
 
-def add_parser(commands: console.Commands) -> None:
-    """Add this command."""
-    parser = console.add_command(commands, "verify", __doc__)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "manifests",
         metavar="MANIFESTS",

@@ -14,6 +14,8 @@ from collections import Counter
 from fractions import Fraction
 
 from eldata.manifest.card import CameraCard, Card, Download, Subset
+from eldata.manifest.pairs import NOMINAL_RATIO
+from eldata.raw.stated import MosaicFacts
 from eldata.records import FrameRecord
 
 CAMERA = "IMX385"
@@ -41,6 +43,7 @@ def crvd_records() -> tuple[FrameRecord, ...]:
                         *shot,
                         ratio=Fraction(1),
                         reference=reference,
+                        flags=(NOMINAL_RATIO,),
                     )
                     for shot_number in SHOTS
                 ]
@@ -104,7 +107,7 @@ def published_crvd() -> tuple[Card, tuple[FrameRecord, ...]]:
                 "The outdoor clips (outdoor_raw_noisy, 10 scenes of 50 frames of ISO 25600) have no reference and are "
                 "not listed."
             ),
-            "No checksums were published: eldata lock cannot record them before eldata can load the files.",
+            "No checksums were published; eldata lock records those of a copy.",
         ),
         sources=(
             (
@@ -127,15 +130,16 @@ def published_crvd() -> tuple[Card, tuple[FrameRecord, ...]]:
                 f"{_CODE}, test_indoor.py: each frame of scenes 7 to 11 against its own reference (subset test-first); "
                 "the prediction clipped to [0, 1], then cut down to whole DN (black 240, white 4095) and normalised "
                 "again; reference normalised, not clipped; PSNR on data range 1, SSIM by scikit-image for each packed "
-                "channel; means over frames, scenes and ISOs."
+                "channel; means over frames, scenes and ISOs: protocol rvidenet-crvd. Scores in sRGB are of renderings "
+                "by a network, and not offered."
             ),
-            f"{_FLORNN}, test_models/CRVD_test.py: the same, but the reference's negatives are clipped to 0.",
-            (
-                "No shipped protocol: cutting down to whole DN cannot be said by one. docs/datasets.md has a script "
-                "that makes DNG of the frames, and a protocol for predictions in whole DN."
-            ),
+            f"{_FLORNN}, test_models/CRVD_test.py: the same, but the reference clipped to [0, 1]: protocol florn-crvd.",
         ),
-        unknown=("The size of the archives, and how the TIFF files are compressed.",),
-        unreadable="its files are mosaics in TIFF, without levels, colour filter array and exposure",
+        unknown=(
+            "The size of the archives, and how the TIFF files are compressed.",
+            "The exposure times: a frame and its reference were exposed alike, so every ratio is 1.",
+        ),
+        protocol="rvidenet-crvd",
+        mosaics=(MosaicFacts("*.tiff", "GBRG", (240.0,), 4095.0),),
     )
     return card, records

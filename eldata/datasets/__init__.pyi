@@ -6,6 +6,7 @@ from .clean import CleanClips as CleanClips
 from .clean import CleanFrames as CleanFrames
 from .clean import CleanSource as CleanSource
 from .clean import ClipSource as ClipSource
+from .crvd import CRVDDataset as CRVDDataset
 from .dark_frames import DarkFrames as DarkFrames
 from .dn_batches import DnPairs as DnPairs
 from .dn_batches import normalise_batch as normalise_batch

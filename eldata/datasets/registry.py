@@ -22,6 +22,7 @@ _ENTRIES: dict[str, tuple[str, dict[str, str]]] = {
     "sid-sony": ("eldata.datasets.sid:SIDDataset", {"camera": "sony"}),
     "sid-fuji": ("eldata.datasets.sid:SIDDataset", {"camera": "fuji"}),
     "drv": ("eldata.datasets.drv:DRVDataset", {}),
+    "crvd": ("eldata.datasets.crvd:CRVDDataset", {}),
     "lrd": ("eldata.datasets.lrd:LRDDataset", {}),
 }
 
@@ -33,7 +34,7 @@ def dataset_names() -> tuple[str, ...]:
     --------
     >>> from eldata.datasets import dataset_names
     >>> dataset_names()
-    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'lrd')
+    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'crvd', 'lrd')
     """
     return tuple(dict.fromkeys((*_ENTRIES, *registered_names())))
 

@@ -25,7 +25,7 @@ from eldata.metrics.registry import OF_FRAMES
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.digests import CHOOSING, OF_INPUT, canonical
 from eldata.protocols.protocol import NO_SHADING, Amplification, Levels
-from eldata.raw.levels import with_levels
+from eldata.raw.levels import check_in_dn, packed_black_level_dn, with_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -220,6 +220,16 @@ class ComparedFrame:
 
     def prediction(self, protocol: Protocol) -> NDArray[Any]:
         """Return the prediction of the whole frame."""
+        values = self._values(protocol)
+        if protocol.quantisation == "none":
+            return values
+        clean = self.reference.frame
+        with _file_problem_of(self.path):
+            check_in_dn(str(clean.path), clean.sensor, f"protocol {protocol.name!r}, which cuts down to whole DN,")
+        return cut_to_dn(values, with_levels(clean.sensor, protocol.frame_levels))
+
+    def _values(self, protocol: Protocol) -> NDArray[Any]:
+        """Return the values that the file has."""
         if self.file is None:
             return self.input(protocol)
         if protocol.is_of_packed:
@@ -343,6 +353,14 @@ def _equal_levels(protocol: Protocol, frames: Sequence[RawFrame]) -> frozenset[s
         for levels in get_args(Levels)
         if all(levels_dn(frame, levels) == levels_dn(frame, protocol.levels) for frame in frames)
     )
+
+
+def cut_to_dn(packed: NDArray[np.floating[Any]], sensor: Sensor) -> NDArray[np.float32]:
+    """Return packed normalised values, (C, h, w), clipped to [0, 1] and cut down to whole DN of the sensor's levels."""
+    black = packed_black_level_dn(sensor.cfa, sensor.black_level_dn).astype(np.float64)[:, None, None]
+    span = sensor.white_level_dn - black
+    dn = np.floor(np.clip(packed.astype(np.float64), 0, 1) * span + black)
+    return cast("NDArray[np.float32]", ((dn - black) / span).astype(np.float32))
 
 
 def _rendered(

@@ -40,6 +40,7 @@ NEUTRAL: Final[Mapping[str, Any]] = {
     "mse_offset": 0.0,
     "ssim_window": "uniform-7",
     "ssim_covariance": "sample",
+    "quantisation": "none",
 }
 """What a protocol means that does not state a field. These values stay as they are for ever: digests depend on them."""
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, ManifestError, did_you_mean
-from eldata.protocols.digests import scoring
+from eldata.protocols.digests import NEUTRAL, scoring
 from eldata.protocols.kinds import IMAGES
 from eldata.protocols.protocol import ANY_DATASET, CHOICES, ONE_CAMERAS_LEVELS, ClipProtocol, Protocol
 
@@ -144,13 +144,13 @@ def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
 
     A set of your ``own``, or of no known name, has its own pairs, so it gets one protocol of each way to score, the
     first of the shipped ones. Levels that are those of one camera, whatever the file states, are not a way to score
-    another.
+    another, nor is cutting down to whole DN, of which a set may hold none.
 
     Examples
     --------
     >>> from eldata.protocols import protocols_for
     >>> [protocol.name for protocol in protocols_for("eld")]
-    ['eld', 'eld-uncorrected', 'pmn-eld', 'led-eld', 'lrd-eld', 'eld-srgb', 'eld-raw2rgb', 'eld-rgb2rgb']
+    ['eld', 'eld-uncorrected', 'pmn-eld', 'sony-eld', 'led-eld', 'lrd-eld', 'eld-srgb', 'eld-raw2rgb', 'eld-rgb2rgb']
     """
     every = PROTOCOLS.values()
     covering = tuple(one for one in every if one.dataset != ANY_DATASET and one.covers(dataset))
@@ -159,6 +159,7 @@ def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
     ways: list[Protocol] = []
     for protocol in covering or every:
         fits = protocol.levels not in ONE_CAMERAS_LEVELS and (covering or protocol.kind is IMAGES)
+        fits = fits and protocol.quantisation == NEUTRAL["quantisation"]
         if fits and all(scoring(protocol.as_dict()) != scoring(way.as_dict()) for way in ways):
             ways.append(protocol)
     return tuple(ways)

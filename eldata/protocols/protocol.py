@@ -27,6 +27,7 @@ Rescaling = Literal["none", "scalar"]
 RescalingMask = Literal["unsaturated", "all"]
 PredictionClamp = Literal["both", "before", "none"]
 Rounding = Literal["none", "8-bit", "8-bit-truncated"]
+Quantisation = Literal["none", "dn-truncated"]
 SsimWindow = Literal["uniform-7", "gaussian-11", "gaussian-11-volume"]
 Covariance = Literal["sample", "population"]
 
@@ -70,6 +71,9 @@ class Protocol:
     rescaling, rescaling_mask, prediction_clamp, rounding, data_range, mse_offset, ssim_window, ssim_covariance
         How the prediction is brought to the reference and compared with it:
         :class:`~eldata.metrics.image_score.ScoringRules`.
+    quantisation
+        ``dn-truncated``: before anything else a packed raw prediction is clipped to [0, 1] and cut down to whole DN of
+        the reference's levels, as by code that saves its results as integers. ``none``: it is taken as it is.
     family
         The name under which several are published, one per dataset: ``pmn`` names ``pmn-sid`` and ``pmn-eld``.
     subset
@@ -131,6 +135,7 @@ class Protocol:
     mse_offset: float = 0.0
     ssim_window: SsimWindow = "uniform-7"
     ssim_covariance: Covariance = "sample"
+    quantisation: Quantisation = "none"
 
     @property
     def psnr(self) -> str:
@@ -236,6 +241,8 @@ class Protocol:
             )
         if self.rendering == "none" and self.prediction_space == "srgb":
             raise ArgumentError("prediction_space 'srgb' needs a reference to compare with: space 'srgb', a rendering")
+        if self.quantisation != NEUTRAL["quantisation"] and self.pixels != "packed":
+            raise ArgumentError("quantisation goes with packed raw predictions alone")
         if self.input_space == "srgb" and (self.rendering, self.prediction_space) != ("eld-isp", "srgb"):
             raise ArgumentError("input_space 'srgb' goes with rendering 'eld-isp' and prediction_space 'srgb'")
         if self.response != NEUTRAL["response"] and self.rendering != "eld-isp":

@@ -26,6 +26,7 @@ _CLAMPS = {"both": "to [0, 1], before and after the factor", "before": "to [0, 1
 _RESCALINGS = {"scalar": "one factor per image", "none": "none"}
 _MASKS = {"unsaturated": "where the reference is not 1", "all": "everywhere"}
 _ROUNDINGS = {"none": "none", "8-bit": "to the nearest of 256 levels", "8-bit-truncated": "down to one of 256 levels"}
+_QUANTISATIONS = {"none": "none", "dn-truncated": "down to whole DN"}
 _WINDOWS = {
     "uniform-7": "7x7 uniform",
     "gaussian-11": "11x11 Gaussian",
@@ -87,6 +88,7 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "rescaling_mask": ("factor found", lambda value: _MASKS[value]),
     "rescaling_region": ("factor's region", lambda value: "the scored one" if value == SCORED else region_words(value)),
     "prediction_clamp": ("prediction's clamp", lambda value: _CLAMPS[value]),
+    "quantisation": ("prediction's values", lambda value: _QUANTISATIONS[value]),
     "rounding": ("rounding", lambda value: _ROUNDINGS[value]),
     "data_range": ("data range", lambda value: f"{value:g}"),
     "mse_offset": ("added to the error", lambda value: f"{value:g}"),
@@ -120,8 +122,7 @@ def described(protocol: Protocol) -> list[tuple[str, str]]:
         skipped |= {"rescaling_mask", "rescaling_region"}
     if protocol.rendering == "none":
         skipped.add("rendering")
-    if protocol.response == NEUTRAL["response"]:
-        skipped.add("response")
+    skipped |= {field for field in ("response", "quantisation") if getattr(protocol, field) == NEUTRAL[field]}
     if not protocol.is_of_packed:
         skipped |= {"levels", "reference_clip"}
     if protocol.pixels != "srgb" or not protocol.is_of_packed:

@@ -190,6 +190,16 @@ def pmn_frame(raw: Any, ratio: float | None = None) -> Array:
     return unit(normalised.astype(np.float32) * np.float32(ratio))
 
 
+def sony_frame(raw: Any, ratio: float | None = None) -> Array:
+    """SonyResearch/raw_image_denoising datasets/real_dataset.py ELDPairEvalDataset, without its dark shading."""
+    packed = bayer_in_place(dn(raw).astype(np.float32), raw)
+    normalised = (packed - 512) / (16383 - 512)
+    if ratio is None:
+        return np.clip(normalised, 0, 1).astype(np.float32)
+    given: Array = np.minimum(normalised.astype(np.float32) * np.float32(ratio), 1)
+    return given
+
+
 def led_levels(raw: Any) -> Array:
     """LED led/data/raw_utils.py read_img: LibRaw's white level per channel, or its one where there are none."""
     stated = raw.camera_white_level_per_channel
@@ -492,6 +502,7 @@ def on_sid(route: Route, score: Callable[[Array, Array, Path], Score] | None = N
 
 
 PMN = Route(bayer_in_place, pmn_frame, pmn_frame, ratio_by_number, eld_score)
+SONY = Route(bayer_in_place, sony_frame, sony_frame, ratio_by_number, eld_score)
 LED = Route(bayer_by_pattern, led_frame, led_frame, ratio_by_exif, led_score)
 LRD = Route(bayer_by_pattern, LRD_FRAME, partial(amplified, LRD_FRAME), ratio_by_exif, uncorrected_score)
 
@@ -506,7 +517,9 @@ BAYER = {
     "sid-srgb": on_sid(ELD, eld_srgb_score),
     "eld-srgb": Route(ELD.arranged, ELD.target, ELD.given, ELD.ratio, eld_whole_srgb_score),
     "pmn-sid": on_sid(PMN),
+    "sony-sid": on_sid(SONY),
     "pmn-eld": PMN,
+    "sony-eld": SONY,
     "led-sid": on_sid(LED),
     "led-eld": LED,
     "lrd-sid": on_sid(LRD),

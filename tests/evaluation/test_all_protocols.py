@@ -238,18 +238,19 @@ def test_names_that_share_a_score(sony: tuple[Path, Path], monkeypatch: pytest.M
     root, preds = sony
     combined = evaluate_all(preds, "sid-sony", root=root)
     names = [[result.protocol.name for result in group] for group in combined.groups]
-    assert names == [["sid", "pmn-sid"], ["sid-uncorrected"], ["led-sid"], ["lrd-sid"]]
+    assert names == [["sid", "pmn-sid", "sony-sid"], ["sid-uncorrected"], ["led-sid"], ["lrd-sid"]]
     assert len(computed) == 129 * 3 + 93  # what two names share is computed once
-    sid, pmn = combined.groups[0]
+    sid, pmn, _ = combined.groups[0]
     assert sid.images == pmn.images
     assert pmn.provenance["equal_choices"] == {"levels": ["published", "sid-sony"]}
     assert not pmn.notes
     text = combined.format_text()
-    assert sum(line.startswith("sid, pmn-sid ") for line in combined.format_table().splitlines()) == 2  # of each metric
-    shared = "the same scores, computed once: sid, pmn-sid (levels: white 16383, black the file's and black 512, white"
-    assert f"{shared} 16383 came to the same)" in " ".join(text.split())
+    same = "sid, pmn-sid, sony-sid"
+    assert sum(line.startswith(f"{same} ") for line in combined.format_table().splitlines()) == 2  # of each metric
+    shared = f"the same scores, computed once: {same} (levels: white 16383, black the file's and black 512, white 16383"
+    assert f"{shared} came to the same)" in " ".join(text.split())
     data = combined.as_dict()
-    assert data["same_scores"] == [["sid", "pmn-sid"]]
+    assert data["same_scores"] == [["sid", "pmn-sid", "sony-sid"]]
     assert [one["protocol"]["name"] for one in data["results"]].count("pmn-sid") == 1
     alone = evaluate(preds, "sid-sony", root=root, protocol="pmn-sid")
     assert alone == next(result for result in combined.results if result.protocol.name == "pmn-sid")
@@ -263,7 +264,7 @@ def test_published_numbers_are_shown_once(sony: tuple[Path, Path], capsys: pytes
     shown = capsys.readouterr().out
     assert shown.count("published numbers on sid-sony, protocol") == 4
     assert "protocol pmn-sid," not in shown
-    assert "The same holds for pmn-sid: the same scores." in shown
+    assert "The same holds for pmn-sid, sony-sid: the same scores." in shown
 
 
 def test_the_input_has_its_amplification_too(sony: tuple[Path, Path], own: OwnSet, tmp_path: Path) -> None:

@@ -267,7 +267,15 @@ def eld(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
     return build("eld", tmp_path_factory.mktemp("eld"), some_eld)
 
 
-ELD_COUNTS = {"eld": 40, "eld-uncorrected": 40, "pmn-eld": 20, "lrd-eld": 20, "led-eld": 32, "eld-srgb": 40}
+ELD_COUNTS = {
+    "eld": 40,
+    "eld-uncorrected": 40,
+    "pmn-eld": 20,
+    "sony-eld": 20,
+    "lrd-eld": 20,
+    "led-eld": 32,
+    "eld-srgb": 40,
+}
 
 
 @pytest.mark.parametrize("name", ELD_COUNTS)
@@ -286,7 +294,8 @@ def whole_eld(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
 
 @pytest.mark.study
 @pytest.mark.parametrize(
-    ("name", "count"), [("eld", 120), ("eld-uncorrected", 120), ("pmn-eld", 60), ("lrd-eld", 60), ("led-eld", 96)]
+    ("name", "count"),
+    [("eld", 120), ("eld-uncorrected", 120), ("pmn-eld", 60), ("sony-eld", 60), ("lrd-eld", 60), ("led-eld", 96)],
 )
 def test_protocols_of_eld_on_all_pairs_of_two_cameras(name: str, count: int, whole_eld: Pairs) -> None:
     assert len(assert_published(whole_eld, name).pairs) == count
@@ -310,12 +319,14 @@ def test_libraw_states_white_levels_per_channel_of_one_of_the_cameras(eld: Pairs
 def test_all_scores_each_protocol_of_a_published_set_on_its_own_pairs(eld: Pairs) -> None:
     combined = evaluate_all(eld.predictions, manifest=eld.csv, root=eld.root, cameras=["SonyA7S2"])
     counts = {result.protocol.name: len(result.images) for result in combined.results}
-    assert counts == {"eld": 20, "eld-uncorrected": 20, "pmn-eld": 20, "led-eld": 16, "lrd-eld": 20, "eld-srgb": 20}
+    twenty = dict.fromkeys(("eld", "eld-uncorrected", "pmn-eld", "sony-eld", "lrd-eld", "eld-srgb"), 20)
+    assert counts == twenty | {"led-eld": 16}
     for result in combined.results:
         assert result == eld.evaluate(result.protocol.name, cameras=["SonyA7S2"])
     assert combined.results[2].protocol.name == "pmn-eld"
     assert combined.results[2].images != combined.results[0].images  # the files' black level is not 512
-    assert "pmn-eld: levels: white 16383, black the file's -> black 512, white 16383" in combined.format_text()
+    text = combined.format_text()
+    assert "pmn-eld, sony-eld: levels: white 16383, black the file's -> black 512, white 16383" in text
     assert "black 512, white 16383 was taken for every file, as protocol pmn-eld has it" in combined.format_text()
     assert len(combined.groups) == 6
     assert "(16 pairs)" not in combined.format_table()  # all of led-eld's pairs are eld's too
@@ -338,7 +349,7 @@ def sid(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
     return build("sid-sony", folder, lambda record: every_sid(record) and record.scene in SONY_SCENES)
 
 
-SID_COUNTS = {"sid": 19, "sid-uncorrected": 19, "pmn-sid": 19, "lrd-sid": 19, "led-sid": 14}
+SID_COUNTS = dict.fromkeys(("sid", "sid-uncorrected", "pmn-sid", "sony-sid", "lrd-sid"), 19) | {"led-sid": 14}
 
 
 @pytest.mark.parametrize("name", SID_COUNTS)
@@ -353,7 +364,8 @@ def whole_sid(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
 
 @pytest.mark.study
 @pytest.mark.parametrize(
-    ("name", "count"), [("sid", 129), ("sid-uncorrected", 129), ("pmn-sid", 129), ("lrd-sid", 129), ("led-sid", 93)]
+    ("name", "count"),
+    [("led-sid", 93), *((name, 129) for name in ("sid", "sid-uncorrected", "pmn-sid", "sony-sid", "lrd-sid"))],
 )
 def test_protocols_of_sid_on_all_pairs(name: str, count: int, whole_sid: Pairs) -> None:
     assert len(assert_published(whole_sid, name).pairs) == count
@@ -364,10 +376,14 @@ def test_each_protocol_has_as_many_pairs_as_were_published() -> None:
     counts = {
         ("eld", "eld"): 240,
         ("eld", "pmn-eld"): 60,
+        ("eld", "sony-eld"): 60,
         ("eld", "lrd-eld"): 60,
         ("eld", "led-eld"): 96,
         ("sid-sony", "sid"): 129,
         ("sid-sony", "pmn-sid"): 129,
+        ("sid-sony", "sony-sid"): 129,
+        ("crvd", "rvidenet-crvd"): 175,
+        ("crvd", "florn-crvd"): 175,
         ("sid-sony", "lrd-sid"): 129,
         ("sid-sony", "led-sid"): 93,
         ("sid-sony", "eld-cvpr20"): 45,
@@ -407,7 +423,7 @@ def test_frames_that_are_too_small_for_a_region(sid: Pairs) -> None:
     assert (result.scored, len(result.problems), len(result.pairs)) == (0, 9, 9)
     assert "a packed image of 20 x 28 is too small for the region 'centre-512'" in str(result.problems[0])
     combined = evaluate_all(sid.predictions, manifest=sid.csv, root=sid.root)
-    assert [result.protocol.name for result in combined.results] == [*list(SID_COUNTS)[:3], "led-sid", "lrd-sid"]
+    assert [result.protocol.name for result in combined.results] == [*list(SID_COUNTS)[:4], "led-sid", "lrd-sid"]
     reasons = {one.protocol: one.reason for one in combined.not_scored}
     assert set(reasons) == {"eld-cvpr20", "sid-tpami", "sid-srgb", "sid-raw2rgb", "sid-rgb2rgb", "sid2018"}
     assert "too small" in reasons["sid-tpami"]

@@ -208,7 +208,7 @@ def test_predictions_of_another_space_are_one_message(tree: Tree, predictions: P
     (problem,) = evaluate(predictions, manifest=tree.manifest, root=tree.root, protocol="sid2018").problems
     assert problem.reason == (
         f"protocol sid2018 scores renderings in sRGB, and these are raw frames, such as {FIRST}.npy; give protocol "
-        "eld or eld-uncorrected or pmn-eld or led-eld or lrd-eld or eld-srgb"
+        "eld or eld-uncorrected or pmn-eld or sony-eld or led-eld or lrd-eld or eld-srgb"
     )
     for pair in tree.pairs:
         save_prediction(tmp_path / "srgb", pair.path, np.zeros((3, 128, 192), np.float32))

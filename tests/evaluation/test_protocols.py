@@ -81,7 +81,7 @@ CHANGES: dict[str, Any] = {
     "amplification": "nominal", "space": "srgb", "rendering": "libraw", "rounding": "8-bit", "rescaling_mask": "all",
     "rescaling_region": "border-2", "prediction_clamp": "none", "mse_offset": 1e-8, "ssim_window": "gaussian-11",
     "ssim_covariance": "population", "dark_shading": "sha256:" + "0" * 64, "input_space": "srgb",
-    "prediction_space": "srgb", "response": "gamma-1.8",
+    "prediction_space": "srgb", "response": "gamma-1.8", "quantisation": "dn-truncated",
 }  # fmt: skip
 CHANGES_OF_CLIPS: dict[str, Any] = {"pixels": "rgb", "frames": "x", "frame_count": 4, "st_rred_peak": 255.0}
 PROSE = ("name", "title", "source", "family")
@@ -179,7 +179,7 @@ def test_a_family_is_one_protocol_a_dataset(family: str) -> None:
         (
             "eld",
             [
-                *("eld", "eld-uncorrected", "pmn-eld", "led-eld", "lrd-eld"),
+                *("eld", "eld-uncorrected", "pmn-eld", "sony-eld", "led-eld", "lrd-eld"),
                 *("eld-srgb", "eld-raw2rgb", "eld-rgb2rgb"),
             ],
         ),
@@ -191,6 +191,7 @@ def test_a_family_is_one_protocol_a_dataset(family: str) -> None:
                 "eld-cvpr20",
                 "sid-tpami",
                 "pmn-sid",
+                "sony-sid",
                 "led-sid",
                 "lrd-sid",
                 "sid-srgb",

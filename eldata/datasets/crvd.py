@@ -1,0 +1,110 @@
+"""The Captured Raw Video Denoising dataset (CRVD), indoor."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Unpack
+
+from eldata.base.arguments import spell_keywords
+from eldata.datasets.base import no_folder
+from eldata.datasets.clips import ClipWindows, WindowOptions
+from eldata.errors import ArgumentError, ManifestError
+from eldata.manifest.catalogue import data_root, known_manifest, load_manifest
+from eldata.manifest.clips import moment_name
+from eldata.manifest.frame_files import FrameFiles
+from eldata.sources.frames import Files
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from eldata.manifest.catalogue import Manifest
+    from eldata.records import FrameRecord
+
+SHOTS = range(10)
+"""The noisy shots of a frame."""
+
+_FRAME = re.compile(r".*/frame([1-9][0-9]*)_noisy([0-9])\.tiff")
+
+
+class CRVDDataset(ClipWindows):
+    """The indoor clips of CRVD: 7 frames each, 11 scenes at 5 ISOs; every frame has ten noisy shots and a reference.
+
+    ``dataset[i]`` is a :class:`~eldata.datasets.clips.ClipSample` whose ``target`` has a frame for each of ``input``,
+    both packed Bayer, C = 4. A frame and its reference are exposed alike: ``ratio`` is 1. The n-th noisy shots of the
+    moments are the n-th clip of a scene and ISO: ``ids=["scene7"]`` are its 50 clips. Splits: ``"train"`` (scenes 1 to
+    6), ``"test"`` (7 to 11). The files are mosaics in TIFF; the card states their levels (black 240, white 4095) and
+    colour filter array (GBRG). As pairs of frames they are
+    ``PairDataset(root, "crvd")`` (:class:`eldata.datasets.base.PairDataset`).
+
+    Parameters
+    ----------
+    root
+        The folder that holds ``indoor_raw_noisy`` and ``indoor_raw_gt``. Default: ``CRVD`` below ``$ELDATA_ROOT`` or
+        ``./data``.
+    shots
+        Which of the ten noisy shots of each frame, from 0; the published code scores the first: ``shots=[0]``.
+    manifest
+        A manifest's CSV file in place of the shipped one, such as one that ``eldata lock`` has filled in.
+    options
+        Which windows of which clips: ``window``, ``stride``, ``split``, ``ids`` and all else of
+        :class:`~eldata.datasets.clips.Windowing`.
+
+    Raises
+    ------
+    ArgumentError
+        If a value is unknown (the message lists the known ones) or out of its range.
+    DatasetError
+        If the folder or files of a chosen clip are not there.
+
+    References
+    ----------
+    H. Yue, C. Cao, L. Liao, R. Chu and J. Yang, "Supervised Raw Video Denoising with a Benchmark Dataset on Dynamic
+    Scenes", IEEE/CVF Conference on Computer Vision and Pattern Recognition, 2020.
+
+    Examples
+    --------
+    >>> from eldata.datasets import CRVDDataset
+    >>> dataset = CRVDDataset("data/CRVD", split="test", shots=[0], window=3)  # doctest: +SKIP
+    >>> len(dataset), dataset[0]["input"].shape, dataset[0]["target"].shape  # doctest: +SKIP
+    (50, torch.Size([3, 4, 540, 960]), torch.Size([3, 4, 540, 960]))
+    """
+
+    @spell_keywords(WindowOptions)
+    def __init__(
+        self,
+        root: Path | str | None = None,
+        *,
+        shots: Collection[int] = SHOTS,
+        manifest: Path | str = "crvd",
+        **options: Unpack[WindowOptions],
+    ) -> None:
+        found = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)
+        folder = data_root() / found.card.folder if root is None else Path(root)
+        if not folder.is_dir():
+            raise no_folder(folder, found.card, "indoor_raw_noisy and indoor_raw_gt")
+        rows = _moments(found, shots)
+        files = Files(FrameFiles.of(folder, found.card, rows), rows)
+        super().__init__(files, rows, (), folder, **options)
+
+
+def _moments(manifest: Manifest, shots: Collection[int]) -> list[FrameRecord]:
+    """Return the rows as moments of sequences (:mod:`eldata.manifest.clips`), of these noisy shots alone."""
+    if not {*shots} <= set(SHOTS):
+        raise ArgumentError(f"shots must be of 0 to {len(SHOTS) - 1}; found {list(shots)}")
+    noisy = [row for row in manifest.records if row.role == "noisy"]
+    scene_of: dict[str | None, str] = {}
+    kept = []
+    for row, (frame, shot) in zip(noisy, map(_numbers, noisy), strict=True):
+        if shot in shots:
+            scene_of[row.reference] = moment_name(row.scene, frame)
+            kept.append(replace(row, scene=scene_of[row.reference]))
+    return kept + [replace(row, scene=scene_of[row.path]) for row in manifest.records if row.path in scene_of]
+
+
+def _numbers(row: FrameRecord) -> tuple[int, int]:
+    found = _FRAME.fullmatch(row.path)
+    if found is None:
+        raise ManifestError(f"{row.path}: expected a name such as frame1_noisy0.tiff, whose numbers say frame and shot")
+    return int(found[1]), int(found[2])

@@ -370,7 +370,7 @@ def test_text_is_parsed_and_written_in_one_place() -> None:
 # --- names --------------------------------------------------------------------------------------------------------
 
 # Every command and every command line has one.
-ENTRY_POINTS = {"main", "parser", "add_parser", "run"}
+ENTRY_POINTS = {"main", "parser", "add_options", "run"}
 # As the name of a module these say where, not what.
 SAYS_LITTLE = {"errors", "layout", "run", "scoring", "utils", "helpers", "common", "misc", "core", "tools"}
 

@@ -1,4 +1,11 @@
-"""`capture average`: the mean of references that follow each other."""
+"""`capture average`: compare noisy frames with the mean of several references.
+
+Write the mean of references that follow each other (capture plan --references 10) into a DNG beside them, and let the
+manifest compare their noisy frames with it. The single frames stay. Frames among which light or camera changed are not
+averaged. What was measured against a single one is removed from the manifest: run capture check --write afterwards.
+
+    capture average manifests/mine.csv --root data
+"""
 
 from __future__ import annotations
 
@@ -13,28 +20,10 @@ if TYPE_CHECKING:
     import argparse
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "average",
-        help="compare noisy frames with the mean of several references",
-        description=(
-            "Write the mean of references that follow each other (capture plan --references 10) into a DNG beside "
-            "them, and let the manifest compare their noisy frames with it. The single frames stay. Frames among which "
-            "light or camera changed are not averaged. What was measured against a single one is removed from the "
-            "manifest: run capture check --write afterwards."
-        ),
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
-    add_shared(
-        parser,
-        run,
-        "root",
-        "jobs",
-        "isolation",
-        json="blocks",
-        example="capture average manifests/mine.csv --root data",
-    )
+    add_shared(parser, run, "root", "jobs", "isolation", json="blocks")
 
 
 def run(arguments: argparse.Namespace) -> int:

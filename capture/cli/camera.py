@@ -1,4 +1,11 @@
-"""`capture camera`: check a camera description, or get one to start from."""
+"""`capture camera`: check a camera description, or write an example to start from.
+
+Check a camera description and show its exposure times, as the camera names them and as it gives them; or write an
+example (the Sony A7S II) to change for your own camera.
+
+    capture camera --example cam.json
+    capture camera cam.json
+"""
 
 from __future__ import annotations
 
@@ -15,24 +22,11 @@ if TYPE_CHECKING:
     from capture.camera import CameraDescription
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "camera",
-        help="check a camera description, or write an example to start from",
-        description=(
-            "Check a camera description and show its exposure times, as the camera names them and as it gives them; or "
-            "write an example (the Sony A7S II) to change for your own camera."
-        ),
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("camera", metavar="CAMERA", nargs="?", help="a camera description (JSON)")
     add_output(parser, "--example", kind=NEW, help="write an example description to FILE, which must be new")
-    add_shared(
-        parser,
-        run,
-        json="name models shutter times",
-        example=("capture camera --example cam.json", "capture camera cam.json"),
-    )
+    add_shared(parser, run, json="name models shutter times")
 
 
 def run(arguments: argparse.Namespace) -> int:

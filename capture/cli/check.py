@@ -1,4 +1,12 @@
-"""`capture check`: look at the pixels of each scene, and say whether to keep it."""
+"""`capture check`: check the pixels of each scene: keep, look or shoot again.
+
+Check the pixels of each scene: do the references agree (light, position, focus), is each noisy frame exposed as its
+name says, is there flicker; light leaks in bias frames, saturated or uneven flats. Gives one verdict per scene: keep,
+look or shoot again, with the reasons. Nothing is changed, but with --write the manifest, which gets the exposure ratio
+and the shift that the pixels of each pair show.
+
+    capture check manifests/mine.csv --root data --sheet sheet.html
+"""
 
 from __future__ import annotations
 
@@ -12,18 +20,8 @@ if TYPE_CHECKING:
     import argparse
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "check",
-        help="check the pixels of each scene: keep, look or shoot again",
-        description=(
-            "Check the pixels of each scene: do the references agree (light, position, focus), is each noisy frame "
-            "exposed as its name says, is there flicker; light leaks in bias frames, saturated or uneven flats. Gives "
-            "one verdict per scene: keep, look or shoot again, with the reasons. Nothing is changed, but with --write "
-            "the manifest, which gets the exposure ratio and the shift that the pixels of each pair show."
-        ),
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
     parser.add_argument(
         "--scene",
@@ -42,15 +40,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="store_true",
         help='write the measured ratio and shift of each pair into the manifest, for amplification="measured"',
     )
-    add_shared(
-        parser,
-        run,
-        "root",
-        "jobs",
-        "isolation",
-        json="dataset ok groups",
-        example="capture check manifests/mine.csv --root data --sheet sheet.html",
-    )
+    add_shared(parser, run, "root", "jobs", "isolation", json="dataset ok groups")
 
 
 def run(arguments: argparse.Namespace) -> int:

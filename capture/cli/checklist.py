@@ -1,4 +1,11 @@
-"""`capture checklist`: a plan as a page for the phone, or to print."""
+"""`capture checklist`: turn a plan into a checklist for the phone, or for paper.
+
+Turn a plan into a checklist: preparation, then each shot in order with what to dial. The page (html) is one file for a
+phone or tablet in the dark. It needs no network, plans a scene again from another metered time, keeps ticks, file names
+and remarks in the browser, and exports them.
+
+    capture checklist plan.json -o checklist.html
+"""
 
 from __future__ import annotations
 
@@ -19,23 +26,14 @@ _CHECKLIST = FileKind(
 _FORMATS = ("html", "md", "txt")
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "checklist",
-        help="turn a plan into a checklist for the phone, or for paper",
-        description=(
-            "Turn a plan into a checklist: preparation, then each shot in order with what to dial. The page (html) is "
-            "one file for a phone or tablet in the dark. It needs no network, plans a scene again from another metered "
-            "time, keeps ticks, file names and remarks in the browser, and exports them."
-        ),
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("plan", metavar="PLAN", help="a plan (capture plan)")
     add_output(
         parser, "-o", "--output", kind=_CHECKLIST, help="write it to FILE; without, md and txt go to the terminal"
     )
     parser.add_argument("--format", choices=_FORMATS, help="default: by the suffix of FILE; without FILE txt")
-    add_shared(parser, run, json="file format plan frames", example="capture checklist plan.json -o checklist.html")
+    add_shared(parser, run, json="file format plan frames")
 
 
 def run(arguments: argparse.Namespace) -> int:

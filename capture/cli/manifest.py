@@ -1,4 +1,16 @@
-"""`capture manifest`: from the camera's files to a dataset with its manifest."""
+"""`capture manifest`: match the camera's files to a plan, and make the dataset and its manifest.
+
+Match raw files to the shots of a plan by ISO, exposure time and the order in which they were taken; name everything
+missing, repeated, out of order or not in the plan; write the manifest (CSV) and its card (JSON). With --copy-to or
+--link-to, place the files in the dataset's layout. Originals stay as they are.
+
+    capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine
+    capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine --progress progress.json
+    capture manifest night-2.json card -o manifests/mine.csv --copy-to data/mine --append
+
+Where something had to be decided, you are asked; without a terminal the mapping is written to a file, to be looked at,
+edited and passed back with --mapping.
+"""
 
 from __future__ import annotations
 
@@ -28,19 +40,8 @@ if TYPE_CHECKING:
     from eldata.manifest.card import Card
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "manifest",
-        help="match the camera's files to a plan, and make the dataset and its manifest",
-        description=(
-            "Match raw files to the shots of a plan by ISO, exposure time and the order in which they were taken; name "
-            "everything missing, repeated, out of order or not in the plan; write the manifest (CSV) and its card "
-            "(JSON). With --copy-to or --link-to, place the files in the dataset's layout. Originals stay as they are."
-        ),
-        epilog="Where something had to be decided, you are asked; without a terminal the mapping is written to a file, "
-        "to be looked at, edited and passed back with --mapping.",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("plan", metavar="PLAN", help="the plan (JSON) that was shot")
     parser.add_argument("files", metavar="FILES", nargs="+", help="the camera's raw files, or folders of them")
     add_output(
@@ -81,18 +82,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="store_true",
         help="join the set that this manifest lists: another card, night or camera; with --copy-to or --link-to",
     )
-    add_shared(
-        parser,
-        run,
-        "jobs",
-        "isolation",
-        json="schema shots unused",
-        example=(
-            "capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine",
-            "capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine --progress progress.json",
-            "capture manifest night-2.json card -o manifests/mine.csv --copy-to data/mine --append",
-        ),
-    )
+    add_shared(parser, run, "jobs", "isolation", json="schema shots unused")
 
 
 def _table_name(text: str) -> str:

@@ -1,4 +1,16 @@
-"""`capture plan`: which shots to take, with the settings to dial."""
+"""`capture plan`: plan the shots of scenes with the settings of your camera; change a plan.
+
+Plan the shots of each scene: the setting to dial, what the camera then really gives, and by how much the exposure ratio
+misses its low-light factor. With PLAN, show that plan or change it.
+
+    capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json
+    capture plan --camera cam.json --scenes 2 --metered 4 --moments 7 -o video.json
+    capture plan plan.json --remeter scene-2=2
+    capture plan plan.json --progress progress.json
+
+The first makes a plan, the second one of a video set; the third is for the scene, when the meter says something else;
+the last is for the desk, with what the checklist's page exported.
+"""
 
 from __future__ import annotations
 
@@ -40,18 +52,8 @@ if TYPE_CHECKING:
 _CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors", *COUNTS)
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "plan",
-        help="plan the shots of scenes with the settings of your camera; change a plan",
-        description=(
-            "Plan the shots of each scene: the setting to dial, what the camera then really gives, and by how much the "
-            "exposure ratio misses its low-light factor. With PLAN, show that plan or change it."
-        ),
-        epilog="The first makes a plan, the second one of a video set; the third is for the scene, when the meter says "
-        "something else; the last is for the desk, with what the checklist's page exported.",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("plan", metavar="PLAN", nargs="?", help="a plan to show or to change in place")
     new = parser.add_argument_group("a new plan")
     new.add_argument("--camera", metavar="FILE", help="camera description; capture camera --example writes one")
@@ -146,17 +148,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="bias and dark frames a second time, with the sensor warm from the shooting; the first come before it",
     )
     add_output(parser, "-o", "--output", kind=NEW, help="the new plan's file; with PLAN: write the changes there")
-    add_shared(
-        parser,
-        run,
-        json=json_kind("schema camera protocol", begins=rb'\{\n  "'),
-        example=(
-            "capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json",
-            "capture plan --camera cam.json --scenes 2 --metered 4 --moments 7 -o video.json",
-            "capture plan plan.json --remeter scene-2=2",
-            "capture plan plan.json --progress progress.json",
-        ),
-    )
+    add_shared(parser, run, json=json_kind("schema camera protocol", begins=rb'\{\n  "'))
 
 
 def run(arguments: argparse.Namespace) -> int:

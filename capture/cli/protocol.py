@@ -1,4 +1,11 @@
-"""`capture protocol`: the frames of one scene, on the terminal."""
+"""`capture protocol`: print the frames of one scene: order, ISO, low-light factor, exposure time, reference.
+
+Print the frames that the capture protocol takes of one scene, in order. The defaults are those of the released ELD
+dataset; the paper's own settings are --factors 100 200.
+
+    capture protocol --metered 4
+    capture protocol --repeats 10
+"""
 
 from __future__ import annotations
 
@@ -19,14 +26,8 @@ if TYPE_CHECKING:
     from capture.protocol import ProtocolFrame
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "protocol",
-        help="print the frames of one scene: order, ISO, low-light factor, exposure time, reference",
-        description="Print the frames that the capture protocol takes of one scene, in order. The defaults "
-        "are those of the released ELD dataset; the paper's own settings are --factors 100 200.",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument(
         "--metered",
         type=seconds,
@@ -57,12 +58,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help=f"low-light factors (default: {spaced(RELEASED.low_light_factors)})",
     )
     add_alike(parser)
-    add_shared(
-        parser,
-        run,
-        json="base_iso metered_s frames",
-        example=("capture protocol --metered 4", "capture protocol --repeats 10"),
-    )
+    add_shared(parser, run, json="base_iso metered_s frames")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,4 +1,13 @@
-"""`capture script`: a plan as a shell script for gphoto2."""
+"""`capture script`: turn a plan into a shell script for a camera on the cable (gphoto2).
+
+Turn a plan into a shell script that shoots it with a camera on the USB cable, through the program gphoto2. Read it
+before you run it: it is a line a shot. Before each scene it waits for Enter, it puts each frame into a folder beside
+itself, and it skips frames that are there. Not tried with a real camera.
+
+    capture script plan.json -o shots/shoot.sh
+
+Then: capture manifest PLAN DIR -o manifests/mine.csv --copy-to data/mine
+"""
 
 from __future__ import annotations
 
@@ -16,24 +25,14 @@ if TYPE_CHECKING:
 _SCRIPT = FileKind(rb"#!/bin/sh\n# [^\n]*\n# Written by capture script")
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "script",
-        help="turn a plan into a shell script for a camera on the cable (gphoto2)",
-        description=(
-            "Turn a plan into a shell script that shoots it with a camera on the USB cable, through the program "
-            "gphoto2. Read it before you run it: it is a line a shot. Before each scene it waits for Enter, it puts "
-            "each frame into a folder beside itself, and it skips frames that are there. Not tried with a real camera."
-        ),
-        epilog="Then: capture manifest PLAN DIR -o manifests/mine.csv --copy-to data/mine",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add its options."""
     parser.add_argument("plan", metavar="PLAN", help="the plan (capture plan)")
     add_output(
         parser, "-o", "--output", kind=_SCRIPT, required=True, help="the script; frames go into folders beside it"
     )
     add_only(parser)
-    add_shared(parser, run, example="capture script plan.json -o shots/shoot.sh")
+    add_shared(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -35,8 +35,7 @@ import numpy as np
 
 from eldata.base.files import file_problem
 from eldata.base.isolation import GuardError, guarded
-from eldata.base.npy import opened_npz, read_npy
-from eldata.base.png import read_png
+from eldata.base.pixels import opened_npz, read_npy, read_png
 from eldata.base.visible import in_line
 from eldata.errors import FileError, PredictionError
 
@@ -48,8 +47,7 @@ if TYPE_CHECKING:
     import tifffile
     from numpy.typing import NDArray
 
-    from eldata.base.npy import NpyHeader
-    from eldata.base.png import PngHeader
+    from eldata.base.pixels import NpyHeader, PngHeader
 
     Check = Callable[["Declared"], None]
     Reader = Callable[[Path, Check, str], NDArray[Any]]

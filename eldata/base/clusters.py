@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from eldata import __version__
 from eldata.base.fields import TextFile
-from eldata.base.logs import quiet
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -57,13 +56,27 @@ def dask_executor(address: str) -> Iterator[Executor]:
             "--dask needs Dask's distributed, which is not installed: pip install 'eldata[dask]'"
         ) from error
     # Dask reports a lost connection in tracebacks, we in one line.
-    with quiet(logging.CRITICAL + 1, "distributed", "distributed.client"):
+    with _quiet(logging.CRITICAL + 1, "distributed", "distributed.client"):
         client = _connected(_scheduler(address))
         try:
             check_cluster(client)
             yield client.get_executor()  # type: ignore[no-untyped-call]
         finally:
             client.close(timeout=_TIMEOUT_S)  # type: ignore[no-untyped-call] # takes back what it asked for
+
+
+@contextmanager
+def _quiet(level: int, *loggers: str) -> Iterator[None]:
+    """Keep what loggers of libraries report below a level from stderr."""
+    handlers = [handler for name in loggers for handler in logging.getLogger(name).handlers]
+    before = [handler.level for handler in handlers]
+    for handler in handlers:
+        handler.setLevel(max(level, handler.level))
+    try:
+        yield
+    finally:
+        for handler, its_level in zip(handlers, before, strict=True):
+            handler.setLevel(its_level)
 
 
 def _connected(scheduler: str) -> Client:

@@ -10,56 +10,17 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.console import add_running, add_shared
+from eldata.base.console import add_running
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
 SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")
 
 # What options and arguments are called that take one.
 _FOLDERS = ("root", "out", "folder", "clean", "copy_to", "link_to")
 _PLAIN = (argparse._StoreAction, argparse._AppendAction)  # noqa: SLF001 # actions that take any text
-
-
-def add_completion(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser],
-    program: str,
-    what: str,
-    run: Callable[[argparse.Namespace], int],
-) -> None:
-    """Add a program's command ``completion``, which prints the script for one of :data:`SHELLS`.
-
-    Parameters
-    ----------
-    commands
-        The program's.
-    program
-        What it is called.
-    what
-        What is completed beside commands and options, in words.
-    run
-        The command, with the ``shell`` as argument.
-    """
-    parser = commands.add_parser(
-        "completion",
-        help="print the script that lets your shell complete commands, options and names",
-        description=(
-            f"Print the script with which a shell completes commands, options, {what}. Keep it where the shell looks "
-            "for such scripts; print it again after an update. The first example is for the session that runs it."
-        ),
-    )
-    parser.add_argument("shell", choices=SHELLS, help="for which shell")
-    add_shared(
-        parser,
-        run,
-        example=(
-            f'eval "$({program} completion bash)"',
-            f"{program} completion bash > ~/.local/share/bash-completion/completions/{program}",
-            f"{program} completion fish > ~/.config/fish/completions/{program}.fish",
-        ),
-    )
 
 
 def completion_script(parser: argparse.ArgumentParser, shell: str, names: Mapping[str, Sequence[str]]) -> str:

@@ -14,9 +14,11 @@ import sys
 import traceback
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from inspect import cleandoc
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias
 
 from eldata import __version__
+from eldata.base.files import write_json
 from eldata.base.numbers import whole_of
 from eldata.base.outputs import NEW, FileKind, add_output, check_outputs, json_kind
 from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_it_did
@@ -25,8 +27,12 @@ from eldata.errors import ArgumentError, EldataError, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
+    from types import ModuleType
 
     from eldata.base.workers import Workers
+
+Arguments: TypeAlias = argparse.Namespace
+"""What a subcommand's function ``run`` is handed."""
 
 OK, PROBLEMS, UNUSABLE, CLOSED_PIPE = 0, 1, 2, 141
 _EXIT_CODES = (
@@ -98,11 +104,35 @@ class Parser(argparse.ArgumentParser):
         raise argparse.ArgumentError(action, f"invalid choice: {value!r} (choose from {', '.join(known)}){hint}")
 
 
-def add_examples(parser: argparse.ArgumentParser, *commands: str) -> None:
+def add_module(commands: argparse._SubParsersAction[Parser], module: ModuleType) -> None:
+    """Add the subcommand that a module is, by its docstring and its function ``add_options``."""
+    module.add_options(add_command(commands, module.__name__.rpartition(".")[2], module.__doc__))
+
+
+def add_command(commands: argparse._SubParsersAction[Parser], name: str, documented: str | None) -> Parser:
+    """Add a subcommand whose help is what its module's or function's docstring says, so that it is said once.
+
+    That is a line "`program name`: help.", a description, the examples, indented, and what the help ends with.
+    """
+    heading, *paragraphs = cleandoc(documented or "").split("\n\n")
+    examples = [index for index, paragraph in enumerate(paragraphs) if paragraph.startswith("    ")]
+    first = examples[0] if examples else len(paragraphs)
+    parser = commands.add_parser(
+        name,
+        help=heading.partition("`: ")[2].removesuffix("."),
+        description="\n\n".join(paragraphs[:first]),
+        epilog="\n\n".join(paragraphs[first + 1 :]),
+    )
+    _add_examples(parser, *(line.strip() for index in examples for line in paragraphs[index].splitlines()))
+    return parser
+
+
+def _add_examples(parser: argparse.ArgumentParser, *commands: str) -> None:
     """Put commands to copy first in what a parser's help ends with."""
-    lines = "\n".join(f"    {command}" for command in commands)
-    heading = "example:" if len(commands) == 1 else "examples:"
-    parser.epilog = "\n\n".join(filter(None, (f"{heading}\n{lines}", parser.epilog)))
+    if commands:
+        lines = "\n".join(f"    {command}" for command in commands)
+        heading = "example:" if len(commands) == 1 else "examples:"
+        parser.epilog = "\n\n".join(filter(None, (f"{heading}\n{lines}", parser.epilog)))
 
 
 def terminal_columns() -> int | None:
@@ -112,8 +142,6 @@ def terminal_columns() -> int | None:
 
 def each_of(*steps: Callable[[], object] | None) -> None:
     """Take all of these steps but ``None``, whatever becomes of some, so that nothing computed is lost.
-
-    Usage: ``each_of(arguments.json and (lambda: write_json(arguments.json, data)), lambda: print(text))``.
 
     Raises
     ------
@@ -130,6 +158,21 @@ def each_of(*steps: Callable[[], object] | None) -> None:
         raise ExceptionGroup("several outputs failed", failed)
     if failed:
         raise failed[0]
+
+
+def show_and_write(
+    arguments: Arguments,
+    text: Callable[[], str],
+    data: Callable[[], object],
+    *more: Callable[[], object] | None,
+) -> None:
+    """Print a text, write the data that ``--json`` asks for, and take more steps, each as :func:`each_of` does."""
+    each_of(lambda: print(text()), arguments.json and (lambda: write_json(arguments.json, data())), *more)
+
+
+def chosen(arguments: Arguments, names: Iterable[str]) -> dict[str, Any]:
+    """Return options as keyword arguments, for functions whose parameters are called as the options are stored."""
+    return {name: getattr(arguments, name) for name in names}
 
 
 def add_cameras(parser: argparse.ArgumentParser) -> None:
@@ -153,7 +196,7 @@ def add_camera_and_isos(parser: argparse.ArgumentParser) -> None:
 
 
 @contextmanager
-def chosen_workers(arguments: argparse.Namespace) -> Iterator[Workers]:
+def chosen_workers(arguments: Arguments) -> Iterator[Workers]:
     """Yield the workers that ``--jobs`` or ``--dask`` asks for; a cluster is connected to, and left, in between.
 
     Usage: ``with chosen_workers(arguments) as workers: verify(..., workers=workers)``.
@@ -239,18 +282,16 @@ _BRINGS = {"root": ("root",), "jobs": ("jobs",), "workers": ("jobs", "dask", "is
 
 def add_shared(
     parser: argparse.ArgumentParser,
-    run: Callable[[argparse.Namespace], int],
+    run: Callable[[Arguments], int],
     *options: Literal["root", "cameras", "isos", "jobs", "workers", "isolation"],
     json: str | FileKind | None = None,
-    example: str | tuple[str, ...] = (),
     interrupted: str = "files are written whole or not at all, so none is left half",
 ) -> None:
     """Finish a subcommand: say which of the options that commands share it takes, and what :func:`run` is to call.
 
     ``"workers"`` are of work on strangers' files: ``--jobs``, ``--dask`` and ``--isolate``; ``"isolation"`` is for
-    commands without; ``--debug`` is for all. ``example`` is what its help ends with: one or several commands, as
-    somebody would type them. ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of that argument.
-    ``json`` is for ``--json``: the fields of what it writes, or its kind.
+    commands without; ``--debug`` is for all. ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of
+    that argument. ``json`` is for ``--json``: the fields of what it writes, or its kind.
     """
     if "cameras" in options:
         add_cameras(parser)
@@ -260,7 +301,6 @@ def add_shared(
     names += ["debug"] if json is None else ["json", "debug"]
     forms = (f"--{name} {one.get('metavar', '')}".rstrip() for name, one in _running().items() if name in names)
     parser.add_argument_group("running", f"{', '.join(forms)}: see {parser.prog.partition(' ')[0]} --help")
-    add_examples(parser, *([example] if isinstance(example, str) else example))
     parser.set_defaults(
         run=run,
         command=parser.prog,
@@ -274,7 +314,7 @@ def add_shared(
 def command_line(
     prog: str, description: str, package: str, modules: Iterable[str], examples: Iterable[str], running: Iterable[str]
 ) -> Parser:
-    """Return a program's parser. Each subcommand is a module of a package, with a function ``add_parser``.
+    """Return a program's parser. Each subcommand is a module of a package (:func:`add_module`).
 
     ``running`` names the options of its running, which stand before a command's name or after it.
     """
@@ -283,13 +323,13 @@ def command_line(
         description=description,
         epilog=_EXIT_CODES,
     )
-    add_examples(parser, *examples)
+    _add_examples(parser, *examples)
     parser.add_argument("--version", action="version", version=f"{prog} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     where = "before a command's name or after it; a command's help names those that it takes"
     _add_running(parser.add_argument_group("running", where), running, None, shown=True)
     for module in modules:
-        import_module(f"{package}.{module}").add_parser(commands)
+        add_module(commands, import_module(f"{package}.{module}"))
     return parser
 
 
@@ -330,7 +370,7 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     return code
 
 
-def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: argparse.Namespace) -> int:
+def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: Arguments) -> int:
     try:
         parser.parse_args(argv, arguments)
     except SystemExit as leaving:  # argparse has said why
@@ -345,7 +385,7 @@ def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arg
     return code
 
 
-def _as_isolated(arguments: argparse.Namespace) -> AbstractContextManager[None]:
+def _as_isolated(arguments: Arguments) -> AbstractContextManager[None]:
     """Return the isolation that a subcommand is to run under, if it has the choice."""
     if not hasattr(arguments, "isolate"):
         return nullcontext()
@@ -354,7 +394,7 @@ def _as_isolated(arguments: argparse.Namespace) -> AbstractContextManager[None]:
     return isolation(arguments.isolate)
 
 
-def _explained(error: BaseException, arguments: argparse.Namespace) -> tuple[int, str]:
+def _explained(error: BaseException, arguments: Arguments) -> tuple[int, str]:
     """Return exit code and message of what a command raised."""
     if isinstance(error, ExceptionGroup):
         codes, messages = zip(*(_explained(one, arguments) for one in error.exceptions), strict=True)

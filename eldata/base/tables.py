@@ -48,14 +48,18 @@ def text_table(
     if columns is not None:
         widths = _fitting(widths, columns)
     lines = [
-        "  ".join(
-            cell.ljust(width) if index in left else cell.rjust(width)
-            for index, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
+        "  ".join(_aligned(line, widths, left)).rstrip()
         for row in (header, ["-" * width for width in widths], *rows)
         for line in zip_longest(*(_broken(cell, width) for cell, width in zip(row, widths, strict=True)), fillvalue="")
     ]
     return "\n".join(lines)
+
+
+def _aligned(cells: Sequence[str], widths: Sequence[int], left: Collection[int]) -> list[str]:
+    return [
+        cell.ljust(width) if index in left else cell.rjust(width)
+        for index, (cell, width) in enumerate(zip(cells, widths, strict=True))
+    ]
 
 
 def _broken(cell: str, width: int) -> list[str]:
@@ -100,14 +104,8 @@ def aligned_markdown(cells: Sequence[Sequence[str]], left: Collection[int] = (0,
     """Return a table like :func:`markdown_table`, of cells that are Markdown already; the first row is the header."""
     widths = [max(3, *(len(cell) for cell in column)) for column in zip(*cells, strict=True)]
     ruler = ["-" * width if index in left else "-" * (width - 1) + ":" for index, width in enumerate(widths)]
-    padded = [
-        [
-            cell.ljust(width) if index in left else cell.rjust(width)
-            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        for row in cells
-    ]
-    return "\n".join(f"| {' | '.join(row)} |" for row in (padded[0], ruler, *padded[1:]))
+    header, *rows = (_aligned(row, widths, left) for row in cells)
+    return "\n".join(f"| {' | '.join(row)} |" for row in (header, ruler, *rows))
 
 
 def _markdown_cell(cell: str) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.png import rgb_frame
+from eldata.base.pixels import rgb_frame
 from eldata.baselines.exported import checked_window
 from eldata.errors import DatasetError
 from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame, rendered_frame

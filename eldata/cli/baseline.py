@@ -1,11 +1,20 @@
-"""`eldata baseline`: a data set through a denoiser that needs no training."""
+"""`eldata baseline`: denoise a dataset without a network, for the other rows of a table.
+
+Denoise each noisy frame that a protocol scores by a method without training, and write the predictions that eldata
+evaluate reads. input is the amplified frame itself; gaussian a filter; wavelet, BayesShrink (scikit-image); dct,
+sliding-window thresholding; bm3d takes one noise level for a frame, anscombe-bm3d stabilises the variance first. Both
+need the bm3d package, which its authors allow for non-commercial use only. Predictions that are there are kept, so that
+interrupted work goes on.
+
+    eldata baseline anscombe-bm3d --dataset eld --root data -o preds/bm3d
+"""
 
 from __future__ import annotations
 
 import shlex
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, chosen_workers
+from eldata.base import console
 
 if TYPE_CHECKING:
     import argparse
@@ -14,22 +23,9 @@ if TYPE_CHECKING:
 
 NAMES = ("input", "gaussian", "wavelet", "dct", "bm3d", "anscombe-bm3d")
 
-_EXAMPLE = "eldata baseline anscombe-bm3d --dataset eld --root data -o preds/bm3d"
 
-
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "baseline",
-        help="denoise a dataset without a network, for the other rows of a table",
-        description=(
-            "Denoise each noisy frame that a protocol scores by a method without training, and write the predictions "
-            "that eldata evaluate reads. input is the amplified frame itself; gaussian a filter; wavelet, BayesShrink "
-            "(scikit-image); dct, sliding-window thresholding; bm3d takes one noise level for a frame, anscombe-bm3d "
-            "stabilises the variance first. Both need the bm3d package, which its authors allow for non-commercial "
-            "use only. Predictions that are there are kept, so that interrupted work goes on."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("name", metavar="NAME", choices=NAMES, help=", ".join(NAMES))
     add_choice(parser)
     parser.add_argument(
@@ -48,7 +44,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     add_another_camera(parser, "frames of cameras that have none of their own")
     kept = "{output} keeps the finished predictions, and the same command goes on"
-    add_shared(parser, run, "root", "workers", interrupted=kept, example=_EXAMPLE)
+    console.add_shared(parser, run, "root", "workers", interrupted=kept)
 
 
 def add_another_camera(parser: argparse.ArgumentParser, what: str) -> None:
@@ -84,7 +80,7 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="take this dark shading (eldata calibrate --dark-shading) off the inputs; give it to eldata evaluate, too",
     )
-    add_cameras(parser)
+    console.add_cameras(parser)
     parser.add_argument(
         "--dtype",
         choices=("float32", "float16", "uint16"),
@@ -93,35 +89,35 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def chosen_options(arguments: argparse.Namespace) -> dict[str, Any]:
+def chosen_options(arguments: console.Arguments) -> dict[str, Any]:
     """Return what :func:`add_choice` has added, as keyword arguments."""
     names = ("manifest", "root", "cameras", "subset", "ids", "protocol", "dtype", "dark_shading")
-    return {name: getattr(arguments, name) for name in names}
+    return console.chosen(arguments, names)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.baselines.predicting import BaselineDenoiser, write_predictions
     from eldata.noise.profile import CameraProfile
 
     profiles = tuple(CameraProfile.load(name) for name in arguments.profiles)
     denoiser = BaselineDenoiser(arguments.name, profiles, arguments.profile_of_another_camera, arguments.noise)
-    with chosen_workers(arguments) as workers:
+    with console.chosen_workers(arguments) as workers:
         report = write_predictions(
             denoiser, arguments.dataset or "", arguments.output, workers=workers, **chosen_options(arguments)
         )
     return show_report(report, arguments)
 
 
-def show_report(report: PredictionReport, arguments: argparse.Namespace) -> int:
+def show_report(report: PredictionReport, arguments: console.Arguments) -> int:
     """Show what was predicted, and the command that scores it if there is anything; return the exit code."""
     print(report.format_text())
     if report.written or report.kept:
         print(_scoring_line(arguments))
-    return PROBLEMS if report.problems else OK
+    return console.PROBLEMS if report.problems else console.OK
 
 
-def _scoring_line(arguments: argparse.Namespace) -> str:
+def _scoring_line(arguments: console.Arguments) -> str:
     """Return the command that scores what was written."""
     given = ("dataset", "manifest", "protocol", "subset", "root", "dark_shading")
     options = [

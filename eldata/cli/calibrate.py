@@ -1,4 +1,15 @@
-"""`eldata calibrate`: a camera's noise profile from its bias and flat-field frames."""
+"""`eldata calibrate`: measure a camera's noise from bias and flat-field frames.
+
+Measure system gain, colour bias, row noise and read noise at each ISO from bias frames (lens capped, shortest exposure)
+and pairs of flat-field frames, fit their joint distribution, and write the camera's profile for the noise model. Frames
+that cannot be used are listed, and their ISO is left out; figures that the frames cannot bear are withheld, and the
+text says why. Flats alone give K; with bias frames alone, state K with --gain. Exit code 1 if an ISO is left out, a
+figure is withheld, or the profile that -o asks for, or the dark shading, cannot be made.
+
+    eldata calibrate data/calibration --camera MyCamera -o mycamera.json --html report.html
+
+What to shoot, how failures show and what to do about each: docs/calibration.md.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +17,13 @@ import shlex
 from argparse import ArgumentTypeError
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of, whole_number
-from eldata.base.files import write_json
+from eldata.base import console
 from eldata.base.numbers import counted, number_of, whole_of
 from eldata.base.outputs import PROFILE, FileKind, add_output, json_kind, page_kind
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Iterable, Sequence
 
     from eldata.manifest.verify_report import Problem
@@ -22,21 +31,8 @@ if TYPE_CHECKING:
 _SHADING = FileKind(rb"PK\x03\x04.{26}about\.npy")  # the first of its arrays
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "calibrate",
-        help="measure a camera's noise from bias and flat-field frames",
-        description=(
-            "Measure system gain, colour bias, row noise and read noise at each ISO from bias frames (lens capped, "
-            "shortest exposure) and pairs of flat-field frames, fit their joint distribution, and write the camera's "
-            "profile for the noise model. Frames that cannot be used are listed, and their ISO is left out; figures "
-            "that the frames cannot bear are withheld, and the text says why. Flats alone give K; with bias frames "
-            "alone, state K with --gain. Exit code 1 if an ISO is left out, a figure is withheld, or the profile that "
-            "-o asks for, or the dark shading, cannot be made."
-        ),
-        epilog="What to shoot, how failures show and what to do about each: docs/calibration.md.",
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "frames",
         metavar="FRAMES",
@@ -104,15 +100,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "column noise, bands, telegraph pixels, PRNU. The profile is then of schema 3"
         ),
     )
-    add_shared(
-        parser,
-        run,
-        "isos",
-        "root",
-        "workers",
-        json=json_kind("camera isos gains", "camera problems"),
-        example="eldata calibrate data/calibration --camera MyCamera -o mycamera.json --html report.html",
-    )
+    console.add_shared(parser, run, "isos", "root", "workers", json=json_kind("camera isos gains", "camera problems"))
 
 
 def _stated_gain(text: str) -> tuple[int, float] | str:
@@ -127,10 +115,10 @@ def _stated_gain(text: str) -> tuple[int, float] | str:
 
 
 def _stated_mode(text: str) -> int | None:
-    return None if text == "none" else whole_number(1)(text)
+    return None if text == "none" else console.whole_number(1)(text)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from dataclasses import asdict
 
@@ -161,7 +149,7 @@ def run(arguments: argparse.Namespace) -> int:
         gains |= stated_gains(frames, CameraProfile.load(profile))
     gains |= dict(stated for stated in arguments.gains if not isinstance(stated, str))
     try:
-        with chosen_workers(arguments) as workers:
+        with console.chosen_workers(arguments) as workers:
             options = {"modes": modes, "structure": arguments.structure, "workers": workers}
             found = calibrate(frames, gains=gains, accept=arguments.accept, **options)
             shading, no_shading = None, ""
@@ -174,21 +162,20 @@ def run(arguments: argparse.Namespace) -> int:
     except FramesError as error:
         problems = error.problems
         data = {"camera": frames.camera, "problems": [asdict(one) for one in problems]}
-        each_of(
-            lambda: _show_problems(frames.camera, problems, "nothing was written"),
-            arguments.json and (lambda: write_json(arguments.json, data)),
+        console.show_and_write(
+            arguments, lambda: _listed_problems(frames.camera, problems, "nothing was written"), lambda: data
         )
-        return PROBLEMS
+        return console.PROBLEMS
 
-    def show() -> None:
-        print(f"{found.camera}: {found.source}\n\n{found.format_text()}")
+    def told() -> str:
+        parts = [f"{found.camera}: {found.source}", found.format_text()]
         if frames.skipped:
             left = in_line(frames.skipped[0])
-            print(f"\nleft alone, not raw: {counted(len(frames.skipped), 'file')}, such as {left}")
-
+            parts.append(f"left alone, not raw: {counted(len(frames.skipped), 'file')}, such as {left}")
         if found.problems:
-            print()
-            _show_problems(found.camera, found.problems, f"left out: ISO {_listed(one.iso for one in found.failed)}")
+            out = f"left out: ISO {_listed(one.iso for one in found.failed)}"
+            parts.append(_listed_problems(found.camera, found.problems, out))
+        return "\n\n".join(parts)
 
     def write_profile() -> None:
         if found.made_profile is None:
@@ -216,28 +203,21 @@ def run(arguments: argparse.Namespace) -> int:
         write_text(arguments.html, calibration_page(found))
         print(f"\nreport: {arguments.html}")
 
-    def write_data() -> None:
+    def data_of_all() -> dict[str, object]:
         of_shading = {"dark_shading": None if shading is None else shading.summary()}
-        write_json(arguments.json, found.as_dict() | (of_shading if arguments.dark_shading else {}))
+        return found.as_dict() | (of_shading if arguments.dark_shading else {})
 
-    each_of(
-        show,
-        arguments.output and write_profile,
-        arguments.dark_shading and write_shading,
-        arguments.json and write_data,
-        arguments.html and write_page,
-    )
+    more = arguments.output and write_profile, arguments.dark_shading and write_shading, arguments.html and write_page
+    console.show_and_write(arguments, told, data_of_all, *more)
     lacking = arguments.output and found.made_profile is None
     lacking = lacking or (arguments.dark_shading and shading is None)
-    return PROBLEMS if lacking or found.problems or any(one.withheld for one in found.all_isos) else OK
+    return console.PROBLEMS if lacking or found.problems or any(one.withheld for one in found.all_isos) else console.OK
 
 
 def _listed(isos: Iterable[float]) -> str:
     return ", ".join(f"{iso:g}" for iso in isos)
 
 
-def _show_problems(camera: str, problems: Sequence[Problem], outcome: str) -> None:
-    for problem in problems:
-        print(problem.format_text())
-    count = len(problems)
-    print(f"{camera}: {counted(count, 'problem')}; {outcome}")
+def _listed_problems(camera: str, problems: Sequence[Problem], outcome: str) -> str:
+    lines = [problem.format_text() for problem in problems]
+    return "\n".join([*lines, f"{camera}: {counted(len(lines), 'problem')}; {outcome}"])

@@ -1,4 +1,12 @@
-"""`eldata compare`: results of several methods in, their differences on common images out."""
+"""`eldata compare`: hold results of several methods against each other on their common images.
+
+Compare results that eldata evaluate --json wrote, all with the first: means by camera and factor over the images that
+all have scores of, and differences with intervals over scenes. Differing protocols, subsets and manifests are warned
+of.
+
+    eldata compare first.json second.json --name first --name second --html compare.html
+    eldata compare first.json second.json --html compare.html --pictures --root data
+"""
 
 from __future__ import annotations
 
@@ -6,31 +14,19 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared, each_of
-from eldata.base.files import write_json
+from eldata.base import console
 from eldata.base.outputs import COMPARISON_DATA, COMPARISON_PAGE, add_output
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import argparse
-
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.looking import ScoredImage
     from eldata.evaluation.results import EvaluationResult
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "compare",
-        help="hold results of several methods against each other on their common images",
-        description=(
-            "Compare results that eldata evaluate --json wrote, all with the first: means by camera and factor over "
-            "the images that all have scores of, and differences with intervals over scenes. Differing protocols, "
-            "subsets and manifests are warned of."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "results", nargs="+", metavar="RESULT", help="JSON of eldata evaluate; the first is the baseline"
     )
@@ -72,20 +68,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--dark-shading", metavar="FILE", help="with --pictures: the dark shading that the results state, if any"
     )
-    add_shared(
-        parser,
-        run,
-        "root",
-        "jobs",
-        json=COMPARISON_DATA,
-        example=(
-            "eldata compare first.json second.json --name first --name second --html compare.html",
-            "eldata compare first.json second.json --html compare.html --pictures --root data",
-        ),
-    )
+    console.add_shared(parser, run, "root", "jobs", json=COMPARISON_DATA)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.evaluation.comparison import Method, compare
     from eldata.evaluation.comparison.tables import format_comparison
@@ -100,10 +86,10 @@ def run(arguments: argparse.Namespace) -> int:
         [Method(name, _result(path, arguments.protocol)) for name, path in zip(names, paths, strict=True)]
     )
 
-    def show() -> None:
+    def told() -> str:
         for warning in comparison.warnings:
             print(f"eldata compare: warning: {' '.join(warning.split())}", file=sys.stderr)
-        print(format_comparison(comparison, arguments.format))
+        return format_comparison(comparison, arguments.format)
 
     images = _images(comparison, arguments) if arguments.pictures else ()
 
@@ -119,15 +105,11 @@ def run(arguments: argparse.Namespace) -> int:
             workers=Workers(arguments.jobs),
         )
 
-    each_of(
-        arguments.json and (lambda: write_json(arguments.json, comparison.as_dict())),
-        show,
-        arguments.html and write_page,
-    )
-    return OK
+    console.show_and_write(arguments, told, comparison.as_dict, arguments.html and write_page)
+    return console.OK
 
 
-def _images(comparison: Comparison, arguments: argparse.Namespace) -> tuple[ScoredImage, ...]:
+def _images(comparison: Comparison, arguments: console.Arguments) -> tuple[ScoredImage, ...]:
     """Return what to decode for the pictures, from what the results state of their data."""
     from eldata.evaluation.looking import images_of
     from eldata.evaluation.reproduction import stated_predictions, units_again

@@ -1,23 +1,27 @@
-"""`eldata completion`: commands, options and names at the TAB key."""
+"""`eldata completion`: print the script that lets your shell complete commands, options and names.
+
+Print the script with which a shell completes commands, options, names of datasets, protocols, cameras and profiles
+(those that packages register too), and files. Keep it where the shell looks for such scripts; print it again after an
+update. The first example is for the session that runs it.
+
+    eval "$(eldata completion bash)"
+    eldata completion bash > ~/.local/share/bash-completion/completions/eldata
+    eldata completion fish > ~/.config/fish/completions/eldata.fish
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from eldata.base.completion import add_completion, completion_script
-from eldata.base.console import OK
-
-if TYPE_CHECKING:
-    import argparse
+from eldata.base import console
+from eldata.base.completion import SHELLS, completion_script
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    what = "names of datasets, protocols, cameras and profiles (those that packages register too), and files"
-    add_completion(commands, "eldata", what, run)
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
+    parser.add_argument("shell", choices=SHELLS, help="for which shell")
+    console.add_shared(parser, run)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.cli.main import parser
     from eldata.manifest.catalogue import carded_names, known_names, shipped_card
@@ -36,4 +40,4 @@ def run(arguments: argparse.Namespace) -> int:
         "profiles": shipped_profiles(),
     }
     print(completion_script(parser(), arguments.shell, names))
-    return OK
+    return console.OK

@@ -1,16 +1,22 @@
-"""`eldata demo`: the whole path on simulated raw files."""
+"""`eldata demo`: the whole path on simulated raw files, without a download.
+
+Photograph procedural scenes with two simulated cameras into real DNG files, verify them, denoise them, score the
+results and draw a contact sheet. With --calibration, take bias and flat-field frames with a camera whose noise is
+known, calibrate it from them, and compare with the truth. With --benchmark, make a benchmark in ELD's layout, with
+scenes to train on and scenes to test on, of two cameras whose noise is not the noise model's, and calibrate them
+(docs/proof.md). DIR must be new, empty, or an earlier demo.
+
+    eldata demo
+    eldata demo eldata-calibration --calibration
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared
+from eldata.base import console
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
-
-if TYPE_CHECKING:
-    import argparse
 
 # Fields of eldata.demo.body.FixedFeatures.
 _FEATURES = {
@@ -20,19 +26,8 @@ _FEATURES = {
 }
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "demo",
-        help="the whole path on simulated raw files, without a download",
-        description=(
-            "Photograph procedural scenes with two simulated cameras into real DNG files, verify them, denoise them, "
-            "score the results and draw a contact sheet. With --calibration, take bias and flat-field frames with a "
-            "camera whose noise is known, calibrate it from them, and compare with the truth. With --benchmark, make a "
-            "benchmark in ELD's layout, with scenes to train on and scenes to test on, of two cameras whose noise is "
-            "not the noise model's, and calibrate them (docs/proof.md). DIR must be new, empty, or an earlier demo."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("folder", metavar="DIR", nargs="?", default="eldata-demo", help="default: %(default)s")
     parser.add_argument(
         "--scenes", type=int, metavar="N", help="scenes per camera (default: 4; with --benchmark 10, to test on)"
@@ -49,10 +44,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="FEATURE",
         help=f"with --calibration: a camera without this ({', '.join(_FEATURES)}); may be repeated",
     )
-    add_shared(parser, run, "jobs", example=("eldata demo", "eldata demo eldata-calibration --calibration"))
+    console.add_shared(parser, run, "jobs")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from pathlib import Path
 
@@ -65,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         run_calibration_demo(
             Path(arguments.folder), seed=arguments.seed, features=features, workers=Workers(arguments.jobs)
         )
-        return OK
+        return console.OK
     if arguments.without:
         raise ArgumentError("--without is about calibration frames: give --calibration too")
     if arguments.benchmark:
@@ -76,8 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.scenes is not None:
             plan = replace(plan, scenes=arguments.scenes)
         run_benchmark(Path(arguments.folder), plan, workers=Workers(arguments.jobs))
-        return OK
+        return console.OK
     from eldata.demo.evaluation import run_demo
 
     run_demo(Path(arguments.folder), scenes=4 if arguments.scenes is None else arguments.scenes, seed=arguments.seed)
-    return OK
+    return console.OK

@@ -1,4 +1,16 @@
-"""`eldata download`: fetch a dataset where its publisher allows it, or unpack what was fetched by hand."""
+"""`eldata download`: fetch a dataset where its publisher allows it; unpack and check what was fetched by hand.
+
+Say where a dataset is available, how large it is and under which licence; with --yes, fetch the archives that the
+publisher lets programs fetch, resume after broken connections, check their structure and unpack them into the dataset's
+folder. With --from, do the same with an archive that you saved by hand. Nothing that is there is fetched again or
+replaced.
+
+    eldata download eld
+    eldata download eld --root data --from ELD.7z
+
+Exit codes: 0 the listed files are there; 1 some are missing or differ, and what to do was printed; 2 a download or an
+archive failed. docs/downloads.md says more.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +18,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared
-from eldata.base.files import write_json
+from eldata.base import console
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Sequence
 
     from eldata.download.installing import Installed
@@ -19,22 +29,8 @@ if TYPE_CHECKING:
     from eldata.manifest.catalogue import Manifest
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "download",
-        help="fetch a dataset where its publisher allows it; unpack and check what was fetched by hand",
-        description=(
-            "Say where a dataset is available, how large it is and under which licence; with --yes, fetch the archives "
-            "that the publisher lets programs fetch, resume after broken connections, check their structure and "
-            "unpack them into the dataset's folder. With --from, do the same with an archive that you saved by hand. "
-            "Nothing that is there is fetched again or replaced."
-        ),
-        epilog=(
-            "Exit codes: 0 the listed files are there; 1 some are missing or differ, and what to do was printed; 2 a "
-            "download or an archive failed. docs/downloads.md says more."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("dataset", metavar="DATASET", help="a dataset's name; eldata info lists them")
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--yes", action="store_true", help="fetch: you have read the addresses, sizes and licence")
@@ -56,17 +52,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="only this archive of a dataset that comes in several; may be repeated",
     )
     kept = "what has arrived is kept, and the same command goes on from there"
-    add_shared(
-        parser,
-        run,
-        "root",
-        json="dataset folder presence archives",
-        interrupted=kept,
-        example=("eldata download eld", "eldata download eld --root data --from ELD.7z"),
-    )
+    console.add_shared(parser, run, "root", json="dataset folder presence archives", interrupted=kept)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.download.card_downloads import choose_parts
     from eldata.download.installing import unpack_dataset
@@ -91,16 +80,14 @@ def run(arguments: argparse.Namespace) -> int:
         print(one.format_text())
     presence = presence_of(found.folder, wanted)
     differing = sum(len(one.unpacked.differing) for one in installed)
-    print(_conclusion(found, presence, differing))
-    if arguments.json:
-        data = {
-            "dataset": manifest.name,
-            "folder": str(found.folder),
-            "presence": asdict(presence) | {"complete": presence.complete},
-            "archives": [one.as_dict() for one in installed],
-        }
-        write_json(arguments.json, data)
-    return OK if presence.complete and not differing else PROBLEMS
+    data = {
+        "dataset": manifest.name,
+        "folder": str(found.folder),
+        "presence": asdict(presence) | {"complete": presence.complete},
+        "archives": [one.as_dict() for one in installed],
+    }
+    console.show_and_write(arguments, lambda: _conclusion(found, presence, differing), lambda: data)
+    return console.OK if presence.complete and not differing else console.PROBLEMS
 
 
 def _terms(found: Overview, downloads: Sequence[Download]) -> str:

@@ -1,4 +1,15 @@
-"""`eldata evaluate`: a folder of predictions in, the paper's table out."""
+"""`eldata evaluate`: score predictions under a named protocol, of one method or of several.
+
+Score predictions under a named protocol and print the paper's table. The prediction of CAMERA/scene-1/IMG_0004.ARW is
+PREDS/CAMERA/scene-1/IMG_0004.EXT with EXT one of npy, npz, h5, tif, png (16 bit), dng: packed (C, h, w) or mosaic (H,
+W), float in [0, 1] or uint16 with 65535 = 1.0 (dng: raw DN). Under a protocol of sRGB it is a rendering: an RGB PNG of
+8 or 16 bits. Of clips (drv) it is PREDS/CLIP/FRAME.EXT for five frames of each. Several folders are scored in one pass,
+each raw file decoded once, and held against the first.
+
+    eldata evaluate preds --dataset eld --root data
+    eldata evaluate preds --manifest mine.csv --root data --protocol all --html page.html --json scores.json
+    eldata evaluate preds/bm3d preds/ours --dataset eld --root data --store eld.h5 -o results
+"""
 
 from __future__ import annotations
 
@@ -7,45 +18,25 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from eldata.base.console import (
-    OK,
-    PROBLEMS,
-    add_cameras,
-    add_shared,
-    chosen_workers,
-    each_of,
-)
+from eldata.base import console
 from eldata.base.outputs import RESULT, SCORES, add_output, page_kind
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import argparse
-
     from eldata.base.tables import Format
     from eldata.evaluation.combined import CombinedResult
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.results import EvaluationResult
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     from eldata.metrics.registry import OF_FRAMES, ST_RRED
     from eldata.protocols.named import FAMILIES, PROTOCOLS
 
-    parser = commands.add_parser(
-        "evaluate",
-        help="score predictions under a named protocol, of one method or of several",
-        description=(
-            "Score predictions under a named protocol and print the paper's table. The prediction of "
-            "CAMERA/scene-1/IMG_0004.ARW is PREDS/CAMERA/scene-1/IMG_0004.EXT with EXT one of npy, npz, h5, tif, "
-            "png (16 bit), dng: packed (C, h, w) or mosaic (H, W), float in [0, 1] or uint16 with 65535 = 1.0 (dng: "
-            "raw DN). Under a protocol of sRGB it is a rendering: an RGB PNG of 8 or 16 bits. Of clips (drv) it is "
-            "PREDS/CLIP/FRAME.EXT for five frames of each. Several folders are scored in one pass, each raw file "
-            "decoded once, and held against the first. "
-            f"Scored are {', '.join(one.heading for one in OF_FRAMES.values())}, and {ST_RRED.heading} of clips."
-        ),
-    )
+    scored = ", ".join(one.heading for one in OF_FRAMES.values())
+    parser.description = f"{parser.description} Scored are {scored}, and {ST_RRED.heading} of clips."
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument(
         "predictions", metavar="PREDS", nargs="*", default=[], help="folder of predictions; several: one of each method"
@@ -112,7 +103,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "bit, and nothing is decoded again"
         ),
     )
-    add_cameras(parser)
+    console.add_cameras(parser)
     parser.add_argument(
         "--allow-missing",
         action="store_true",
@@ -149,21 +140,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--compare", action="store_true", help="show the result among the published numbers that compare with it"
     )
-    add_shared(
-        parser,
-        run,
-        "root",
-        "workers",
-        json=RESULT,
-        example=(
-            "eldata evaluate preds --dataset eld --root data",
-            "eldata evaluate preds --manifest mine.csv --root data --protocol all --html page.html --json scores.json",
-            "eldata evaluate preds/bm3d preds/ours --dataset eld --root data --store eld.h5 -o results",
-        ),
-    )
+    console.add_shared(parser, run, "root", "workers", json=RESULT)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.evaluation.evaluate import perform
     from eldata.evaluation.request import EvaluationOptions, make_request
@@ -171,12 +151,10 @@ def run(arguments: argparse.Namespace) -> int:
     if len(arguments.predictions) > 1 or arguments.output or arguments.names:
         return _run_several(arguments)
     predictions = next(iter(arguments.predictions), None)
-    with chosen_workers(arguments) as workers:
-        options = {name: getattr(arguments, name) for name in EvaluationOptions.__annotations__ if name != "workers"}
-        options["workers"] = workers
-        request = make_request(
-            predictions, arguments.dataset or "", arguments.protocol, cast("EvaluationOptions", options)
-        )
+    with console.chosen_workers(arguments) as workers:
+        names = EvaluationOptions.__annotations__.keys() - {"workers"}
+        options = cast("EvaluationOptions", console.chosen(arguments, names) | {"workers": workers})
+        request = make_request(predictions, arguments.dataset or "", arguments.protocol, options)
         combined = perform(request)
     result = combined if request.every else combined.results[0]
 
@@ -192,16 +170,16 @@ def run(arguments: argparse.Namespace) -> int:
             store=request.store,
         )
 
-    each_of(
+    console.each_of(
         arguments.json and (lambda: result.write_json(arguments.json)),
         arguments.csv and (lambda: result.write_csv(arguments.csv)),
         lambda: _show(result, combined, arguments),
         arguments.html and write_page,  # last, because it takes longest
     )
-    return OK if result.scored and not result.problems else PROBLEMS
+    return console.OK if result.scored and not result.problems else console.PROBLEMS
 
 
-def _run_several(arguments: argparse.Namespace) -> int:
+def _run_several(arguments: console.Arguments) -> int:
     """Score several folders, or one whose results go to a folder."""
     from eldata.evaluation.comparison.folders import (
         COMPARISON,
@@ -224,10 +202,10 @@ def _run_several(arguments: argparse.Namespace) -> int:
         )
     folders = named_folders([Path(name) for name in arguments.predictions], arguments.names)
     out = None if arguments.output is None else Path(arguments.output)
-    with chosen_workers(arguments) as workers:
-        options = {name: getattr(arguments, name) for name in EvaluationOptions.__annotations__ if name != "workers"}
-        options["workers"] = workers
-        requests = requests_of(folders, arguments.dataset or "", arguments.protocol, cast("EvaluationOptions", options))
+    with console.chosen_workers(arguments) as workers:
+        names = EvaluationOptions.__annotations__.keys() - {"workers"}
+        options = cast("EvaluationOptions", console.chosen(arguments, names) | {"workers": workers})
+        requests = requests_of(folders, arguments.dataset or "", arguments.protocol, options)
         if out is not None:
             results_folder(out, folders)
         methods = ScoredMethods.of(dict(zip(folders, perform_each(requests), strict=True)))
@@ -256,11 +234,11 @@ def _run_several(arguments: argparse.Namespace) -> int:
         if comparison is not None and out is not None and arguments.format == "text":
             print(f"\nwritten: {out}\nto see every image beside each other: {_with_pictures(comparison, arguments)}")
 
-    each_of(None if out is None else lambda: methods.write(out), show, write_page, say_how_to_see)
-    return OK if methods.all_well else PROBLEMS
+    console.each_of(None if out is None else lambda: methods.write(out), show, write_page, say_how_to_see)
+    return console.OK if methods.all_well else console.PROBLEMS
 
 
-def _with_pictures(comparison: Comparison, arguments: argparse.Namespace) -> str:
+def _with_pictures(comparison: Comparison, arguments: console.Arguments) -> str:
     """Return the command that draws a comparison's images."""
     out = Path(arguments.output)
     options = {name: getattr(arguments, name) for name in ("manifest", "root", "dark_shading")}
@@ -275,7 +253,7 @@ def _with_pictures(comparison: Comparison, arguments: argparse.Namespace) -> str
     )
 
 
-def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, arguments: argparse.Namespace) -> None:
+def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, arguments: console.Arguments) -> None:
     from eldata.evaluation.scores import problem_lines
 
     form: Format = arguments.format if result.scored else "text"

@@ -1,31 +1,26 @@
-"""`eldata export`: a set as published code reads it, by names and lists, or as `datasets` does, with its card."""
+"""`eldata export`: a set as the code of LED, PMN, ELD or SID reads it, or with its card for the Hugging Face Hub.
+
+Write what the published code of a repository reads of a set, your own included: links to its files under the names from
+which that code takes scene and ratio, and its lists of pairs; for PMN, infos. Or, as hub, a folder that the package
+datasets reads and that can be uploaded as it is: dataset card, manifest and Croissant with the pixels as shards, or,
+where no licence lets these be passed on, references alone. Links are no copies, and nothing that is there is
+overwritten.
+
+    eldata export led datasets/ELD --dataset eld --root data --camera SonyA7S2
+    eldata export eld for-eld --manifest my-set.csv --root data
+    eldata export hub for-the-hub --manifest my-set.csv --shards shards/train --shards shards/test
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from eldata.base.console import OK, add_shared, chosen_workers
+from eldata.base import console
 from eldata.errors import ArgumentError
 
-if TYPE_CHECKING:
-    import argparse
-
-    from eldata.manifest.pairs import Choice
+_CHOICE = ("manifest", "link", "cameras", "split", "subset", "exclude_flags")
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "export",
-        help="a set as the code of LED, PMN, ELD or SID reads it, or with its card for the Hugging Face Hub",
-        description=(
-            "Write what the published code of a repository reads of a set, your own included: links to its files under "
-            "the names from which that code takes scene and ratio, and its lists of pairs; for PMN, infos. Or, as hub, "
-            "a folder that the package datasets reads and that can be uploaded as it is: dataset card, manifest and "
-            "Croissant with the pixels as shards, or, where no licence lets these be passed on, references alone. "
-            "Links are no copies, and nothing that is there is overwritten."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     codes = ("led", "pmn", "eld", "sid", "hub")
     parser.add_argument("code", metavar="CODE", choices=codes, help="led, pmn, eld, sid or hub")
     parser.add_argument("folder", metavar="FOLDER", help="where to write")
@@ -45,28 +40,21 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="symbolic",
         help="how files get their names (default: %(default)s)",
     )
-    parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
+    parser.add_argument("--split", action="append", metavar="S", help="only this split; may be repeated")
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
     parser.add_argument(
-        "--exclude", action="append", default=[], metavar="FLAG", help="leave out pairs with this flag; may be repeated"
+        "--exclude",
+        action="append",
+        default=[],
+        dest="exclude_flags",
+        metavar="FLAG",
+        help="leave out pairs with this flag; may be repeated",
     )
     kept = "the links that were made are kept, the lists come last, and the same command goes on"
-    add_shared(
-        parser,
-        run,
-        "root",
-        "cameras",
-        "workers",
-        interrupted=kept,
-        example=(
-            "eldata export led datasets/ELD --dataset eld --root data --camera SonyA7S2",
-            "eldata export eld for-eld --manifest my-set.csv --root data",
-            "eldata export hub for-the-hub --manifest my-set.csv --shards shards/train --shards shards/test",
-        ),
-    )
+    console.add_shared(parser, run, "root", "cameras", "workers", interrupted=kept)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.integrations.exports import export, export_hub
 
@@ -74,34 +62,19 @@ def run(arguments: argparse.Namespace) -> int:
         report = export_hub(
             arguments.folder,
             arguments.dataset or "",
-            manifest=arguments.manifest,
-            shards=arguments.shards,
-            link=arguments.link,
-            **_choice(arguments),
+            **console.chosen(arguments, (*_CHOICE, "shards")),
         )
         print(report.format_text())
-        return OK
+        return console.OK
     if arguments.shards:
         raise ArgumentError(f"--shards is for hub: the code of {arguments.code} reads the set's own files")
-    with chosen_workers(arguments) as workers:
+    with console.chosen_workers(arguments) as workers:
         report = export(
             arguments.code,
             arguments.folder,
             arguments.dataset or "",
-            manifest=arguments.manifest,
-            root=arguments.root,
-            link=arguments.link,
             workers=workers,
-            **_choice(arguments),
+            **console.chosen(arguments, (*_CHOICE, "root")),
         )
     print(report.format_text())
-    return OK
-
-
-def _choice(arguments: argparse.Namespace) -> Choice:
-    return {
-        "cameras": arguments.cameras,
-        "split": arguments.splits,
-        "subset": arguments.subset,
-        "exclude_flags": arguments.exclude,
-    }
+    return console.OK

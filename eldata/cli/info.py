@@ -1,30 +1,27 @@
-"""`eldata info`: which datasets there are, where to get them, and what of them is here."""
+"""`eldata info`: datasets known: where to get them, size, licence, citation.
+
+List the datasets that eldata knows, or all that is known about one: where to get it, size, licence, citation, known
+defects, where its files belong and whether they are there. It looks at names, not at contents: eldata verify checks
+those.
+
+    eldata info
+    eldata info eld --root data
+    eldata info eld --croissant eld.croissant.json
+"""
 
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from functools import partial
 
-from eldata.base.console import OK, PROBLEMS, add_shared, terminal_columns
+from eldata.base import console
 from eldata.base.files import write_json
 from eldata.base.outputs import CROISSANT, add_output, json_kind
 from eldata.errors import ArgumentError, EldataError
 
-if TYPE_CHECKING:
-    import argparse
 
-
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "info",
-        help="datasets known: where to get them, size, licence, citation",
-        description=(
-            "List the datasets that eldata knows, or all that is known about one: where to get it, size, licence, "
-            "citation, known defects, where its files belong and whether they are there. It looks at names, not at "
-            "contents: eldata verify checks those."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
     add_output(
         parser,
@@ -34,11 +31,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         const="",
         help="describe DATASET, or the set of a manifest's CSV file, in Croissant 1.1 (JSON-LD): in FILE, or printed",
     )
-    examples = ("eldata info", "eldata info eld --root data", "eldata info eld --croissant eld.croissant.json")
-    add_shared(parser, run, "root", json=json_kind("datasets", begins=rb'\{\n  "datasets"'), example=examples)
+    console.add_shared(parser, run, "root", json=json_kind("datasets", begins=rb'\{\n  "datasets"'))
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     if arguments.croissant is not None:
         return _describe(arguments)
@@ -54,20 +50,20 @@ def run(arguments: argparse.Namespace) -> int:
             if arguments.dataset is not None:
                 raise
             problems.append(str(error))
-    if arguments.dataset is not None:
-        print(found[0].format_text())
-    else:
+
+    def told() -> str:
+        if arguments.dataset is not None:
+            return found[0].format_text()
         header = ("name", "title", "files", "size", f"in {data_root(arguments.root)}", "licence")
-        print(text_table(header, [one.row for one in found], left=(0, 1, 4, 5), columns=terminal_columns()))
-        print("\neldata info NAME shows one: addresses, citation, known defects")
-    for problem in problems:
-        print(f"eldata info: {problem}", file=sys.stderr)
-    if arguments.json:
-        write_json(arguments.json, {"datasets": [one.as_dict() for one in found]})
-    return PROBLEMS if problems else OK
+        table = text_table(header, [one.row for one in found], left=(0, 1, 4, 5), columns=console.terminal_columns())
+        return f"{table}\n\neldata info NAME shows one: addresses, citation, known defects"
+
+    said = [partial(print, f"eldata info: {problem}", file=sys.stderr) for problem in problems]
+    console.show_and_write(arguments, told, lambda: {"datasets": [one.as_dict() for one in found]}, *said)
+    return console.PROBLEMS if problems else console.OK
 
 
-def _describe(arguments: argparse.Namespace) -> int:
+def _describe(arguments: console.Arguments) -> int:
     """Print or write one set's card and manifest as Croissant."""
     from eldata.base.files import json_text
     from eldata.manifest.catalogue import carded_names, known_manifest, load_manifest, shipped_card, shipped_names
@@ -85,8 +81,8 @@ def _describe(arguments: argparse.Namespace) -> int:
         described, table = to_croissant(manifest), manifest.path
     if not arguments.croissant:
         print(json_text(described), end="")
-        return OK
+        return console.OK
     write_json(arguments.croissant, described)
     beside = f"; it reads {table.name}: put {table} beside it" if table is not None else ""
     print(f"{name} in Croissant: {arguments.croissant}{beside}")
-    return OK
+    return console.OK

@@ -1,4 +1,12 @@
-"""`eldata manifest`: a manifest and card of one's own raws."""
+"""`eldata manifest`: make a manifest and a card of your own raws, from their EXIF and folders.
+
+Make the manifest (CSV) and, beside it, the card (JSON) of a folder of your own raws, by their EXIF. A scene is a
+folder; its reference is what was exposed most at the lowest ISO, the others are noisy frames of it. What cannot be told
+is asked, and nothing is written. Frames in folders called bias and flat are calibration frames.
+
+    eldata manifest data/MINE -o mine.csv
+    eldata manifest data/MINE -o mine.csv --reference 'long/*' --scene '*/{scene}_*'
+"""
 
 from __future__ import annotations
 
@@ -6,30 +14,17 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of
-from eldata.base.files import write_json
+from eldata.base import console
 from eldata.base.numbers import counted
 from eldata.base.outputs import NEW, add_output, json_kind
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import argparse
-
     from eldata.manifest.own import OwnSet
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "manifest",
-        help="make a manifest and a card of your own raws, from their EXIF and folders",
-        description=(
-            "Make the manifest (CSV) and, beside it, the card (JSON) of a folder of your own raws, by their EXIF. A "
-            "scene is a folder; its reference is what was exposed most at the lowest ISO, the others are noisy frames "
-            "of it. What cannot be told is asked, and nothing is written. Frames in folders called bias and flat are "
-            "calibration frames."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("folder", metavar="FOLDER", help="the set's own folder, in the folder that holds the datasets")
     add_output(
         parser,
@@ -51,19 +46,10 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="PATTERN",
         help="where a scene's name stands in all paths, such as '*/{scene}_*' (default: a scene is a folder)",
     )
-    add_shared(
-        parser,
-        run,
-        "workers",
-        json=json_kind("card frames problems"),
-        example=(
-            "eldata manifest data/MINE -o mine.csv",
-            "eldata manifest data/MINE -o mine.csv --reference 'long/*' --scene '*/{scene}_*'",
-        ),
-    )
+    console.add_shared(parser, run, "workers", json=json_kind("card frames problems"))
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.manifest.own import sort_own_set
     from eldata.manifest.writing import save_manifest
@@ -71,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     output, folder = Path(arguments.output), Path(arguments.folder).absolute()
     if output.suffix != ".csv":
         raise ArgumentError(f"-o takes a name that ends in .csv, found {arguments.output}")
-    with chosen_workers(arguments) as workers:
+    with console.chosen_workers(arguments) as workers:
         found = sort_own_set(folder, output.stem, reference=arguments.reference, scene=arguments.scene, workers=workers)
     if not found.problems:
         save_manifest(output, found.card, found.records)
@@ -80,11 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
         "frames": len(found.records),
         "problems": [asdict(problem) for problem in found.problems],
     }
-    each_of(
-        lambda: print(_told(found, output, folder)),
-        arguments.json and (lambda: write_json(arguments.json, data)),
-    )
-    return PROBLEMS if found.problems else OK
+    console.show_and_write(arguments, lambda: _told(found, output, folder), lambda: data)
+    return console.PROBLEMS if found.problems else console.OK
 
 
 def _told(found: OwnSet, output: Path, folder: Path) -> str:

@@ -1,11 +1,15 @@
-"""`eldata noise`: whether a noise model makes frames like the camera's."""
+"""`eldata noise`: hold a noise model against frames of the camera.
+
+Noise models: hold the frames that one makes against frames of the camera.
+
+    eldata noise check mycamera.json --frames data/held-out
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_examples, add_shared, chosen_workers, each_of, whole_number
-from eldata.base.files import write_json
+from eldata.base import console
 from eldata.base.numbers import counted
 from eldata.base.outputs import add_output, page_kind
 from eldata.cli.baseline import add_another_camera
@@ -18,29 +22,10 @@ if TYPE_CHECKING:
     from eldata.noise.components import Components
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "noise",
-        help="hold a noise model against frames of the camera",
-        description="Noise models: hold the frames that one makes against frames of the camera.",
-    )
-    add_examples(parser, "eldata noise check mycamera.json --frames data/held-out")
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    check = subcommands.add_parser(
-        "check",
-        help="the acceptance test of a noise model",
-        description=(
-            "Hold the frames that a profile's noise model makes against bias frames and flats of the same camera that "
-            "its calibration did not see: level, distribution and tails, rows and columns, neighbours, fixed pattern, "
-            "pixels of unlike noise, variance over mean. Each statistic gets a verdict; its standard error is that of "
-            "the scatter from pair to pair of frames. Exit code 1 if one is off by more than 4 standard errors."
-        ),
-        epilog=(
-            "Any other model (a network, recorded dark frames) is judged by eldata.calibration.check_noise: "
-            "docs/noise.md, examples/check_noise_model.py."
-        ),
-    )
+    check = console.add_command(subcommands, "check", run_check.__doc__)
     check.add_argument("profile", metavar="PROFILE", help="name of a shipped profile, or path of a JSON file")
     check.add_argument(
         "--frames",
@@ -58,24 +43,17 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     check.add_argument(
         "--pairs",
-        type=whole_number(16),
+        type=console.whole_number(16),
         default=32,
         metavar="N",
         help="pairs of frames that the model makes for each comparison, 16 or more (default: %(default)s)",
     )
     check.add_argument(
-        "--seed", type=whole_number(0), default=0, metavar="S", help="seed of the model (default: %(default)s)"
+        "--seed", type=console.whole_number(0), default=0, metavar="S", help="seed of the model (default: %(default)s)"
     )
     add_another_camera(check, "frames of another camera")
     add_output(check, "--html", kind=page_kind("acceptance"), help="write a page with plots to FILE")
-    add_shared(
-        check,
-        run_check,
-        "isos",
-        "workers",
-        json="camera isos limit_standard_errors model",
-        example="eldata noise check mycamera.json --frames data/held-out --camera MyCamera --html check.html",
-    )
+    console.add_shared(check, run_check, "isos", "workers", json="camera isos limit_standard_errors model")
 
 
 def add_components(parser: argparse.ArgumentParser, *, dark_frames: str, dark_shading: str) -> None:
@@ -132,8 +110,19 @@ def _check_apart(dark: DarkFrames, frames: CalibrationFrames) -> None:
             )
 
 
-def run_check(arguments: argparse.Namespace) -> int:
-    """Judge one model."""
+def run_check(arguments: console.Arguments) -> int:
+    """`eldata noise check`: the acceptance test of a noise model.
+
+    Hold the frames that a profile's noise model makes against bias frames and flats of the same camera that its
+    calibration did not see: level, distribution and tails, rows and columns, neighbours, fixed pattern, pixels of
+    unlike noise, variance over mean. Each statistic gets a verdict; its standard error is that of the scatter from pair
+    to pair of frames. Exit code 1 if one is off by more than 4 standard errors.
+
+        eldata noise check mycamera.json --frames data/held-out --camera MyCamera --html check.html
+
+    Any other model (a network, recorded dark frames) is judged by eldata.calibration.check_noise: docs/noise.md,
+    examples/check_noise_model.py.
+    """
     from eldata.base.files import write_text
     from eldata.base.tables import one_line
     from eldata.calibration.acceptance.comparison import check_noise
@@ -155,7 +144,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     model = NoiseModel(arguments.model, dark_frames=dark, dark_shading=shading)
     of_sensor = parts.shading or parts.dark
     try:
-        with chosen_workers(arguments) as workers:
+        with console.chosen_workers(arguments) as workers:
             options = {"seed": arguments.seed, "pairs": arguments.pairs, "whole_frames": of_sensor}
             options["profile_of_another_camera"] = arguments.profile_of_another_camera
             found = check_noise(model, frames, profile, workers=workers, **options)
@@ -165,10 +154,10 @@ def run_check(arguments: argparse.Namespace) -> int:
         print(
             f"{frames.camera}: {counted(len(error.problems), 'problem')} with the held-out frames; nothing was judged"
         )
-        return PROBLEMS
+        return console.PROBLEMS
 
-    def show() -> None:
-        print(f"{one_line(profile.camera)}: {found.model} against {one_line(found.camera)}\n\n{found.format_text()}")
+    def told() -> str:
+        return f"{one_line(profile.camera)}: {found.model} against {one_line(found.camera)}\n\n{found.format_text()}"
 
     def write_page() -> None:
         from eldata.reports.acceptance import acceptance_page
@@ -176,9 +165,5 @@ def run_check(arguments: argparse.Namespace) -> int:
         write_text(arguments.html, acceptance_page(found))
         print(f"\nreport: {arguments.html}")
 
-    each_of(
-        show,
-        arguments.json and (lambda: write_json(arguments.json, found.as_dict())),
-        arguments.html and write_page,
-    )
-    return PROBLEMS if found.off else OK
+    console.show_and_write(arguments, told, found.as_dict, arguments.html and write_page)
+    return console.PROBLEMS if found.off else console.OK

@@ -1,46 +1,45 @@
-"""`eldata pack`: a dataset's files to one store for training."""
+"""`eldata pack`: decode a dataset once, into a store that training reads fast.
+
+Decode each file of a dataset's pairs or clips, or of a folder of clean raws, once, into one HDF5 file: the pixels in DN
+with levels, CFA, exposure and manifest (of preprocessed clips, their 16-bit RGB), lossless. PackedStore, PackedClips,
+CleanFrames and CleanClips read random crops of it; DarkFrames reads those of bias frames, CAMERA/bias/ISO100/... below
+the folder (that of DATASET calibration). Work that was interrupted, even by kill -9, goes on where it was if the
+command is repeated.
+
+    eldata pack sid-sony --split train -o sid-train.h5
+    eldata pack data/SID/Sony/long -o clean.h5
+"""
 
 from __future__ import annotations
 
 import shlex
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_cameras, add_shared, chosen_workers
+from eldata.base import console
 from eldata.base.files import folder_problem
 from eldata.base.numbers import counted
 from eldata.base.outputs import NEW, add_output
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import argparse
-
     from eldata.sources.store.sources import Source
 
-
-NAME_HELP = "a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), or a folder of clean raws"
 _CALIBRATION = "calibration"
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "pack",
-        help="decode a dataset once, into a store that training reads fast",
-        description=(
-            "Decode each file of a dataset's pairs or clips, or of a folder of clean raws, once, into one HDF5 file: "
-            "the pixels in DN with levels, CFA, exposure and manifest (of preprocessed clips, their 16-bit RGB), "
-            "lossless. PackedStore, PackedClips, CleanFrames and CleanClips read random crops of it; DarkFrames "
-            "reads those of bias frames, CAMERA/bias/ISO100/... below the folder (that of DATASET calibration). Work "
-            "that was interrupted, even by kill -9, goes on where it was if the command is repeated."
-        ),
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
+    parser.add_argument(
+        "dataset",
+        metavar="DATASET",
+        help="a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), or a folder of clean raws",
     )
-    parser.add_argument("dataset", metavar="DATASET", help=NAME_HELP)
     add_output(parser, "-o", "--output", kind=NEW, metavar="STORE", required=True, help="a new file, such as store.h5")
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
-    parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
+    parser.add_argument("--split", action="append", metavar="S", help="only this split; may be repeated")
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
     parser.add_argument("--clip", action="append", dest="ids", metavar="ID", help="only this clip; may be repeated")
-    add_cameras(parser)
+    console.add_cameras(parser)
     parser.add_argument(
         "--compression",
         choices=("none", "lz4", "zstd"),
@@ -48,22 +47,15 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="lossless; lz4 and zstd need the extra eldata[compression] (default: %(default)s)",
     )
     kept = "the finished frames are kept in {output}.part, and the same command goes on"
-    add_shared(
-        parser,
-        run,
-        "root",
-        "workers",
-        interrupted=kept,
-        example=("eldata pack sid-sony --split train -o sid-train.h5", "eldata pack data/SID/Sony/long -o clean.h5"),
-    )
+    console.add_shared(parser, run, "root", "workers", interrupted=kept)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.sources.store.build import build_store
 
     source = _source(arguments)
-    with chosen_workers(arguments) as workers:
+    with console.chosen_workers(arguments) as workers:
         report = build_store(source, arguments.output, compression=arguments.compression, workers=workers)
     resumed = f" ({report.resumed} of them before)" if report.resumed else ""
     print(
@@ -71,10 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
         f"{report.pixel_bytes / 1e6:.1f} MB of pixels"
     )
     print(f"to check: eldata verify {shlex.quote(str(report.path))} --level full")
-    return OK
+    return console.OK
 
 
-def _source(arguments: argparse.Namespace) -> Source:
+def _source(arguments: console.Arguments) -> Source:
     from pathlib import Path
 
     from eldata.sources.store.sources import source_of_dataset, source_of_folder
@@ -85,28 +77,21 @@ def _source(arguments: argparse.Namespace) -> Source:
         if arguments.manifest is None and Path(arguments.dataset).name != arguments.dataset:  # no name has slashes
             problem = folder_problem(Path(arguments.dataset))
             raise ArgumentError(f"{arguments.dataset}: {problem}; give a folder of camera raws, or a dataset's name")
-        return source_of_dataset(
-            arguments.dataset,
-            root=arguments.root,
-            manifest=arguments.manifest,
-            cameras=arguments.cameras,
-            split=arguments.splits,
-            subset=arguments.subset,
-            ids=arguments.ids,
-        )
-    if arguments.root or arguments.splits or arguments.subset or arguments.cameras or arguments.ids:
+        options = console.chosen(arguments, ("root", "manifest", "cameras", "split", "subset", "ids"))
+        return source_of_dataset(arguments.dataset, **options)
+    if arguments.root or arguments.split or arguments.subset or arguments.cameras or arguments.ids:
         raise ArgumentError(
             f"--root, --split, --subset, --clip and --camera are for datasets by name; {arguments.dataset} is a folder"
         )
     return source_of_folder(arguments.dataset)
 
 
-def _calibration(arguments: argparse.Namespace) -> Source:
+def _calibration(arguments: console.Arguments) -> Source:
     from eldata.errors import DatasetError
     from eldata.manifest.catalogue import data_root
     from eldata.sources.store.sources import source_of_folder
 
-    if arguments.splits or arguments.subset or arguments.ids:
+    if arguments.split or arguments.subset or arguments.ids:
         raise ArgumentError("--split, --subset and --clip are for datasets of pairs and clips, not for calibration")
     cameras = arguments.cameras or [""]
     if len(cameras) > 1:

@@ -1,33 +1,23 @@
-"""`eldata predict`: a data set through a network from a file."""
+"""`eldata predict`: run a network over a dataset, in tiles.
+
+Run a network over each noisy frame that a protocol scores, of photographs or of clips, and write the predictions that
+eldata evaluate reads. The network takes (1, C, h, w) float32, packed, normalised and amplified, and returns the same
+shape, or (1, 3, h, w) under a protocol of Raw2RGB; one of RGB2RGB takes and returns (1, 3, h, w) in sRGB; one of clips
+takes a window (1, T, C, h, w) and returns its middle frame, and at a clip's ends the frames inside are mirrored.
+Predictions that are there are kept, so that interrupted work goes on. A model, whatever its format, is a program that
+runs with all your rights: give your own, or one that you trust as such.
+
+    eldata predict model.pt --dataset eld --root data -o preds/mine
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from eldata.base.console import add_shared, whole_number
+from eldata.base import console
 from eldata.cli.baseline import add_choice, chosen_options, show_report
 
-if TYPE_CHECKING:
-    import argparse
 
-_EXAMPLE = "eldata predict model.pt --dataset eld --root data -o preds/mine"
-
-
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "predict",
-        help="run a network over a dataset, in tiles",
-        description=(
-            "Run a network over each noisy frame that a protocol scores, of photographs or of clips, and write the "
-            "predictions that eldata evaluate reads. The network takes (1, C, h, w) float32, packed, normalised and "
-            "amplified, and returns the same shape, or (1, 3, h, w) under a protocol of Raw2RGB; one of RGB2RGB takes "
-            "and returns (1, 3, h, w) in sRGB; one of clips takes a window (1, T, C, h, w) and returns its middle "
-            "frame, and at a clip's ends the frames inside are mirrored. Predictions that are there are kept, so that "
-            "interrupted work goes on. A model, whatever its format, is a program that runs with all your rights: give "
-            "your own, or one that you trust as such."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "model",
         metavar="MODEL",
@@ -47,27 +37,27 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     parser.add_argument(
         "--window",
-        type=whole_number(1),
+        type=console.whole_number(1),
         metavar="T",
         help="frames of a clip that the network takes, an odd number (default: what the network states, else 1)",
     )
     parser.add_argument(
         "--tile",
-        type=whole_number(0),
+        type=console.whole_number(0),
         default=1024,
         metavar="PX",
         help="packed pixels; 0: whole frames (default: 1024)",
     )
     parser.add_argument(
         "--overlap",
-        type=whole_number(0),
+        type=console.whole_number(0),
         default=128,
         metavar="PX",
         help="of tiles; four times the network's reach makes them equal to the whole frame (default: 128)",
     )
     parser.add_argument(
         "--multiple",
-        type=whole_number(1),
+        type=console.whole_number(1),
         metavar="M",
         help="sides and places of tiles are multiples of it: 16 for a network that halves its image four times "
         "(default: what the network states, else 16)",
@@ -82,17 +72,17 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="mixed precision by torch's autocast (default: %(default)s)",
     )
     kept = "{output} keeps the finished predictions, and the same command goes on"
-    add_shared(parser, run, "root", "isolation", interrupted=kept, example=_EXAMPLE)
+    console.add_shared(parser, run, "root", "isolation", interrupted=kept)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.baselines.networks import load_network
     from eldata.baselines.predicting import write_predictions
 
-    options = ("weights", "device", "precision", "tile", "overlap", "multiple", "window")
-    network = load_network(arguments.model, **{name: getattr(arguments, name) for name in options})
+    names = ("weights", "device", "precision", "tile", "overlap", "multiple", "window")
+    network = load_network(arguments.model, **console.chosen(arguments, names))
     clip = arguments.input_clip or network.clip or "protocol"
-    chosen = chosen_options(arguments)
-    report = write_predictions(network, arguments.dataset or "", arguments.output, clip=clip, **chosen)
+    options = chosen_options(arguments)
+    report = write_predictions(network, arguments.dataset or "", arguments.output, clip=clip, **options)
     return show_report(report, arguments)

@@ -1,37 +1,23 @@
-"""`eldata profile`: what a camera's noise profile says, and whether the noise model follows it."""
+"""`eldata profile`: show a camera's noise profile and test the noise model with it.
+
+Camera profiles: list those that ship, show one and test the noise model, or estimate one from a photograph.
+
+    eldata profile list
+    eldata profile show SonyA7S2
+"""
 
 from __future__ import annotations
 
 import shlex
-from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_examples, add_shared, each_of, whole_number
-from eldata.base.files import write_json
+from eldata.base import console
 from eldata.base.outputs import PROFILE, FileKind, add_output, page_kind
 
-if TYPE_CHECKING:
-    import argparse
 
-
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "profile",
-        help="show a camera's noise profile and test the noise model with it",
-        description="Camera profiles: list those that ship, show one and test the noise model, or estimate one from a "
-        "photograph.",
-    )
-    add_examples(parser, "eldata profile list", "eldata profile show SonyA7S2")
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    show = subcommands.add_parser(
-        "show",
-        help="show a profile and compare simulated frames with the theory",
-        description=(
-            "Show a profile, draw parameters from it, simulate flats and bias frames and compare them with the model's "
-            "closed forms. With --iso or --gain, lambda and colour bias come from the calibration row nearest in gain; "
-            "otherwise all are drawn. Exit code 1 if a figure is off by more than 4 standard errors."
-        ),
-    )
+    show = console.add_command(subcommands, "show", run_show.__doc__)
     show.add_argument("camera", metavar="CAMERA", help="name of a shipped profile, or path of a JSON file")
     where = show.add_mutually_exclusive_group()
     where.add_argument("--iso", type=float, metavar="ISO", help="at this ISO (default: a gain drawn from the profile)")
@@ -43,26 +29,15 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
     )
     show.add_argument(
-        "--seed", type=whole_number(0), default=0, metavar="S", help="seed of all randomness (default: %(default)s)"
+        "--seed",
+        type=console.whole_number(0),
+        default=0,
+        metavar="S",
+        help="seed of all randomness (default: %(default)s)",
     )
     add_output(show, "--html", kind=page_kind("profile"), help="write a page with plots to FILE")
-    add_shared(
-        show,
-        run_show,
-        json="camera profile model comparisons",
-        example="eldata profile show SonyA7S2 --iso 1600 --html sony.html",
-    )
-    estimate = subcommands.add_parser(
-        "estimate",
-        help="a profile from one raw photograph, without a calibration",
-        description=(
-            "Estimate gain and read noise at one ISO from one raw photograph: from the NoiseProfile of a DNG that has "
-            "one, held against the pixels, else from how the variance of the photograph's smooth parts grows with "
-            "their brightness. For phones and unknown cameras; a calibration (eldata calibrate) knows more. Exit code "
-            "1 if the photograph does not tell both figures, and no profile can be made."
-        ),
-        epilog="What it can tell and what not: docs/calibration.md, One photograph.",
-    )
+    console.add_shared(show, run_show, json="camera profile model comparisons")
+    estimate = console.add_command(subcommands, "estimate", run_estimate.__doc__)
     estimate.add_argument("image", metavar="IMAGE", help="a raw file as the camera wrote it")
     add_output(estimate, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)")
     estimate.add_argument(
@@ -72,22 +47,8 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         default="auto",
         help="take the file's NoiseProfile, or the pixels (default: the former where there is one)",
     )
-    add_shared(
-        estimate,
-        run_estimate,
-        "isolation",
-        json="path source problems remarks",
-        example="eldata profile estimate IMG_0001.dng -o phone.json",
-    )
-    importing = subcommands.add_parser(
-        "import",
-        help="make a profile of published parameters (JSON)",
-        description=(
-            "Make a profile of parameters as the ELD authors publish them, turned into JSON: CAMERA_params.npy is a "
-            "pickle, which is not read here; docs/noise.md has the three lines of numpy that turn it. The profile's "
-            "notes say what is inferred."
-        ),
-    )
+    console.add_shared(estimate, run_estimate, "isolation", json="path source problems remarks")
+    importing = console.add_command(subcommands, "import", run_import.__doc__)
     importing.add_argument("file", metavar="FILE", help="the parameters, JSON")
     add_output(importing, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)", required=True)
     importing.add_argument("--camera", metavar="NAME", help="the camera's name (default: the file's, less _params)")
@@ -96,13 +57,20 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="NAME",
         help="which of several calibrations in the file, such as Profile-2 (default: the only one)",
     )
-    add_shared(importing, run_import, example="eldata profile import SonyA7S2_params.json -o sony.json")
-    listing = subcommands.add_parser("list", help="list the profiles that ship", description="List shipped profiles.")
-    add_shared(listing, run_list, json=FileKind(rb'\[\s*\{\s*"profile":'), example="eldata profile list")
+    console.add_shared(importing, run_import)
+    listing = console.add_command(subcommands, "list", run_list.__doc__)
+    console.add_shared(listing, run_list, json=FileKind(rb'\[\s*\{\s*"profile":'))
 
 
-def run_show(arguments: argparse.Namespace) -> int:
-    """Show and test one profile."""
+def run_show(arguments: console.Arguments) -> int:
+    """`eldata profile show`: show a profile and compare simulated frames with the theory.
+
+    Show a profile, draw parameters from it, simulate flats and bias frames and compare them with the model's closed
+    forms. With --iso or --gain, lambda and colour bias come from the calibration row nearest in gain; otherwise all are
+    drawn. Exit code 1 if a figure is off by more than 4 standard errors.
+
+        eldata profile show SonyA7S2 --iso 1600 --html sony.html
+    """
     from eldata.base.tables import one_line, text_table
     from eldata.calibration.acceptance.theory import diagnose, sample_parameters
     from eldata.calibration.acceptance.verdicts import parameter_rows
@@ -152,16 +120,22 @@ def run_show(arguments: argparse.Namespace) -> int:
 
         write_text(arguments.html, profile_page(diagnostics))
 
-    each_of(
-        lambda: print("\n".join(lines)),
-        arguments.json and (lambda: write_json(arguments.json, diagnostics.as_dict())),
-        arguments.html and write_page,
-    )
-    return PROBLEMS if diagnostics.off else OK
+    console.show_and_write(arguments, lambda: "\n".join(lines), diagnostics.as_dict, arguments.html and write_page)
+    return console.PROBLEMS if diagnostics.off else console.OK
 
 
-def run_estimate(arguments: argparse.Namespace) -> int:
-    """Estimate a profile from one photograph."""
+def run_estimate(arguments: console.Arguments) -> int:
+    """`eldata profile estimate`: a profile from one raw photograph, without a calibration.
+
+    Estimate gain and read noise at one ISO from one raw photograph: from the NoiseProfile of a DNG that has one, held
+    against the pixels, else from how the variance of the photograph's smooth parts grows with their brightness. For
+    phones and unknown cameras; a calibration (eldata calibrate) knows more. Exit code 1 if the photograph does not tell
+    both figures, and no profile can be made.
+
+        eldata profile estimate IMG_0001.dng -o phone.json
+
+    What it can tell and what not: docs/calibration.md, One photograph.
+    """
     from eldata.calibration.one_photograph.estimate import estimate_profile
 
     found = estimate_profile(arguments.image, source=arguments.source)
@@ -173,16 +147,18 @@ def run_estimate(arguments: argparse.Namespace) -> int:
         found.profile.save(arguments.output)
         print(f"\nprofile: {arguments.output}; look at it with eldata profile show {shlex.quote(arguments.output)}")
 
-    each_of(
-        lambda: print(found.format_text()),
-        arguments.output and write_profile,
-        arguments.json and (lambda: write_json(arguments.json, found.as_dict())),
-    )
-    return PROBLEMS if found.profile is None else OK
+    console.show_and_write(arguments, found.format_text, found.as_dict, arguments.output and write_profile)
+    return console.PROBLEMS if found.profile is None else console.OK
 
 
-def run_import(arguments: argparse.Namespace) -> int:
-    """Write the profile of a published parameter file."""
+def run_import(arguments: console.Arguments) -> int:
+    """`eldata profile import`: make a profile of published parameters (JSON).
+
+    Make a profile of parameters as the ELD authors publish them, turned into JSON: CAMERA_params.npy is a pickle, which
+    is not read here; docs/noise.md has the three lines of numpy that turn it. The profile's notes say what is inferred.
+
+        eldata profile import SonyA7S2_params.json -o sony.json
+    """
     from pathlib import Path
 
     from eldata.base.visible import in_line
@@ -208,11 +184,16 @@ def run_import(arguments: argparse.Namespace) -> int:
         f"{in_line(camera)}: {len(profile.rows)} rows, {chosen}\n"
         f"profile: {arguments.output}; look at it with eldata profile show {shlex.quote(arguments.output)}"
     )
-    return OK
+    return console.OK
 
 
-def run_list(arguments: argparse.Namespace) -> int:
-    """List the shipped profiles."""
+def run_list(arguments: console.Arguments) -> int:
+    """`eldata profile list`: list the profiles that ship.
+
+    List shipped profiles.
+
+        eldata profile list
+    """
     from eldata.base.tables import text_table
     from eldata.noise.profile import CameraProfile
     from eldata.noise.profile_files import shipped_profiles
@@ -223,18 +204,17 @@ def run_list(arguments: argparse.Namespace) -> int:
         low, high = profile.gain_range_dn_per_e
         isos = "-" if profile.iso_range is None else "{:g} to {:g}".format(*profile.iso_range)
         rows.append((name, f"{low:.4g} to {high:.4g}", isos, str(len(profile.rows)), profile.source))
-    print(text_table(("profile", "gain [DN/e-]", "ISO", "rows", "source"), rows, left=(0, 4)))
-    if arguments.json:
-        listed = [
-            {
-                "profile": name,
-                "camera": profile.camera,
-                "gain_range_dn_per_e": profile.gain_range_dn_per_e,
-                "iso_range": profile.iso_range,
-                "rows": len(profile.rows),
-                "source": profile.source,
-            }
-            for name, profile in profiles.items()
-        ]
-        write_json(arguments.json, listed)
-    return OK
+    listed = [
+        {
+            "profile": name,
+            "camera": profile.camera,
+            "gain_range_dn_per_e": profile.gain_range_dn_per_e,
+            "iso_range": profile.iso_range,
+            "rows": len(profile.rows),
+            "source": profile.source,
+        }
+        for name, profile in profiles.items()
+    ]
+    header = ("profile", "gain [DN/e-]", "ISO", "rows", "source")
+    console.show_and_write(arguments, lambda: text_table(header, rows, left=(0, 4)), lambda: listed)
+    return console.OK

@@ -1,31 +1,27 @@
-"""`eldata protocols`: the evaluation protocols that are known, and all that one of them fixes."""
+"""`eldata protocols`: evaluation protocols: what each fixes, and its source.
+
+List the protocols under which images and clips are scored, or show all that one of them fixes: pairs, region, levels,
+clips, rescaling, metrics, source and digest. A protocol of your own is a TOML file: see docs/evaluation.md.
+
+    eldata protocols
+    eldata protocols eld
+    eldata protocols --dataset sid-sony
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared, terminal_columns
-from eldata.base.files import write_json
+from eldata.base import console
 
 if TYPE_CHECKING:
-    import argparse
-
     from eldata.protocols.protocol import Protocol
 
 _DIGEST = "sha256:"
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "protocols",
-        help="evaluation protocols: what each fixes, and its source",
-        description=(
-            "List the protocols under which images and clips are scored, or show all that one of them fixes: pairs, "
-            "region, levels, clips, rescaling, metrics, source and digest. A protocol of your own is a TOML file: see "
-            "docs/evaluation.md."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "protocol",
         metavar="NAME",
@@ -36,35 +32,27 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ),
     )
     parser.add_argument("--dataset", metavar="N", help="only those for this dataset")
-    add_shared(
-        parser,
-        run,
-        json="protocols",
-        example=("eldata protocols", "eldata protocols eld", "eldata protocols --dataset sid-sony"),
-    )
+    console.add_shared(parser, run, json="protocols")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.base.tables import text_table
     from eldata.protocols.words import HEADER, summary
 
     names = arguments.protocol[1:] if arguments.protocol[:1] == ["show"] else arguments.protocol
     found = _chosen(names, arguments.dataset)
-    if names:
-        print("\n\n".join(_page(protocol) for protocol in found))
-    else:
-        print(
-            text_table(
-                HEADER, [summary(protocol) for protocol in found], left=range(len(HEADER)), columns=terminal_columns()
-            )
-        )
-        print("\neldata protocols NAME shows one: all that it fixes, its source and digest")
-    if arguments.json:
-        write_json(
-            arguments.json, {"protocols": [protocol.as_dict() | {"digest": protocol.digest} for protocol in found]}
-        )
-    return OK
+
+    def told() -> str:
+        if names:
+            return "\n\n".join(_page(protocol) for protocol in found)
+        rows = [summary(protocol) for protocol in found]
+        table = text_table(HEADER, rows, left=range(len(HEADER)), columns=console.terminal_columns())
+        return f"{table}\n\neldata protocols NAME shows one: all that it fixes, its source and digest"
+
+    data = {"protocols": [protocol.as_dict() | {"digest": protocol.digest} for protocol in found]}
+    console.show_and_write(arguments, told, lambda: data)
+    return console.OK
 
 
 def _chosen(names: list[str], dataset: str | None) -> list[Protocol]:

@@ -1,30 +1,23 @@
-"""`eldata reproduce`: a saved result in, the same evaluation again, and what differs."""
+"""`eldata reproduce`: evaluate again as a saved result states, and say what differs.
+
+Evaluate again as a result that eldata evaluate --json wrote states, on the data at hand: its protocol field by field,
+its pairs, its task. Every value is held against the saved one to the last digit, and so is what the numbers depend on:
+versions, manifest, protocol. Exit code 1 if a value differs.
+
+    eldata reproduce results/ours.json --root data
+    eldata reproduce paper.json --predictions preds/ours --root data --json again.json
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from eldata.base.console import OK, PROBLEMS, add_shared, chosen_workers, each_of
-from eldata.base.files import write_json
+from eldata.base import console
 from eldata.base.outputs import json_kind
-
-if TYPE_CHECKING:
-    import argparse
 
 _KIND = json_kind("results", begins=rb'\{\n  "results": \[\n    \{\n      "source"')  # those of evaluate have no source
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "reproduce",
-        help="evaluate again as a saved result states, and say what differs",
-        description=(
-            "Evaluate again as a result that eldata evaluate --json wrote states, on the data at hand: its protocol "
-            "field by field, its pairs, its task. Every value is held against the saved one to the last digit, and so "
-            "is what the numbers depend on: versions, manifest, protocol. Exit code 1 if a value differs."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("result", metavar="RESULT", help="JSON of eldata evaluate, with one protocol or several")
     parser.add_argument(
         "--predictions", metavar="FOLDER", help="where the predictions lie now (default: where they lay)"
@@ -35,30 +28,21 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--task", metavar="MODULE:NAME", help="the task of the result, if it is not the function that the result names"
     )
     parser.add_argument("--store", metavar="FILE", help="take the dataset's frames from this store (eldata pack)")
-    add_shared(
-        parser,
-        run,
-        "root",
-        "workers",
-        json=_KIND,
-        example=(
-            "eldata reproduce results/ours.json --root data",
-            "eldata reproduce paper.json --predictions preds/ours --root data --json again.json",
-        ),
-    )
+    console.add_shared(parser, run, "root", "workers", json=_KIND)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.evaluation.reproduction import reproduce
     from eldata.evaluation.saved import load_results
 
     names = ("predictions", "root", "manifest", "dark_shading", "task", "store")
-    with chosen_workers(arguments) as workers:
-        given = {name: getattr(arguments, name) for name in names}
+    with console.chosen_workers(arguments) as workers:
+        given = console.chosen(arguments, names)
         found = [reproduce(result, **given, workers=workers) for result in load_results(arguments.result)]
-    each_of(
-        lambda: print("\n\n".join(one.format_text() for one in found)),
-        arguments.json and (lambda: write_json(arguments.json, {"results": [one.as_dict() for one in found]})),
+    console.show_and_write(
+        arguments,
+        lambda: "\n\n".join(one.format_text() for one in found),
+        lambda: {"results": [one.as_dict() for one in found]},
     )
-    return OK if all(one.same for one in found) else PROBLEMS
+    return console.OK if all(one.same for one in found) else console.PROBLEMS

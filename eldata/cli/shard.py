@@ -1,28 +1,20 @@
-"""`eldata shard`: a store's pairs to sequential shards, for slow disks and networks."""
+"""`eldata shard`: write a store's pairs as tar shards, to be streamed from slow disks or over a network.
+
+Write the pairs of a store as tar files of the WebDataset convention, shuffled over all of them, with an index that
+StreamedPairs reads: the pixels in DN with levels, CFA, exposure and record, lossless. Work that was interrupted, even
+by kill -9, goes on if the command is repeated. Copy the folder to where it is to be read from.
+
+    eldata shard sid-train.h5 -o shards
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from eldata.base.console import OK, add_shared, whole_number
+from eldata.base import console
 from eldata.base.numbers import counted
 
-if TYPE_CHECKING:
-    import argparse
 
-
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "shard",
-        help="write a store's pairs as tar shards, to be streamed from slow disks or over a network",
-        description=(
-            "Write the pairs of a store as tar files of the WebDataset convention, shuffled over all of them, with an "
-            "index that StreamedPairs reads: the pixels in DN with levels, CFA, exposure and record, lossless. Work "
-            "that was interrupted, even by kill -9, goes on if the command is repeated. Copy the folder to where it is "
-            "to be read from."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("store", metavar="STORE", help="a store of pairs, from eldata pack")
     parser.add_argument("-o", "--output", metavar="DIR", required=True, help="a new folder")
     parser.add_argument(
@@ -38,36 +30,30 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         ("--seed", 0, "S", "of the order"),
     ):
         parser.add_argument(
-            name, type=whole_number(0), default=default, metavar=letter, help=f"{text} (default: %(default)s)"
+            name, type=console.whole_number(0), default=default, metavar=letter, help=f"{text} (default: %(default)s)"
         )
-    parser.add_argument("--split", action="append", dest="splits", metavar="S", help="only this split; may be repeated")
+    parser.add_argument("--split", action="append", metavar="S", help="only this split; may be repeated")
     parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
     kept = "the finished shards are kept in {output}, and the same command goes on"
-    add_shared(parser, run, "cameras", "isolation", interrupted=kept, example="eldata shard sid-train.h5 -o shards")
+    console.add_shared(parser, run, "cameras", "isolation", interrupted=kept)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.sources.shards.writing import write_shards
 
     report = write_shards(
         arguments.store,
         arguments.output,
-        tile=arguments.tile,
-        overlap=arguments.overlap,
-        samples_per_shard=arguments.samples_per_shard,
-        seed=arguments.seed,
-        cameras=arguments.cameras,
-        split=arguments.splits,
-        subset=arguments.subset,
+        **console.chosen(arguments, ("tile", "overlap", "samples_per_shard", "seed", "cameras", "split", "subset")),
     )
     resumed = f" ({report.resumed} of them before)" if report.resumed else ""
     print(
         f"{counted(report.samples, 'sample')} in {counted(report.shards, 'shard')}{resumed}: {report.folder}, "
         f"{report.bytes / 1e6:.1f} MB; index.json came last"
     )
-    return OK
+    return console.OK
 
 
 def _tile(text: str) -> int | None:
-    return None if text == "whole" else whole_number(0)(text)
+    return None if text == "whole" else console.whole_number(0)(text)

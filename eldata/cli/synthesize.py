@@ -1,25 +1,28 @@
-"""`eldata synthesize`: a folder of clean raw files to a noisy tree."""
+"""`eldata synthesize`: make noisy raw files from clean ones, with a manifest.
+
+Make noisy exposures of folders of clean raw files with a camera's calibrated noise. OUT gets the clean and noisy
+frames, a manifest that eldata verify and the datasets read, and every parameter drawn. Work that was interrupted, even
+by kill -9, goes on if the command is repeated.
+
+    eldata synthesize data/SID/Sony/long -o noisy --camera SonyA7S2 --ratio 100:300 --seed 1
+"""
 
 from __future__ import annotations
 
 import argparse
 import shlex
 
-from eldata.base.console import OK, add_shared, chosen_workers
+from eldata.base import console
 from eldata.cli.noise import add_components, check_components
 
+_OF_RECIPE = (
+    *("ratio", "seed", "iso", "row", "extrapolate", "per_image", "clips", "split", "format"),
+    *("dark_frames", "dark_shading"),
+)
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "synthesize",
-        help="make noisy raw files from clean ones, with a manifest",
-        description=(
-            "Make noisy exposures of folders of clean raw files with a camera's calibrated noise. OUT gets the clean "
-            "and noisy frames, a manifest that eldata verify and the datasets read, and every parameter drawn. Work "
-            "that was interrupted, even by kill -9, goes on if the command is repeated."
-        ),
-    )
+
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument("clean", metavar="CLEAN", nargs="+", help="folder of clean raw files, or several")
     parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a new folder")
     parser.add_argument("--camera", metavar="NAME", required=True, help="a shipped profile (SonyA7S2) or a JSON file")
@@ -66,13 +69,7 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument("--per-image", type=int, default=1, metavar="N", help="noisy frames per clean one (default: 1)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="default: %(default)s")
     kept = "{output} is an unfinished run: the finished frames are kept, and the same command goes on"
-    add_shared(
-        parser,
-        run,
-        "workers",
-        interrupted=kept,
-        example="eldata synthesize data/SID/Sony/long -o noisy --camera SonyA7S2 --ratio 100:300 --seed 1",
-    )
+    console.add_shared(parser, run, "workers", interrupted=kept)
 
 
 def _ratio(text: str) -> tuple[float, float]:
@@ -89,7 +86,7 @@ def _split(text: str) -> tuple[float, float]:
     return _ratio(text)
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from pathlib import Path
 
@@ -97,23 +94,9 @@ def run(arguments: argparse.Namespace) -> int:
     from eldata.noise.profile import CameraProfile
 
     check_components(arguments.model, arguments.dark_frames, arguments.dark_shading)
-    recipe = Recipe(
-        profile=CameraProfile.load(arguments.camera),
-        spec=arguments.model,
-        ratio=arguments.ratio,
-        seed=arguments.seed,
-        iso=arguments.iso,
-        row=arguments.row,
-        extrapolate=arguments.extrapolate,
-        per_image=arguments.per_image,
-        clips=arguments.clips,
-        split=arguments.split,
-        format=arguments.format,
-        dark_frames=arguments.dark_frames,
-        dark_shading=arguments.dark_shading,
-    )
+    recipe = Recipe(CameraProfile.load(arguments.camera), arguments.model, **console.chosen(arguments, _OF_RECIPE))
     out = Path(arguments.output)
-    with chosen_workers(arguments) as workers:
+    with console.chosen_workers(arguments) as workers:
         manifest = synthesize(list(map(Path, arguments.clean)), out, recipe, workers=workers)
     noisy = manifest.card.counts.get("noisy", 0)
     print(
@@ -122,4 +105,4 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"manifest {manifest.path}, parameters {out / 'parameters.json'}")
     where = f"{shlex.quote(str(manifest.path))} --root {shlex.quote(str(out / 'data'))}"
     print(f"to check: eldata verify {where} --level metadata")
-    return OK
+    return console.OK

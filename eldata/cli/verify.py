@@ -1,39 +1,37 @@
-"""`eldata verify`: check the files on disk against manifests."""
+"""`eldata verify`: check the files on disk against manifests, or a store or shards.
+
+Check the files on disk against manifests and list every problem. Levels: quick (present, size, no unlisted raw files),
+metadata (also: opens, camera, ISO, exposure, ratio; remarks), full (also: hashes). Nothing is written. For a training
+store (.h5) every level checks its structure, full also its pixels; shards (their index.json, at any address) are read
+whole.
+
+    eldata verify
+    eldata verify eld --root data --level metadata
+    eldata verify store.h5 --level full
+"""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, chosen_workers, each_of
-from eldata.base.files import write_json
+from eldata.base import console
 from eldata.base.outputs import json_kind
 from eldata.errors import ArgumentError
 from eldata.manifest.verify import verify
 from eldata.manifest.verify_report import LEVELS
 
 if TYPE_CHECKING:
-    import argparse
-
     from eldata.base.workers import Workers
     from eldata.manifest.verify_report import VerifyReport
 
 _INDEX = "index.json"
 
 
-def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add this command."""
-    parser = commands.add_parser(
-        "verify",
-        help="check the files on disk against manifests, or a store or shards",
-        description=(
-            "Check the files on disk against manifests and list every problem. Levels: quick (present, size, no "
-            "unlisted raw files), metadata (also: opens, camera, ISO, exposure, ratio; remarks), full (also: hashes). "
-            "Nothing is written. For a training store (.h5) every level checks its structure, full also its pixels; "
-            "shards (their index.json, at any address) are read whole."
-        ),
-    )
+def add_options(parser: console.Parser) -> None:
+    """Add its options."""
     parser.add_argument(
         "manifests",
         metavar="MANIFESTS",
@@ -43,39 +41,27 @@ def add_parser(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
             "(default: every known dataset that is there)"
         ),
     )
-    add_cameras(parser)
+    console.add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
-    add_shared(
-        parser,
-        run,
-        "root",
-        "workers",
-        json=json_kind("level ok datasets", "shards problems"),
-        example=(
-            "eldata verify",
-            "eldata verify eld --root data --level metadata",
-            "eldata verify store.h5 --level full",
-        ),
-    )
+    console.add_shared(parser, run, "root", "workers", json=json_kind("level ok datasets", "shards problems"))
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: console.Arguments) -> int:
     """Run this command."""
     alone = next((one for one in arguments.manifests if one.endswith(_INDEX) or _is_store(one)), None)
     if alone is not None and len(arguments.manifests) > 1:
         raise ArgumentError(f"{alone} is checked alone: give it in a command of its own")
     if alone is not None and not _is_store(alone):
         return _of_shards(arguments, alone)
-    with chosen_workers(arguments) as workers:
+    with console.chosen_workers(arguments) as workers:
         report = _of_files(arguments, workers) if alone is None else _of_store(arguments, alone, workers)
-    each_of(
-        lambda: print(report.format_text() if arguments.manifests else _all_known(report)),
-        arguments.json and (lambda: write_json(arguments.json, report.as_dict())),
+    console.show_and_write(
+        arguments, report.format_text if arguments.manifests else partial(_all_known, report), report.as_dict
     )
-    return OK if report.ok else PROBLEMS
+    return console.OK if report.ok else console.PROBLEMS
 
 
-def _of_shards(arguments: argparse.Namespace, index: str) -> int:
+def _of_shards(arguments: console.Arguments, index: str) -> int:
     from eldata.sources.shards.reading import verify_shards
 
     _refuse_choices(arguments, "shards are checked whole")
@@ -83,30 +69,28 @@ def _of_shards(arguments: argparse.Namespace, index: str) -> int:
         raise ArgumentError("--dask is for manifests and stores; shards are read in their order")
     address = index.removesuffix(_INDEX) or "."
     problems = verify_shards(address)
-    each_of(
-        lambda: print("\n".join(problems) if problems else f"{address}: every shard is whole"),
-        arguments.json and (lambda: write_json(arguments.json, {"shards": address, "problems": problems})),
-    )
-    return PROBLEMS if problems else OK
+    told = "\n".join(problems) if problems else f"{address}: every shard is whole"
+    console.show_and_write(arguments, lambda: told, lambda: {"shards": address, "problems": problems})
+    return console.PROBLEMS if problems else console.OK
 
 
 def _is_store(path: str) -> bool:
     return path.lower().endswith((".h5", ".hdf5"))
 
 
-def _of_store(arguments: argparse.Namespace, path: str, workers: Workers) -> VerifyReport:
+def _of_store(arguments: console.Arguments, path: str, workers: Workers) -> VerifyReport:
     from eldata.sources.store.checks import verify_store
 
     _refuse_choices(arguments, "a store is checked whole")
     return verify_store(path, level=arguments.level, workers=workers)
 
 
-def _refuse_choices(arguments: argparse.Namespace, why: str) -> None:
+def _refuse_choices(arguments: console.Arguments, why: str) -> None:
     if arguments.root is not None or arguments.cameras:
         raise ArgumentError(f"--root and --camera are for manifests; {why}")
 
 
-def _of_files(arguments: argparse.Namespace, workers: Workers) -> VerifyReport:
+def _of_files(arguments: console.Arguments, workers: Workers) -> VerifyReport:
     from eldata.manifest.catalogue import find_manifests, known_manifests
 
     if arguments.manifests:

@@ -12,7 +12,7 @@ import numpy as np
 
 from eldata.base.arguments import spell_keywords
 from eldata.base.files import file_problem, inside
-from eldata.base.npy import NpyError, read_npy
+from eldata.base.pixels import NpyError, read_npy
 from eldata.base.tables import frame_of
 from eldata.datasets.choices import Options, Representation, chosen_shading, shading_text, understood
 from eldata.datasets.crops import Crop
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import torch
 
-    from eldata.base.npy import NpyHeader
+    from eldata.base.pixels import NpyHeader
     from eldata.manifest.card import Card
     from eldata.records import PairRecord, Sensor
     from eldata.sources.frames import FrameSource

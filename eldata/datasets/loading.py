@@ -21,8 +21,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset
 
-from eldata.base.arguments import keywords, spell_keywords
-from eldata.base.main_guard import require_main_guard
+from eldata.base.arguments import keywords, require_main_guard, spell_keywords
 from eldata.base.numbers import checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
 from eldata.datasets.items import CroppedItems

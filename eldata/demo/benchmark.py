@@ -19,10 +19,8 @@ from eldata.demo.benchmark_frames import (
     make_benchmark,
 )
 from eldata.demo.sensor import BENCHMARK_SENSORS
-from eldata.demo.tree import prepare_folder
-from eldata.errors import EldataError
+from eldata.demo.tree import prepare_folder, verify_own
 from eldata.evaluation.evaluate import evaluate
-from eldata.manifest.verify import verify
 from eldata.sources.store.build import build_store
 from eldata.sources.store.sources import source_of_folder
 
@@ -69,12 +67,7 @@ def run_benchmark(folder: Path, plan: BenchmarkPlan = DEFAULT_PLAN, *, workers: 
     else:
         print("all are still lifes; with scikit-image, pip install 'eldata[baselines]', up to half are its pictures")
 
-    print(f"\n$ eldata verify {manifest.path.parent} --root {data} --level metadata")
-    report = verify([manifest], data, level="metadata")
-    print(report.format_text())
-    if not report.ok:
-        raise EldataError("the demo's own files do not verify")
-
+    verify_own(manifest, data)
     for design in BENCHMARK_SENSORS:
         calibrate_camera(design, data / CALIBRATION, profiles, workers)
 

@@ -17,8 +17,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.errors import ArgumentError
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -49,11 +47,6 @@ class KnownNoise:
         Standard deviation of the rows' offsets, DN.
     colour_bias_dn
         Offset of each CFA channel from its black level, DN: R, G1, B, G2 (Bayer) or R, G, B (X-Trans).
-
-    Raises
-    ------
-    ArgumentError
-        If a value is out of its range.
     """
 
     iso: int
@@ -62,18 +55,6 @@ class KnownNoise:
     sigma_tl_dn: float
     sigma_row_dn: float
     colour_bias_dn: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        if not (self.iso > 0 and 0 < self.gain_dn_per_e < math.inf and -0.5 < self.tukey_lambda < math.inf):
-            raise ArgumentError(
-                f"expected ISO and gain above 0 and a lambda above -0.5; found {self.iso}, {self.gain_dn_per_e}, "
-                f"{self.tukey_lambda}"
-            )
-        for name in ("sigma_tl_dn", "sigma_row_dn"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ArgumentError(f"{name} must be 0 or more; found {getattr(self, name)}")
-        if not np.isfinite(self.colour_bias_dn).all():
-            raise ArgumentError(f"colour_bias_dn: expected finite numbers; found {self.colour_bias_dn}")
 
     @property
     def sigma_gauss_dn(self) -> float:
@@ -105,11 +86,6 @@ class FixedFeatures:
         Relative fall-off of the light in the corners of flats, below 1; in the middle of the frame there is none.
     gain_dn_per_e
         The gain at which the figures in DN hold, DN per photoelectron.
-
-    Raises
-    ------
-    ArgumentError
-        If a value is out of its range.
     """
 
     prnu: float = 0.0
@@ -119,20 +95,6 @@ class FixedFeatures:
     bias_shading_dn: float = 0.0
     vignetting: float = 0.0
     gain_dn_per_e: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name in ("prnu", "dsnu_dn", "column_pattern_dn"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ArgumentError(f"{name} must be 0 or more; found {getattr(self, name)}")
-        if not (0 <= self.hot_share <= 1 and 0 <= self.vignetting < 1):
-            raise ArgumentError(
-                f"expected a share of hot pixels from 0 to 1 and vignetting from 0 to below 1; found {self.hot_share} "
-                f"and {self.vignetting}"
-            )
-        if not (math.isfinite(self.bias_shading_dn) and 0 < self.gain_dn_per_e < math.inf):
-            raise ArgumentError(
-                f"expected finite shading and a gain above 0; found {self.bias_shading_dn} and {self.gain_dn_per_e}"
-            )
 
     def scale(self, gain_dn_per_e: float) -> float:
         """Return by what the figures in DN are multiplied at a gain K."""
@@ -187,19 +149,8 @@ class Body:
         self.light: NDArray[np.float32] = 1 - features.vignetting / 2 * (y[:, None] ** 2 + x**2).astype(np.float32)
 
     def offset_dn(self, noise: KnownNoise) -> NDArray[np.float32]:
-        """Return what a frame without light and noise would hold: black, colour bias and fixed pattern, (H, W), DN.
-
-        Raises
-        ------
-        ArgumentError
-            If the sensor has another number of channels than the noise has.
-        """
-        black, bias = self.sensor.black_level_dn, noise.colour_bias_dn
-        if len(black) != len(bias):
-            raise ArgumentError(
-                f"a sensor of {len(black)} channels; the colour bias at ISO {noise.iso} has {len(bias)}"
-            )
-        constant = np.add(black, bias).astype(np.float32)
+        """Return what a frame without light and noise would hold: black, colour bias and fixed pattern, (H, W), DN."""
+        constant = np.add(self.sensor.black_level_dn, noise.colour_bias_dn).astype(np.float32)
         offset: NDArray[np.float32] = self.pattern_dn * self.features.scale(noise.gain_dn_per_e)
         offset += constant[self.channel]
         return offset
@@ -216,7 +167,7 @@ class Body:
         )
 
     def bias_frame(self, noise: KnownNoise, generator: np.random.Generator) -> NDArray[np.uint16]:
-        """Return a frame without light, (H, W) uint16, DN; raises like :meth:`offset_dn`."""
+        """Return a frame without light, (H, W) uint16, DN."""
         return self._digitised(self.offset_dn(noise) + temporal_noise_dn(noise, self.channel.shape, generator))
 
     def flat_frame(
@@ -234,16 +185,7 @@ class Body:
             Draws this frame's noise.
         drift
             Relative change of the light for this frame, -1 or more.
-
-        Raises
-        ------
-        ArgumentError
-            If there is less than no light, or like :meth:`offset_dn`.
         """
-        if not (0 <= level_dn < math.inf and -1 <= drift < math.inf):
-            raise ArgumentError(
-                f"expected a level of 0 DN or more and a drift of -1 or more; found {level_dn} and {drift}"
-            )
         gain = noise.gain_dn_per_e
         electrons = generator.poisson(level_dn / gain * (1 + drift) * self.response * self.light)
         signal = (gain * electrons).astype(np.float32)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.fields import TextFile
 from eldata.base.files import write_text
+from eldata.base.numbers import checked_whole
 from eldata.base.tables import text_table
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.camera import calibrate
@@ -48,8 +49,7 @@ def run_calibration_demo(
     EldataError
         If the folder holds something that no demo made, or ``seed`` is negative.
     """
-    if seed < 0:
-        raise EldataError(f"seed must be 0 or more; found {seed}")
+    checked_whole("seed", seed)
     start = time.perf_counter()
     prepare_folder(folder)
     camera = DEMO_GAMMA

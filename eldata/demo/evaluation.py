@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 from PIL import Image, ImageDraw, ImageFont
 
 from eldata.base.files import atomic_write
+from eldata.base.numbers import checked_whole
 from eldata.baselines.networks import load_network
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.calibration.joint import fit_log_log
 from eldata.calibration.one_photograph.estimate import GAUSSIAN_SHAPE
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_title
-from eldata.demo.tree import make_tree, prepare_folder
+from eldata.demo.tree import make_tree, prepare_folder, verify_own
 from eldata.errors import EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import load_prediction
 from eldata.isp.preview import preview
-from eldata.manifest.verify import verify
 from eldata.noise.gain_modes import ProfileRow
 from eldata.noise.parameters import tukey_lambda_variance
 from eldata.noise.profile import CameraProfile
@@ -62,10 +62,8 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     EldataError
         If the folder holds something that no demo made, or ``scenes`` is not positive.
     """
-    if scenes < 1:
-        raise EldataError(f"scenes must be 1 or more; found {scenes}")
-    if seed < 0:
-        raise EldataError(f"seed must be 0 or more; found {seed}")
+    checked_whole("scenes", scenes, at_least=1)
+    checked_whole("seed", seed)
     start = time.perf_counter()
     prepare_folder(folder)
     manifest = make_tree(folder, scenes=scenes, seed=seed)
@@ -75,12 +73,7 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     )
 
     at_root = f"--root {shlex.quote(str(root))}"
-    print(f"\n$ eldata verify {shlex.quote(str(folder / 'manifests'))} {at_root} --level metadata")
-    verified = verify([manifest], root, level="metadata")
-    print(verified.format_text())
-    if not verified.ok:
-        raise EldataError("the demo's own files do not verify")
-
+    verify_own(manifest, root)
     predictions = folder / "predictions"
     profiles = _write_profiles(folder, manifest)
     listed = shlex.quote(str(manifest.path))

@@ -9,13 +9,10 @@ signed distances in pixels.
 
 from __future__ import annotations
 
-import operator
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
-
-from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -25,8 +22,6 @@ if TYPE_CHECKING:
     Field: TypeAlias = NDArray[np.floating[Any]]
     Tone: TypeAlias = Callable[[Field, Field], Field]
     Window: TypeAlias = tuple[slice, slice]
-
-SMALLEST_SIDE: Final = 64
 
 # The 24 patches of the classic chart as published in 8-bit sRGB, row by row, the greys last.
 CHART_SRGB: Final = (
@@ -51,7 +46,6 @@ LINES: Final = (
 
 def scene_title(number: int) -> str:
     """Return the title of scene ``number``, such as ``"Colour chart"``."""
-    number = _whole(number, "number", 1)
     variation, kind = divmod(number - 1, len(TITLES))
     return TITLES[kind] + (f", variation {variation}" if variation else "")
 
@@ -72,23 +66,8 @@ def scene_radiance(number: int, height: int, width: int) -> NDArray[np.float32]:
     numpy.ndarray
         float32 of shape (3, height, width): linear light in sRGB primaries, between 0 and 1, where 1 is the
         brightest diffuse white or a highlight.
-
-    Raises
-    ------
-    ArgumentError
-        If an argument is not an integer or is too small.
     """
     return _painted(number, height, width).radiance()
-
-
-def _whole(value: int, name: str, least: int) -> int:
-    try:
-        whole = operator.index(value)
-    except TypeError:
-        raise ArgumentError(f"{name} must be an integer, not {value!r}") from None
-    if whole < least:
-        raise ArgumentError(f"{name} must be at least {least}, not {whole}")
-    return whole
 
 
 def linear_light(srgb: ArrayLike) -> Field:
@@ -417,10 +396,6 @@ COMPOSITIONS: Final[Sequence[Callable[[_Stage], None]]] = (_colour_chart, _resol
 
 
 def _painted(number: int, height: int, width: int) -> _Stage:
-    stage = _Stage(
-        _whole(number, "number", 1),
-        _whole(height, "height", SMALLEST_SIDE),
-        _whole(width, "width", SMALLEST_SIDE),
-    )
+    stage = _Stage(number, height, width)
     COMPOSITIONS[stage.kind](stage)
     return stage

@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from eldata.demo.camera import BASE_ISO
-from eldata.errors import ArgumentError
 from eldata.records import Sensor
 
 if TYPE_CHECKING:
@@ -178,15 +177,8 @@ class Specimen:
             One of the ISOs whose black error the design states.
         generator
             Draws this frame.
-
-        Raises
-        ------
-        ArgumentError
-            If the design does not know the ISO.
         """
         design, mode = self.design, self.design.mode(iso)
-        if iso not in design.black_error_dn:
-            raise ArgumentError(f"{design.name} has no ISO {iso}; it has {', '.join(map(str, design.isos))}")
         shape = self._response.shape
         expected = photoelectrons * self._response + exposure_s * self._dark_e_per_s
         charge = generator.poisson(expected).astype(np.float32)

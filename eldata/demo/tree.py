@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from collections import Counter
 from fractions import Fraction
@@ -16,6 +17,7 @@ from eldata.demo.scenes import scene_radiance
 from eldata.errors import EldataError
 from eldata.manifest.card import CameraCard, Card
 from eldata.manifest.eld import EldCamera, eld_records
+from eldata.manifest.verify import verify
 from eldata.manifest.writing import save_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
@@ -82,6 +84,22 @@ def prepare_folder(folder: Path) -> None:
                 shutil.rmtree(folder / name)
     except OSError as error:
         raise EldataError(f"{error.filename or folder}: {error.strerror}") from error
+
+
+def verify_own(manifest: Manifest, root: Path) -> None:
+    """Verify a demo's own files as the command that is printed does, and print what it found.
+
+    Raises
+    ------
+    EldataError
+        If they do not verify.
+    """
+    listed, place = (shlex.quote(str(path)) for path in (manifest.path.parent, root))
+    print(f"\n$ eldata verify {listed} --root {place} --level metadata")
+    verified = verify([manifest], root, level="metadata")
+    print(verified.format_text())
+    if not verified.ok:
+        raise EldataError("the demo's own files do not verify")
 
 
 # --- a set of photographs ---------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from eldata.base.figures import Figure
+    from eldata.base.numbers import Figure
     from eldata.base.tables import Format
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import EvaluationProblem, TableRow

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.files import inside
-from eldata.base.png import rgb_frame
+from eldata.base.pixels import rgb_frame
 from eldata.base.workers import require_files
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.clip_checks import size_findings

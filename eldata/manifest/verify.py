@@ -379,7 +379,7 @@ def _hash_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
 
 def _packed_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
     """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
-    from eldata.base.npy import NpyError, read_npy_header
+    from eldata.base.pixels import NpyError, read_npy_header
 
     try:
         with path.open("rb") as file:

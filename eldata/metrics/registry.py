@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from eldata.base.figures import Figure, by_name
+from eldata.base.numbers import Figure, by_name
 
 OF_FRAMES: Final = by_name(
     (

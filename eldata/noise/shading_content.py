@@ -9,7 +9,7 @@ import numpy as np
 
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import file_problem
-from eldata.base.npy import NpyError, opened_npz
+from eldata.base.pixels import NpyError, opened_npz
 from eldata.errors import ArgumentError, ShadingError
 from eldata.raw.cfa import packed_channels
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.base.npy import NpyHeader, NpzArchive
+    from eldata.base.pixels import NpyHeader, NpzArchive
     from eldata.raw.cfa import CfaRows
 
 SCHEMA = 1

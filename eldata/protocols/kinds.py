@@ -9,7 +9,7 @@ from eldata.errors import check_choice
 from eldata.metrics.registry import OF_CLIPS, OF_FRAMES, RESCALE, ST_RRED
 
 if TYPE_CHECKING:
-    from eldata.base.figures import Figure
+    from eldata.base.numbers import Figure
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from eldata.base.figures import Figure
+    from eldata.base.numbers import Figure
     from eldata.evaluation.looking import Column, Grouping
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from eldata.base.memory import scratch
-from eldata.base.png import read_rgb16
+from eldata.base.pixels import read_rgb16
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.frame_files import FrameFiles
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO

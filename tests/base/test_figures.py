@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from eldata.base.figures import Figure, by_name
+from eldata.base.numbers import Figure, by_name
 
 PSNR = Figure(name="psnr_db", label="PSNR", unit="dB", decimals=2, better="higher", meaning="peak signal to noise")
 SSIM = Figure(name="ssim", label="SSIM", decimals=3, difference_decimals=4, single_decimals=4, meaning="similarity")

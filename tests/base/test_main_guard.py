@@ -12,7 +12,7 @@ from eldata.errors import ArgumentError
 if TYPE_CHECKING:
     from pathlib import Path
 
-CALL = "from eldata.base.main_guard import require_main_guard as check\n"
+CALL = "from eldata.base.arguments import require_main_guard as check\n"
 
 REFUSED = {
     "plain": "check()\n",

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve1d
 
-from eldata.base.console import Parser, run
+from eldata.base.console import Parser, add_module, run
 from eldata.calibration import estimate_profile, noise_line
 from eldata.cli import profile as command
 from eldata.demo.camera import CAMERAS
@@ -25,7 +25,6 @@ from eldata.records import Exposure, RawFrame
 from tests.raw.helpers import write_plain_dng
 
 if TYPE_CHECKING:
-    import argparse
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -239,8 +238,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
     write_dng(tmp_path / "dark.dng", np.full(SIZE, 600, dtype=np.uint16), ALPHA.sensor, Exposure())
 
     def estimate(*arguments: str) -> int:
-        parser: argparse.ArgumentParser = Parser(prog="eldata")
-        command.add_parser(parser.add_subparsers())
+        parser = Parser(prog="eldata")
+        add_module(parser.add_subparsers(), command)
         return run(parser, ["profile", "estimate", *arguments])
 
     assert estimate("a.dng", "-o", "camera.json", "--json", "found.json") == 0

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from eldata.base.console import Parser, run
+from eldata.base.console import Parser, add_module, run
 from eldata.cli import compare as command
 from eldata.evaluation.saved import saved_result
 from eldata.protocols import PROTOCOLS
@@ -17,7 +17,6 @@ from tests.cli.conftest import Outcome, assert_golden
 from tests.reports.evaluations import result_data, table_of, written
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Callable
     from pathlib import Path
 
@@ -25,10 +24,10 @@ if TYPE_CHECKING:
 @pytest.fixture
 def compare(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
     def call(*arguments: str | Path) -> Outcome:
-        parser = cast("argparse.ArgumentParser", Parser(prog="eldata"))
-        command.add_parser(parser.add_subparsers())
+        parser = Parser(prog="eldata")
+        add_module(parser.add_subparsers(), command)
         capsys.readouterr()
-        code = run(cast("Parser", parser), ["compare", *(str(argument) for argument in arguments)])
+        code = run(parser, ["compare", *(str(argument) for argument in arguments)])
         captured = capsys.readouterr()
         return Outcome(code, captured.out, captured.err)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import pytest
 
-from eldata.base.png import rgb_frame
+from eldata.base.pixels import rgb_frame
 from eldata.datasets.drv import DRVDataset
 from eldata.evaluation import evaluate, evaluate_all, load_results, save_clip_prediction
 from eldata.manifest.drv import scan_raw

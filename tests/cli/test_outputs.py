@@ -319,7 +319,7 @@ def refuse(path: str, *_: object) -> None:
 def test_what_was_found_is_shown_though_the_json_cannot_be_written(
     command: str, eldata: Cli, own: Tree, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"eldata.cli.{command}.write_json", refuse)
+    monkeypatch.setattr("eldata.base.console.write_json", refuse)
     outcome = eldata(command, own.manifest, "--root", own.root, "--jobs", "1", "--json", "x.json")
     assert outcome.code == 2
     assert "32" in outcome.out

@@ -5,27 +5,23 @@ import subprocess
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.base.console import Parser, run
+from eldata.base.console import Parser, add_module, run
 from eldata.calibration.acceptance import theory as diagnostics
 from eldata.cli import profile as command
 from eldata.noise.profile import CameraProfile
 from eldata.noise.profile_files import shipped_profiles
 from tests.waiting import PATIENCE_S
 
-if TYPE_CHECKING:
-    import argparse
-
 MADE = """
 import sys
 from eldata.cli import profile
 from eldata.base.console import run
-from eldata.base.console import Parser
+from eldata.base.console import Parser, add_module
 parser = Parser(prog="eldata")
-profile.add_parser(parser.add_subparsers())
+add_module(parser.add_subparsers(), profile)
 code = run(parser, sys.argv[1:])
 print("LOADED", *(name for name in ("torch", "rawpy", "matplotlib", "jinja2", "numba") if name in sys.modules))
 """
@@ -43,8 +39,8 @@ class Cli:
         self._capsys = capsys
 
     def __call__(self, *arguments: str | Path) -> Outcome:
-        parser: argparse.ArgumentParser = Parser(prog="eldata")
-        command.add_parser(parser.add_subparsers())
+        parser = Parser(prog="eldata")
+        add_module(parser.add_subparsers(), command)
         self._capsys.readouterr()
         code = run(parser, ["profile", *(str(argument) for argument in arguments)])
         captured = self._capsys.readouterr()

@@ -7,21 +7,20 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.base.console import Parser, run
+from eldata.base.console import Parser, add_module, run
 from eldata.cli import protocols
 from eldata.protocols import PROTOCOLS
 from tests.cli.conftest import Cli, assert_golden, normalised
 
 if TYPE_CHECKING:
-    import argparse
     from pathlib import Path
 
     from tests.evaluation.helpers import Tree
 
 
 def command(*arguments: str) -> int:
-    parser: argparse.ArgumentParser = Parser(prog="eldata")
-    protocols.add_parser(parser.add_subparsers())
+    parser = Parser(prog="eldata")
+    add_module(parser.add_subparsers(), protocols)
     return run(parser, ["protocols", *arguments])
 
 

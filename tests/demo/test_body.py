@@ -10,7 +10,6 @@ import pytest
 from scipy import stats
 
 from eldata.demo.body import Body, FixedFeatures, KnownNoise, temporal_noise_dn, tukey_lambda_values
-from eldata.errors import ArgumentError
 from eldata.records import Sensor
 from tests.calibration.draws import BAYER_PHASES
 from tests.calibration.simulation import XTRANS
@@ -259,46 +258,3 @@ def test_the_generators_decide() -> None:
     assert (one.pattern_dn != other.pattern_dn).mean() > 0.99
     np.testing.assert_array_equal(one.flat_frame(NOISE, 900.0, rng(1)), same.flat_frame(NOISE, 900.0, rng(1)))
     assert (one.bias_frame(NOISE, rng(1)) != one.bias_frame(NOISE, rng(2))).mean() > 0.5
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"gain_dn_per_e": 0.0}, "above 0"),
-        ({"iso": 0}, "above 0"),
-        ({"tukey_lambda": -0.5}, "lambda above -0.5"),
-        ({"tukey_lambda": math.nan}, "lambda above -0.5"),
-        ({"sigma_tl_dn": -1.0}, "sigma_tl_dn"),
-        ({"sigma_row_dn": math.inf}, "sigma_row_dn"),
-        ({"colour_bias_dn": (math.nan,) * 4}, "colour_bias_dn"),
-    ],
-)
-def test_impossible_noise(changes: dict[str, float], words: str) -> None:
-    with pytest.raises(ArgumentError, match=words):
-        replace(NOISE, **changes)  # type: ignore[arg-type] # of mixed kinds
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"prnu": -0.1}, "prnu"),
-        ({"dsnu_dn": math.nan}, "dsnu_dn"),
-        ({"column_pattern_dn": -1.0}, "column_pattern_dn"),
-        ({"hot_share": 1.5}, "hot pixels"),
-        ({"vignetting": 1.0}, "vignetting"),
-        ({"bias_shading_dn": math.inf}, "shading"),
-        ({"gain_dn_per_e": 0.0}, "gain above 0"),
-    ],
-)
-def test_impossible_features(changes: dict[str, float], words: str) -> None:
-    with pytest.raises(ArgumentError, match=words):
-        FixedFeatures(**changes)
-
-
-def test_impossible_frames() -> None:
-    with pytest.raises(ArgumentError, match="3 channels"):
-        body(FUJI).bias_frame(NOISE, rng(0))
-    with pytest.raises(ArgumentError, match="level"):
-        body().flat_frame(NOISE, -1.0, rng(0))
-    with pytest.raises(ArgumentError, match="drift"):
-        body().flat_frame(NOISE, 1.0, rng(0), drift=-2.0)

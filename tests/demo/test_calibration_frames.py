@@ -287,24 +287,6 @@ def test_draws_stay_in_the_shipped_ranges() -> None:
 # --- arguments --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"isos": ()}, "one or more"),
-        ({"isos": (100, 100)}, "each once"),
-        ({"isos": (100, 125)}, "known at ISO 100, 200, 400.*found 125"),
-        ({"bias_frames": 0}, "bias_frames"),
-        ({"flat_levels": 1}, "flat_levels must be 2 to 13"),
-        ({"flat_levels": 14}, "flat_levels must be 2 to 13"),
-        ({"seed": -1}, "seed"),
-    ],
-)
-def test_unusable_arguments(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match=words):
-        make_calibration_frames(tmp_path / "x", **{**SMALL, **changes})
-    assert not (tmp_path / "x").exists()
-
-
 def test_gains_too_far_apart_for_the_shutter(tmp_path: Path) -> None:
     far = replace(DEMO_GAMMA.noise_at(800), iso=409600, gain_dn_per_e=0.095 * 4096)
     camera = replace(DEMO_GAMMA, noise=(*DEMO_GAMMA.noise, far))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from eldata.demo import scenes
-from eldata.errors import ArgumentError
 from tests.cases import in_one_test
 
 BASE = (1, 2, 3, 4)
@@ -130,24 +129,3 @@ def test_titles() -> None:
     assert titles[:4] == list(scenes.TITLES)
     assert len(set(titles)) == 12
     assert titles[4] == "Colour chart, variation 1"
-
-
-@pytest.mark.parametrize("number", [0, -1, 1.5, "1", None])
-def test_bad_number(number: object) -> None:
-    with pytest.raises(ArgumentError, match="number"):
-        scenes.scene_radiance(number, 64, 64)  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="number"):
-        scenes.scene_title(number)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("size", [63, 0, -64, 64.0])
-def test_bad_size(size: int) -> None:
-    with pytest.raises(ArgumentError, match="height"):
-        scenes.scene_radiance(1, size, 64)
-    with pytest.raises(ArgumentError, match="width"):
-        scenes.scene_radiance(1, 64, size)
-
-
-def test_numpy_integers_are_accepted() -> None:
-    found = scenes.scene_radiance(np.int64(1), np.int32(64), np.uint16(96))  # type: ignore[arg-type,unused-ignore]
-    np.testing.assert_array_equal(found, scenes.scene_radiance(1, 64, 96))

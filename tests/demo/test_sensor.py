@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from eldata.demo.sensor import BENCHMARK_SENSORS, SensorDesign, Specimen
-from eldata.errors import ArgumentError
 from tests.test_architecture import ROOT, below, imports_of
 
 SIDE = 200
@@ -122,8 +121,3 @@ def test_frames_end_at_zero_and_white() -> None:
     assert dark.dtype == np.uint16
     assert (dark == 0).mean() > 0.9
     assert (bright == 16383).all()
-
-
-def test_an_iso_that_it_does_not_have_is_refused() -> None:
-    with pytest.raises(ArgumentError, match=r"BenchAlpha has no ISO 500; it has 100, 400, 800"):
-        specimen(BENCHMARK_SENSORS[0]).frame(0.0, 0.001, 500, np.random.default_rng(0))

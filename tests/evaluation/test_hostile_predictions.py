@@ -19,8 +19,7 @@ import pytest
 import tifffile
 
 from eldata.base.isolation import isolation
-from eldata.base.npy import NpyError, read_npy_header
-from eldata.base.png import read_png
+from eldata.base.pixels import NpyError, read_npy_header, read_png
 from eldata.errors import EldataError, PredictionError
 from eldata.evaluation.layouts import find_predictions
 from eldata.evaluation.predictions import load_colours, load_prediction, prediction_space

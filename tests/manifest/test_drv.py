@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from eldata.base.files import write_text
-from eldata.base.png import read_png, read_png_header, read_rgb16, rgb_frame
+from eldata.base.pixels import read_png, read_png_header, read_rgb16, rgb_frame
 from eldata.download.card_downloads import archive_name, choose_parts
 from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
 from eldata.manifest import writing

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from eldata.base.figures import NOT_KNOWN, Figure
+from eldata.base.numbers import NOT_KNOWN, Figure
 from eldata.calibration.audit.bias_sums import BLOCK, Ripple, spread_bands
 from eldata.calibration.audit.row_waves import row_spectrum
 from eldata.calibration.core.findings import BANDING, CHANCE, DARK_SIGNAL, LIGHT, ROW_DRIFT, UNLIKE, withheld

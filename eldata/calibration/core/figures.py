@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, overload
 
-from eldata.base.figures import Figure, by_name
+from eldata.base.numbers import Figure, by_name
 from eldata.calibration.core.findings import GivenFigure, given
 
 if TYPE_CHECKING:

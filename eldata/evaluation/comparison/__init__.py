@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from eldata.base import figures
+    from eldata.base import numbers
     from eldata.evaluation.results import EvaluationResult
     from eldata.plots.axes import Theme
     from eldata.protocols.kinds import Kind
@@ -315,7 +315,7 @@ def _common_kind(methods: Sequence[Method]) -> Kind:
     return replace(first, metrics=shared, values=tuple(name for name in first.values if name not in left_out))
 
 
-def _groups(images: Images, metrics: Sequence[figures.Figure], result: EvaluationResult) -> tuple[Group, ...]:
+def _groups(images: Images, metrics: Sequence[numbers.Figure], result: EvaluationResult) -> tuple[Group, ...]:
     names = [metric.name for metric in metrics]
     groups = []
     for camera, ratio in groups_of([(scores[0].camera, scores[0].ratio) for scores in images], result.dataset):
@@ -337,7 +337,7 @@ def _groups(images: Images, metrics: Sequence[figures.Figure], result: Evaluatio
     return tuple(groups)
 
 
-def _contests(methods: Sequence[Method], images: Images, metrics: Sequence[figures.Figure]) -> tuple[Contest, ...]:
+def _contests(methods: Sequence[Method], images: Images, metrics: Sequence[numbers.Figure]) -> tuple[Contest, ...]:
     names = [metric.name for metric in metrics]
     places = clusters_of((scores[0] for scores in images), scenes_shared=methods[0].result.scenes_shared)
     pairs = list(combinations(zip((method.name for method in methods), zip(*images, strict=True), strict=True), 2))

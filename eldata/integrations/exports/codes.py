@@ -21,6 +21,7 @@ from eldata.integrations.exports.naming import (
     LARGEST_RATIO,
     eld_numbers,
     numbers_of,
+    plain_number,
     sid_names,
 )
 from eldata.integrations.exports.writing import ExportPlan, write_export
@@ -230,7 +231,7 @@ def _sid_train_info(pairs: Sequence[ExportPair]) -> list[dict[str, Any]]:
     return [
         _facts(own[0].reference)
         | {
-            "ratio": np.array([_ratio(pair.record.ratio) for pair in own]),
+            "ratio": np.array([plain_number(pair.record.ratio) for pair in own]),
             "long": str(own[0].reference.file),
             "short": [str(pair.noisy.file) for pair in own],
         }
@@ -242,7 +243,7 @@ def _sid_evaltest_info(pairs: Sequence[ExportPair]) -> list[dict[str, Any]]:
     """Return one entry a pair, by ratio: PMN's code cuts the list where the ratio changes."""
     return [
         _facts(pair.reference)
-        | {"ratio": _ratio(pair.record.ratio), "long": str(pair.reference.file), "short": str(pair.noisy.file)}
+        | {"ratio": plain_number(pair.record.ratio), "long": str(pair.reference.file), "short": str(pair.noisy.file)}
         for pair in sorted(pairs, key=lambda pair: pair.record.ratio)
     ]
 
@@ -253,7 +254,7 @@ def _eld_info(pairs: Sequence[ExportPair], scenes: Iterable[Mapping[int, str]]) 
     Numbers without a frame have their reference's entry, which stands for no ISO and ratio that is asked for.
     """
     frames = {frame.path: frame for pair in pairs for frame in (pair.reference, pair.noisy)}
-    ratio_of = {pair.noisy.path: _ratio(pair.record.ratio) for pair in pairs}
+    ratio_of = {pair.noisy.path: plain_number(pair.record.ratio) for pair in pairs}
     infos = []
     for numbered in scenes:
         last = max(numbered)
@@ -280,10 +281,6 @@ def _facts(frame: ExportFrame) -> dict[str, Any]:
         "wb": balance_multipliers(frame.sensor),
         "ccm": matrix_to_srgb(frame.sensor),
     }
-
-
-def _ratio(ratio: Fraction) -> int | float:
-    return ratio.numerator if ratio.denominator == 1 else float(ratio)
 
 
 class _Pickler(pickle.Pickler):

@@ -51,11 +51,12 @@ def exposure_in_name(frame: ExportFrame) -> str:
     iso, seconds = frame.exposure.iso, frame.exposure.exposure_s
     if iso is None or seconds is None:
         raise RawFileError(frame.file, "states no ISO or no exposure time, from which published code takes the ratio")
-    product = _number(iso) * _number(seconds)
+    product = plain_number(iso) * plain_number(seconds)
     return str(product) if isinstance(product, int) else format(Decimal(repr(product)), "f")
 
 
-def _number(value: Fraction) -> int | float:
+def plain_number(value: Fraction) -> int | float:
+    """Return a fraction as Python's plain numbers: a whole one as an int."""
     return value.numerator if value.denominator == 1 else float(value)
 
 

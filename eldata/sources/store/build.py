@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from eldata import __version__
 from eldata.base.files import check_same_work, inside
-from eldata.base.png import read_rgb16
+from eldata.base.pixels import read_rgb16
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import EldataError
 from eldata.manifest.patterns import is_png

@@ -5,8 +5,7 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
-from capture.check.bias import check_bias
-from capture.check.flat import check_flats
+from capture.check.calibration import check_bias, check_flats
 from capture.check.frames import Unit
 from capture.check.result import CheckedGroup, CheckReport
 from capture.check.scene import check_scene

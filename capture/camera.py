@@ -10,8 +10,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from capture.capture_errors import CameraError, naming
-from capture.exact import ExactNumber, as_exact
-from capture.shutter import Shutter, ShutterTime, borders, shutter_as_dict, shutter_from
+from capture.shutter import ExactNumber, Shutter, ShutterTime, as_exact, borders, shutter_as_dict, shutter_from
 from eldata.base.fields import Fields, TextFile
 from eldata.base.files import write_json
 from eldata.base.visible import shown

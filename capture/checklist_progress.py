@@ -27,9 +27,9 @@ from typing import TYPE_CHECKING, Final
 
 from capture.capture_errors import PlanError
 from capture.checklist_content import ChecklistRow, every_item, rows
-from capture.exact import parse_seconds
 from capture.plan import CALIBRATION
-from capture.scene_plan import sequence_name
+from capture.shots import sequence_name
+from capture.shutter import parse_seconds
 from eldata.base.fields import Fields, TextFile
 from eldata.base.visible import shown
 

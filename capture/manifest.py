@@ -13,7 +13,7 @@ from capture.calibration import WARM
 from capture.capture_errors import MappingError
 from capture.matching import can_be
 from capture.plan import CALIBRATION
-from capture.scene_plan import sequence_name
+from capture.shots import sequence_name
 from eldata.base.files import sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers

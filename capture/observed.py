@@ -7,10 +7,12 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
+from math import log2
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 from capture.capture_errors import MappingError
+from capture.shutter import STOPS_TOLERANCE
 from eldata.base.files import sha256_of
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.errors import RawFileError
@@ -124,6 +126,16 @@ def exposure_text(seconds: Fraction) -> str:
     if seconds.numerator == 1 and seconds.denominator > 2:
         return f"1/{seconds.denominator} s"
     return f"{number_text(seconds) if seconds >= Fraction(1, 4) else f'1/{float(1 / seconds):.4g}'} s"
+
+
+def f_text(f_number: Fraction) -> str:
+    """Return an f-number to read: ``f/5.6``."""
+    return f"f/{float(f_number):.4g}"
+
+
+def same_aperture(one: Fraction, other: Fraction) -> bool:
+    """Return whether two f-numbers are one setting: names are rounded (f/22 is f/22.6), steps are a third of a stop."""
+    return abs(2 * log2(one / other)) <= STOPS_TOLERANCE
 
 
 def raw_files(given: Iterable[Path | str], extension: str, outside: Path | None = None) -> tuple[Path, ...]:

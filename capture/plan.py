@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any, Final
 from capture.calibration import CalibrationPlan, DarkSetting, dark_settings, plan_calibration
 from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
 from capture.capture_errors import PlanError, naming
-from capture.exact import parse_seconds
 from capture.protocol import COUNTS, CaptureProtocol
-from capture.scene_plan import ScenePlan, moments_of, plan_scene, sequence_name
-from capture.shots import Duration, Shot, check_isos, duration_of
+from capture.shots import Duration, ScenePlan, Shot, check_isos, duration_of, moments_of, plan_scene, sequence_name
+from capture.shutter import parse_seconds
 from eldata.base.fields import Fields, TextFile
 from eldata.base.files import write_json
 from eldata.base.numbers import counted

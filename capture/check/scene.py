@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
-from capture.apertures import f_text, same_aperture
 from capture.check.common_shift import common_shift, fine_noise
 from capture.check.flicker import add_flicker, flicker_between, flicker_of_contrast
 from capture.check.frames import ReducedFrame, Unit, change_picture, file_name, reduced_frames, scene_picture
@@ -22,6 +21,7 @@ from capture.check.measures import SIGMAS, Estimate
 from capture.check.ratio import brightest_level, brightness_ratios, changed_share, fit_ratio
 from capture.check.result import CheckedGroup, CheckedPair, SheetPicture
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
+from capture.observed import f_text, same_aperture
 from capture.shutter import ladder
 from eldata.errors import RawFileError
 from eldata.manifest.clips import moment_of

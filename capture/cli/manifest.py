@@ -103,8 +103,7 @@ def _table_name(text: str) -> str:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from capture.apertures import aperture_remarks
-    from capture.mapping import load_mapping, mapping_as_dict
+    from capture.mapping import aperture_remarks, load_mapping, mapping_as_dict
     from capture.matching import match, other_reading
     from capture.noted import explain_metering, match_noted
     from capture.observed import observe, raw_files

@@ -293,7 +293,7 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 def format_plan(plan: Plan) -> str:
     """Return a plan as text: a table for the scenes of each metered time, and one for the calibration frames."""
-    from capture.apertures import f_text
+    from capture.observed import f_text
     from capture.shots import duration_of
 
     protocol = plan.protocol

@@ -7,9 +7,8 @@ import re
 import sys
 from typing import TYPE_CHECKING
 
-from capture.apertures import LEAST_F_NUMBER, MOST_F_NUMBER
-from capture.exact import parse_seconds
 from capture.protocol import COUNTS
+from capture.shutter import parse_seconds
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 
@@ -63,9 +62,8 @@ def aperture(text: str) -> tuple[str | None, Fraction]:
         found = parse_seconds(number.lower().removeprefix("f/"))
     except ArgumentError:
         found = None
-    if found is None or not LEAST_F_NUMBER <= found <= MOST_F_NUMBER:
-        expected = f"an f-number from {float(LEAST_F_NUMBER):g} to {float(MOST_F_NUMBER):g}, such as 5.6"
-        raise argparse.ArgumentTypeError(f"expected {expected}; found {shown(number)}")
+    if found is None or not 0.5 <= found <= 128:
+        raise argparse.ArgumentTypeError(f"expected an f-number from 0.5 to 128, such as 5.6; found {shown(number)}")
     return name or None, found
 
 

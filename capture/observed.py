@@ -239,26 +239,16 @@ def _copies(frames: Sequence[ObservedFrame], workers: Workers) -> list[tuple[Pat
 
 
 def _observe(path: Path) -> ObservedFrame | RawFileError:
-    try:
-        return observe_one(path)
-    except RawFileError as error:
-        return error
-
-
-def observe_one(path: Path) -> ObservedFrame:
-    """Read what EXIF says of a file.
-
-    Raises
-    ------
-    RawFileError
-        If it is damaged, or states no ISO or exposure time.
-    """
+    """Return what EXIF says of a file; or what is wrong with it: damaged, or without ISO or exposure time."""
     from eldata.raw.reading import read_header
 
-    header = read_header(path)
+    try:
+        header = read_header(path)
+    except RawFileError as error:
+        return error
     iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
     if iso is None or exposure_s is None:
-        raise RawFileError(path, f"states no {'ISO' if iso is None else 'exposure time'}: copy the original file")
+        return RawFileError(path, f"states no {'ISO' if iso is None else 'exposure time'}: copy the original file")
     return ObservedFrame(path, iso, exposure_s, header.taken, header.model, header.exposure.f_number)
 
 

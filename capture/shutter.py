@@ -323,16 +323,10 @@ def shutter_from(fields: Fields) -> Shutter:
 def shutter_as_dict(shutter: Shutter) -> dict[str, Any]:
     """Return a shutter as plain JSON types."""
     content: dict[str, Any] = {"step": str(shutter.step), "true_times": shutter.true_times}
-    if _is_standard_range(shutter):
+    names = [time.dial for time in ladder(shutter.step).values()]
+    first = names.index(shutter.dials[0]) if shutter.dials[0] in names else len(names)
+    if tuple(names[first : first + len(shutter.dials)]) == shutter.dials:
         content |= {"fastest": shutter.dials[0], "slowest": shutter.dials[-1]}
     else:
         content |= {"times": list(shutter.dials)}
     return content | ({"bulb_s": shutter.bulb_s} if shutter.bulb_s else {})
-
-
-def _is_standard_range(shutter: Shutter) -> bool:
-    try:
-        standard = Shutter.between(shutter.dials[0], shutter.dials[-1], shutter.step, shutter.true_times)
-    except CameraError:
-        return False
-    return standard.dials == shutter.dials

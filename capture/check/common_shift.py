@@ -15,7 +15,7 @@ finer part. Standard error: jackknife over tiles.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -52,19 +52,11 @@ _FINE: Final = (0.35, 0.5)
 _LEAST_TILES: Final = 4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CommonShift:
-    """The shift of a noisy frame, as :meth:`capture.check.shift.Shift.length` takes it, and the tiles it came from."""
-
-    shift: Shift
-    pixels: tuple[int, int]
-    tiles: tuple[Tiles, Tiles]
-
-
-def common_shift(first: Tiles, image: NDArray[np.float32]) -> CommonShift | None:
+def common_shift(first: Tiles, image: NDArray[np.float32]) -> tuple[Shift, tuple[int, int], tuple[Tiles, Tiles]] | None:
     """Return by how much a noisy frame's scene lies below and to the right of that of a reference's tiles.
 
-    ``None`` if texture or light is too weak to tell, or nothing of the tiles is left in the frame.
+    The shift and the pixels are what :meth:`capture.check.shift.Shift.length` takes; after them the tiles that they
+    come from. ``None`` if texture or light is too weak to tell, or nothing of the tiles is left in the frame.
     """
     band = shift_band(first.side) & ~on_lines(first.side)
     here = _with_detail(first, replace(first, spectra=cut_tiles(image, first.starts, first.side)), band)
@@ -74,7 +66,7 @@ def common_shift(first: Tiles, image: NDArray[np.float32]) -> CommonShift | None
     if place is None or cut is None:
         return None
     shift = _fitted(*cut, band)
-    return None if shift is None else CommonShift(shift, place, cut)
+    return None if shift is None else (shift, place, cut)
 
 
 def _with_detail(first: Tiles, second: Tiles, band: NDArray[np.bool_]) -> tuple[Tiles, Tiles] | None:
@@ -152,16 +144,15 @@ def _odd(scores: Array, information: Array, gain: float) -> NDArray[np.bool_]:
     return odd
 
 
-def fine_noise(found: CommonShift) -> Estimate | None:
+def fine_noise(shift: Shift, first: Tiles, second: Tiles) -> Estimate | None:
     """Return the power of the finest noise over that of coarser noise, 1 for white noise; ``None`` of too few tiles."""
-    first, second = found.tiles
     side = first.side
     if len(first.spectra) < _LEAST_TILES:
         return None
     fy, fx = frequencies(side)
     radius = np.hypot(fy, fx)
     lines = on_lines(side)
-    undo = found.shift.undo(side)
+    undo = shift.undo(side)
     powers: list[NDArray[np.float64]] = []
     for low, high in (_FINE, _MIDDLE):
         band = (radius >= low) & (radius <= high) & ~lines

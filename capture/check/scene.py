@@ -271,12 +271,13 @@ def _measure_pairs_place(
     if found is None:
         pair.notes.append("texture or light is too weak to tell a shift")
         return "keep"
-    pair.shift = found.shift.length(found.pixels, frame.scale)
+    shift, pixels, tiles = found
+    pair.shift = shift.length(pixels, frame.scale)
     unseen = SIGMAS * pair.shift.standard_error
     if unseen > SHIFT_AGAIN_PX:
         pair.notes.append(f"texture or light is weak: a shift below {unseen:.1f} px may not be seen")
     verdict = group.measure("shift", pair.path, pair.shift, against=against).verdict
-    fine = fine_noise(found) if verdict == "keep" else None  # else the scene is left over, too
+    fine = fine_noise(shift, *tiles) if verdict == "keep" else None  # else the scene is left over, too
     if fine is not None:
         group.measure("fine noise", pair.path, fine.in_percent())
     return verdict

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -325,8 +324,4 @@ def sheet_page(report: CheckReport) -> str:
     """Return the page; the same report gives the same text."""
     from eldata.reports.html import rendered
 
-    return rendered("sheet.html", TEMPLATES, report=report, source=_source, with_error=with_error)
-
-
-def _source(picture: SheetPicture) -> str:
-    return f"data:image/jpeg;base64,{base64.b64encode(picture.jpeg).decode()}"
+    return rendered("sheet.html", TEMPLATES, report=report, with_error=with_error)

@@ -117,31 +117,35 @@ def _well(group: CheckedGroup, frame: ReducedFrame) -> bool:
 
 
 def _compare(first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, group: CheckedGroup) -> None:
-    """Measure a later reference against the first."""
+    """Measure a later reference against the first: light, place and focus, what moved, and flicker."""
     path, against = frame.record.path, file_name(first.record.path)
-    ratios = brightness_ratios(first.cells, frame.cells)
-    brightness = _measure_light(first, frame, ratios, "drift", against, group)
-    if _compare_places(first, tiles, frame, brightness, group):
-        add_flicker(group, path, flicker_between(first.cells, frame.cells, ratios))
+    brightness, ratios = _measure_light(first, frame, "drift", against, group)
+    place = _measure_place(tiles, frame, "shift", against, group)
+    if place is not None:
+        here, there, shift, verdict = place
+        if verdict != "keep":
+            return  # what is measured pixel by pixel would show the shift again
+        focus = measure_focus(here, there, shift, brightness)
+        # Out of focus, edges differ everywhere.
+        if focus is None or group.measure("focus", path, focus.in_percent(1), against=against).verdict == "keep":
+            changed = changed_share(first.cells, frame.cells, brightness)
+            # Without an error: only what exceeds eight of them is counted.
+            group.measure("movement", path, Estimate(changed).in_percent(), against=f"since {against}")
+    add_flicker(group, path, flicker_between(first.cells, frame.cells, ratios))
 
 
 def _measure_light(
-    first: ReducedFrame,
-    frame: ReducedFrame,
-    ratios: Sequence[Estimate | None],
-    kind: str,
-    against: str,
-    group: CheckedGroup,
-) -> float:
-    """Measure the change of brightness; return its mean over the channels that tell it."""
-    path = frame.record.path
+    first: ReducedFrame, frame: ReducedFrame, kind: str, against: str, group: CheckedGroup
+) -> tuple[float, Sequence[Estimate | None]]:
+    """Measure the change of brightness; return its mean over the channels that tell it, and that of each channel."""
+    path, ratios = frame.record.path, brightness_ratios(first.cells, frame.cells)
     known = [(colour, one) for colour, one in zip(first.cells.colours, ratios, strict=True) if one is not None]
     if not known:
         group.remark(path, f"too little is well exposed to compare it with {against}")
-        return 1.0
+        return 1.0, ratios
     colour, worst_one = max(known, key=lambda pair: abs(pair[1].value - 1))
     group.measure(kind, path, worst_one.in_percent(1), colour=colour, against=against)
-    return sum(one.value for _, one in known) / len(known)
+    return sum(one.value for _, one in known) / len(known), ratios
 
 
 def _measure_place(
@@ -172,8 +176,7 @@ def _compare_moments(unit: Unit, frame: ReducedFrame, group: CheckedGroup) -> No
     if before is None:
         return  # which is said where it belongs
     against = f"moment {earlier} ({file_name(before.record.path)})"
-    ratios = brightness_ratios(before.cells, frame.cells)
-    brightness = _measure_light(before, frame, ratios, "moment drift", against, group)
+    brightness, _ = _measure_light(before, frame, "moment drift", against, group)
     place = _measure_place(make_tiles(before.luminance), frame, "moment shift", against, group)
     if place is not None and place[3] != "keep":
         return  # edges differ everywhere
@@ -185,25 +188,6 @@ def _compare_moments(unit: Unit, frame: ReducedFrame, group: CheckedGroup) -> No
             f"nothing moved since {against}: {changed:.2g} % of the picture changed, expected {least:g} % or "
             "more; was moving forgotten, or this moment taken twice? Move something, and take this moment again",
         )
-
-
-def _compare_places(
-    first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, brightness: float, group: CheckedGroup
-) -> bool:
-    """Measure shift and focus; return whether the frames lie on each other."""
-    path, against = frame.record.path, file_name(first.record.path)
-    place = _measure_place(tiles, frame, "shift", against, group)
-    if place is None:
-        return True
-    here, there, shift, verdict = place
-    if verdict != "keep":
-        return False  # what is measured pixel by pixel would show the shift again
-    focus = measure_focus(here, there, shift, brightness)
-    if focus is not None and group.measure("focus", path, focus.in_percent(1), against=against).verdict != "keep":
-        return True  # edges differ everywhere
-    changed = changed_share(first.cells, frame.cells, brightness)
-    group.measure("movement", path, Estimate(changed).in_percent(), against=f"since {against}")
-    return True
 
 
 # --- pairs ------------------------------------------------------------------------------------------------------------

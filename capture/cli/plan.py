@@ -221,7 +221,7 @@ def _calibration(
     arguments: argparse.Namespace,
 ) -> CalibrationPlan | None:
     """Return the calibration frames that are asked for; ``shots`` are the scenes', whose times dark frames have."""
-    from capture.calibration import BIAS_FRAMES, dark_settings, default_isos, plan_calibration
+    from capture.calibration import dark_settings, default_isos, plan_calibration
 
     if not arguments.calibration:
         for name in ("flat_clips_at", "calibration_isos", "bias_frames", "dark_frames", "warm"):
@@ -234,20 +234,12 @@ def _calibration(
             "and lengthen the exposure until the raw histogram touches its right end"
         )
     isos = tuple(sorted(arguments.calibration_isos)) if arguments.calibration_isos else default_isos(camera, protocol)
-    frames = BIAS_FRAMES if arguments.bias_frames is None else arguments.bias_frames
     dark = () if arguments.dark_frames is None else dark_settings(shot for _, shot in shots)
     if arguments.dark_frames is not None and not dark:
         raise ArgumentError("--dark-frames: they have the noisy frames' times, and the plan has no scenes")
-    return plan_calibration(
-        camera,
-        protocol.base_iso,
-        isos,
-        arguments.flat_clips_at,
-        bias_frames=frames,
-        dark=dark,
-        dark_frames=DARK_FRAMES if arguments.dark_frames is None else arguments.dark_frames,
-        warm=bool(arguments.warm),
-    )
+    given = {name: getattr(arguments, name) for name in ("bias_frames", "dark_frames", "warm")}
+    given = {name: value for name, value in given.items() if value is not None}
+    return plan_calibration(camera, protocol.base_iso, isos, arguments.flat_clips_at, dark=dark, **given)
 
 
 def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
@@ -291,18 +283,10 @@ def format_plan(plan: Plan) -> str:
         time_needed = f"{each}: {duration_of(scenes[0].shots)}"
         parts.append("\n".join([title, *notes, _table(scenes[0].shots), time_needed, *scenes[0].remarks]))
     if plan.calibration is not None:
-        title = f"calibration: the surface clips at {plan.calibration.flat_clips_at_s} s, ISO {protocol.base_iso}"
-        parts.append(
-            "\n".join(
-                [
-                    title,
-                    _calibration_table(plan.calibration.shots),
-                    f"calibration: {duration_of(plan.calibration.shots)}",
-                    *plan.calibration.remarks,
-                    *_no_dark(plan),
-                ]
-            )
-        )
+        shots, clips_at_s = plan.calibration.shots, plan.calibration.flat_clips_at_s
+        title = f"calibration: the surface clips at {clips_at_s} s, ISO {protocol.base_iso}"
+        after = [f"calibration: {duration_of(shots)}", *plan.calibration.remarks, *_no_dark(plan)]
+        parts.append("\n".join([title, _calibration_table(shots), *after]))
     parts.append(f"the whole plan: {plan.duration}; composing, focusing and metering come on top")
     return "\n\n".join(parts)
 

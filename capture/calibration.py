@@ -25,8 +25,8 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
 from capture.capture_errors import ImpossibleShotError, PlanError
-from capture.exact import ExactNumber, as_exact
 from capture.shots import Shot
+from capture.shutter import ExactNumber, as_exact
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

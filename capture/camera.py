@@ -10,9 +10,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from capture.capture_errors import CameraError, naming
-from capture.exact import ExactNumber, as_exact
-from capture.shutter import Shutter, ShutterTime, borders, shutter_as_dict, shutter_from
-from eldata.base.fields import Fields, TextFile
+from capture.shutter import ExactNumber, Shutter, ShutterTime, as_exact, borders, shutter_as_dict, shutter_from
+from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import write_json
 from eldata.base.visible import shown
 from eldata.raw.files import RAW_EXTENSIONS
@@ -164,9 +163,6 @@ class CameraDescription:
         return next((time for time in reversed(self.shutter.times) if time.true_exact <= wanted), None)
 
 
-_FIELDS: Final = ("name", "models", "raw_extension", "isos", "base_iso", "shutter", "cfa", "true_isos")
-
-
 def wholes(fields: Fields, name: str) -> tuple[int, ...]:
     """Return a list of whole numbers above 0, at least one, each once."""
     expected = "a list of at least one whole number"
@@ -175,7 +171,7 @@ def wholes(fields: Fields, name: str) -> tuple[int, ...]:
 
 def camera_from(top: Fields) -> CameraDescription:
     """Return the camera description that stands in a JSON object."""
-    top.only(("schema", *_FIELDS))
+    top.only(("schema", *names_of(CameraDescription)))
     values: dict[str, Any] = {
         "name": top.text("name"),
         "models": top.texts("models"),

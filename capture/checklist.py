@@ -12,7 +12,6 @@ import hashlib
 import json
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.apertures import f_text
 from capture.capture_errors import ImpossibleShotError
 from capture.checklist_content import (
     TEMPLATES,
@@ -34,8 +33,8 @@ from capture.checklist_progress import (
     ShotProgress,
     load_progress,
 )
-from capture.scene_plan import ScenePlan
-from capture.shots import minutes, scene_shots
+from capture.observed import f_text
+from capture.shots import ScenePlan, minutes, scene_shots
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
 if TYPE_CHECKING:
@@ -83,9 +82,6 @@ def html_checklist(plan: Plan) -> str:
         TEMPLATES,
         plan=plan,
         f_text=f_text,
-        protocol=plan.protocol,
-        calibration=plan.calibration,
-        frames=len(plan.shots),
         time_needed=minutes(plan.duration.total_s),
         scene_rows=[(scene, before_moment(plan, scene), rows(scene.shots)) for scene in plan.scenes],
         parts=calibration_parts(plan),

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from capture.plan import Plan
-    from capture.scene_plan import ScenePlan
-    from capture.shots import Shot
+    from capture.shots import ScenePlan, Shot
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
 

@@ -27,11 +27,10 @@ from typing import TYPE_CHECKING, Final
 
 from capture.capture_errors import PlanError
 from capture.checklist_content import ChecklistRow, every_item, rows
-from capture.exact import parse_seconds
-from capture.plan import CALIBRATION
-from capture.scene_plan import sequence_name
+from capture.plan import CALIBRATION, check_same
+from capture.shots import sequence_name
+from capture.shutter import parse_seconds
 from eldata.base.fields import Fields, TextFile
-from eldata.base.visible import shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -216,11 +215,7 @@ def _shots(fields: Fields, name: str, expected: Sequence[ChecklistRow]) -> tuple
     found = []
     for shot, row in zip(items, expected, strict=True):
         planned = row.as_dict()
-        shot.only((*planned, "taken_at", "repeats", "file", "remark"))
-        for key, value in planned.items():
-            there = shot.value(key)
-            if there != value or not isinstance(there, type(value)):
-                raise shot.wrong(key, f"{shown(value)}, as in the plan", there)
+        check_same(shot, planned, ", as in the plan", also=("taken_at", "repeats", "file", "remark"))
         found.append(
             ShotProgress(
                 **planned,

@@ -6,14 +6,13 @@ import os
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from capture.calibration import WARM
 from capture.capture_errors import MappingError
 from capture.matching import can_be
 from capture.plan import CALIBRATION
-from capture.scene_plan import sequence_name
+from capture.shots import sequence_name
 from eldata.base.files import sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
@@ -77,9 +76,7 @@ def layout_path(plan: Plan, scene: str, shot: Shot, source: Path) -> str:
     return f"{plan.camera.name}/{place}/IMG_{shot.number:04d}{source.suffix}"
 
 
-def into_layout(
-    plan: Plan, match: Match, folder: Path, there: Mapping[Slot, FrameRecord] = MappingProxyType({})
-) -> Dataset:
+def into_layout(plan: Plan, match: Match, folder: Path, begun: Begun | None = None) -> Dataset:
     """Return the dataset with its files under their protocol names in ``folder``.
 
     Parameters
@@ -90,15 +87,24 @@ def into_layout(
         Files of its shots, or of those that are not there.
     folder
         The dataset's folder.
-    there
-        The rows of shots that the set has already.
+    begun
+        The set that they join.
+
+    Raises
+    ------
+    MappingError
+        Like :meth:`Begun.of`.
     """
-    paths = {
-        (scene, shot.number): layout_path(plan, scene, shot, match.frames[scene, shot.number].path)
-        for scene, shot in plan.shots
-        if (scene, shot.number) in match.frames
-    }
-    return _dataset(plan, match, folder, {slot: record.path for slot, record in there.items()} | paths, there)
+    there = {} if begun is None else begun.of(plan)
+    paths = {slot: record.path for slot, record in there.items()}
+    known = set(paths.values())
+    others = () if begun is None else tuple(one for one in begun.records if one.path not in known)
+    for scene, shot in plan.shots:
+        frame = match.frames.get((scene, shot.number))
+        if frame is not None:
+            paths[scene, shot.number] = layout_path(plan, scene, shot, frame.path)
+    found = _dataset(plan, match, folder, paths, there)
+    return replace(found, before=(*others, *found.before))
 
 
 def in_place(plan: Plan, match: Match) -> Dataset:
@@ -116,7 +122,8 @@ def in_place(plan: Plan, match: Match) -> Dataset:
     folder = Path(os.path.commonpath([path.parent.parent for path in files.values()]))
     if folder == folder.parent:
         raise MappingError(f"the files have no folder in common but {folder}; use --copy-to")
-    return _dataset(plan, match, folder, {slot: path.relative_to(folder).as_posix() for slot, path in files.items()})
+    paths = {slot: path.relative_to(folder).as_posix() for slot, path in files.items()}
+    return _dataset(plan, match, folder, paths, there={})
 
 
 def _dataset(
@@ -124,7 +131,7 @@ def _dataset(
     match: Match,
     folder: Path,
     paths: dict[Slot, str],
-    there: Mapping[Slot, FrameRecord] = MappingProxyType({}),
+    there: Mapping[Slot, FrameRecord],
 ) -> Dataset:
     references: dict[str, list[int]] = {}
     for scene, shot in plan.shots:
@@ -323,20 +330,6 @@ class Begun:
         if frames is not None:
             frames = replace(frames, shots=left[CALIBRATION]) if CALIBRATION in left else None
         return replace(plan, scenes=scenes, calibration=frames)
-
-    def into_layout(self, plan: Plan, match: Match, folder: Path) -> Dataset:
-        """Return the set with a plan's files in it, under their protocol names in its folder.
-
-        Raises
-        ------
-        MappingError
-            Like :meth:`of`.
-        """
-        there = self.of(plan)
-        paths = {record.path for record in there.values()}
-        others = tuple(record for record in self.records if record.path not in paths)
-        found = into_layout(plan, match, folder, there)
-        return replace(found, before=(*others, *found.before))
 
     def joined(self, plan: Plan, records: Sequence[FrameRecord]) -> Card:
         """Return the card of the set with the plan's rows in it; what the photographer wrote into it stays.

@@ -1,4 +1,8 @@
-"""The mapping of files to shots as a JSON file, to be looked at, edited and passed back."""
+"""The mapping of files to shots as a JSON file, to be looked at, edited and passed back; and their apertures.
+
+Exposure ratios are computed from ISO and time alone, so one aperture must hold for a scene. The plan may state it, EXIF
+states it for each file; a lens without contacts states none, which is not a mistake.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from capture.capture_errors import MappingError
-from capture.matching import Match, MatchRemark, checked
+from capture.matching import Match, MatchRemark, can_be, no_file
+from capture.observed import f_text, same_aperture
 from eldata.base.fields import TextFile
+from eldata.base.numbers import counted
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from capture.matching import Slot
     from capture.observed import Observed, ObservedFrame
     from capture.plan import Plan
@@ -80,4 +88,42 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
         for path, frame in given.items()
         if path not in used
     ]
-    return checked(plan, Match(frames, tuple(remarks)))
+    for scene, shot in plan.shots:
+        frame = frames.get((scene, shot.number))
+        if frame is None:
+            remarks.append(MatchRemark("missing", no_file(scene, shot), scene, shot.number))
+        elif not can_be(shot, frame):
+            raise MappingError(
+                f"mapping, {scene} frame {shot.number}: asks for {shot.settings}, and {frame.path} was taken at "
+                f"{frame.settings}: its ratio would be wrong. Choose another file, or null to leave the frame out"
+            )
+    return Match(frames, tuple(remarks))
+
+
+def aperture_remarks(plan: Plan, frames: Mapping[Slot, ObservedFrame]) -> tuple[MatchRemark, ...]:
+    """Return where files have another aperture than their scene in the plan, or state none."""
+    remarks = []
+    for scene in plan.scenes:
+        if scene.aperture is None:
+            continue
+        unknown = []
+        for shot in scene.shots:
+            frame = frames.get((scene.name, shot.number))
+            if frame is None:
+                continue
+            if frame.f_number is None:
+                unknown.append(frame.path.name)
+            elif not same_aperture(frame.f_number, scene.aperture):
+                text = (
+                    f"{frame.path.name} ({scene.name} frame {shot.number}): taken at {f_text(frame.f_number)}, where "
+                    f"the plan has {f_text(scene.aperture)}: take the scene again; or, if all of it was taken so, "
+                    f"correct the plan with capture plan --aperture {scene.name}={float(frame.f_number):.4g}"
+                )
+                remarks.append(MatchRemark("aperture", text, scene.name, shot.number, frame.path))
+        if unknown:
+            text = (
+                f"{scene.name}: {counted(len(unknown), 'file')} without an aperture, such as {unknown[0]}, so that "
+                f"{f_text(scene.aperture)} cannot be checked; a lens without contacts states none"
+            )
+            remarks.append(MatchRemark("note", text, scene.name))
+    return tuple(remarks)

@@ -8,14 +8,14 @@ out of order, the rest are test shots or wrong settings. Nothing is dropped with
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, get_args
 
 from capture.alignment import Stretch, align
-from capture.capture_errors import MappingError
 from capture.plan import CALIBRATION
+from capture.shutter import STOPS_TOLERANCE
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from capture.shots import Shot
     from eldata.records import FrameRecord
 
-# EXIF states the name of a setting or what it gives, rounded in either case; neighbouring settings are a third of a
-# stop apart, and names account for up to a tenth.
-STOPS_TOLERANCE: Final = 0.125
 _NEAR_STOPS: Final = 1.05  # a wrong setting that was meant for a shot: up to a stop off
 
 Repeated = Literal["last", "first"]
@@ -423,24 +420,3 @@ class _Matcher:
 
     def name(self, index: int) -> str:
         return self.frames[index].path.name
-
-
-def checked(plan: Plan, given: Match) -> Match:
-    """Return a mapping that a person made, with what is missing; refuse files that do not have their shot's settings.
-
-    Raises
-    ------
-    MappingError
-        If a file's settings are not those of its shot.
-    """
-    remarks = list(given.remarks)
-    for scene, shot in plan.shots:
-        frame = given.frames.get((scene, shot.number))
-        if frame is None:
-            remarks.append(MatchRemark("missing", no_file(scene, shot), scene, shot.number))
-        elif not can_be(shot, frame):
-            raise MappingError(
-                f"mapping, {scene} frame {shot.number}: asks for {shot.settings}, and {frame.path} was taken at "
-                f"{frame.settings}: its ratio would be wrong. Choose another file, or null to leave the frame out"
-            )
-    return replace(given, remarks=tuple(remarks))

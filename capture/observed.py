@@ -7,10 +7,12 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
+from math import log2
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 from capture.capture_errors import MappingError
+from capture.shutter import STOPS_TOLERANCE
 from eldata.base.files import sha256_of
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.errors import RawFileError
@@ -126,6 +128,16 @@ def exposure_text(seconds: Fraction) -> str:
     return f"{number_text(seconds) if seconds >= Fraction(1, 4) else f'1/{float(1 / seconds):.4g}'} s"
 
 
+def f_text(f_number: Fraction) -> str:
+    """Return an f-number to read: ``f/5.6``."""
+    return f"f/{float(f_number):.4g}"
+
+
+def same_aperture(one: Fraction, other: Fraction) -> bool:
+    """Return whether two f-numbers are one setting: names are rounded (f/22 is f/22.6), steps are a third of a stop."""
+    return abs(2 * log2(one / other)) <= STOPS_TOLERANCE
+
+
 def raw_files(given: Iterable[Path | str], extension: str, outside: Path | None = None) -> tuple[Path, ...]:
     """Return the raw files of an extension among files and folders, each once; folders are searched.
 
@@ -227,26 +239,16 @@ def _copies(frames: Sequence[ObservedFrame], workers: Workers) -> list[tuple[Pat
 
 
 def _observe(path: Path) -> ObservedFrame | RawFileError:
-    try:
-        return observe_one(path)
-    except RawFileError as error:
-        return error
-
-
-def observe_one(path: Path) -> ObservedFrame:
-    """Read what EXIF says of a file.
-
-    Raises
-    ------
-    RawFileError
-        If it is damaged, or states no ISO or exposure time.
-    """
+    """Return what EXIF says of a file; or what is wrong with it: damaged, or without ISO or exposure time."""
     from eldata.raw.reading import read_header
 
-    header = read_header(path)
+    try:
+        header = read_header(path)
+    except RawFileError as error:
+        return error
     iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
     if iso is None or exposure_s is None:
-        raise RawFileError(path, f"states no {'ISO' if iso is None else 'exposure time'}: copy the original file")
+        return RawFileError(path, f"states no {'ISO' if iso is None else 'exposure time'}: copy the original file")
     return ObservedFrame(path, iso, exposure_s, header.taken, header.model, header.exposure.f_number)
 
 

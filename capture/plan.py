@@ -15,17 +15,16 @@ from typing import TYPE_CHECKING, Any, Final
 from capture.calibration import CalibrationPlan, DarkSetting, dark_settings, plan_calibration
 from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
 from capture.capture_errors import PlanError, naming
-from capture.exact import parse_seconds
 from capture.protocol import COUNTS, CaptureProtocol
-from capture.scene_plan import ScenePlan, moments_of, plan_scene, sequence_name
-from capture.shots import Duration, Shot, check_isos, duration_of
+from capture.shots import Duration, ScenePlan, Shot, check_isos, duration_of, moments_of, plan_scene, sequence_name
+from capture.shutter import parse_seconds
 from eldata.base.fields import Fields, TextFile
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.visible import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from fractions import Fraction
 
 SCHEMA: Final = 1
@@ -292,7 +291,7 @@ def _protocol_as_dict(protocol: CaptureProtocol) -> dict[str, Any]:
 
 
 def _shot_as_dict(shot: Shot) -> dict[str, Any]:
-    content: dict[str, Any] = {
+    content = {
         "number": shot.number,
         "role": shot.role,
         "iso": shot.iso,
@@ -300,36 +299,26 @@ def _shot_as_dict(shot: Shot) -> dict[str, Any]:
         "dial": shot.setting.dial,
         "nominal_s": str(shot.setting.nominal_s),
         "true_s": shot.setting.true_s,
+        "factor": shot.factor,
+        "reference": shot.reference,
+        "named_ratio": shot.named_ratio and str(shot.named_ratio),
+        "true_ratio": shot.true_ratio and float(shot.true_ratio),
+        "level": shot.level and str(shot.level),
+        "true_iso": shot.true_iso and float(shot.true_iso),
+        "series": shot.series or None,
     }
-    if shot.role == "noisy":
-        content |= {
-            "factor": shot.factor,
-            "reference": shot.reference,
-            "named_ratio": str(shot.named_ratio),
-            "true_ratio": None if shot.true_ratio is None else float(shot.true_ratio),
-        }
-    if shot.level is not None:
-        content["level"] = str(shot.level)
-    if shot.true_iso is not None:
-        content["true_iso"] = float(shot.true_iso)
-    if shot.series:
-        content["series"] = shot.series
-    return content
+    return {name: value for name, value in content.items() if value is not None}
 
 
 def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
-    more: dict[str, Any] = {}
-    if calibration.dark:
-        settings = [{"iso": iso, "nominal_s": str(seconds)} for iso, seconds in calibration.dark]
-        more["dark"] = {"frames": calibration.dark_frames, "settings": settings}
-    if calibration.warm:
-        more["warm"] = True
+    settings = [{"iso": iso, "nominal_s": str(seconds)} for iso, seconds in calibration.dark]
     return {
         "isos": list(calibration.isos),
         "bias_frames": calibration.bias_frames,
         "flat_levels": [str(level) for level in calibration.flat_levels],
         "flat_clips_at_s": str(calibration.flat_clips_at_s),
-        **more,
+        **({"dark": {"frames": calibration.dark_frames, "settings": settings}} if settings else {}),
+        **({"warm": True} if calibration.warm else {}),
         "shots": [_shot_as_dict(shot) for shot in calibration.shots],
     }
 
@@ -395,16 +384,19 @@ def _dark_setting(fields: Fields) -> DarkSetting:
 def _check_shots(fields: Fields, shots: Sequence[Shot]) -> None:
     """Refuse a file whose shots are not those that its decisions give."""
     items = fields.objects("shots")
-    advice = "(shots follow from the rest: change that with capture plan --remeter, not the shots)"
+    advice = " (shots follow from the rest: change that with capture plan --remeter, not the shots)"
     for found, shot in zip(items, shots, strict=False):
-        expected = _shot_as_dict(shot)
-        found.only(tuple(expected))
-        for key, value in expected.items():
-            there = found.value(key)
-            same = there == value and isinstance(there, type(value))
-            if isinstance(value, float):
-                same = isinstance(there, float) and math.isclose(there, value, rel_tol=1e-9)
-            if not same:
-                raise found.wrong(key, f"{shown(value)} {advice}", there)
+        check_same(found, _shot_as_dict(shot), advice)
     if len(items) != len(shots):
-        raise fields.problem("shots", f"expected {len(shots)} shots {advice}, found {len(items)}")
+        raise fields.problem("shots", f"expected {len(shots)} shots{advice}, found {len(items)}")
+
+
+def check_same(found: Fields, expected: Mapping[str, Any], advice: str, also: Sequence[str] = ()) -> None:
+    """Refuse an object of a file whose fields, but those ``also`` in it, are not what follows from others."""
+    found.only((*expected, *also))
+    for key, value in expected.items():
+        there = found.value(key)
+        same = isinstance(there, type(value))
+        same &= math.isclose(there, value, rel_tol=1e-9) if same and isinstance(value, float) else there == value
+        if not same:
+            raise found.wrong(key, f"{shown(value)}{advice}", there)

@@ -2,11 +2,13 @@
 
 The camera *names* a time 1/60 s, on its dial and mostly in EXIF; what it *gives* is a step of an even ladder of powers
 of two, 1/64 s. Names were rounded for people: 15 s is 16 s, 0.3 s is 2^(-5/3) = 0.315 s. Exposure ratios follow from
-what is given. So both are kept.
+what is given. So both are kept, the latter as an exact number ``c 2^s``: with ``c`` and ``s`` as fractions, products,
+quotients and comparisons stay exact, so that rounding to a camera's steps has no near misses.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
@@ -14,7 +16,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from capture.capture_errors import CameraError
-from capture.exact import ExactNumber, as_exact, parse_seconds
+from eldata.base.numbers import fraction_of
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -23,6 +26,9 @@ if TYPE_CHECKING:
 TrueTimes = Literal["powers-of-two", "as-named"]
 
 _LONGEST_BULB_S: Final = 3600
+# EXIF states the name of a setting or what it gives, rounded in either case; neighbouring settings are a third of a
+# stop apart, and names account for up to a tenth.
+STOPS_TOLERANCE: Final = 0.125
 
 # The times as cameras name them, from 2^-15 s in steps of a third and from 2^-14 s in steps of half a stop. Steps of
 # halves and thirds share some names with other meanings: 10 s is 2^(10/3) s by thirds and 2^(7/2) s by halves.
@@ -44,6 +50,80 @@ _LADDERS: Final[dict[Fraction, tuple[tuple[str, ...], int]]] = {
     Fraction(1, 2): (_HALVES, -14),
     Fraction(1): (_THIRDS[::3], -15),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class ExactNumber:
+    """The number ``coefficient * 2 ** stops``, kept with ``stops`` in [0, 1) so that equal numbers have equal fields.
+
+    Attributes
+    ----------
+    coefficient
+        A positive fraction.
+    stops
+        Exponent of two: stops in a photographer's sense.
+
+    Raises
+    ------
+    ArgumentError
+        If the coefficient is not above 0.
+    """
+
+    coefficient: Fraction
+    stops: Fraction = Fraction(0)
+
+    def __post_init__(self) -> None:
+        if not self.coefficient > 0:
+            raise ArgumentError(f"coefficient must be above 0, found {self.coefficient}")
+        whole = math.floor(self.stops)
+        object.__setattr__(self, "coefficient", Fraction(self.coefficient) * Fraction(2) ** whole)
+        object.__setattr__(self, "stops", Fraction(self.stops) - whole)
+
+    @property
+    def log2(self) -> float:
+        """Its logarithm to the base 2: stops over 1."""
+        return math.log2(self.coefficient.numerator) - math.log2(self.coefficient.denominator) + float(self.stops)
+
+    def __float__(self) -> float:
+        return float(self.coefficient) * math.exp2(float(self.stops))
+
+    def __mul__(self, other: ExactNumber | Fraction | int) -> ExactNumber:
+        factor = as_exact(other)
+        return ExactNumber(self.coefficient * factor.coefficient, self.stops + factor.stops)
+
+    def __truediv__(self, other: ExactNumber | Fraction | int) -> ExactNumber:
+        divisor = as_exact(other)
+        return ExactNumber(self.coefficient / divisor.coefficient, self.stops - divisor.stops)
+
+    def __lt__(self, other: ExactNumber) -> bool:
+        # c1 2^s1 < c2 2^s2 is (c1 / c2)^d < 2^(d (s2 - s1)), and with a common denominator d both sides are fractions.
+        common = math.lcm(self.stops.denominator, other.stops.denominator)
+        exponent = (other.stops - self.stops) * common
+        return (self.coefficient / other.coefficient) ** common < Fraction(2) ** int(exponent)
+
+    def __le__(self, other: ExactNumber) -> bool:
+        return not other < self
+
+
+def as_exact(value: ExactNumber | Fraction | int) -> ExactNumber:
+    """Return a fraction as an :class:`ExactNumber`."""
+    return value if isinstance(value, ExactNumber) else ExactNumber(Fraction(value))
+
+
+def parse_seconds(text: object) -> Fraction:
+    """Return the seconds that a text such as ``4``, ``1/2``, ``0.5`` or ``.5`` names, exactly.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not a time above 0.
+    """
+    if not isinstance(text, str):
+        raise ArgumentError(f'expected seconds as text, such as "1/2", found {shown(text)}')
+    try:
+        return fraction_of(f"0{text}" if text.startswith(".") else text, above=0, digits=9)
+    except ArgumentError:
+        raise ArgumentError(f"expected seconds above 0, such as 4, 1/2 or 0.5, found {shown(text)}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,16 +323,10 @@ def shutter_from(fields: Fields) -> Shutter:
 def shutter_as_dict(shutter: Shutter) -> dict[str, Any]:
     """Return a shutter as plain JSON types."""
     content: dict[str, Any] = {"step": str(shutter.step), "true_times": shutter.true_times}
-    if _is_standard_range(shutter):
+    names = [time.dial for time in ladder(shutter.step).values()]
+    first = names.index(shutter.dials[0]) if shutter.dials[0] in names else len(names)
+    if tuple(names[first : first + len(shutter.dials)]) == shutter.dials:
         content |= {"fastest": shutter.dials[0], "slowest": shutter.dials[-1]}
     else:
         content |= {"times": list(shutter.dials)}
     return content | ({"bulb_s": shutter.bulb_s} if shutter.bulb_s else {})
-
-
-def _is_standard_range(shutter: Shutter) -> bool:
-    try:
-        standard = Shutter.between(shutter.dials[0], shutter.dials[-1], shutter.step, shutter.true_times)
-    except CameraError:
-        return False
-    return standard.dials == shutter.dials

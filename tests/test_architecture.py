@@ -541,7 +541,8 @@ def test_the_wheel_holds_what_it_must_and_nothing_else(wheel: Path) -> None:
     sources = [*(ROOT / "eldata").rglob("*.py*"), *(ROOT / "capture").rglob("*.py*")]
     ours = {path.relative_to(ROOT).as_posix() for path in sources if path.suffix in (".py", ".pyi")}
     assert "eldata/__init__.pyi" in ours
-    assert {*ours, "eldata/py.typed", "capture/py.typed", "eldata/protocols/shipped.toml"} <= names
+    data = {"eldata/py.typed", "capture/py.typed", "eldata/protocols/shipped.toml", "capture/check/kinds.toml"}
+    assert {*ours, *data} <= names
     assert "eldata/baselines/reference.safetensors" in names
     assert {name.split("/")[0].split("-")[0] for name in names} == {"eldata", "capture"}
     assert not [name for name in names if "__pycache__" in name or "tests" in name.split("/")]

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from capture.camera import EXAMPLE, CameraDescription
-from capture.exact import parse_seconds
 from capture.plan import Plan, make_plan
 from capture.protocol import CaptureProtocol
+from capture.shutter import parse_seconds
 from eldata.base.clusters import _scheduler
 from eldata.errors import EldataError
 from eldata.evaluation.published import COLUMNS as PUBLISHED_COLUMNS

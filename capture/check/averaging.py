@@ -108,9 +108,9 @@ def average_references(
     rows = {record.path: record for record in records}
     found = []
     for block, made in zip(blocks, Workers.of(workers).run(_averaged, blocks, label="averaging"), strict=True):
-        singles = tuple(one.path for one in block.unit.records)
+        singles = tuple(one.path for one in block.records)
         if isinstance(made, tuple):
-            found.append(Averaged(block.unit.name, singles, None, 0, made))
+            found.append(Averaged(block.name, singles, None, 0, made))
             continue
         known = {*singles, made.path}
         noisy = [one for one in rows.values() if one.reference in known]
@@ -118,22 +118,15 @@ def average_references(
         for one in noisy:
             if one.reference != made.path:  # what was measured was measured against another one
                 rows[one.path] = replace(one, reference=made.path, measured_ratio=None, measured_shift_px=None)
-        found.append(Averaged(block.unit.name, singles, made.path, len(noisy)))
+        found.append(Averaged(block.name, singles, made.path, len(noisy)))
     if any(one.mean for one in found):
         sources = tuple(dict.fromkeys((*card.sources, SOURCE)))
         save_manifest(path, replace(card, counts=counts_of(rows.values()), sources=sources), rows.values())
     return tuple(found)
 
 
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """References that follow each other, and where their mean goes, as a path of the manifest."""
-
-    unit: Unit
-    mean: str
-
-
-def _blocks(records: Iterable[FrameRecord], folder: Path) -> Iterator[_Block]:
+def _blocks(records: Iterable[FrameRecord], folder: Path) -> Iterator[Unit]:
+    """Yield references that follow each other."""
     scenes: dict[tuple[str, str], list[tuple[int, FrameRecord]]] = defaultdict(list)
     for record in records:
         number = _NUMBERED.fullmatch(PurePosixPath(record.path).stem)
@@ -144,28 +137,28 @@ def _blocks(records: Iterable[FrameRecord], folder: Path) -> Iterator[_Block]:
         for (role, *_), group in groupby(frames, key=lambda one: (one[1].role, one[1].iso, one[1].exposure_s)):
             together = [record for _, record in group]
             if role == "reference" and len(together) > 1:
-                first, last = (PurePosixPath(together[index].path) for index in (0, -1))
-                mean = first.with_name(f"{first.stem}-{last.stem.removeprefix('IMG_')}.dng")
-                yield _Block(Unit(f"{camera} {scene}", folder, tuple(together), Workers(1)), mean.as_posix())
+                yield Unit(f"{camera} {scene}", folder, tuple(together), Workers(1))
 
 
-def _averaged(block: _Block) -> FrameRecord | tuple[str, ...]:
+def _averaged(block: Unit) -> FrameRecord | tuple[str, ...]:
     """Write a block's mean and return its row; or why its frames cannot be averaged."""
     from eldata.raw.dng import encode_dng
 
-    records = block.unit.records
-    group = check_unit(block.unit)
+    records = block.records
+    group = check_unit(block)
     if group.verdict == "shoot again":
         return tuple(str(one) for one in group.reasons if one.verdict == "shoot again")
-    frame = _mean_frame([inside(block.unit.folder, record.path) for record in records])
-    target = block.unit.folder / block.mean
+    frame = _mean_frame([inside(block.folder, record.path) for record in records])
+    first, last = (PurePosixPath(records[index].path) for index in (0, -1))
+    mean = first.with_name(f"{first.stem}-{last.stem.removeprefix('IMG_')}.dng").as_posix()
+    target = block.folder / mean
     try:
         content = encode_dng(frame.mosaic, frame.sensor, frame.exposure).getbuffer()
     except ArgumentError as error:
         raise ArgumentError(f"{target}: {error}") from error
     write_new(target, content)
     digest = f"sha256:{hashlib.sha256(content).hexdigest()}"
-    return replace(records[0], path=block.mean, size_bytes=len(content), sha256=digest)
+    return replace(records[0], path=mean, size_bytes=len(content), sha256=digest)
 
 
 def _mean_frame(paths: Sequence[Path]) -> RawFrame:

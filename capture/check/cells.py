@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
 CELL: Final = 4  # packed pixels along each side
 
+_NEAR: Final = 8  # values on either side, whose mean says how often one should occur
+_LEAST_EACH: Final = 30  # pixels a value: chance leaves one empty once in 1e13
+_TAILS: Final = (0.05, 0.95)
+
 # Pixels in the last thousandth of the range below the highest value, if these are more than thrice those in the
 # thousandth below: a sensor that saturates below its white level. The upper tail of shot noise is several thousandths
 # wide and falls, so it holds fewer.
@@ -140,3 +144,21 @@ def _summed(packed: NDArray[np.uint16] | NDArray[np.bool_]) -> NDArray[np.uint32
     for offset in range(CELL):
         sums += rows[:, :, offset::CELL]
     return sums
+
+
+def empty_share(mosaic: NDArray[np.uint16]) -> float:
+    """Return the share of values that never occur, of those whose neighbours are frequent; 0 if none is.
+
+    A file of 14 bits that holds 12 lacks 3 of 4. Neighbours on both sides: beside a saturated area or a peak of black,
+    values that do not occur are not a gap.
+    """
+    counts = np.bincount(mosaic.ravel())
+    below = np.cumsum(counts)
+    low, high = (int(np.searchsorted(below, share * mosaic.size)) for share in _TAILS)
+    inner = counts[low : high + 1]
+    if len(inner) < _NEAR:
+        return 0.0
+    sums = np.convolve(inner, np.ones(_NEAR, np.int64))
+    before, after = np.concatenate([[0], sums])[: len(inner)], np.append(sums, 0)[_NEAR : _NEAR + len(inner)]
+    frequent = np.minimum(before, after) >= _NEAR * _LEAST_EACH
+    return float(np.mean(inner[frequent] == 0)) if frequent.any() else 0.0

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from operator import attrgetter
 from typing import TYPE_CHECKING
 
-from capture.check.bias import check_bias
-from capture.check.flat import check_flats
+from capture.check.calibration import check_bias, check_flats
 from capture.check.frames import Unit
 from capture.check.result import CheckedGroup, CheckReport
 from capture.check.scene import check_scene
@@ -72,8 +70,8 @@ def units_of(records: Iterable[FrameRecord], folder: Path, workers: Workers) -> 
     groups: dict[str, list[FrameRecord]] = {}
     for record in records:
         groups.setdefault(_unit_name(record), []).append(record)
+    references = [one for found in groups.values() for one in found if one.role == "reference"]
     within = Workers(max(1, workers.jobs // max(1, len(groups))))
-    references = _references_of_moments(record for found in groups.values() for record in found)
     return [
         Unit(
             name,
@@ -86,24 +84,17 @@ def units_of(records: Iterable[FrameRecord], folder: Path, workers: Workers) -> 
     ]
 
 
-_Moments = dict[tuple[str, str], dict[int, "FrameRecord"]]
-
-
-def _references_of_moments(records: Iterable[FrameRecord]) -> _Moments:
-    """Return the last reference of each moment, by camera and sequence, and by the moment's number."""
-    found: _Moments = {}
-    for record in sorted(records, key=attrgetter("path")):
-        moment = moment_of(record.scene)
-        if moment is not None and record.role == "reference":
-            found.setdefault((record.camera, moment[0]), {})[moment[1]] = record
-    return found
-
-
-def _before(record: FrameRecord, references: _Moments) -> FrameRecord | None:
+def _before(record: FrameRecord, references: Iterable[FrameRecord]) -> FrameRecord | None:
     """Return the last reference of the moment before that of a row, or of the nearest that is there."""
     sequence, number = moment_of(record.scene) or ("", 0)
-    known = references.get((record.camera, sequence), {})
-    return known.get(max((one for one in known if one < number), default=0))
+    earlier = [
+        (moment[1], one.path, one)
+        for one in references
+        if (moment := moment_of(one.scene)) is not None
+        and (one.camera, moment[0]) == (record.camera, sequence)
+        and moment[1] < number
+    ]
+    return max(earlier, key=lambda found: found[:2])[-1] if earlier else None
 
 
 _CHECKS = {"bias": check_bias, "flat": check_flats}

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.measures import Estimate, Measure, MeasureKind
+from capture.check.limits import find_kind
+from capture.check.measures import Estimate
 from capture.check.ratio import residuals_between
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
     from capture.check.cells import Cells
     from capture.check.ratio import StripResiduals
+    from capture.check.result import CheckedGroup
 
     Array = NDArray[np.float64]
 
@@ -52,12 +54,6 @@ class Flicker:
     amplitude: Estimate
     cycles: float
     sigmas: float
-
-    def measure(self, kind: MeasureKind, path: str, text: str) -> Measure:
-        """Return the amplitude as a measure in percent, judged by this frame's own chance."""
-        amplitude = self.amplitude
-        own = replace(kind, sigmas=self.sigmas)
-        return Measure(own, path, text, 100 * amplitude.value, 100 * amplitude.standard_error)
 
 
 def flicker_of_contrast(residuals: StripResiduals) -> Flicker | None:
@@ -86,6 +82,13 @@ def flicker_between(first: Cells, second: Cells, ratios: Sequence[Estimate | Non
     known = [ratio.value for ratio in ratios if ratio is not None]
     residuals = residuals_between(first, second, known) if len(known) == len(ratios) else None
     return None if residuals is None else flicker_of_level(residuals)
+
+
+def add_flicker(group: CheckedGroup, path: str, flicker: Flicker | None, kind: str = "flicker", **words: str) -> None:
+    """Add what flicker was measured in a frame, if it was, judged by this frame's own chance."""
+    if flicker is not None:
+        own = replace(find_kind(kind), sigmas=flicker.sigmas)
+        group.measure(own, path, flicker.amplitude.in_percent(), cycles=f"{flicker.cycles:g}", **words)
 
 
 def _modulation(weight: Array, expected: Array, residual: Array) -> tuple[Array, Array]:

@@ -12,9 +12,17 @@ Which frame the light changed in, reference or noisy one, makes no difference to
 
 from __future__ import annotations
 
-from typing import Final
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
+from capture.check.measures import MeasureKind
+from eldata.base.fields import TextFile
+from eldata.errors import ArgumentError
 from eldata.manifest.verify import RATIO_TOLERANCE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 BEST_PSNR_DB: Final = 46.5
 """The best published denoising of ELD, at x100."""
@@ -47,7 +55,26 @@ SHIFT_SOURCE: Final = (
 # The nominal ratio only names a frame: by it frames are grouped, and swapped ones are found.
 RATIO_LOOK: Final = float(RATIO_TOLERANCE)
 RATIO_AGAIN: Final = 1 - 2 ** (-1 / 3)
-RATIO_SOURCE: Final = (
-    "the tolerance of eldata verify, for EXIF times that are rounded; to shoot again: a whole step of the shutter, a "
-    "third of a stop, in either direction"
-)
+
+_LIMITS: Final = {
+    "light": (100 * LIGHT_LOOK, 100 * LIGHT_AGAIN),
+    "wave": (100 * 2**0.5 * LIGHT_LOOK, 100 * 2**0.5 * LIGHT_AGAIN),
+    "shift": (SHIFT_LOOK_PX, SHIFT_AGAIN_PX),
+    "verify": (100 * RATIO_LOOK, float("inf")),
+}
+_NO_LIMITS: Final = (float("inf"), float("inf"))
+
+
+@cache
+def _kinds() -> Mapping[str, Any]:
+    return TextFile(Path(__file__).with_name("kinds.toml"), ArgumentError).toml().data
+
+
+@cache
+def find_kind(name: str) -> MeasureKind:
+    """Return what ``kinds.toml`` says of a kind of measure; a limit that depends on the frames is infinite there."""
+    said: dict[str, Any] = {"name": name} | _kinds()[name]
+    limits = said.pop("limits", "")
+    look, again = _LIMITS.get(limits, _NO_LIMITS)
+    said["source"] = said.get("source", f"{{{limits}}}").format(light=LIGHT_SOURCE, shift=SHIFT_SOURCE)
+    return MeasureKind(**{"look": look, "again": again} | said)

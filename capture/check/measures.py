@@ -41,6 +41,8 @@ class MeasureKind:
         The value of a good frame.
     sigmas
         Standard errors that the distance must exceed.
+    text
+        What a value is of, with ``{words}`` to fill in.
     """
 
     name: str
@@ -51,6 +53,7 @@ class MeasureKind:
     advice: str
     expected: float = 0.0
     sigmas: float = SIGMAS
+    text: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +133,11 @@ class Estimate:
     """A value and its standard error."""
 
     value: float
-    standard_error: float
+    standard_error: float = 0.0
+
+    def in_percent(self, off: float = 0.0) -> Estimate:
+        """Return it in percent, as the distance from ``off``."""
+        return Estimate(100 * (self.value - off), 100 * self.standard_error)
 
 
 @dataclass(frozen=True, slots=True)

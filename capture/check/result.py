@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -10,7 +9,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from capture.check.limits import LIGHT_AGAIN
+from capture.check.limits import LIGHT_AGAIN, find_kind
 from capture.check.measures import VERDICTS, Estimate, Measure, MeasureKind, Remark, Verdict, worst
 from capture.checklist_content import TEMPLATES
 from eldata.base.files import write_text
@@ -92,9 +91,10 @@ class CheckedGroup:
     pictures: list[SheetPicture] = field(default_factory=list)
     pairs: list[CheckedPair] = field(default_factory=list)
 
-    def measure(self, kind: MeasureKind, path: str, text: str, value: float, error: float = 0.0) -> Measure:
-        """Add a measure, and return it."""
-        self.measures.append(Measure(kind, path, text, value, error))
+    def measure(self, kind: MeasureKind | str, path: str, found: Estimate, **words: str) -> Measure:
+        """Add a measure of a kind, or of that of a name, with the words of its text; return it."""
+        kind = find_kind(kind) if isinstance(kind, str) else kind
+        self.measures.append(Measure(kind, path, kind.text.format(**words), found.value, found.standard_error))
         return self.measures[-1]
 
     def remark(self, path: str, text: str, verdict: Verdict = "look") -> None:
@@ -324,8 +324,4 @@ def sheet_page(report: CheckReport) -> str:
     """Return the page; the same report gives the same text."""
     from eldata.reports.html import rendered
 
-    return rendered("sheet.html", TEMPLATES, report=report, source=_source, with_error=with_error)
-
-
-def _source(picture: SheetPicture) -> str:
-    return f"data:image/jpeg;base64,{base64.b64encode(picture.jpeg).decode()}"
+    return rendered("sheet.html", TEMPLATES, report=report, with_error=with_error)

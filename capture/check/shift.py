@@ -68,6 +68,12 @@ class Shift:
     down: Estimate
     right: Estimate
 
+    def undo(self, side: int) -> Spectra:
+        """Return the factors that undo it in the spectrum of a tile."""
+        ones = np.ones(1)
+        factors: Spectra = unshift(self.down.value * ones, self.right.value * ones, side)[0]
+        return factors
+
     def length(self, pixels: tuple[int, int], scale: int) -> Estimate:
         """Return the distance between the frames, which lie ``pixels`` more apart, times ``scale``.
 
@@ -173,9 +179,21 @@ def _whole_pixels(first: Tiles, second: Spectra) -> tuple[int, int]:
     # Well below the mean magnitude a frequency is mostly noise: it counts in proportion instead of fully.
     floor = magnitude.mean(axis=(1, 2), keepdims=True) / 10 + np.finfo(np.float32).tiny
     surface = scipy.fft.irfft2((cross / (magnitude + floor)).sum(axis=0), s=(side, side))
+    return find_peak(surface)[1]
+
+
+def find_peak(surface: NDArray[np.floating]) -> tuple[float, tuple[int, int]]:
+    """Return the peak of a correlation and its place, in whole pixels within half a tile."""
+    side = len(surface)
     row, column = np.unravel_index(int(np.argmax(surface)), surface.shape)
     down, right = (int((index + side // 2) % side - side // 2) for index in (row, column))
-    return down, right
+    return float(surface[row, column]), (down, right)
+
+
+def jackknife_error(left_out: NDArray[np.floating]) -> float:
+    """Return the standard error of a value from those without a tile each."""
+    tiles = len(left_out)
+    return float(np.sqrt((tiles - 1) / tiles * np.sum((left_out - left_out.mean()) ** 2)))
 
 
 def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
@@ -229,10 +247,7 @@ def _combined(values: NDArray[np.float64], errors: NDArray[np.float64]) -> Shift
     # Where the tiles scatter more than their errors say, the scatter counts.
     chi2 = (weights * (values - mean[:, None]) ** 2).sum(axis=1) / max(1, count - 1)
     found = np.sqrt(np.maximum(chi2, 1) / weights.sum(axis=1))
-    return Shift(
-        down=Estimate(float(mean[0]), float(found[0])),
-        right=Estimate(float(mean[1]), float(found[1])),
-    )
+    return Shift(*(Estimate(float(value), float(error)) for value, error in zip(mean, found, strict=True)))
 
 
 def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
@@ -257,19 +272,16 @@ def measure_focus(first: Tiles, second: Tiles, shift: Shift, brightness: float) 
     fy, fx = frequencies(side)
     radius = np.hypot(fy, fx)
     band = (radius >= _FOCUS_BAND[0]) & (radius <= _FOCUS_BAND[1])
-    ones = np.ones(1)
-    undo = unshift(shift.down.value * ones, shift.right.value * ones, side)[0][band] / brightness
+    undo = shift.undo(side)[band] / brightness
     one = first.spectra[:, band]
     two = second.spectra[:, band] * undo
     power_1, power_2 = (np.sum(np.abs(spectra) ** 2, axis=1, dtype=np.float64) for spectra in (one, two))
     cross = np.sum((np.conj(one) * two).real, axis=1, dtype=np.float64)
-    tiles = cross.size
-    if tiles < 2 or cross.sum() <= 0:
+    if cross.size < 2 or cross.sum() <= 0:
         return None
     value = float(_contrast((power_1 - power_2).sum(), cross.sum()))
     left_out = _contrast((power_1 - power_2).sum() - (power_1 - power_2), np.maximum(cross.sum() - cross, 1e-30))
-    error = float(np.sqrt((tiles - 1) / tiles * np.sum((left_out - left_out.mean()) ** 2)))
-    return Estimate(value, error)
+    return Estimate(value, jackknife_error(left_out))
 
 
 def _contrast(difference: Any, cross: Any) -> Any:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 from capture.cli.values import add_only, add_progress, progress_of
 from capture.observed import ORDERS
 from eldata.base.console import OK, PROBLEMS, add_shared
-from eldata.base.files import write_json
+from eldata.base.files import encoded, write_json
 from eldata.base.numbers import counted
 from eldata.base.outputs import CARD, FileKind, add_output
 from eldata.base.visible import in_line
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from capture.matching import Match
     from capture.observed import Observed
     from capture.plan import Plan
-    from eldata.manifest.card import Card
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -93,8 +92,7 @@ def _table_name(text: str) -> str:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from capture.apertures import aperture_remarks
-    from capture.mapping import load_mapping, mapping_as_dict
+    from capture.mapping import aperture_remarks, load_mapping, mapping_as_dict
     from capture.matching import match, other_reading
     from capture.noted import explain_metering, match_noted
     from capture.observed import observe, raw_files
@@ -224,24 +222,21 @@ def _write(
 ) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
     from capture.placing import Placement, check_free, copy, link, make_folders
+    from eldata.manifest.card import card_text
     from eldata.manifest.writing import save_manifest
 
     place = arguments.copy_to or arguments.link_to
-    if place is None:
-        dataset = in_place(plan, found)
-    else:
-        dataset = (begun.into_layout if begun is not None else into_layout)(plan, found, Path(place).absolute())
+    dataset = in_place(plan, found) if place is None else into_layout(plan, found, Path(place).absolute(), begun)
     card_path = output.with_suffix(".json")
     if output.exists() and not arguments.replace and begun is None:
         raise ArgumentError(f"{output} is there already: give another name, or --replace it")
     dataset = with_hashes(dataset, workers)
     records = dataset.records
-    make_card = (
-        partial(card_of, plan, output.stem, dataset.folder.name) if begun is None else partial(begun.joined, plan)
-    )
-    card = make_card(records)
+    name, folder = output.stem, dataset.folder.name
+    card = card_of(plan, name, folder, records) if begun is None else begun.joined(plan, records)
     # The manifest comes last: this very card without one is what a killed run left.
-    if card_path.exists() and not arguments.replace and begun is None and not _is_card(card_path, card):
+    free = arguments.replace or begun is not None or not card_path.exists()
+    if not free and card_path.read_bytes() != encoded(card_text(card)):
         raise ArgumentError(f"{card_path} is there already: give another name, or --replace it")
     if place is not None:
         placements = [
@@ -263,16 +258,6 @@ def _write(
     where = f"{shlex.quote(str(output))} --root {shlex.quote(str(dataset.folder.parent))}"
     print(f"check it with: eldata verify {where} --level full")
     _warn_of_unlisted(dataset, place)
-
-
-def _is_card(path: Path, card: Card) -> bool:
-    from eldata.errors import ManifestError
-    from eldata.manifest.card import load_card
-
-    try:
-        return load_card(path) == card
-    except ManifestError:
-        return False
 
 
 def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:

@@ -19,8 +19,10 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from capture.calibration import DARK_FRAMES
+from capture.checklist_content import rows as rows_of
 from capture.cli.values import (
     add_alike,
+    add_numbers,
     add_progress,
     aperture,
     given_counts,
@@ -36,11 +38,12 @@ from capture.protocol import COUNTS, PROTOCOLS, CaptureProtocol
 from eldata.base.console import OK, add_shared, each_of
 from eldata.base.files import write_json
 from eldata.base.outputs import NEW, add_output, json_kind
+from eldata.base.tables import text_table
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from fractions import Fraction
 
     from capture.calibration import CalibrationPlan
@@ -48,6 +51,7 @@ if TYPE_CHECKING:
     from capture.checklist_progress import Progress
     from capture.plan import Plan
     from capture.shots import Shot
+    from capture.shutter import ExactNumber
 
 _CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors", *COUNTS)
 
@@ -75,40 +79,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         choices=tuple(PROTOCOLS),
         help="frames of a scene: those of the released set (default), or the paper's, without the factors 1 and 10",
     )
-    new.add_argument("--isos", type=nine_digits, nargs="+", metavar="ISO", help="other ISOs of the noisy frames")
-    new.add_argument(
-        "--factors", type=nine_digits, nargs="+", metavar="FACTOR", help="other low-light factors than the protocol's"
-    )
+    add_numbers(new, "--isos", "ISO", "other ISOs of the noisy frames")
+    add_numbers(new, "--factors", "FACTOR", "other low-light factors than the protocol's")
     add_alike(new)
     change = parser.add_argument_group("changes")
-    change.add_argument(
+    repeated = partial(change.add_argument, action="append", default=[])
+    repeated(
         "--remeter",
         type=scene_time,
-        action="append",
-        default=[],
         metavar="SCENE=SECONDS",
         help="compute a scene's shots from another metered time, as scene-2=2; may be repeated",
     )
-    change.add_argument(
-        "--add-scene",
-        type=scene_time,
-        action="append",
-        default=[],
-        metavar="SCENE=SECONDS",
-        help="one more scene, as scene-11=4; may be repeated",
-    )
-    change.add_argument(
-        "--note",
-        action="append",
-        default=[],
-        metavar="SCENE=TEXT",
-        help="a note on a scene, as scene-2=bookshelf; may be repeated",
-    )
-    change.add_argument(
+    more = "one more scene, as scene-11=4; may be repeated"
+    repeated("--add-scene", type=scene_time, metavar="SCENE=SECONDS", help=more)
+    repeated("--note", metavar="SCENE=TEXT", help="a note on a scene, as scene-2=bookshelf; may be repeated")
+    repeated(
         "--aperture",
         type=aperture,
-        action="append",
-        default=[],
         metavar="F",
         help="the f-number of every scene, as 8, or of one: scene-3=5.6; in a new plan or an older one. That of the "
         "files is compared with it",
@@ -124,13 +111,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         help="time at the base ISO from which the evenly lit surface is overexposed in raw",
     )
-    calibration.add_argument(
-        "--calibration-isos",
-        type=nine_digits,
-        nargs="+",
-        metavar="ISO",
-        help="ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)",
-    )
+    isos = "ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)"
+    add_numbers(calibration, "--calibration-isos", "ISO", isos)
     calibration.add_argument("--bias-frames", type=nine_digits, metavar="N", help="bias frames per ISO (default: 10)")
     calibration.add_argument(
         "--dark-frames",
@@ -231,7 +213,7 @@ def _calibration(
     arguments: argparse.Namespace,
 ) -> CalibrationPlan | None:
     """Return the calibration frames that are asked for; ``shots`` are the scenes', whose times dark frames have."""
-    from capture.calibration import BIAS_FRAMES, dark_settings, default_isos, plan_calibration
+    from capture.calibration import dark_settings, default_isos, plan_calibration
 
     if not arguments.calibration:
         for name in ("flat_clips_at", "calibration_isos", "bias_frames", "dark_frames", "warm"):
@@ -244,20 +226,12 @@ def _calibration(
             "and lengthen the exposure until the raw histogram touches its right end"
         )
     isos = tuple(sorted(arguments.calibration_isos)) if arguments.calibration_isos else default_isos(camera, protocol)
-    frames = BIAS_FRAMES if arguments.bias_frames is None else arguments.bias_frames
     dark = () if arguments.dark_frames is None else dark_settings(shot for _, shot in shots)
     if arguments.dark_frames is not None and not dark:
         raise ArgumentError("--dark-frames: they have the noisy frames' times, and the plan has no scenes")
-    return plan_calibration(
-        camera,
-        protocol.base_iso,
-        isos,
-        arguments.flat_clips_at,
-        bias_frames=frames,
-        dark=dark,
-        dark_frames=DARK_FRAMES if arguments.dark_frames is None else arguments.dark_frames,
-        warm=bool(arguments.warm),
-    )
+    given = {name: getattr(arguments, name) for name in ("bias_frames", "dark_frames", "warm")}
+    given = {name: value for name, value in given.items() if value is not None}
+    return plan_calibration(camera, protocol.base_iso, isos, arguments.flat_clips_at, dark=dark, **given)
 
 
 def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
@@ -285,7 +259,7 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
 
 def format_plan(plan: Plan) -> str:
     """Return a plan as text: a table for the scenes of each metered time, and one for the calibration frames."""
-    from capture.apertures import f_text
+    from capture.observed import f_text
     from capture.shots import duration_of
 
     protocol = plan.protocol
@@ -301,18 +275,10 @@ def format_plan(plan: Plan) -> str:
         time_needed = f"{each}: {duration_of(scenes[0].shots)}"
         parts.append("\n".join([title, *notes, _table(scenes[0].shots), time_needed, *scenes[0].remarks]))
     if plan.calibration is not None:
-        title = f"calibration: the surface clips at {plan.calibration.flat_clips_at_s} s, ISO {protocol.base_iso}"
-        parts.append(
-            "\n".join(
-                [
-                    title,
-                    _calibration_table(plan.calibration.shots),
-                    f"calibration: {duration_of(plan.calibration.shots)}",
-                    *plan.calibration.remarks,
-                    *_no_dark(plan),
-                ]
-            )
-        )
+        shots, clips_at_s = plan.calibration.shots, plan.calibration.flat_clips_at_s
+        title = f"calibration: the surface clips at {clips_at_s} s, ISO {protocol.base_iso}"
+        after = [f"calibration: {duration_of(shots)}", *plan.calibration.remarks, *_no_dark(plan)]
+        parts.append("\n".join([title, _calibration_table(shots), *after]))
     parts.append(f"the whole plan: {plan.duration}; composing, focusing and metering come on top")
     return "\n\n".join(parts)
 
@@ -334,47 +300,46 @@ def format_left(progress: Progress) -> str:
 
 
 def _table(shots: Sequence[Shot]) -> str:
-    from capture.checklist_content import rows as rows_of
-    from eldata.base.tables import text_table
-
-    header = ("frame", "role", "ISO", "factor", "asked", "set", "gives", "ratio", "EXIF", "error", "stops", "reference")
     measured = any(shot.true_iso is not None for shot in shots)
-    header = (*header[:3], *(("true ISO",) if measured else ()), *header[3:])
-    rows = [
-        (
-            row.numbers,
-            shot.role,
-            str(shot.iso),
-            *([or_dash(None if shot.true_iso is None else float(shot.true_iso), "{:g}")] if measured else []),
-            or_dash(shot.factor, "x{}"),
-            f"{shot.target_s} s",
-            f"{shot.setting.dial} s",
-            f"{shot.setting.true_s:.4g} s",
-            or_dash(None if shot.true_ratio is None else float(shot.true_ratio), "{:.2f}"),
-            or_dash(None if shot.named_ratio is None else float(shot.named_ratio), "{:.2f}"),
-            or_dash(shot.error_percent, "{:+.1f} %"),
-            or_dash(shot.error_stops, "{:+.3f}"),
-            or_dash(shot.reference),
-        )
+    return _as_table(
+        {
+            "frame": row.numbers,
+            "role": shot.role,
+            "ISO": str(shot.iso),
+            **({"true ISO": _number(shot.true_iso, "{:g}")} if measured else {}),
+            "factor": or_dash(shot.factor, "x{}"),
+            "asked": f"{shot.target_s} s",
+            "set": f"{shot.setting.dial} s",
+            "gives": f"{shot.setting.true_s:.4g} s",
+            "ratio": _number(shot.true_ratio, "{:.2f}"),
+            "EXIF": _number(shot.named_ratio, "{:.2f}"),
+            "error": or_dash(shot.error_percent, "{:+.1f} %"),
+            "stops": or_dash(shot.error_stops, "{:+.3f}"),
+            "reference": or_dash(shot.reference),
+        }
         for row in rows_of(shots)
         for shot in (row.shot,)
-    ]
-    return text_table(header, rows, left=(1,))
+    )
 
 
 def _calibration_table(shots: Sequence[Shot]) -> str:
-    from capture.checklist_content import rows as rows_of
-    from eldata.base.tables import text_table
-
-    rows = [
-        (
-            row.numbers,
-            " ".join(filter(None, (row.shot.series, row.shot.role))),
-            str(row.shot.iso),
-            or_dash(None if row.shot.level is None else float(100 * row.shot.level), "{:.0f} %"),
-            f"{row.dial} s",
-            str(row.count),
-        )
+    return _as_table(
+        {
+            "frames": row.numbers,
+            "role": f"{row.shot.series} {row.shot.role}".lstrip(),
+            "ISO": str(row.shot.iso),
+            "level": _number(row.shot.level and 100 * row.shot.level, "{:.0f} %"),
+            "set": f"{row.dial} s",
+            "count": str(row.count),
+        }
         for row in rows_of(shots)
-    ]
-    return text_table(("frames", "role", "ISO", "level", "set", "count"), rows, left=(1,))
+    )
+
+
+def _as_table(found: Iterable[dict[str, str]]) -> str:
+    rows = list(found)
+    return text_table(tuple(rows[0]), [tuple(row.values()) for row in rows], left=(1,))
+
+
+def _number(value: ExactNumber | Fraction | None, form: str) -> str:
+    return or_dash(None if value is None else float(value), form)

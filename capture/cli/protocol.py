@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from capture.cli.values import add_alike, given_counts, nine_digits, or_dash, seconds, spaced
+from capture.cli.values import add_alike, add_numbers, given_counts, nine_digits, or_dash, seconds, spaced
 from capture.protocol import RELEASED, CaptureProtocol
 from eldata.base.console import OK, add_shared
 from eldata.base.files import write_json
@@ -41,22 +41,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="ISO",
         help="ISO of the references (default: %(default)s)",
     )
-    parser.add_argument(
-        "--isos",
-        type=nine_digits,
-        nargs="+",
-        default=RELEASED.noisy_isos,
-        metavar="ISO",
-        help=f"ISOs of the noisy frames (default: {spaced(RELEASED.noisy_isos)})",
-    )
-    parser.add_argument(
-        "--factors",
-        type=nine_digits,
-        nargs="+",
-        default=RELEASED.low_light_factors,
-        metavar="FACTOR",
-        help=f"low-light factors (default: {spaced(RELEASED.low_light_factors)})",
-    )
+    isos, factors = RELEASED.noisy_isos, RELEASED.low_light_factors
+    add_numbers(parser, "--isos", "ISO", f"ISOs of the noisy frames (default: {spaced(isos)})", isos)
+    add_numbers(parser, "--factors", "FACTOR", f"low-light factors (default: {spaced(factors)})", factors)
     add_alike(parser)
     add_shared(parser, run, json="base_iso metered_s frames")
 

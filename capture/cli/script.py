@@ -11,17 +11,28 @@ Then: capture manifest PLAN DIR -o manifests/mine.csv --copy-to data/mine
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from capture.checklist_content import TEMPLATES, ChecklistRow, before_moment, calibration_parts, part_of
 from capture.cli.values import add_only
+from capture.observed import f_text
+from capture.plan import CALIBRATION, Plan
+from capture.shots import WRITE_S, minutes
 from eldata.base.console import OK, add_shared
 from eldata.base.files import write_text
 from eldata.base.outputs import FileKind, add_output
+from eldata.base.tables import one_line
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterable, Iterator, Sequence
 
+    from capture.shots import ScenePlan, Shot
+    from capture.shutter import ShutterTime
+
+_NEXT_LINE = "\n    "
 _SCRIPT = FileKind(rb"#!/bin/sh\n# [^\n]*\n# Written by capture script")
 
 
@@ -37,9 +48,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from capture.gphoto_script import gphoto_script, script_minutes
-    from capture.plan import Plan
-
     plan, path = Plan.load(arguments.plan), Path(arguments.output)
     if arguments.only:
         plan = plan.only(arguments.only)
@@ -48,3 +56,65 @@ def run(arguments: argparse.Namespace) -> int:
     path.chmod(mode | (mode & 0o444) >> 2)  # whoever may read it may run it
     print(f"{path}: {len(plan.shots)} frames, about {script_minutes(plan)}; read it before you run it")
     return OK
+
+
+def gphoto_script(plan: Plan, title: str) -> str:
+    """Return a POSIX shell script that takes a plan's shots; whatever the plan says is quoted or on one line.
+
+    Parameters
+    ----------
+    plan
+        What to take.
+    title
+        What to call the plan in the script's first comment, such as its file's name.
+    """
+    shots = [shot for _, shot in plan.shots]
+    times = sorted({shot.setting for shot in shots}, key=lambda time: time.true_s)
+    head = (
+        f"{title}: {plan.extent}, {len(shots)} frames with {plan.camera.name} ({', '.join(plan.camera.models)}), "
+        f"about {script_minutes(plan)} of exposures and downloads."
+    )
+    lines = [
+        "#!/bin/sh",
+        f"# {one_line(head)}",
+        "# Written by capture script, and never tried with a real camera: read it before you run it.",
+        (TEMPLATES / "gphoto2.sh").read_text(encoding="utf-8"),
+        shlex.join(["offers", "iso", *map(str, sorted({shot.iso for shot in shots}))]),
+        shlex.join(["offers", "shutterspeed", *dict.fromkeys(_time_words(time)[0] for time in times)]),
+    ]
+    for scene in plan.scenes:
+        lines += _part(scene.name, scene.name, _scene_words(plan, scene), scene.shots)
+    frames = () if plan.calibration is None else plan.calibration.shots
+    for part in calibration_parts(plan):
+        of_part = [shot for shot in frames if part_of(shot) == part.kind]
+        lines += _part(CALIBRATION, part.title, (item.text for item in part.items), of_part)
+    return "\n".join(lines) + "\n"
+
+
+def script_minutes(plan: Plan) -> str:
+    """Return how long the exposures and downloads take, to read."""
+    return minutes(plan.duration.exposures_s + WRITE_S * plan.duration.files)
+
+
+def _time_words(time: ShutterTime) -> list[str]:
+    """Return what gphoto2 sets: the time's name, or ``Bulb`` and its seconds."""
+    return time.dial.replace("bulb", "Bulb").split()
+
+
+def _scene_words(plan: Plan, scene: ScenePlan) -> Iterator[str]:
+    if scene.moment < 2:  # later moments are as the first
+        yield f"Metered at {scene.metered_s} s, ISO {plan.protocol.base_iso}"
+        if scene.aperture is not None:
+            yield f"Aperture {f_text(scene.aperture)}"
+        yield from scene.remarks
+    yield from scene.notes
+    yield before_moment(plan, scene)
+
+
+def _part(folder: str, title: str, words: Iterable[str], shots: Sequence[Shot]) -> Iterator[str]:
+    """Yield the lines of shots that are taken after one preparation."""
+    yield f"\n# {title}: {len(shots)} frames"
+    yield f"prepare {shlex.quote(_NEXT_LINE.join([title, *(one_line(text) for text in words if text)]))}"
+    for shot in shots:
+        command = ["shot", f"{folder}/IMG_{shot.number:04d}", str(shot.iso), *_time_words(shot.setting)]
+        yield f"{shlex.join(command)}  # {ChecklistRow(shot, 1).what}"

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from functools import partial
 from typing import TYPE_CHECKING
 
-from capture.apertures import LEAST_F_NUMBER, MOST_F_NUMBER
-from capture.exact import parse_seconds
 from capture.protocol import COUNTS
+from capture.shutter import parse_seconds
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 
@@ -63,9 +63,8 @@ def aperture(text: str) -> tuple[str | None, Fraction]:
         found = parse_seconds(number.lower().removeprefix("f/"))
     except ArgumentError:
         found = None
-    if found is None or not LEAST_F_NUMBER <= found <= MOST_F_NUMBER:
-        expected = f"an f-number from {float(LEAST_F_NUMBER):g} to {float(MOST_F_NUMBER):g}, such as 5.6"
-        raise argparse.ArgumentTypeError(f"expected {expected}; found {shown(number)}")
+    if found is None or not 0.5 <= found <= 128:
+        raise argparse.ArgumentTypeError(f"expected an f-number from 0.5 to 128, such as 5.6; found {shown(number)}")
     return name or None, found
 
 
@@ -80,25 +79,24 @@ def scene_numbers(text: str) -> range:
     return found
 
 
+def add_numbers(
+    parser: argparse._ActionsContainer, name: str, metavar: str, words: str, default: tuple[int, ...] | None = None
+) -> None:
+    """Add an option that takes whole numbers."""
+    parser.add_argument(name, type=nine_digits, nargs="+", default=default, metavar=metavar, help=words)
+
+
 def add_alike(parser: argparse._ActionsContainer) -> None:
     """Add ``--repeats``, ``--references`` and ``--moments`` to a subcommand: how often the protocol takes something."""
-    parser.add_argument(
-        "--repeats",
-        type=nine_digits,
-        metavar="N",
-        help="noisy frames of each ISO and factor, one after the other (default: 1; LRID has 10)",
-    )
-    parser.add_argument(
+    add = partial(parser.add_argument, type=nine_digits, metavar="N")
+    add("--repeats", help="noisy frames of each ISO and factor, one after the other (default: 1; LRID has 10)")
+    add(
         "--references",
-        type=nine_digits,
-        metavar="N",
         help="reference frames before and after the noisy ones of each ISO (default: 1); each noisy frame is compared "
         "with the one nearest to it, or, after capture average, with their mean",
     )
-    parser.add_argument(
+    add(
         "--moments",
-        type=nine_digits,
-        metavar="N",
         help="for video: take each scene N times, with something in it moved by hand, or the next picture of a film on "
         "a monitor, in between (default: 1)",
     )

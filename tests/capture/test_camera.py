@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from capture.camera import EXAMPLE, CameraDescription
 from capture.capture_errors import CameraError
-from capture.exact import ExactNumber, as_exact
-from capture.shutter import Shutter, ladder
+from capture.shutter import ExactNumber, Shutter, as_exact, ladder
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
@@ -228,7 +227,7 @@ def test_each_field_is_needed(field: str, tmp_path: Path) -> None:
             {"shutter": {"step": "1/3", "fastest": "1/7000", "slowest": "30"}},
             "1/7000 s is not a standard time in steps of 1/3 stop; the nearest is 1/6400 s",
         ),
-        ({"shutter": {"step": "1/3", "fastest": "fast", "slowest": "30"}}, "expected seconds such as 4, 1/2 or 0.5"),
+        ({"shutter": {"step": "1/3", "fastest": "fast", "slowest": "30"}}, "expected seconds above 0"),
         ({"shutter": {"step": "1/3", "fastest": "30", "slowest": "1"}}, "the fastest time, 30 s, is slower than"),
         ({"shutter": {"times": []}}, "shutter times: expected at least one, found none"),
         ({"shutter": {"times": ["1", "1/2"]}}, "expected the fastest first, found 1/2 after 1"),

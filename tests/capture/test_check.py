@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from capture.check import CheckedGroup, CheckReport, Measure, check, write_sheet
-from capture.check.measures import MeasureKind
+from capture.check.measures import Estimate, MeasureKind
 from capture.cli import main
 from eldata.errors import ArgumentError, ManifestError
 from eldata.records import Exposure
@@ -329,9 +329,10 @@ def test_ratios_that_are_off_alike_are_one_line_and_a_count() -> None:
     def scene(number: int) -> CheckedGroup:
         group = CheckedGroup(f"A scene-{number}", 16)
         for frame in range(16):
-            kind = MeasureKind("ratio", "", 10.0, 26.0, "source", "shoot it again", expected=100.0)
+            text = "exposure ratio"
+            kind = MeasureKind("ratio", "", 10.0, 26.0, "source", "shoot it again", expected=100.0, text=text)
             share = 60.0 if (number, frame) == (2, 5) else 80.0 + 0.1 * (frame % 3)
-            group.measure(kind, f"A/scene-{number}/IMG_{frame:04d}.dng", "exposure ratio", share, 0.2)
+            group.measure(kind, f"A/scene-{number}/IMG_{frame:04d}.dng", Estimate(share, 0.2))
         return group
 
     report = CheckReport("mine", tuple(map(scene, range(1, 6))))

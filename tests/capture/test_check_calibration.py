@@ -15,7 +15,7 @@ from eldata.demo.calibration_frames import make_calibration_frames
 from eldata.raw import read_raw, write_dng
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -78,11 +78,39 @@ def test_a_light_leak_in_one_corner(frames: Set) -> None:
     assert flat.verdict == "keep"
 
 
-def test_a_leak_over_the_whole_frame(frames: Set) -> None:
-    frames.change(5, lambda dn: dn + 4)
-    bias, _ = frames.check()
-    assert named(bias) == {("level", 5)}
-    assert bias.verdict == "shoot again"
+BANDS = 0.04 * np.sin(2 * np.pi * 3 * np.arange(SIZE[0]) / SIZE[0])[:, None]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "change", "name", "verdict"),
+    [
+        pytest.param((5,), lambda dn: dn + 4, "level", "shoot again", id="a leak over the whole frame"),
+        pytest.param((11, 12), lambda dn: dn * 1.6, "saturation", "shoot again", id="saturated flats"),
+        pytest.param(
+            range(7, 13), lambda dn: 512 + (dn - 512) * np.linspace(0.3, 1, SIZE[1]), "evenness", "look", id="uneven"
+        ),
+        pytest.param((10,), lambda dn: 512 + (dn - 512) * 1.02, "pair", "look", id="an unequal pair"),
+        pytest.param((10,), lambda dn: 512 + (dn - 512) * 1.08, "pair", "shoot again", id="a more unequal pair"),
+        pytest.param(
+            (12,), lambda dn: 512 + (dn - 512) * (1 + BANDS), "flicker", "shoot again", id="a flickering flat"
+        ),
+    ],
+)
+def test_what_is_found(
+    frames: Set,
+    numbers: Sequence[int],
+    change: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    name: str,
+    verdict: str,
+) -> None:
+    """It, and nothing else, in the frames that have it."""
+    for number in numbers:
+        frames.change(number, change)
+    group = frames.check()[numbers[0] > 6]
+    assert named(group) == {(name, number) for number in numbers}
+    assert group.verdict == verdict
+    for pair in (one for one in group.measures if one.name == name == "pair" and one.path.endswith("0010.dng")):
+        assert pair.value == pytest.approx(2 if verdict == "look" else 8, abs=0.5)
 
 
 def test_a_leak_in_all_bias_frames_shows_as_shading(frames: Set) -> None:
@@ -100,42 +128,6 @@ def test_clipped_black(frames: Set) -> None:
     bias, _ = frames.check()
     assert {("black", number) for number in range(1, 7)} <= named(bias)
     assert bias.verdict == "shoot again"
-
-
-def test_saturated_flats(frames: Set) -> None:
-    for number in (11, 12):
-        frames.change(number, lambda dn: dn * 1.6)
-    _, flat = frames.check()
-    assert {name for name, _ in named(flat)} == {"saturation"}
-    assert {number for _, number in named(flat)} == {11, 12}
-    assert flat.verdict == "shoot again"
-
-
-def test_uneven_flats(frames: Set) -> None:
-    right = np.linspace(0.3, 1, SIZE[1])
-    for number in range(7, 13):
-        frames.change(number, lambda dn: 512 + (dn - 512) * right)
-    _, flat = frames.check()
-    assert named(flat) == {("evenness", number) for number in range(7, 13)}
-    assert flat.verdict == "look"
-
-
-@pytest.mark.parametrize(("percent", "verdict"), [(2, "look"), (8, "shoot again")])
-def test_an_unequal_pair(frames: Set, percent: float, verdict: str) -> None:
-    frames.change(10, lambda dn: 512 + (dn - 512) * (1 + percent / 100))
-    _, flat = frames.check()
-    assert named(flat) == {("pair", 10)}
-    assert flat.verdict == verdict
-    (pair,) = (one for one in flat.measures if one.name == "pair" and one.path.endswith("0010.dng"))
-    assert pair.value == pytest.approx(percent, abs=0.5)
-
-
-def test_flicker_of_one_flat(frames: Set) -> None:
-    bands = 0.04 * np.sin(2 * np.pi * 3 * np.arange(SIZE[0]) / SIZE[0])[:, None]
-    frames.change(12, lambda dn: 512 + (dn - 512) * (1 + bands))
-    _, flat = frames.check()
-    assert named(flat) == {("flicker", 12)}
-    assert flat.verdict == "shoot again"
 
 
 def test_a_flat_without_a_partner(frames: Set) -> None:

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from capture.check.bias import PATCHES, patch_levels
+from capture.check.calibration import PATCHES, patch_levels, unevenness
 from capture.check.cells import Cells, luminance, reduce_to_cells, saturation_dn
-from capture.check.drift import brightness_ratios
-from capture.check.flat import unevenness
 from capture.check.flicker import flicker_of_contrast, flicker_of_level
 from capture.check.measures import Measure, MeasureKind, worst
-from capture.check.ratio import RatioFit, fit_ratio
+from capture.check.ratio import RatioFit, brightness_ratios, fit_ratio
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
 from eldata.raw.cfa import XTRANS_CFA, bayer_cfa, pack
 from eldata.records import Sensor

@@ -14,6 +14,7 @@ import pytest
 from scipy import ndimage
 
 from capture.check import CheckedPair, check
+from capture.check.cells import empty_share
 from capture.check.limits import (
     BEST_PSNR_DB,
     LIGHT_AGAIN,
@@ -23,7 +24,6 @@ from capture.check.limits import (
     SHIFT_LOOK_PX,
 )
 from capture.check.measures import Estimate, Measure
-from capture.check.noise_structure import empty_share
 from capture.cli import main
 from eldata.datasets import PairDataset
 from eldata.demo.camera import BASE_ISO, SimulatedCamera

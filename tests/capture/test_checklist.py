@@ -264,7 +264,7 @@ def test_file_of_fewer_scenes_fits_a_plan_that_has_grown(plan: Plan, tmp_path: P
         (("extra",), 1, "field extra: is unknown; known are kind"),
         (("scenes", 1, "name"), "scene-1", "field scenes[1].name: expected one of the plan's scenes, each once"),
         (("scenes", 0, "name"), "scene-9", "field scenes[0].name: expected one of the plan's scenes"),
-        (("scenes", 0, "metered_s"), "0", "field scenes[0].metered_s: expected a time above 0 seconds"),
+        (("scenes", 0, "metered_s"), "0", "field scenes[0].metered_s: expected seconds above 0"),
         (("scenes", 0, "metered_s"), "1/4000", "Let 11 2/3 stops less light in"),
         (("scenes", 0, "shots"), [], "field scenes[0].shots: expected the plan's 16 rows, found 0 rows"),
         (("scenes", 0, "shots", 3, "iso"), 1600, "field scenes[0].shots[3].iso: expected 800, as in the plan"),

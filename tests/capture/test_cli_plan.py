@@ -146,7 +146,7 @@ NEW = ["plan", "--camera", "cam.json"]
         ),
         ([*NEW, "--scenes", "2"], "scene-1, scene-2 need a metered time"),
         ([*NEW, "--scenes", "2", "--metered", "scene-3=4"], "--metered scene-3: the scenes are scene-1 to scene-2"),
-        ([*NEW, "--scenes", "1", "--metered", "soon"], "expected seconds such as 4, 1/2 or 0.5, found 'soon'"),
+        ([*NEW, "--scenes", "1", "--metered", "soon"], "expected seconds above 0, such as 4, 1/2 or 0.5, found 'soon'"),
         ([*NEW, "--scenes", "1", "--metered", "1/2"], "scene-1: metered at 1/2 s (ISO 100): noisy frame 15"),
         ([*NEW, "--scenes", "1", "--metered", "4", "--isos", "900"], "SonyA7S2 has no ISO 900"),
         ([*NEW, "--scenes", "1", "--metered", "4", "--remeter", "scene-2"], "such as scene-2=1/4; found 'scene-2'"),

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from capture.exact import ExactNumber, as_exact, parse_seconds
+from capture.shutter import ExactNumber, as_exact, parse_seconds
 from eldata.errors import ArgumentError
 
 fractions = st.fractions(Fraction(1, 10**4), 10**6, max_denominator=10**4)

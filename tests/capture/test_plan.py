@@ -17,8 +17,7 @@ from capture.camera import EXAMPLE
 from capture.capture_errors import CameraError, ImpossibleShotError, PlanError
 from capture.plan import CALIBRATION, Plan, make_plan
 from capture.protocol import PAPER, RELEASED
-from capture.scene_plan import RATIO_TOLERANCE
-from capture.shots import duration_of, minutes, scene_shots
+from capture.shots import RATIO_TOLERANCE, duration_of, minutes, scene_shots
 from capture.shutter import Shutter
 from eldata.base.files import sha256_of
 from tests.capture.simulated import CAMERA, plan_of

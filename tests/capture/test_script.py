@@ -18,7 +18,7 @@ import pytest
 
 from capture.calibration import plan_calibration
 from capture.cli import main
-from capture.gphoto_script import gphoto_script
+from capture.cli.script import gphoto_script
 from capture.plan import make_plan
 from capture.protocol import CaptureProtocol
 from capture.shutter import Shutter

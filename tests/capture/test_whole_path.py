@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     import pytest
 
-    from capture.scene_plan import ScenePlan
+    from capture.shots import ScenePlan
     from eldata.demo.camera import SimulatedCamera
 
 SIZE = (384, 576)

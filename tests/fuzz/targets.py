@@ -240,7 +240,7 @@ def _scheduler(path: Path) -> object:
 
 
 def _seconds(path: Path) -> object:
-    from capture.exact import parse_seconds
+    from capture.shutter import parse_seconds
 
     return parse_seconds(path.read_bytes().decode(errors="surrogateescape"))
 

@@ -1,6 +1,6 @@
-"""Bias frames of one ISO against each other: level, light leaks, clipped black.
+"""Calibration frames of one ISO: bias frames against each other, flats in pairs.
 
-Each frame becomes a grid of 8 x 8 patches: the median of its cells, which forgives hot pixels, averaged over the
+A bias frame becomes a grid of 8 x 8 patches: the median of its cells, which forgives hot pixels, averaged over the
 channels. From each the median over the *other* frames is taken off, so that what belongs to the sensor drops out and
 what differs stays. The standard error of a patch comes from the scatter of its rows of cells, row noise included.
 """
@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.drift import OF_MEDIAN, TO_SIGMA
-from capture.check.frames import Unit, file_name, reduced_frames
-from capture.check.measures import MeasureKind
-from capture.check.pictures import map_picture
+from capture.check.flicker import add_flicker, flicker_between
+from capture.check.frames import ReducedFrame, Unit, file_name, map_picture, reduced_frames, scene_picture
+from capture.check.limits import find_kind
+from capture.check.measures import Estimate
+from capture.check.ratio import BLOCK, OF_MEDIAN, TO_SIGMA, brightness_ratios
 from capture.check.result import CheckedGroup
 
 if TYPE_CHECKING:
@@ -26,18 +27,8 @@ if TYPE_CHECKING:
     from capture.check.cells import Cells
 
 PATCHES: Final = 8  # along each side
-# Chance exceeds six standard errors once in 500 million patches: of ten frames of 64 patches, never.
-_PATCH_SIGMAS: Final = 6.0
 _PICTURES: Final = 4  # of frames without a finding
 _SHOWN_DN: Final = 2.0  # the strongest colour of a map
-_BLACK = MeasureKind(
-    "black",
-    "%",
-    0.1,
-    1.0,
-    "from 1 % on eldata calibrate refuses the frames: clipped black shows neither mean nor noise",
-    "use raw files that keep their black level",
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +63,7 @@ def check_bias(unit: Unit) -> CheckedGroup:
         if min(frame.cells.mean_dn.shape[1:]) < 2 * PATCHES:
             group.remark(path, "is too small to look for light leaks in")
             continue
-        group.measure(_BLACK, path, "pixels at 0 DN", 100 * frame.cells.zero_share)
+        group.measure("black", path, Estimate(frame.cells.zero_share).in_percent())
         patches.append(patch_levels(path, frame.cells))
     if len(patches) == 1:
         text = "is the only bias frame of this ISO: a light leak cannot be told from the sensor's own pattern"
@@ -90,18 +81,9 @@ def _compare_together(patches: Sequence[PatchLevels], noise_dn: float, group: Ch
     middle = _middle(patches)
     group.pictures.append(map_picture("all frames: level, ±2 DN", patches[0].path, middle - middle.mean(), _SHOWN_DN))
     error = 2**0.5 * float(np.mean([levels.error_dn for levels in patches])) * OF_MEDIAN / len(patches) ** 0.5
-    kind = MeasureKind(
-        "shading",
-        "DN",
-        max(2.0, noise_dn),
-        float("inf"),
-        "the noise of a pixel, or 2 DN: more than the dark shading of usual sensors at a short exposure",
-        "a light leak in all of them, or the sensor's own shading: take one in full darkness and compare",
-        sigmas=_PATCH_SIGMAS,
-    )
-    text = "difference between the brightest and the darkest part, in all bias frames of this ISO"
+    kind = replace(find_kind("shading"), look=max(2.0, noise_dn))
     folder = patches[0].path.rpartition("/")[0] or "."
-    group.measure(kind, folder, text, float(middle.max() - middle.min()), error)
+    group.measure(kind, folder, Estimate(float(middle.max() - middle.min()), error))
 
 
 def _compare(own: PatchLevels, others: Sequence[PatchLevels], noise_dn: float, group: CheckedGroup) -> None:
@@ -115,9 +97,12 @@ def _compare(own: PatchLevels, others: Sequence[PatchLevels], noise_dn: float, g
     uneven = change - level
     place = np.unravel_index(int(np.argmax(np.abs(uneven))), uneven.shape)
     where = f"{_third(place[0], ('top', 'middle', 'bottom'))} {_third(place[1], ('left', 'centre', 'right'))}"
-    leaking = f"unlike the other bias frames at the {where}, by"
-    group.measure(_level(noise_dn), own.path, "mean, less that of the other bias frames", level, level_error)
-    group.measure(_leak(noise_dn), own.path, leaking, float(uneven[place]), error)
+    of_level, of_leak = (
+        replace(find_kind(name), look=max(0.25, 0.1 * noise_dn), again=max(1.0, 0.5 * noise_dn))
+        for name in ("level", "leak")
+    )
+    group.measure(of_level, own.path, Estimate(level, level_error))
+    group.measure(of_leak, own.path, Estimate(float(uneven[place]), error), where=where)
     if len(others) < _PICTURES or any(one.verdict != "keep" for one in group.measures[-2:]):
         group.pictures.append(map_picture(f"{file_name(own.path)} less the others, ±2 DN", own.path, change, _SHOWN_DN))
 
@@ -127,21 +112,58 @@ def _middle(patches: Sequence[PatchLevels]) -> NDArray[np.float64]:
     return middle
 
 
-def _level(noise_dn: float) -> MeasureKind:
-    return MeasureKind(
-        "level",
-        "DN",
-        max(0.25, 0.1 * noise_dn),
-        max(1.0, 0.5 * noise_dn),
-        "a tenth of the noise of a pixel, or 0.25 DN; to shoot again: half of the noise, or 1 DN, as eldata calibrate",
-        "is it a bias frame of this ISO, with the lens capped, and was the camera as warm?",
-    )
-
-
-def _leak(noise_dn: float) -> MeasureKind:
-    advice = "light came in: cap the lens, cover the viewfinder, darken the room"
-    return replace(_level(noise_dn), name="leak", advice=advice, sigmas=_PATCH_SIGMAS)
-
-
 def _third(place: np.intp, names: tuple[str, str, str]) -> str:
     return names[min(2, 3 * int(place) // PATCHES)]
+
+
+# --- flats ------------------------------------------------------------------------------------------------------------
+
+
+def unevenness(cells: Cells) -> float:
+    """Return the distance of the 5th and the 95th percentile of the blocks over their median, of the worst channel."""
+    mean, _ = cells.pooled(BLOCK, BLOCK)
+    low, middle, high = np.quantile(mean.reshape(len(mean), -1), (0.05, 0.5, 0.95), axis=1)
+    return float(np.max((high - low) / np.maximum(middle, 1e-6)))
+
+
+def check_flats(unit: Unit) -> CheckedGroup:
+    """Check the flats of one ISO; two in succession with the same exposure time are a pair."""
+    group = CheckedGroup(unit.name, len(unit.records))
+    waiting: ReducedFrame | None = None
+    for frame in reduced_frames(unit, group):
+        path = frame.record.path
+        if min(frame.cells.mean_dn.shape[1:]) < BLOCK:
+            group.remark(path, "is too small to check")
+            continue
+        group.measure("saturation", path, Estimate(frame.cells.clipped_share).in_percent())
+        group.measure("evenness", path, Estimate(unevenness(frame.cells)).in_percent())
+        if waiting is None or waiting.header.exposure.exposure_s != frame.header.exposure.exposure_s:
+            _leave_single(waiting, group)
+            waiting = frame
+            continue
+        _compare_pair(waiting, frame, group)
+        mean, _ = waiting.cells.pooled(BLOCK, BLOCK)
+        light = mean[1] / max(float(np.median(mean[1])), 1e-6) - 1
+        caption = f"{file_name(waiting.record.path)}: light over its median, ±50 %"
+        group.pictures += [scene_picture(waiting, 1.0), map_picture(caption, waiting.record.path, light, 0.5)]
+        waiting = None
+    _leave_single(waiting, group)
+    return group
+
+
+def _leave_single(frame: ReducedFrame | None, group: CheckedGroup) -> None:
+    if frame is not None:
+        group.remark(frame.record.path, "has no partner of the same exposure time beside it: take flats in pairs")
+
+
+def _compare_pair(first: ReducedFrame, second: ReducedFrame, group: CheckedGroup) -> None:
+    path, against = second.record.path, file_name(first.record.path)
+    ratios = brightness_ratios(first.cells, second.cells)
+    known = [one for one in ratios if one is not None]
+    if not known:
+        group.remark(path, "too dark, or too much of it saturated, to compare it with its partner")
+        return
+    ratio = max(known, key=lambda one: abs(one.value - 1))
+    group.measure("pair", path, ratio.in_percent(1), against=against)
+    flicker = flicker_between(first.cells, second.cells, ratios)
+    add_flicker(group, path, flicker, "flicker of flats", against=against)

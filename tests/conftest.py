@@ -39,6 +39,11 @@ os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["HF_HUB_OFFLINE"] = "1"
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The tests of this folder itself, of documents and whole checkouts, take long: no worker begins one at the end."""
+    items.sort(key=lambda item: len(item.path.parts))
+
+
 @pytest.fixture(scope="session")
 def demo_tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The demo's tree: two cameras, one scene, sixteen frames each of 64 x 96 pixels. Not to be changed: copy it."""

@@ -49,7 +49,8 @@ lint: $(STAMP)  ## Style and types
 test: lint  ## Style, types and every test that is quick, in about a quarter of an hour on two cores
 	$(PYTEST) -m 'not ($(RARE))'
 
-test-all: test test-rest  ## The same, then long studies and tests of browser, Dask, kills and memory
+test-all: lint  ## The same in one run with long studies and tests of browser, Dask, kills and memory
+	$(PYTEST)
 
 test-rest: $(STAMP)
 	$(PYTEST) -m '$(RARE)'

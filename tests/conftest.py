@@ -31,8 +31,17 @@ settings.load_profile("eldata")
 # and run hundreds of commands, each of which would wait for such a process to start.
 os.environ["ELDATA_ISOLATE"] = "0"
 
+# The tests have a worker process for each CPU. What more threads of OpenMP do is to wait for one another, in loops that
+# keep those CPUs busy. (Before torch, numpy and LibRaw are loaded. Tests of threads ask for them.)
+os.environ["OMP_NUM_THREADS"] = "1"
+
 # The package datasets asks the Hub for the newest of what it has, unless it is told not to before it is imported.
 os.environ["HF_HUB_OFFLINE"] = "1"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The tests of this folder itself, of documents and whole checkouts, take long: no worker begins one at the end."""
+    items.sort(key=lambda item: len(item.path.parts))
 
 
 @pytest.fixture(scope="session")

@@ -8,9 +8,12 @@ import importlib
 import inspect
 import os
 import re
+import shlex
+import shutil
 import subprocess
 import sys
 import zlib
+from contextlib import chdir
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -126,14 +129,34 @@ def test_every_guide_is_on_the_site() -> None:
     assert {f"gallery/{path.stem}" for path in NOTEBOOKS} <= set(listed)
 
 
+DEMO = "%%bash\neldata demo eldata-demo --scenes 1 --jobs 1\n"
+
+
+@pytest.fixture(scope="module")
+def one_scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """What the cell makes with which most notebooks begin."""
+    from eldata.cli.main import main
+
+    def make(folder: Path) -> None:
+        folder.mkdir()
+        with chdir(folder):
+            assert main(shlex.split(DEMO.partition("\n")[2])[1:]) == 0
+
+    with made_once(tmp_path_factory, "notebooks", make) as folder:
+        yield folder / "eldata-demo"
+
+
 @pytest.mark.study
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebooks_run(notebook: Path, tmp_path: Path) -> None:
+def test_notebooks_run(notebook: Path, tmp_path: Path, one_scene: Path) -> None:
     """Their cells as one script, without a kernel: `make docs` runs them as notebooks."""
     cells = _CELL.findall(notebook.read_text(encoding="utf-8"))
     assert len(cells) > 3
     script = ["import matplotlib, subprocess, sys", "matplotlib.use('Agg')"]
     for cell in cells:
+        if cell == DEMO:
+            shutil.copytree(one_scene, tmp_path / "eldata-demo")
+            continue
         magic, _, rest = cell.partition("\n")
         shell = f"subprocess.run(['bash', '-ec', {rest!r}], check=True)"
         script.append(shell if magic.startswith("%%bash") else cell)

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 _BLOCK = re.compile(r"^```\n\$ (eldata (?:evaluate|demo) eldata-(?:.*\\\n)*.*)\n((?:.*\n)*?)```$", re.MULTILINE)
-BLOCKS = [
-    (f"{path.name} {number}", command, shown.splitlines())
-    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-    for number, (command, shown) in enumerate(_BLOCK.findall(path.read_text(encoding="utf-8")), 1)
-]
+COMMANDS: dict[str, dict[str, list[str]]] = {}
+"""By command, what each block shows of it."""
+for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+    for number, (command, shown) in enumerate(_BLOCK.findall(path.read_text(encoding="utf-8")), 1):
+        COMMANDS.setdefault(command, {})[f"{path.name} {number}"] = shown.splitlines()
 
 
 def run_demo(folder: Path) -> None:
@@ -37,10 +37,9 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(("command", "shown"), [block[1:] for block in BLOCKS], ids=[block[0] for block in BLOCKS])
-def test_a_command_prints_what_a_document_shows(
+@pytest.mark.parametrize("command", COMMANDS, ids=map(", ".join, COMMANDS.values()))
+def test_a_command_prints_what_documents_show(
     command: str,
-    shown: list[str],
     demo: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -52,19 +51,21 @@ def test_a_command_prints_what_a_document_shows(
     capsys.readouterr()
     assert main(shlex.split(command.replace("\\\n", " "))[1:]) == 0
     printed = capsys.readouterr().out.splitlines()
-    at, may_skip = 0, False
-    for line in shown:
-        if line == "...":
-            may_skip = True
-            continue
-        found = next((number for number in range(at, len(printed)) if printed[number].startswith(line)), None)
-        assert found is not None, f"no line of the output begins with: {line}"
-        assert may_skip or found == at, f"left out before {line!r}: {printed[at:found]}"
-        at, may_skip = found + 1, False
+    for block, shown in COMMANDS[command].items():
+        at, may_skip = 0, False
+        for line in shown:
+            if line == "...":
+                may_skip = True
+                continue
+            found = next((number for number in range(at, len(printed)) if printed[number].startswith(line)), None)
+            assert found is not None, f"{block}: no line of the output begins with: {line}"
+            assert may_skip or found == at, f"{block}: left out before {line!r}: {printed[at:found]}"
+            at, may_skip = found + 1, False
 
 
 def test_there_are_blocks() -> None:
-    assert {name.partition(" ")[0] for name, *_ in BLOCKS} >= {"README.md", "evaluation.md"}
+    blocks = [name for blocks in COMMANDS.values() for name in blocks]
+    assert {name.partition(" ")[0] for name in blocks} >= {"README.md", "evaluation.md"}
 
 
 def test_the_early_clip_lifts_the_dark_as_documented() -> None:

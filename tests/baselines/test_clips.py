@@ -41,8 +41,6 @@ from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from eldata.baselines.noisy_frames import NoisyFrame
@@ -64,15 +62,6 @@ HERE = "tests.baselines.test_clips"
 CLIPS = ("0007", "0013")
 SIZE = (48, 56)
 STUDY_STEPS = 240
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Networks this small are trained fastest by one thread, and far faster on a machine that is busy."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 # --- the loss ---------------------------------------------------------------------------------------------------------
@@ -365,7 +354,7 @@ def test_a_command_that_was_killed_goes_on_and_scores(drv: SmallDrv, tmp_path: P
     command = [sys.executable, "-m", "eldata.cli.main", "predict", "mine:network", "--window", "3", "--multiple", "1"]
 
     def run(**variables: str) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT), **variables}
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
         options: dict[str, Any] = {"capture_output": True, "text": True, "timeout": PATIENCE_S, "cwd": tmp_path}
         return subprocess.run([*command, *choice, "-o", str(out), "--device", "cpu"], env=environment, **options)
 

@@ -24,6 +24,7 @@ from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from types import ModuleType
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "train_denoiser.py"
 SMALL = ["--crop", "16", "--width", "4", "--depth", "2", "--learning-rate", "5e-3", "--device", "cpu", "--workers", "0"]
@@ -50,7 +51,6 @@ def trained(run: Path, *options: str, processes: int = 1) -> list[float]:
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stderr
     return losses_in(done.stdout)
@@ -65,10 +65,16 @@ def synthetic(store: Path) -> list[str]:
     return ["--clean", str(store), "--profile", "SonyA7S2", "--iso", "800", "1600", "--crops-per-frame", "2"]
 
 
-def test_the_defaults_are_the_papers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sections 3.2.3 and 4.1.1: 200 epochs of single crops of 512, 1e-4, factors from 100 to 300, the whole network."""
+@pytest.fixture
+def example(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The example as a module."""
     monkeypatch.syspath_prepend(str(EXAMPLE.parent))
-    chosen = import_module("train_denoiser").arguments().parse_args(["run"])
+    return import_module("train_denoiser")
+
+
+def test_the_defaults_are_the_papers(example: ModuleType) -> None:
+    """Sections 3.2.3 and 4.1.1: 200 epochs of single crops of 512, 1e-4, factors from 100 to 300, the whole network."""
+    chosen = example.arguments().parse_args(["run"])
     assert (chosen.epochs, chosen.batch_size, chosen.crop, chosen.learning_rate) == (200, 1, 512, 1e-4)
     assert (chosen.noise, chosen.iso, chosen.ratio) == ("P*+G*+B+R+U", None, (100.0, 300.0))
     assert (chosen.width, chosen.depth) == (32, 4)
@@ -97,13 +103,25 @@ def test_it_learns_and_leaves_a_network_that_predict_runs(data: str, store: Path
 
 
 @pytest.mark.parametrize(("task", "channels"), [("raw2rgb", 4), ("rgb2rgb", 3)])
-def test_networks_to_srgb(task: str, channels: int, store: Path, demo_tree: Path, tmp_path: Path) -> None:
-    """Trained, validated as eldata evaluate scores what eldata predict writes, and gone on with by the same command."""
+def test_networks_to_srgb(
+    task: str,
+    channels: int,
+    store: Path,
+    demo_tree: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    example: ModuleType,
+) -> None:
+    """Trained, validated as eldata evaluate scores what eldata predict writes, and gone on with by the same command.
+
+    In this process: the studies run the example as a program.
+    """
     tree = tree_in(demo_tree)
     options = ["--pairs", str(store), "--task", task, "--epochs", "2", "--batch-size", "2"]
     options += ["--validate", str(tree.data), "--manifest", str(tree.csv), "--validate-every", "9"]
-    trained(tmp_path, *options)
-    assert trained(tmp_path, *options) == []  # nothing is left to do
+    for epochs in (2, 0):  # nothing is left to do
+        example.main([str(tmp_path), *SMALL, *options])
+        assert len(losses_in(capsys.readouterr().out)) == epochs
     place: dict[str, Any] = {"manifest": tree.csv, "root": tree.root, "protocol": f"eld-{task}"}
     network = load_network(str(tmp_path / "model.pt2"), device="cpu")
     assert network.run(np.zeros((channels, 16, 16), np.float32)).shape == (3, 16, 16)
@@ -130,7 +148,7 @@ def test_a_killed_run_goes_on_to_the_bit(store: Path, tmp_path: Path) -> None:
     trained(tmp_path / "straight", *options)
     run = tmp_path / "killed"
     command = [sys.executable, str(EXAMPLE), str(run), *SMALL, *options]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
         assert process.stdout is not None
         while (line := process.stdout.readline()) and b"epoch 1:" not in line:

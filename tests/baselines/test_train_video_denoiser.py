@@ -53,10 +53,7 @@ def command(run: Path, options: Sequence[str]) -> list[str]:
 
 def trained(run: Path, *options: str) -> list[float]:
     """Run the example, and return the losses of its epochs."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        command(run, options), capture_output=True, text=True, timeout=PATIENCE_S, env=environment, check=False
-    )
+    done = subprocess.run(command(run, options), capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 0, done.stderr
     return losses_in(done.stdout)
 
@@ -99,7 +96,7 @@ def test_a_killed_run_goes_on_to_the_bit(data: Path, tmp_path: Path) -> None:
     options = [*moving(data), "--epochs", "6", "--batch-size", "2", "--save-every", "3"]
     trained(tmp_path / "straight", *options)
     run = tmp_path / "killed"
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command(run, options), stdout=subprocess.PIPE, env=environment) as process:
         assert process.stdout is not None
         while (line := process.stdout.readline()) and b"epoch 1:" not in line:

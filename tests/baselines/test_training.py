@@ -15,19 +15,10 @@ from eldata.datasets import Arrays, SyntheticPairs, set_epoch, training_loader
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
 STEPS = 11
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Networks this small are trained fastest by one thread, and far faster on a machine that is busy."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def pairs(count: int = 8) -> SyntheticPairs:

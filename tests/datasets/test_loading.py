@@ -10,7 +10,6 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given
@@ -23,6 +22,7 @@ from eldata.datasets import loading, ranks
 from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
 from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank, loader_workers
 from eldata.errors import ArgumentError
+from tests.datasets.drawing import Drawing
 from tests.sources.store.helpers import pack_tree
 from tests.waiting import PATIENCE_S
 
@@ -130,18 +130,6 @@ def test_evaluation_gives_each_item_once_in_order(workers: int, store: Path) -> 
     ]
     assert Counter(path for part in got for path in part) == Counter(record.path for record in dataset.records)
     assert sorted(map(len, got)) == [4, 5, 5, 5, 5]
-
-
-class Drawing(Dataset[tuple[float, ...]]):
-    """Draws from every global generator, as transforms of other people do."""
-
-    def __len__(self) -> int:
-        return 8
-
-    def __getitem__(self, index: int) -> tuple[float, ...]:
-        import random
-
-        return torch.rand(()).item(), random.random(), np.random.random()  # noqa: S311, NPY002 # as they do
 
 
 def test_random_numbers_that_a_transform_draws_are_seeded_by_epoch() -> None:

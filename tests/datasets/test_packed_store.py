@@ -177,7 +177,10 @@ def test_references_are_clean_frames(eld: Path, pristine: Tree) -> None:
 
 @pytest.mark.parametrize("clip", ["both", "upper", "none"])
 @pytest.mark.parametrize("which", ["eld", "fuji"])
-def test_a_batch_in_dn_becomes_the_raw_routes(which: str, clip: Any, eld: Path, fuji: Path) -> None:
+def test_a_batch_in_dn_becomes_the_raw_routes(
+    which: str, clip: Any, eld: Path, fuji: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 3)
     levels: Any
     for levels in ("published", "metadata"):
         pairs = PackedStore({"eld": eld, "fuji": fuji}[which], crop=6, levels=levels, clip=clip)

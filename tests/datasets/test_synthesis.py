@@ -230,7 +230,7 @@ def test_a_finished_scene_that_is_not_whole_any_more_is_made_again(
     else:
         content = path.read_bytes()
         path.write_bytes(content[:-9] + bytes(9))
-    synthesize(clean, out, Recipe(SONY, per_image=2), workers=2)
+    synthesize(clean, out, Recipe(SONY, per_image=2), workers=2 if damage == "gone" else 1)
     assert everything(out) == whole
 
 
@@ -640,7 +640,7 @@ def test_several_clean_folders_make_one_set(clean: Path, tmp_path: Path) -> None
     write_flat(more / "c.dng", 96, 96)
     out = tmp_path / "out"
     command = ["synthesize", str(clean), str(more), "-o", str(out), "--camera", "SonyA7S2", "--split", "2:1"]
-    assert main(command) == 0
+    assert main([*command, "--jobs", "1"]) == 0
     assert [Path(frame["clean"]).name for frame in recorded(out)] == ["a.dng", "b.dng", "c.dng"]
     records = load_manifest(out / "manifests" / "out.csv").records
     assert sorted(row.split for row in records) == ["test"] * 2 + ["train"] * 4

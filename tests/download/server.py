@@ -41,6 +41,7 @@ class Site:
 
 class Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True  # or a body waits 40 ms, until its headers have been acknowledged
     site: Site
 
     def do_GET(self) -> None:

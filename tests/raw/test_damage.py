@@ -7,6 +7,7 @@ the figures of ``python -m tests.raw.damaging``.
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import imagecodecs
@@ -31,8 +32,10 @@ from tests.raw.helpers import (
     write_plain_dng,
     xtrans_at,
 )
+from tests.shared import made_once
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -121,13 +124,18 @@ def test_what_only_a_hash_finds(photographs: dict[str, list[Path]], tmp_path: Pa
         assert rates(photographs["uncompressed"], harm, 20, 1, tmp_path)["silent"] == 20
 
 
+@pytest.fixture(scope="module")
+def demo_raws(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Path]]:
+    """The 32 raw files of `eldata demo --scenes 1`."""
+    with made_once(tmp_path_factory, "one-scene", partial(make_tree, scenes=1)) as folder:
+        yield sorted(folder.rglob("*.dng"))
+
+
 @pytest.mark.study
 @pytest.mark.parametrize("harm", LOST)
-def test_lost_pages_of_a_demo_are_noticed_on_reading(harm: str, tmp_path: Path) -> None:
+def test_lost_pages_of_a_demo_are_noticed_on_reading(harm: str, demo_raws: list[Path], tmp_path: Path) -> None:
     """1,000 trials of each damage and no miss: the rate of misses is below 0.3 %."""
-    make_tree(tmp_path, scenes=1)
-    paths = sorted((tmp_path / "data").rglob("*.dng"))
-    counts = rates(paths, harm, 1000, 2, tmp_path)
+    counts = rates(demo_raws, harm, 1000, 2, tmp_path)
     assert set(counts) <= {"read", "harmless"}, counts
     assert counts["harmless"] < 10
 

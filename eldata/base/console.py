@@ -116,12 +116,13 @@ def add_command(commands: argparse._SubParsersAction[Parser], name: str, documen
     """
     heading, *paragraphs = cleandoc(documented or "").split("\n\n")
     examples = [index for index, paragraph in enumerate(paragraphs) if paragraph.startswith("    ")]
+    in_one_line = [" ".join(paragraph.split()) for paragraph in paragraphs]
     first = examples[0] if examples else len(paragraphs)
     parser = commands.add_parser(
         name,
         help=heading.partition("`: ")[2].removesuffix("."),
-        description="\n\n".join(paragraphs[:first]),
-        epilog="\n\n".join(paragraphs[first + 1 :]),
+        description="\n\n".join(in_one_line[:first]),
+        epilog="\n\n".join(in_one_line[first + 1 :]),
     )
     _add_examples(parser, *(line.strip() for index in examples for line in paragraphs[index].splitlines()))
     return parser

@@ -17,7 +17,6 @@ from eldata.calibration.core.figures import (
     TUKEY_LAMBDA,
 )
 from eldata.calibration.core.findings import COARSE, SYMBOLS, GivenFigure, given, named, widened, withheld
-from eldata.calibration.core.row_noise import SpectrumLines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -235,9 +234,15 @@ class IsoCalibration(IsoGain):
         return tuple(one for one in found if one is not None) or None
 
     @property
-    def spectrum_lines(self) -> SpectrumLines:
-        """The rows' and the columns' line in the spectrum, and the ground that they stand out from."""
-        return SpectrumLines.of(self.spectrum_dn2)
+    def spectrum_lines(self) -> tuple[float, float, float]:
+        """The spectrum's ground, DN^2, and the means of the rows' and of the columns' line.
+
+        Without the frequencies next to 0, which are shading and drift in both directions.
+        """
+        spectrum = np.asarray(self.spectrum_dn2, dtype=np.float64)
+        rows, columns = (length // 2 for length in spectrum.shape)
+        far = np.abs(np.arange(len(spectrum)) - rows) > 4
+        return float(np.median(spectrum)), float(spectrum[far, columns].mean()), float(spectrum[rows, far].mean())
 
     @property
     def colour_bias_dn(self) -> tuple[float, float, float, float] | None:

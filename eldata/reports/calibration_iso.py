@@ -394,8 +394,7 @@ def _pictures(
 def spectrum_picture(one: IsoCalibration) -> Pictures:
     """Show the centred power spectrum of a bias frame, in which row noise is a line."""
     spectrum = np.asarray(one.spectrum_dn2, dtype=np.float64)
-    lines = one.spectrum_lines
-    ground, rows, columns = lines.ground_dn2, lines.rows_dn2, lines.columns_dn2
+    ground, rows, columns = one.spectrum_lines
     low, high = limits([spectrum], 0.01, 0.999)
     low = max(low, ground / 8, 1e-9)  # of a single tile, chance alone goes far down
     high = max(high, 2 * low)

@@ -1,6 +1,6 @@
 """What the second pass over bias frames gives: colour bias, row noise and read noise, whether or not black is clipped.
 
-Read noise has two estimators of one face (:class:`ReadNoiseSums`): by residuals (each value less its pixel's own mean,
+Read noise has two estimators of one face: by residuals (each value less its pixel's own mean,
 the channel's drift and the row's offset), or, where the noise reaches 0, so that a pixel's mean over the frames is not
 its level, by all values of a channel that are left above (:mod:`eldata.calibration.core._clipped_fit`).
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -53,19 +53,6 @@ MOST_ZEROS = 0.75
 _REACH = 200  # standard deviations that are counted value by value
 
 
-class ReadNoiseSums(Protocol):
-    """Accumulates bias frames for an estimate of the read noise."""
-
-    def add(self, mosaic: NDArray[np.uint16], sums_of_lines: LineSums) -> None:
-        """Add a bias frame."""
-
-    def solve(self, lines: LineMeans) -> FixedPattern:
-        """Return what stays from frame to frame as it is without a clip, by what lines show, too."""
-
-    def figures(self, lines: LineMeans, bias: ColourBias) -> BiasFigures:
-        """Return the figures, given the bias of the recorded means; after :meth:`solve`."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class BiasFigures:
     """The figures of bias frames.
@@ -101,7 +88,7 @@ class BiasSums:
 
     def __init__(self, fixed: FixedPattern) -> None:
         self._lines = LineMeans(fixed)
-        self._values: ReadNoiseSums = ClippedValues(fixed) if fixed.clips_at_black else Residuals(fixed)
+        self._values: ClippedValues | Residuals = ClippedValues(fixed) if fixed.clips_at_black else Residuals(fixed)
 
     def add(self, mosaic: NDArray[np.uint16]) -> None:
         """Add a bias frame."""

@@ -221,7 +221,8 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     side = _BLOCK * len(pattern)
     grid = tuple(-(-length // side) for length in defects.shape)
 
-    def measure(channel: int) -> _Channel:
+    def measure(channel: int) -> tuple[Any, ...]:
+        """Return variance over time, level, non-uniformity and its error, shading, and noise of an entry of it."""
         blocks: list[tuple[NDArray[Any], ...]] = []
         added, squared, counted = 0, 0.0, 0
         for site in _sites(pattern, channel):
@@ -241,40 +242,29 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         mean = float((level * pixels).sum() / np.sum(pixels))
         dsnu, dsnu_error = _non_uniformity(blocks, variance / frames, variance_error / frames)
         shading = _with_edges(np.where(pixels > 0, level - mean, 0.0), np.asarray(pixels))
-        return _Channel(variance, mean, dsnu, dsnu_error, shading, max(float(np.median(pixels)), 1.0))
+        noise = math.sqrt((variance / frames + dsnu**2) / max(float(np.median(pixels)), 1.0))
+        return variance, mean, dsnu, dsnu_error, shading, noise
 
-    measured = [measure(channel) for channel in range(channels)]
+    variances, levels, dsnu, dsnu_error, shading, noise = zip(*map(measure, range(channels)), strict=True)
     return FixedPattern(
         pattern=pattern,
         frames=frames,
         total_dn=total,
         defects=defects,
         threshold_dn=tuple(limits),
-        level_dn=tuple(one.level for one in measured),
-        temporal_variance_dn2=tuple(one.variance for one in measured),
-        shading_error_dn=tuple(math.sqrt((one.variance / frames + one.dsnu**2) / one.block_pixels) for one in measured),
+        level_dn=levels,
+        temporal_variance_dn2=variances,
+        shading_error_dn=noise,
         summary=PatternSummary(
             defects=int(defects.sum()),
             off_level=off_level,
             stuck=stuck,
             pixels=defects.size,
-            dsnu_dn=tuple(one.dsnu for one in measured),
-            dsnu_error_dn=tuple(one.dsnu_error for one in measured),
-            shading_dn=np.stack([one.shading for one in measured]),
+            dsnu_dn=dsnu,
+            dsnu_error_dn=dsnu_error,
+            shading_dn=np.stack(shading),
         ),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Channel:
-    """What one channel's sound pixels show; ``block_pixels`` is how many pixels a block of the shading has."""
-
-    variance: float
-    level: float
-    dsnu: float
-    dsnu_error: float
-    shading: NDArray[np.float64]
-    block_pixels: float
 
 
 Site = tuple[slice, slice]

@@ -457,27 +457,6 @@ def power_spectrum(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> NDArray[n
     return spectrum
 
 
-@dataclass(frozen=True, slots=True)
-class SpectrumLines:
-    """The lines in a centred power spectrum, DN^2: its ground, and the means of the rows' and of the columns' line."""
-
-    ground_dn2: float
-    rows_dn2: float
-    columns_dn2: float
-
-    @classmethod
-    def of(cls, spectrum: NDArray[np.floating]) -> SpectrumLines:
-        """Measure them, without the frequencies next to 0, which are shading and drift in both directions."""
-        height, width = spectrum.shape
-        wide = np.asarray(spectrum, dtype=np.float64)
-        far = np.abs(np.arange(height) - height // 2) > 4
-        return cls(
-            ground_dn2=float(np.median(wide)),
-            rows_dn2=float(wide[far, width // 2].mean()),
-            columns_dn2=float(wide[height // 2, far].mean()),
-        )
-
-
 def smoothed_power(
     frequency: NDArray[np.float64], power: NDArray[np.float64], period: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

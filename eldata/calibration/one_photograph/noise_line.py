@@ -196,12 +196,13 @@ class _Windows:
                 sound.ravel()[group] = False
         return cls(windows.mean, windows.beside, highest, middle, sound)
 
-    def groups(self, chosen: NDArray[np.bool_], brightness: Values | None = None) -> list[NDArray[np.intp]]:
-        """Return the chosen windows' flat indices in groups of like brightness: that beside them, or this one."""
+    def groups(
+        self, chosen: NDArray[np.bool_], brightness: Values, most: int = _GROUPS, fewest: int = _FEWEST_IN_GROUP
+    ) -> list[NDArray[np.intp]]:
+        """Return the chosen windows' flat indices in groups of like brightness."""
         places = np.flatnonzero(chosen)
-        sorting = self.beside if brightness is None else brightness
-        places = places[np.argsort(sorting.ravel()[places], kind="stable")]
-        return np.array_split(places, max(1, min(_GROUPS, len(places) // _FEWEST_IN_GROUP)))
+        places = places[np.argsort(brightness.ravel()[places], kind="stable")]
+        return np.array_split(places, max(1, min(most, len(places) // fewest)))
 
     def excess(self, line: _Line) -> Values:
         """Return how much more the middle frequencies hold at each place, all channels together, as a share."""
@@ -213,7 +214,7 @@ class _Windows:
         from scipy.stats import chi2
 
         count = np.count_nonzero(_HIGHEST)
-        groups = self.groups(self.sound)
+        groups = self.groups(self.sound, self.beside)
         mean = np.array([self.mean.ravel()[group].mean() for group in groups])
         lowest = np.array([np.quantile(self.highest.ravel()[group], _LOWEST) for group in groups])
         variance = lowest * count / chi2.ppf(_LOWEST, count)
@@ -282,23 +283,16 @@ class _Groups:
         by_channel = chosen.reshape(len(chosen), -1).sum(axis=1)
         # Too few windows for a slope in each channel that has some: one offset for all.
         together = bool((by_channel[by_channel > 0] < 2 * _FEWEST_OF_CHANNEL).all())
-        found: list[tuple[int, Any]] = []
-        for channel in range(1 if together else len(chosen)):
-            alone = chosen if together else np.zeros_like(chosen)
-            if not together:
-                alone[channel] = chosen[channel]
-            places = np.flatnonzero(alone)
-            if not len(places):
-                continue
-            places = places[np.argsort(windows.beside.ravel()[places], kind="stable")]
-            most, fewest = (_GROUPS, _FEWEST_IN_GROUP) if together else (_GROUPS_OF_CHANNEL, _FEWEST_OF_CHANNEL)
-            found += [(channel, one) for one in np.array_split(places, max(1, min(most, len(places) // fewest)))]
+        found: list[tuple[int, Any]] = [(0, one) for one in windows.groups(chosen, windows.beside) if together]
+        for channel in range(0 if together else len(chosen)):
+            if chosen[channel].any():
+                groups = windows.groups(_alone(chosen, channel), windows.beside, _GROUPS_OF_CHANNEL, _FEWEST_OF_CHANNEL)
+                found += [(channel, one) for one in groups]
 
         def summed(weights: Values | None) -> Values:
-            size = down * across
-            of_groups = (None if weights is None else weights.ravel()[one] for _, one in found)
             sums = [
-                np.bincount(parts[one], of_group, size) for (_, one), of_group in zip(found, of_groups, strict=True)
+                np.bincount(parts[one], None if weights is None else weights.ravel()[one], down * across)
+                for _, one in found
             ]
             return np.array(sums, dtype=np.float64)
 
@@ -336,6 +330,13 @@ class _Groups:
         square = float(weight @ (found - level - slope * (mean - middle)) ** 2)
         errors = 1 / math.sqrt(spread), math.sqrt(1 / total + at**2 / spread)
         return _Line(slope, offset, floor, *errors), square / max(len(mean) - len(of_channel) - 1, 1)
+
+
+def _alone(chosen: NDArray[np.bool_], channel: int) -> NDArray[np.bool_]:
+    """Return the windows of one channel that are chosen."""
+    alone = np.zeros_like(chosen)
+    alone[channel] = chosen[channel]
+    return alone
 
 
 def _least_squares(x: Values, y: Values, variance: Values) -> tuple[float, float]:
@@ -394,8 +395,7 @@ def _with_channels(windows: _Windows, smooth: NDArray[np.bool_], settled: _Line,
     line = windows.fitted_by_parts(smooth, settled, windows.highest - scene)
     slopes, errors = [], []
     for index in range(len(smooth)):
-        alone = np.zeros_like(smooth)
-        alone[index] = smooth[index]
+        alone = _alone(smooth, index)
         enough = np.count_nonzero(alone) >= _FEWEST_WINDOWS
         own = windows.fitted(alone, line) if enough else _Line(math.nan, math.nan, 0.0)
         usable = math.isfinite(own.slope_error)

@@ -31,18 +31,15 @@ from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from typing import TypeAlias
-
-    from numpy.typing import NDArray
 
     from eldata.calibration.core._clipped_fit import ClippedFit
+    from eldata.calibration.core._frames import Mosaic, Values
     from eldata.calibration.core._rounding import LevelFractions
     from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.core.row_noise import LineSums, RowNoise
 
-    Values: TypeAlias = NDArray[np.float64]
 
 _FRACTIONS = 128  # of a DN, in which local levels are counted
 _HALF = 8192  # cells on each side of 0
@@ -90,7 +87,7 @@ class BiasSums:
         self._lines = LineMeans(fixed)
         self._values: ClippedValues | Residuals = ClippedValues(fixed) if fixed.clips_at_black else Residuals(fixed)
 
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
+    def add(self, mosaic: Mosaic) -> None:
         """Add a bias frame."""
         self._values.add(mosaic, self._lines.add(mosaic))
 
@@ -136,7 +133,7 @@ class Residuals:
         self._squares = np.zeros(len(self._counts))  # of residuals and of offsets, in units of 1/n DN
         self._offset_squares = 0.0
 
-    def add(self, mosaic: NDArray[np.uint16], sums_of_lines: LineSums) -> None:
+    def add(self, mosaic: Mosaic, sums_of_lines: LineSums) -> None:
         """Add a bias frame, with its sums by :func:`~eldata.calibration.core.row_noise.line_sums`."""
         from eldata.calibration.core._kernels import residual_histogram
 
@@ -241,7 +238,7 @@ class ClippedValues:
         self.counts = np.zeros((groups, channels_of(fixed.pattern), highest + 1), dtype=np.int64)
         self.added = 0
 
-    def add(self, mosaic: NDArray[np.uint16], sums_of_lines: LineSums) -> None:
+    def add(self, mosaic: Mosaic, sums_of_lines: LineSums) -> None:
         """Add a bias frame; what its lines show is in the means of all."""
         del sums_of_lines
         from eldata.calibration.core._kernels import channel_histograms

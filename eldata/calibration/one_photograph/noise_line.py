@@ -29,7 +29,8 @@ from eldata.errors import ArgumentError, DatasetError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Values = NDArray[np.floating[Any]]
+    from eldata.calibration.core._frames import Mask, Values
+
 
 WINDOW = 8
 _VERTICAL, _HORIZONTAL = np.mgrid[:WINDOW, :WINDOW]
@@ -85,7 +86,7 @@ class NoiseLine:
     channels_differ: bool
 
 
-def noise_line(packed: Values, usable: NDArray[np.bool_] | None = None) -> NoiseLine:
+def noise_line(packed: Values, usable: Mask | None = None) -> NoiseLine:
     """Estimate the line from a frame itself, whose noise is independent from pixel to pixel.
 
     What the smooth windows still have of the scene is taken off: how the highest frequencies follow the middle ones in
@@ -164,10 +165,10 @@ class _Windows:
     beside: Values
     highest: Values
     middle: Values
-    sound: NDArray[np.bool_]
+    sound: Mask
 
     @classmethod
-    def of(cls, packed: Values, usable: NDArray[np.bool_] | None) -> _Windows:
+    def of(cls, packed: Values, usable: Mask | None) -> _Windows:
         from scipy.fft import dctn
 
         channels, rows, columns = len(packed), packed.shape[1] // WINDOW, packed.shape[2] // WINDOW
@@ -197,7 +198,7 @@ class _Windows:
         return cls(windows.mean, windows.beside, highest, middle, sound)
 
     def groups(
-        self, chosen: NDArray[np.bool_], brightness: Values, most: int = _GROUPS, fewest: int = _FEWEST_IN_GROUP
+        self, chosen: Mask, brightness: Values, most: int = _GROUPS, fewest: int = _FEWEST_IN_GROUP
     ) -> list[NDArray[np.intp]]:
         """Return the chosen windows' flat indices in groups of like brightness."""
         places = np.flatnonzero(chosen)
@@ -224,14 +225,14 @@ class _Windows:
         slope, offset = _least_squares(mean, variance, np.maximum(variance, floor) ** 2)
         return _Line(slope, offset, floor)
 
-    def fitted(self, chosen: NDArray[np.bool_], line: _Line, values: Values | None = None) -> _Line:
+    def fitted(self, chosen: Mask, line: _Line, values: Values | None = None) -> _Line:
         """Return the line through the groups' means of the highest frequencies, or of other values with its weights."""
         groups = _Groups.of(self, chosen, self.highest if values is None else values)
         found, square = groups.fitted(line)
         wider = math.sqrt(max(square, 1.0))
         return replace(found, slope_error=wider * found.slope_error, offset_error=wider * found.offset_error)
 
-    def fitted_by_parts(self, chosen: NDArray[np.bool_], line: _Line, values: Values) -> _Line:
+    def fitted_by_parts(self, chosen: Mask, line: _Line, values: Values) -> _Line:
         """Return the line with errors that are at least those of leaving out one part of the frame after another."""
         found, groups = self.fitted(chosen, line, values), _Groups.of(self, chosen, values)
         parts = [part for part in range(groups.counts.shape[1]) if groups.counts[:, part].any()]
@@ -275,7 +276,7 @@ class _Groups:
     values: Values
 
     @classmethod
-    def of(cls, windows: _Windows, chosen: NDArray[np.bool_], values: Values) -> _Groups:
+    def of(cls, windows: _Windows, chosen: Mask, values: Values) -> _Groups:
         down, across = _PARTS
         _, rows, columns = chosen.shape
         part = (np.arange(rows) * down // rows)[:, None] * across + np.arange(columns) * across // columns
@@ -332,7 +333,7 @@ class _Groups:
         return _Line(slope, offset, floor, *errors), square / max(len(mean) - len(of_channel) - 1, 1)
 
 
-def _alone(chosen: NDArray[np.bool_], channel: int) -> NDArray[np.bool_]:
+def _alone(chosen: Mask, channel: int) -> Mask:
     """Return the windows of one channel that are chosen."""
     alone = np.zeros_like(chosen)
     alone[channel] = chosen[channel]
@@ -351,7 +352,7 @@ def _least_squares(x: Values, y: Values, variance: Values) -> tuple[float, float
     return slope, float(weight @ y) / total - slope * middle
 
 
-def _check_found(smooth: NDArray[np.bool_], sound: NDArray[np.bool_]) -> None:
+def _check_found(smooth: Mask, sound: Mask) -> None:
     """Refuse a frame that has too few smooth windows."""
     count = np.count_nonzero(smooth)
     if count < _FEWEST_WINDOWS:
@@ -364,7 +365,7 @@ def _check_found(smooth: NDArray[np.bool_], sound: NDArray[np.bool_]) -> None:
         )
 
 
-def _check_white(mean: float, within: float, smooth: NDArray[np.bool_], sound: NDArray[np.bool_]) -> None:
+def _check_white(mean: float, within: float, smooth: Mask, sound: Mask) -> None:
     """Refuse a frame whose smooth windows have a mean excess of the middle frequencies that noise alone has not.
 
     Of white noise it lies around 0. Where noise is smoothed, the middle frequencies of all windows hold more than the
@@ -387,7 +388,7 @@ def _check_white(mean: float, within: float, smooth: NDArray[np.bool_], sound: N
         )
 
 
-def _with_channels(windows: _Windows, smooth: NDArray[np.bool_], settled: _Line, scene: Values) -> NoiseLine:
+def _with_channels(windows: _Windows, smooth: Mask, settled: _Line, scene: Values) -> NoiseLine:
     """Return the result: the line of all channels without what is of the scene, held against each channel's own."""
     from scipy.stats import chi2
 

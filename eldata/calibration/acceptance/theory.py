@@ -197,12 +197,9 @@ class _Examined:
         return _ROUNDING * (largest + math.sqrt(self.variance(signal_e)))
 
     def frame(self, signal_e: float, size: tuple[int, int], stream: int, spec: str = "") -> Values:
-        """Return a packed Bayer flat (4, h, w) in DN above black, of these components if not of the model's."""
-        model, rng = NoiseModel(spec) if spec else self.model, _generator(self.seed, stream)
-        level = signal_e * self.actual.gain_dn_per_e * _RATIO / _RANGE_DN
-        clean = np.full((4, *size), level, dtype=np.float32)
-        noisy = model(clean, parameters=self.actual, ratio=_RATIO, range_dn=_RANGE_DN, generator=rng)
-        return noisy.astype(np.float64) * (_RANGE_DN / _RATIO)
+        """Return a packed Bayer flat in DN above black, of these components if they are others than the model's."""
+        model = NoiseModel(spec) if spec else self.model
+        return _frame(model, self.actual, signal_e, size, _generator(self.seed, stream))
 
 
 def tukey_lambda_kurtosis(tukey_lambda: float) -> float:
@@ -236,6 +233,16 @@ def _generator(seed: int, stream: int) -> np.random.Generator:
     if seed < 0:
         raise ArgumentError(f"the seed must be 0 or more; found {seed}")
     return np.random.default_rng([seed, stream])
+
+
+def _frame(
+    model: NoiseModel, parameters: NoiseParameters, signal_e: float, size: tuple[int, int], rng: np.random.Generator
+) -> Values:
+    """Return a packed Bayer flat (4, h, w) in DN above black."""
+    level = signal_e * parameters.gain_dn_per_e * _RATIO / _RANGE_DN
+    clean = np.full((4, *size), level, dtype=np.float32)
+    noisy = model(clean, parameters=parameters, ratio=_RATIO, range_dn=_RANGE_DN, generator=rng)
+    return noisy.astype(np.float64) * (_RANGE_DN / _RATIO)
 
 
 def _over_signal(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCheck, ...]]:

@@ -25,7 +25,6 @@ from eldata.calibration.results import Calibration
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
 from eldata.manifest.verify_report import Problem
-from eldata.noise.gain_modes import ProfileRow
 from eldata.noise.profile import CameraProfile, profile_of
 
 if TYPE_CHECKING:
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from eldata.noise.structure import NoiseStructure
 
 _LEVELS_APART = 0.001  # of the range
-_FRAME_DECIMALS = 4  # of a DN: a mean of three million pixels of 1 DN is not known better than to 0.0006
 
 
 def calibrate(
@@ -120,15 +118,11 @@ def calibrate(
         for one in sorted_frames(frames, Workers(workers.jobs))
     ]
     usable = [one for one in chosen if not one.problems]
-    measure = _measured if workers.executor is None else _measured_on
-    found = measure(frames, usable, workers, structure)
+    found = _measured(frames, usable, workers, structure)
+    wrong = {one.iso: outcome for one, outcome in zip(usable, found, strict=True) if isinstance(outcome, FramesError)}
     failed = [FailedIso(float(one.iso), one.problems) for one in chosen if one.problems]
-    measured: list[IsoGain] = []
-    for one, outcome in zip(usable, found, strict=True):
-        if isinstance(outcome, FramesError):
-            failed.append(FailedIso(float(one.iso), outcome.problems))
-        else:
-            measured.append(outcome)
+    failed += [FailedIso(float(iso), error.problems) for iso, error in wrong.items()]
+    measured = [outcome for outcome in found if not isinstance(outcome, FramesError)]
     if not measured:
         problems = [problem for one in failed for problem in one.problems]
         raise FramesError(sorted(problems, key=lambda problem: problem.path))
@@ -179,27 +173,21 @@ def stated_gains(frames: CalibrationFrames, gains: Mapping[float, float] | Camer
 def _measured(
     frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers, structure: bool
 ) -> list[IsoGain | FramesError]:
+    label = f"calibrating {frames.camera}"
+    if workers.executor is not None:
+        # Frames are summed where they are decoded: to send them would take longer than that.
+        work = work_elsewhere(partial(calibrate_iso, structure=structure), frames)
+        outcomes = workers.attempt(work, chosen, label=label, unit="ISO")
+        return [_failure(frames, one) if isinstance(one, Failed) else one for one in outcomes]
     found: list[IsoGain | FramesError] = []
     total = sum(map(decodings, chosen))
-    with tqdm(total=total, desc=f"calibrating {frames.camera}", unit="frame", disable=None, leave=False) as bar:
+    with tqdm(total=total, desc=label, unit="frame", disable=None, leave=False) as bar:
         for one in chosen:
             try:
                 found.append(calibrate_iso(frames, one, workers, structure=structure, done=bar.update))
             except FramesError as error:
                 found.append(error)
     return found
-
-
-def _measured_on(
-    frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers, structure: bool
-) -> list[IsoGain | FramesError]:
-    # Frames are summed where they are decoded: to send them would take longer than that.
-    work = work_elsewhere(partial(calibrate_iso, structure=structure), frames)
-    label = f"calibrating {frames.camera}"
-    return [
-        _failure(frames, outcome) if isinstance(outcome, Failed) else outcome
-        for outcome in workers.attempt(work, chosen, label=label, unit="ISO")
-    ]
 
 
 def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesError:
@@ -272,7 +260,7 @@ def joined(
         tukey_lambda_fit=None if only is None else only.tukey_lambda_fit,
         gauss_fit=None if only is None else only.gauss_fit,
         row_fit=None if only is None else only.row_fit,
-        rows=tuple(row for one in ordered if (row := _row(one)) is not None),
+        rows=tuple(row for one in ordered if (row := one.profile_row) is not None),
         iso_range=iso_range,
         black_level_dn=black,
         white_level_dn=white,
@@ -346,7 +334,7 @@ def _no_profile(isos: Sequence[IsoCalibration]) -> str:
             "at four exposures or more, from a tenth to nine tenths of the range, or state K (--gain ISO=K, "
             "gains={ISO: K})"
         )
-    if not any(_row(one) for one in isos):
+    if not any(one.profile_row for one in isos):
         why = "the read noise or the colour bias is withheld at every ISO; the remarks say why"
         return why + _way_on(isos, "read noise", "colour bias")
     if not any(one.gain and one.sigma_tl_dn for one in isos):
@@ -362,24 +350,4 @@ def _way_on(isos: Sequence[IsoCalibration], *figures: Figure) -> str:
         f". Take new frames as they say, or have these figures with a larger error: {' '.join(options)}"
         if options
         else ""
-    )
-
-
-def _row(one: IsoCalibration) -> ProfileRow | None:
-    """Return an ISO's row of the profile; ``None`` if lambda or the colour bias, which every row has, is withheld."""
-    shape, scale, gauss, row = one.tukey_lambda, one.sigma_tl_dn, one.sigma_gauss_dn, one.sigma_row_dn
-    if shape is None or scale is None or gauss is None or one.colour_bias_dn is None:
-        return None
-    frames = [(*of_one, of_one[1])[:4] for of_one in one.bias.frame_bias_dn.round(_FRAME_DECIMALS).tolist()]
-    return ProfileRow(
-        tukey_lambda=shape.value,
-        colour_bias_dn=one.colour_bias_dn,
-        iso=one.iso,
-        gain_dn_per_e=one.gain_dn_per_e,
-        sigma_tl_dn=scale.value,
-        sigma_gauss_dn=gauss.value,
-        sigma_row_dn=None if row is None else row.value,
-        r_squared_tl=one.read.r_squared_tl,
-        r_squared_gauss=one.read.r_squared_gauss,
-        frame_bias_dn=tuple(frames),
     )

@@ -17,15 +17,13 @@ from eldata.calibration.core.figures import (
     TUKEY_LAMBDA,
 )
 from eldata.calibration.core.findings import COARSE, SYMBOLS, GivenFigure, given, named, widened, withheld
-from eldata.calibration.core.row_noise import SpectrumLines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from eldata.calibration.acceptance.reproduction import Reproduction
     from eldata.calibration.audit.structure import MeasuredStructure
+    from eldata.calibration.core._frames import Plane
     from eldata.calibration.core.defects import PatternSummary
     from eldata.calibration.core.findings import Effect, Figure, Finding
     from eldata.calibration.core.photon_transfer import PhotonTransfer
@@ -33,8 +31,11 @@ if TYPE_CHECKING:
     from eldata.calibration.core.row_noise import ColourBias, RowNoise
     from eldata.calibration.core.single_frame import SingleFramePlot
     from eldata.manifest.verify_report import Problem
+    from eldata.noise.gain_modes import ProfileRow
     from eldata.noise.parameters import NoiseParameters
     from eldata.records import Sensor
+
+_FRAME_DECIMALS = 4  # of a DN: a mean of three million pixels of 1 DN is not known better than to 0.0006
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -93,15 +94,8 @@ class IsoGain:
         """The symbols of both kinds of figures."""
         return named(self.withheld), named(self.widened)
 
-    def why_withheld(self, figure: Figure) -> str:
-        """Return in words why a figure is not given; empty if it is."""
-        return self._why(figure, "withheld")
-
-    def why_widened(self, figure: Figure) -> str:
-        """Return in words why a figure is given with a larger error; empty if it is not."""
-        return self._why(figure, "wider") if figure in self.widened else ""
-
-    def _why(self, figure: Figure, effect: Effect) -> str:
+    def why(self, figure: Figure, effect: Effect = "withheld") -> str:
+        """Return in words why a figure is not given, or has a larger error; empty if it is not so."""
         return "; ".join(one.text for one in self.findings if one.effect == effect and figure in one.figures)
 
     @property
@@ -159,7 +153,7 @@ class IsoGain:
             "gain_is_stated": self.gain is not None and self.gain.is_stated,
             "gain_by_channel": None if channel_gains is None else [channel.value for channel in channel_gains],
             "gain_spatial_dn_per_e": None if self.spatial_gain is None else self.spatial_gain.value,
-            "withheld": {figure: self.why_withheld(figure) for figure in SYMBOLS if figure in self.withheld},
+            "withheld": {figure: self.why(figure) for figure in SYMBOLS if figure in self.withheld},
             "findings": [asdict(finding) for finding in self.findings],
             "remarks": list(self.all_remarks),
         }
@@ -211,7 +205,7 @@ class IsoCalibration(IsoGain):
     read: ReadNoise
     plot: ProbabilityPlot
     pattern: PatternSummary
-    spectrum_dn2: NDArray[np.float32] = field(repr=False)
+    spectrum_dn2: Plane = field(repr=False)
     reproduction: Reproduction | None = None
     single_frame: SingleFramePlot | None = None
     structure: MeasuredStructure | None = None
@@ -235,9 +229,15 @@ class IsoCalibration(IsoGain):
         return tuple(one for one in found if one is not None) or None
 
     @property
-    def spectrum_lines(self) -> SpectrumLines:
-        """The rows' and the columns' line in the spectrum, and the ground that they stand out from."""
-        return SpectrumLines.of(self.spectrum_dn2)
+    def spectrum_lines(self) -> tuple[float, float, float]:
+        """The spectrum's ground, DN^2, and the means of the rows' and of the columns' line.
+
+        Without the frequencies next to 0, which are shading and drift in both directions.
+        """
+        spectrum = np.asarray(self.spectrum_dn2, dtype=np.float64)
+        rows, columns = (length // 2 for length in spectrum.shape)
+        far = np.abs(np.arange(len(spectrum)) - rows) > 4
+        return float(np.median(spectrum)), float(spectrum[far, columns].mean()), float(spectrum[rows, far].mean())
 
     @property
     def colour_bias_dn(self) -> tuple[float, float, float, float] | None:
@@ -263,20 +263,32 @@ class IsoCalibration(IsoGain):
 
         A gain of 1 stands for one that is not known.
         """
-        from eldata.noise.parameters import NoiseParameters
-
-        bias, row = self.colour_bias_dn, self.sigma_row_dn
-        shape, scale, gauss = self.tukey_lambda, self.sigma_tl_dn, self.sigma_gauss_dn
-        if bias is None or row is None or shape is None or scale is None or gauss is None:
+        row = self.profile_row
+        if row is None:
             return None
-        return NoiseParameters(
-            gain_dn_per_e=self.gain_dn_per_e or 1.0,
+        gain = self.gain_dn_per_e or 1.0
+        return replace(row, iso=None, gain_dn_per_e=gain).parameters(None, None, self.quantisation_step_dn)
+
+    @property
+    def profile_row(self) -> ProfileRow | None:
+        """The row of a profile; ``None`` if lambda or the colour bias, which every row has, is withheld."""
+        from eldata.noise.gain_modes import ProfileRow
+
+        shape, scale, gauss, row = self.tukey_lambda, self.sigma_tl_dn, self.sigma_gauss_dn, self.sigma_row_dn
+        if shape is None or scale is None or gauss is None or self.colour_bias_dn is None:
+            return None
+        frames = [(*of_one, of_one[1])[:4] for of_one in self.bias.frame_bias_dn.round(_FRAME_DECIMALS).tolist()]
+        return ProfileRow(
             tukey_lambda=shape.value,
+            colour_bias_dn=self.colour_bias_dn,
+            iso=self.iso,
+            gain_dn_per_e=self.gain_dn_per_e,
             sigma_tl_dn=scale.value,
             sigma_gauss_dn=gauss.value,
-            sigma_row_dn=row.value,
-            colour_bias_dn=bias,
-            quantisation_step_dn=self.quantisation_step_dn,
+            sigma_row_dn=None if row is None else row.value,
+            r_squared_tl=self.read.r_squared_tl,
+            r_squared_gauss=self.read.r_squared_gauss,
+            frame_bias_dn=tuple(frames),
         )
 
     def as_dict(self) -> dict[str, Any]:

@@ -18,8 +18,7 @@ from eldata.noise.gain_modes import GainMode, LogLogFit, modes_problem
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from eldata.calibration.core._frames import Values
     from eldata.calibration.core.figures import DarkFigure
     from eldata.calibration.core.findings import Finding
     from eldata.calibration.iso_results import IsoCalibration
@@ -245,18 +244,18 @@ def _step(name: str, gains: Sequence[float], scales: Sequence[float]) -> _Step |
     return _Step(name, where, height, statistic, threshold, *spreads)
 
 
-def _elbows(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def _elbows(x: Values) -> Values:
     """Return where noise after the amplifier may equal that before it: at each point, between, and just beyond."""
     between = (x[1:] + x[:-1]) / 2
     return np.concatenate([x, between, [2 * x[0] - between[0], 2 * x[-1] - between[-1]]])
 
 
-def _solved(curve: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+def _solved(curve: Values, y: Values) -> Values:
     """Return the coefficients of a curve's parts, by least squares."""
     return np.asarray(np.linalg.lstsq(curve.T, y, rcond=None)[0])
 
 
-def _rest(curve: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+def _rest(curve: Values, y: Values) -> float:
     """Return the squares that a curve leaves."""
     left = y - _solved(curve, y) @ curve
     return float(left @ left)

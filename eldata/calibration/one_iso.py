@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from operator import methodcaller
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from eldata.calibration.audit.telegraph import TelegraphGroups
 from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.core.findings import TRANSFER, with_accepted
-from eldata.calibration.core.photon_transfer import FlatPairs, PhotonTransfer, photon_transfer
+from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
 from eldata.calibration.core.row_noise import power_spectrum
 from eldata.calibration.core.single_frame import FlatFrames, single_frame_plot, spatial_photon_transfer
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
@@ -44,14 +44,11 @@ from eldata.raw.sensor_facts import lossy_compression
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from eldata.calibration.audit.frames import IsoFrames
+    from eldata.calibration.core._frames import Mosaic
     from eldata.calibration.core.findings import Finding
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, Sensor
-
-OneIso = TypeVar("OneIso", bound=IsoGain)
 
 HOLD_OUT_FROM = 6
 """From this many bias frames on, the last one is kept from the estimators, to test the result."""
@@ -159,17 +156,14 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
         return bias_sums.figures(sensor.black_level_dn), audit.statistics()
 
     # The flats decode while the bias frames' figures are worked out.
-    if reader.workers.jobs > 1:
-        with ThreadPoolExecutor(1) as beside:
-            waiting = beside.submit(from_bias_frames)
-            of_flats = _flats(reader, chosen, fixed, structure)
-            found, seen = waiting.result()
-    else:
-        found, seen = from_bias_frames()
-        of_flats = _flats(reader, chosen, fixed, structure)
+    work = (from_bias_frames, partial(_flats, reader, chosen, fixed, structure))
+    (found, seen), (of_flats, prnu) = in_threads(methodcaller("__call__"), work, reader.workers.jobs)
     dark = IsoCalibration(
         iso=float(chosen.iso),
         sensor=sensor,
+        flat_frames=of_flats.flat_frames,
+        transfer=of_flats.transfer,
+        spatial=of_flats.spatial,
         bias_frames=len(estimated),
         bias=found.bias,
         rows=found.rows,
@@ -184,45 +178,35 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
         stepped=None if found.residuals is None else read_noise_in_steps(found.residuals, step),
     )
     # Dark current is told by K, which the flats tell.
-    gain = of_flats.on(dark).gain_dn_per_e
+    gain = of_flats.gain_dn_per_e
     of_audit = bias_findings(BiasSeen(seen, dark.bias, dark.rows, dark.read, step, gaps, is_clipped, gain))
     of_bias = with_accepted((*dark.findings, *of_audit), chosen.accept)
+    whole = replace(dark, findings=(*of_bias, *of_flats.findings))
     if structure:
         jumps = None if jumping is None or found.residuals is None else (jumping, found.residuals)
-        dark = replace(dark, structure=measured_structure(dark.rows, of_bias, dark.read, jumps))
-    whole = of_flats.on(replace(dark, findings=of_bias))
+        in_common = measured_structure(dark.rows, of_bias, dark.read, jumps)
+        whole = replace(whole, structure=replace(in_common, prnu=prnu[0], prnu_error=prnu[1]))
     parameters = whole.in_steps.parameters
     if held_out is not None and parameters is not None:
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
         compared = reproduction(held_out, fixed, sensor, parameters, generator)
         whole = replace(whole, reproduction=compared)
-    lossy = _lossy(reader, estimated) or _lossy(reader, [pair.first for pair in chosen.pairs])
+    files = (reader.frames.path(one) for one in (*estimated[:1], *(pair.first for pair in chosen.pairs[:1])))
+    lossy = next(filter(None, map(lossy_compression, files)), None)
     remarks = (*reader.copies.remarks, *bias_remarks(whole, chosen, lossy))
     return replace(whole, remarks=(*remarks, *of_flats.remarks, *transfer_remarks(whole)))
 
 
-def _lossy(reader: FrameReader, records: Sequence[FrameRecord]) -> str | None:
-    """Return what loses data in the first of some files."""
-    return next((lossy_compression(reader.frames.path(record)) for record in records[:1]), None)
-
-
 def _gain(reader: FrameReader, chosen: IsoFrames) -> IsoGain:
-    of_flats = _flats(reader, chosen, None)
-    found = of_flats.on(
-        IsoGain(
-            iso=float(chosen.iso),
-            sensor=reader.sensor,
-            remarks=("there are no bias frames, so K is all that is known",),
-            stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
-        )
-    )
-    return replace(found, remarks=(*reader.copies.remarks, *found.remarks, *of_flats.remarks, *transfer_remarks(found)))
+    found, _ = _flats(reader, chosen, None)
+    alone = "there are no bias frames, so K is all that is known"
+    return replace(found, remarks=(*reader.copies.remarks, alone, *found.remarks, *transfer_remarks(found)))
 
 
 def _first_pass(
     reader: FrameReader, estimated: Sequence[FrameRecord], held_out: Sequence[FrameRecord]
-) -> tuple[FixedPattern, Sequence[FrameRecord], NDArray[np.uint16] | None]:
+) -> tuple[FixedPattern, Sequence[FrameRecord], Mosaic | None]:
     """Return what stays from frame to frame, of which frames, and what is compared of the frame that is kept out."""
     if len(estimated) < MINIMUM_FRAMES:
         raise _too_few(len(estimated))
@@ -256,31 +240,21 @@ def _too_few(number: int, because: Sequence[str] = ()) -> DatasetError:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _FromFlats:
-    """What the flats of an ISO gave: K from pairs, K as published, remarks and findings, PRNU with its error."""
+def _flats(
+    reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None, structure: bool = False
+) -> tuple[IsoGain, tuple[float | None, float]]:
+    """Read the flats, and return what they give and the PRNU with its error.
 
-    transfer: PhotonTransfer | None
-    spatial: PhotonTransfer | None
-    remarks: tuple[str, ...]
-    findings: tuple[Finding, ...] = ()
-    prnu: tuple[float | None, float] = (None, math.nan)
+    Without bias frames, black is what the files record and no pixel is a defect.
+    """
+    stated, no_prnu = chosen.stated_gain_dn_per_e, (None, math.nan)
 
-    def on(self, one: OneIso) -> OneIso:
-        """Return an ISO's figures with those of its flats, but for the remarks."""
-        frames = 0 if self.transfer is None else self.transfer.frames
-        findings = (*one.findings, *self.findings)
-        found = replace(one, transfer=self.transfer, spatial=self.spatial, flat_frames=frames, findings=findings)
-        if not isinstance(found, IsoCalibration) or found.structure is None:
-            return found
-        prnu, error = self.prnu
-        return replace(found, structure=replace(found.structure, prnu=prnu, prnu_error=error))
+    def found(remarks: Sequence[str], *findings: Finding, **more: Any) -> IsoGain:
+        known: dict[str, Any] = {"iso": float(chosen.iso), "sensor": reader.sensor, "stated_gain_dn_per_e": stated}
+        return IsoGain(**known, remarks=tuple(remarks), findings=findings, **more)
 
-
-def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None, structure: bool = False) -> _FromFlats:
-    """Read the flats; without bias frames, black is what the files record and no pixel is a defect."""
     if not chosen.pairs:
-        return _FromFlats(None, None, () if chosen.stated_gain_dn_per_e is not None else (no_pairs(chosen),))
+        return found(() if stated is not None else (no_pairs(chosen),)), no_prnu
     pairs, singles = None, None
     used: list[PairLevels] = []
     remarks: list[str] = []
@@ -309,20 +283,20 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None, s
     reader.refuse()
     said = (*remarks, *flat_remarks(chosen, gaps))
     if pairs is None or singles is None or not pairs.frames:
-        return _FromFlats(None, None, said, (_no_line("no pair of flats is usable"),))
+        return found(said, _no_line("no pair of flats is usable")), no_prnu
     try:
         transfer = photon_transfer(pairs)
     except DatasetError as error:
         no_line = _no_line(f"{error}; pairs used: {', '.join(map(str, used))}")
-        return _FromFlats(None, None, said, (*saturation_findings(pairs.saturation, pairs.left_out), no_line))
+        return found(said, *saturation_findings(pairs.saturation, pairs.left_out), no_line), no_prnu
     edges, spatial = tuple(edge_findings(transfer)), None
     if not edges:
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(singles)
     findings = with_accepted((*uneven_light(used), *edges, *flat_findings(transfer)), chosen.accept)
     # Edges stay from frame to frame as the pixels' response does.
-    prnu = (None, math.nan) if response is None or edges else response.prnu()
-    return _FromFlats(transfer, spatial, said, findings, prnu)
+    prnu = no_prnu if response is None or edges else response.prnu()
+    return found(said, *findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames), prnu
 
 
 def _no_line(why: str) -> Finding:

@@ -16,7 +16,7 @@ from eldata.calibration.iso_results import usual_gain_per_iso
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from matplotlib.axes import Axes
 
@@ -124,7 +124,20 @@ class Calibration:
     @property
     def scale_panels(self) -> tuple[ScalePanel, ...]:
         """The scales over K that can be drawn: of the read noise by either model, and of the row noise."""
-        return scale_panels(self.modes, self.isos)
+        panels = []
+        for scale in SCALES:
+            known = ((one.gain_dn_per_e, scale.given(one)) for one in self.isos)
+            points = tuple(
+                (gain, found.value, found.error)
+                for gain, found in known
+                if gain is not None and found is not None and 0 < found.value < math.inf
+            )
+            lines = ((one.mode, one.estimate(scale)) for one in self.modes)
+            if points:
+                drawn = tuple((mode, line) for mode, line in lines if line is not None)
+                name, figure = scale.label.removeprefix("sigma_"), scale.basis or "read noise"
+                panels.append(ScalePanel(name, figure, drawn, points))
+        return tuple(panels)
 
     def plot(self, iso: float | None = None) -> Drawing:
         """Draw photon transfer at one ISO, K over the ISO, and the scales of the noise over K.
@@ -144,7 +157,44 @@ class Calibration:
         ArgumentError
             If there is no photon transfer at the ISO, or nothing to draw at all.
         """
-        return calibration_figure(self.camera, self.all_isos, self.scale_panels, iso)
+        from eldata.plots.axes import drawn_grid, nothing_to_draw
+        from eldata.plots.gains import bar, gain_over_iso, iso_axis, scale_over_gain, transfer_lines
+
+        transfers = {one.iso: (one.channels, one.transfer) for one in self.all_isos if one.transfer is not None}
+        known = sorted(transfers)
+        if iso is not None and iso not in transfers:
+            listed = ", ".join(f"{one:g}" for one in known) or "none"
+            raise ArgumentError(f"no photon transfer was measured at ISO {iso:g}; ISOs with one: {listed}")
+        draws: list[tuple[str, Callable[[Axes, Theme], object]]] = []
+        if known:
+            chosen = known[len(known) // 2] if iso is None else iso
+            names, transfer = transfers[chosen]
+
+            def draw_transfer(axes: Axes, theme: Theme) -> None:
+                transfer_lines(axes, None, names, transfer.channels, theme)
+                axes.set_xlabel("signal [DN]")
+
+            draws.append((f"photon transfer, ISO {chosen:g}", draw_transfer))
+        gains = [(one.iso, one.gain.value, one.gain.error) for one in self.all_isos if one.gain is not None]
+        if gains:
+
+            def draw_gains(axes: Axes, theme: Theme) -> None:
+                known, values, errors = zip(*gains, strict=True)
+                usual = self.usual_gain_per_iso
+                gain_over_iso(axes, known, values, [bar(error) for error in errors], usual, theme)
+                iso_axis(axes, known)
+
+            draws.append(("system gain", draw_gains))
+        for panel in self.scale_panels:
+
+            def draw_scales(axes: Axes, theme: Theme, panel: ScalePanel = panel) -> None:
+                spans = [(line.fit, low, high) for line, low, high in panel.spans]
+                scale_over_gain(axes, panel.name, spans, panel.points, theme)
+
+            draws.append((panel.figure if panel.name == "row" else f"{panel.figure}, {panel.name}", draw_scales))
+        if not draws:
+            raise nothing_to_draw(f"the calibration of {self.camera}", "no ISO has flats or both K and bias frames")
+        return drawn_grid(f"Calibration of {self.camera}", draws)
 
     def __repr__(self) -> str:
         isos = ", ".join(f"{one.iso:g}" for one in self.all_isos)
@@ -252,25 +302,10 @@ class Calibration:
 
     def reproduction_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Return header and rows of how well the noise model reproduces the frames that were kept out."""
-        header = (
-            *("ISO", "R2", "histogram distance", "by chance", "sigma real", "simulated [DN]"),
-            *("row sigma real", "simulated [DN]"),
-        )
-        rows: list[tuple[str, ...]] = [
-            (
-                f"{one.iso:g}",
-                f"{found.r_squared:.5f}",
-                f"{found.histogram_distance:.4f}",
-                f"{found.histogram_distance_by_chance:.4f}",
-                f"{found.sigma_real_dn:.4g}",
-                f"{found.sigma_simulated_dn:.4g}",
-                f"{found.row_sigma_real_dn:.3g}",
-                f"{found.row_sigma_simulated_dn:.3g}",
-            )
-            for one in self.isos
-            if (found := one.reproduction) is not None
-        ]
-        return header, rows
+        from eldata.calibration.acceptance.reproduction import HEADINGS
+
+        kept = [(one.iso, one.reproduction) for one in self.isos if one.reproduction is not None]
+        return ("ISO", *HEADINGS), [(f"{iso:g}", *found.cells()) for iso, found in kept]
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure with its standard error as plain JSON types.
@@ -329,64 +364,3 @@ class ScalePanel:
             inside = [gain for gain, _, _ in self.points if mode.distance(gain) == 0]
             spans.append((line, min(inside), max(inside)))
         return spans
-
-
-def scale_panels(modes: Sequence[FittedMode], isos: Sequence[IsoCalibration]) -> tuple[ScalePanel, ...]:
-    """Return the scales over K that can be drawn: of the read noise by either model, and of the row noise."""
-    panels = []
-    for scale in SCALES:
-        known = ((one.gain_dn_per_e, scale.given(one)) for one in isos)
-        points = tuple(
-            (gain, found.value, found.error)
-            for gain, found in known
-            if gain is not None and found is not None and 0 < found.value < math.inf
-        )
-        lines = ((one.mode, one.estimate(scale)) for one in modes)
-        if points:
-            drawn = tuple((mode, line) for mode, line in lines if line is not None)
-            panels.append(ScalePanel(scale.label.removeprefix("sigma_"), scale.basis or "read noise", drawn, points))
-    return tuple(panels)
-
-
-def calibration_figure(
-    camera: str, isos: Sequence[IsoGain], panels: Sequence[ScalePanel], iso: float | None
-) -> Drawing:
-    """Draw what was found, an axes each: photon transfer at an ISO, by default the middle one; K; scales over K."""
-    from eldata.plots.axes import drawn_grid, nothing_to_draw
-    from eldata.plots.gains import bar, gain_over_iso, iso_axis, scale_over_gain, transfer_lines
-
-    transfers = {one.iso: (one.channels, one.transfer) for one in isos if one.transfer is not None}
-    known = sorted(transfers)
-    if iso is not None and iso not in transfers:
-        listed = ", ".join(f"{one:g}" for one in known) or "none"
-        raise ArgumentError(f"no photon transfer was measured at ISO {iso:g}; ISOs with one: {listed}")
-    draws: list[tuple[str, Callable[[Axes, Theme], object]]] = []
-    if known:
-        chosen = known[len(known) // 2] if iso is None else iso
-        names, transfer = transfers[chosen]
-
-        def draw_transfer(axes: Axes, theme: Theme) -> None:
-            transfer_lines(axes, None, names, transfer.channels, theme)
-            axes.set_xlabel("signal [DN]")
-
-        draws.append((f"photon transfer, ISO {chosen:g}", draw_transfer))
-    gains = [(one.iso, one.gain.value, one.gain.error) for one in isos if one.gain is not None]
-    if gains:
-
-        def draw_gains(axes: Axes, theme: Theme) -> None:
-            known, values, errors = zip(*gains, strict=True)
-            usual = usual_gain_per_iso(isos)
-            gain_over_iso(axes, known, values, [bar(error) for error in errors], usual, theme)
-            iso_axis(axes, known)
-
-        draws.append(("system gain", draw_gains))
-    for panel in panels:
-
-        def draw_scales(axes: Axes, theme: Theme, panel: ScalePanel = panel) -> None:
-            spans = [(line.fit, low, high) for line, low, high in panel.spans]
-            scale_over_gain(axes, panel.name, spans, panel.points, theme)
-
-        draws.append((panel.figure if panel.name == "row" else f"{panel.figure}, {panel.name}", draw_scales))
-    if not draws:
-        raise nothing_to_draw(f"the calibration of {camera}", "no ISO has flats or both K and bias frames")
-    return drawn_grid(f"Calibration of {camera}", draws)

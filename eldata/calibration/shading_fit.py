@@ -24,10 +24,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.workers import AnyWorkers
+    from eldata.calibration.core._frames import Counts, Mask, Plane, Values
     from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
     from eldata.datasets.calibration_frames import CalibrationFrames
+    from eldata.errors import EldataError
 
 _REACH = 2  # periods of the CFA around a hot pixel, whose sound pixels stand for it
 _ROWS = 64  # at a time
@@ -43,8 +45,8 @@ class _Lines:
     number of ISOs, and no difference of large sums.
     """
 
-    slope: NDArray[np.float32]
-    offset: NDArray[np.float32]
+    slope: Plane
+    offset: Plane
     weight: float = 0.0
     middle: float = 0.0
     lever: float = 0.0
@@ -69,11 +71,11 @@ class _Currents:
     pixel by numbers that are the same for all, as in :class:`_Lines`.
     """
 
-    moment: NDArray[np.float32]  # sum of weight x ISO x (time less the mean time) x value
+    moment: Plane  # sum of weight x ISO x (time less the mean time) x value
     lever: float = 0.0  # the same with ISO x time in place of the value: c = moment / lever
     times: set[float] = field(default_factory=set)
     iso: float = math.nan  # at hand
-    mean: NDArray[np.float32] | None = None  # of it
+    mean: Plane | None = None  # of it
     weight: float = 0.0
     middle: float = 0.0
 
@@ -111,8 +113,8 @@ class ShadingFit:
         self._starts = tuple(starts)
         self._lines: dict[int, _Lines] = {}
         self._isos: list[ShadingIso] = []
-        self._pattern: NDArray[np.int64] | None = None
-        self._hot: NDArray[np.bool_] | None = None
+        self._pattern: Counts | None = None
+        self._hot: Mask | None = None
         self._times: dict[float, float | None] = {}
         self._latest: tuple[FixedPattern, Sequence[float]] | None = None
         self._currents: _Currents | None = None
@@ -147,13 +149,7 @@ class ShadingFit:
         """
         if any(one.iso == iso for one in self._isos):
             raise ArgumentError(f"ISO {iso:g} was added before; add all frames of an ISO together")
-        if self._pattern is None or self._hot is None:
-            self._pattern, self._hot = fixed.pattern, np.zeros_like(fixed.defects)
-        if fixed.defects.shape != self._hot.shape or not np.array_equal(fixed.pattern, self._pattern):
-            raise ArgumentError(
-                f"ISO {iso:g}: the frames have {fixed.defects.shape} pixels, those before {self._hot.shape}, or they "
-                "differ in their CFA; the frames of a dark shading are of one body and one raw format"
-            )
+        hot = self._with_hot(fixed, iso, "frames", "those before", ArgumentError)
         variance = max(float(np.mean(fixed.temporal_variance_dn2)), _LEAST_VARIANCE_DN2)
         one = ShadingIso(
             iso=iso,
@@ -164,11 +160,10 @@ class ShadingFit:
             standard_error_dn=tuple(map(float, standard_error_dn)),
         )
         self._isos.append(one)
-        self._hot |= fixed.defects
         self._times[iso] = exposure_s
         self._latest = fixed, tuple(black_level_dn)
         if one.mode not in self._lines:
-            self._lines[one.mode] = _Lines(np.zeros(self._hot.shape, np.float32), np.zeros(self._hot.shape, np.float32))
+            self._lines[one.mode] = _Lines(*np.zeros((2, *hot.shape), np.float32))
         lines = self._lines[one.mode]
         of_slope, of_offset = lines.gains(iso, one.weight)
         for rows, values in _over_black(fixed, black_level_dn):
@@ -176,6 +171,18 @@ class ShadingFit:
             off = values - (slope * iso + offset)
             slope += of_slope * off
             offset += of_offset * off
+
+    def _with_hot(self, fixed: FixedPattern, iso: float, these: str, others: str, error: type[EldataError]) -> Mask:
+        """Return the hot pixels with those of further frames, if they are of the same format."""
+        if self._pattern is None or self._hot is None:
+            self._pattern, self._hot = fixed.pattern, np.zeros_like(fixed.defects)
+        if fixed.defects.shape != self._hot.shape or not np.array_equal(fixed.pattern, self._pattern):
+            raise error(
+                f"ISO {iso:g}: the {these} have {fixed.defects.shape} pixels, {others} {self._hot.shape}, or they "
+                "differ in their CFA; the frames of a dark shading are of one body and one raw format"
+            )
+        self._hot |= fixed.defects
+        return self._hot
 
     def add_longer(self, fixed: FixedPattern, black_level_dn: Sequence[float], exposure_s: float) -> None:
         """Add dark frames of a longer exposure, of the ISO that was added last: they tell the dark current.
@@ -187,7 +194,7 @@ class ShadingFit:
         DatasetError
             If the frames are not longer than the bias frames, or have another size or CFA.
         """
-        if self._latest is None or self._hot is None or self._pattern is None:
+        if self._latest is None:
             raise ArgumentError("add the bias frames of the ISO first")
         iso, bias_s = self._isos[-1].iso, self._times[self._isos[-1].iso]
         if bias_s is None or not exposure_s > bias_s:
@@ -196,16 +203,11 @@ class ShadingFit:
                 f"ISO {iso:g}: dark current takes longer dark frames than the bias frames; these have {exposure_s:g} "
                 f"s, and the time of the bias frames is {found}"
             )
-        if fixed.defects.shape != self._hot.shape or not np.array_equal(fixed.pattern, self._pattern):
-            raise DatasetError(
-                f"ISO {iso:g}: the longer frames have {fixed.defects.shape} pixels, the bias frames {self._hot.shape}, "
-                "or they differ in their CFA; the frames of a dark shading are of one body and one raw format"
-            )
+        hot = self._with_hot(fixed, iso, "longer frames", "the bias frames", DatasetError)
         if self._currents is None:
-            self._currents = _Currents(np.zeros(self._hot.shape, np.float32))
+            self._currents = _Currents(np.zeros(hot.shape, np.float32))
         if self._currents.iso != iso:
             self._currents.add(iso, bias_s, self._isos[-1].weight, _over_black(*self._latest))
-        self._hot |= fixed.defects
         self._currents.times.add(exposure_s)
         variance = max(float(np.mean(fixed.temporal_variance_dn2)), _LEAST_VARIANCE_DN2)
         self._currents.add(iso, exposure_s, fixed.frames / variance, _over_black(fixed, black_level_dn))
@@ -280,7 +282,7 @@ class ShadingFit:
         )
 
 
-def _over_black(fixed: FixedPattern, black_level_dn: Sequence[float]) -> Iterator[tuple[slice, NDArray[np.float64]]]:
+def _over_black(fixed: FixedPattern, black_level_dn: Sequence[float]) -> Iterator[tuple[slice, Values]]:
     """Yield the mean frame over the black level, some rows at a time."""
     black = np.asarray(black_level_dn, np.float64)[fixed.pattern]
     height, width = fixed.defects.shape
@@ -306,7 +308,7 @@ def _over_their_line(isos: Sequence[ShadingIso], mode: int) -> Iterator[ShadingI
         yield replace(one, mode=mode, level_error_dn=tuple(over.tolist()))
 
 
-def _calm(values: NDArray[np.float32], hot: NDArray[np.bool_], period: int) -> None:
+def _calm(values: Plane, hot: Mask, period: int) -> None:
     """Replace hot pixels by the mean of the sound ones at the same site of the CFA near them, else anywhere."""
     for y in range(period):
         for x in range(period):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -28,13 +28,15 @@ class TransferLine(Protocol):
     """The photon transfer line of one channel, with its points."""
 
     @property
-    def signal_dn(self) -> NDArray[np.float64]:
+    def signal_dn(self) -> NDArray[np.floating[Any]]:
         """Means of the points over black."""
 
-    def variance_at(self, signal_dn: NDArray[np.float64]) -> NDArray[np.float64]:
+    def variance_at(self, signal_dn: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         """Return the line's variance at these signals."""
 
-    def pooled(self, levels: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def pooled(
+        self, levels: int
+    ) -> tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]], NDArray[np.floating[Any]]]:
         """Return signal, variance and its standard error of at most so many points."""
 
 

@@ -190,9 +190,9 @@ def _alone(figure: GivenFigure | None, count: int = 3) -> str:
 
 def _judged(one: IsoGain, figure: Figure, group: _Group) -> _Group:
     """Return a group with the sentence why its figure is not given, or with which error; as it is if all is well."""
-    if why := one.why_withheld(figure):
+    if why := one.why(figure):
         return replace(group, note=f"Withheld: {why.rstrip('.')}.", effect="withheld")
-    if why := one.why_widened(figure):
+    if why := one.why(figure, "wider"):
         return replace(group, note=f"Errors made larger: {why.rstrip('.')}.", effect="wider")
     return group
 

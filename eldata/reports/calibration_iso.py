@@ -113,8 +113,8 @@ def _draw_single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> No
 def bias_plot(one: IsoCalibration, given: Sequence[GivenFigure]) -> Plot:
     """Draw the colour bias, and below how much the frames' own means scatter around it."""
     bias = one.bias
-    channels = len(bias.channels)
-    found = ", ".join(f"{name} {estimated(figure, 'DN')}" for name, figure in zip(bias.channels, given, strict=True))
+    channels = len(one.channels)
+    found = ", ".join(f"{name} {estimated(figure, 'DN')}" for name, figure in zip(one.channels, given, strict=True))
     alt = (
         f"Mean of the bias frames over the recorded black level at ISO {one.iso:g}: {found}; and the means of "
         f"{bias.frames} single frames around it."
@@ -140,7 +140,7 @@ def bias_plot(one: IsoCalibration, given: Sequence[GivenFigure]) -> Plot:
         main.margins(y=0.25)
         main.set_ylabel("mean [DN]")
         below.set_ylabel("frame − mean [DN]")
-        below.set_xticks(range(channels), bias.channels)
+        below.set_xticks(range(channels), one.channels)
         below.set_xlim(-0.5, channels - 0.5)
 
     return _plot("bias", one, alt, draw, ratio=1 / 1.4)
@@ -282,7 +282,7 @@ def read_noise_plots(one: IsoCalibration) -> tuple[Plot, Plot]:
     of_shape = f"{start} those of the Tukey-lambda distribution{shape} at ISO {one.iso:g}: R² {tukey}."
 
     def probability_plot(
-        kind: str, said: str, expected: NDArray[np.float64], slope: float, r_squared: str, family: str
+        kind: str, said: str, expected: NDArray[np.floating[Any]], slope: float, r_squared: str, family: str
     ) -> Plot:
         draw = partial(
             draw_quantiles,
@@ -394,8 +394,7 @@ def _pictures(
 def spectrum_picture(one: IsoCalibration) -> Pictures:
     """Show the centred power spectrum of a bias frame, in which row noise is a line."""
     spectrum = np.asarray(one.spectrum_dn2, dtype=np.float64)
-    lines = one.spectrum_lines
-    ground, rows, columns = lines.ground_dn2, lines.rows_dn2, lines.columns_dn2
+    ground, rows, columns = one.spectrum_lines
     low, high = limits([spectrum], 0.01, 0.999)
     low = max(low, ground / 8, 1e-9)  # of a single tile, chance alone goes far down
     high = max(high, 2 * low)
@@ -426,7 +425,7 @@ def shading_pictures(one: IsoCalibration) -> Pictures:
     limit = limits([abs(plane) for plane in planes], 0, 0.99)[1]
     described = (
         (name, f"Shading of {name} at ISO {one.iso:g}: blocks from {low} to {high} DN around the mean.", plane)
-        for name, plane in zip(one.bias.channels, planes, strict=True)
+        for name, plane in zip(one.channels, planes, strict=True)
         for low, high in [(digits(float(plane.min())), digits(float(plane.max())))]
     )
     return _pictures("shading", described, (-limit, limit), "DN")

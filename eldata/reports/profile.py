@@ -227,7 +227,7 @@ def _draw_row_means(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
 
 
 def _draw_read_noise(
-    quantiles_dn: NDArray[np.float64], diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme
+    quantiles_dn: NDArray[np.floating[Any]], diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme
 ) -> None:
     _draw_deviations(below, diagnostics.read, [item.expected for item in diagnostics.read], theme)
     expected, found = quantiles_dn

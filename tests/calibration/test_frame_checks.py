@@ -420,7 +420,7 @@ def test_every_pair_of_flats_a_copy(tree: FrameTree) -> None:
         shutil.copy(first, second)
     found = calibrated_iso(tree.frames(isos=[100]), 100)
     assert found.withheld == {"gain"}
-    assert found.why_withheld("gain") == "no pair of flats is usable"
+    assert found.why("gain") == "no pair of flats is usable"
     for first, second in zip(flats[::2], flats[1::2], strict=True):
         text = f"{relative(tree, second)} has the same pixels as {relative(tree, first)}"
         assert any(remark.startswith(text) for remark in found.remarks)
@@ -464,7 +464,7 @@ def assert_no_line(found: IsoCalibration, why: str) -> None:
     assert (found.transfer, found.spatial, found.gain) == (None, None, None)
     assert found.flat_frames == 0
     assert found.withheld == {"gain"}
-    assert why in found.why_withheld("gain")
+    assert why in found.why("gain")
     assert found.gain_text == "withheld"
 
 
@@ -479,7 +479,7 @@ def test_flats_that_are_all_saturated(tree: FrameTree) -> None:
         rewritten(path, mosaic=saturated)
     found = calibrated_iso(tree.frames(isos=[100]), 100)
     assert_no_line(found, "usable level")
-    assert "saturated" in found.why_withheld("gain")
+    assert "saturated" in found.why("gain")
     assert_read_noise_is_given(found, tree.truth["isos"][0])
 
 

@@ -59,13 +59,12 @@ if TYPE_CHECKING:
 
     from eldata.calibration.acceptance.pairs import PairFigures
     from eldata.calibration.audit.frames import IsoFrames
+    from eldata.calibration.core._frames import Mosaic, Plane
     from eldata.datasets.calibration_frames import FlatPair
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.parameters import NoiseParameters
     from eldata.records import FrameRecord, Sensor
 
-    Mosaic = NDArray[np.uint16]
-    Plane = NDArray[np.float32]
 
 PAIRS = 32
 _FEWEST_PAIRS = 16
@@ -307,13 +306,14 @@ def _flats(
     saturated = len(groups) - len(usable)
     remarks = [f"flats of {counted(saturated, 'exposure')} saturate and were left out"] if saturated else []
     places = sorted({round(place) for place in np.linspace(0, len(usable) - 1, min(_FLAT_LEVELS, len(usable)))})
-    statistics, used = [], 0
-    for number, place in enumerate(places):
-        found, frames = _of_exposure(camera, usable[place], made, dark, pairs, 3 + 2 * number)
-        statistics += found
-        used += frames
+    streams = range(3, 3 + 2 * len(places), 2)
+    found = [
+        _of_exposure(camera, usable[place], made, dark, pairs, stream)
+        for place, stream in zip(places, streams, strict=True)
+    ]
     camera.refuse()
-    return statistics, used, remarks
+    used = sum(2 * one[0].held_out for one in found if one)
+    return list(chain.from_iterable(found)), used, remarks
 
 
 def _is_saturated(camera: HeldOutFrames, pair: FlatPair) -> bool:
@@ -325,12 +325,12 @@ def _is_saturated(camera: HeldOutFrames, pair: FlatPair) -> bool:
 
 def _of_exposure(
     camera: HeldOutFrames, group: Sequence[FlatPair], made: MadeFrames, dark: Plane, pairs: int, stream: int
-) -> tuple[list[FrameStatistic], int]:
-    """Return the statistics of one exposure's flats, of whose first pair the light is taken, and of how many frames."""
+) -> list[FrameStatistic]:
+    """Return the statistics of one exposure's flats, of whose first pair the light is taken."""
     found = (flats for one in group if (flats := camera.flats(one)) is not None)
     flats = next(found, None)
     if flats is None:
-        return [], 0
+        return []
     pattern = pattern_of(made.sensor.cfa)
     first = camera.cut(flats[0]), camera.cut(flats[1])
     scale = PairScale.of_flats(*first, by_pixel(dark, pattern, first[0].shape), pattern)
@@ -343,8 +343,7 @@ def _of_exposure(
     reference, of_camera, of_model = _sides(made, light, stream, pairs, measure, camera.workers, of_flats, "flats")
     where = light[compared_place(light.shape, len(pattern))] if made.whole_frames else light
     check = f"flats of {float(where.mean()):.0f} DN"
-    statistics = frame_statistics(reference, of_camera, of_model, where.size, check)
-    return statistics, 2 * len(of_camera.pairs)
+    return frame_statistics(reference, of_camera, of_model, where.size, check)
 
 
 def _seconds(exposure_s: Fraction | None) -> float | None:

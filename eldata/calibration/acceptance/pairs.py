@@ -22,7 +22,8 @@ from eldata.calibration.core._frames import by_pixel, channels_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Plane = NDArray[np.float32]
+    from eldata.calibration.core._frames import Counts, Mosaic, Plane, Values
+
 
 Name = tuple[str, str, str]
 
@@ -59,13 +60,13 @@ class PairScale:
         2, and of a bias frame's values over their channel's level.
     """
 
-    pattern: NDArray[np.int64]
+    pattern: Counts
     level_dn: NDArray[Any] = field(repr=False)
     sigma_dn: float
     spread_dn: float = 0.0
 
     @classmethod
-    def of_bias(cls, first: NDArray[np.uint16], second: NDArray[np.uint16], pattern: NDArray[np.int64]) -> PairScale:
+    def of_bias(cls, first: Mosaic, second: Mosaic, pattern: Counts) -> PairScale:
         """Measure two bias frames."""
         channels = range(channels_of(pattern))
         channel = by_pixel(np.array(channels), pattern, first.shape)
@@ -75,9 +76,7 @@ class PairScale:
         return cls(pattern, level, _half_width(difference) / 2**0.5, _half_width(first - level))
 
     @classmethod
-    def of_flats(
-        cls, first: NDArray[np.uint16], second: NDArray[np.uint16], dark_dn: Plane, pattern: NDArray[np.int64]
-    ) -> PairScale:
+    def of_flats(cls, first: Mosaic, second: Mosaic, dark_dn: Plane, pattern: Counts) -> PairScale:
         """Measure two flats of one exposure, with the level of no light."""
         return cls(pattern, dark_dn, _half_width(_scaled_difference(first, second, dark_dn)) / 2**0.5)
 
@@ -112,12 +111,12 @@ class PairFigures:
     """
 
     numbers: dict[Name, float]
-    differences: NDArray[np.int64] = field(repr=False)
-    row_power_dn2: NDArray[np.float64] = field(repr=False)
-    column_power_dn2: NDArray[np.float64] = field(repr=False)
+    differences: Counts = field(repr=False)
+    row_power_dn2: Values = field(repr=False)
+    column_power_dn2: Values = field(repr=False)
     mean_dn: Plane = field(repr=False)
     sizes_dn: Plane = field(repr=False)
-    values: NDArray[np.int64] = field(repr=False, default_factory=lambda: np.zeros(0, dtype=np.int64))
+    values: Counts = field(repr=False, default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 def level_names(channels: int) -> list[Name]:
@@ -125,7 +124,7 @@ def level_names(channels: int) -> list[Name]:
     return [("level", f"mean of {name}", "DN") for name in (CHANNELS if channels == len(CHANNELS) else "RGB")]
 
 
-def dark_pair(first: NDArray[np.uint16], second: NDArray[np.uint16], scale: PairScale) -> PairFigures:
+def dark_pair(first: Mosaic, second: Mosaic, scale: PairScale) -> PairFigures:
     """Measure two bias frames, (H, W) in DN, of the shape of the scale's."""
     pattern, period = scale.pattern, len(scale.pattern)
     whole = [_within(frame - scale.level_dn, scale.reach_dn) for frame in (first, second)]
@@ -170,7 +169,7 @@ def dark_pair(first: NDArray[np.uint16], second: NDArray[np.uint16], scale: Pair
     )
 
 
-def flat_pair(first: NDArray[np.uint16], second: NDArray[np.uint16], scale: PairScale) -> PairFigures:
+def flat_pair(first: Mosaic, second: Mosaic, scale: PairScale) -> PairFigures:
     """Measure two flats; the second is scaled to the first, whose light may differ a little."""
     reach = scale.difference_reach_dn
     steps = _within(np.rint(_scaled_difference(first, second, scale.level_dn)).astype(np.int32), reach)
@@ -205,7 +204,7 @@ def mean_of(first: NDArray[Any], second: NDArray[Any]) -> Plane:
     return total
 
 
-def smoothed(plane: Plane, sigma_dn: float, pattern: NDArray[np.int64]) -> Plane:
+def smoothed(plane: Plane, sigma_dn: float, pattern: Counts) -> Plane:
     """Return a plane whose every site of the CFA is the mean of the sites alike around it, 33 a side.
 
     Values further than four ``sigma_dn`` from a first such mean count as so far, or hot pixels would make the light
@@ -243,12 +242,12 @@ def same_pattern(mean_dn: Plane, pattern_dn: Plane) -> float:
     return _mean(mean_dn * pattern_dn)
 
 
-def distance(counts: NDArray[np.int64], reference: NDArray[np.float64]) -> float:
+def distance(counts: Counts, reference: Values) -> float:
     """Return the Kolmogorov-Smirnov distance of a histogram from the shares of another."""
     return float(np.abs(np.cumsum(counts) / max(int(counts.sum()), 1) - np.cumsum(reference)).max())
 
 
-def tail_share(counts: NDArray[np.int64], threshold_dn: int, side: int) -> float:
+def tail_share(counts: Counts, threshold_dn: int, side: int) -> float:
     """Return the share beyond a threshold (values of that many DN and more): -1 below, 1 above, 0 on both sides."""
     middle = len(counts) // 2
     below = int(counts[: middle - threshold_dn + 1].sum()) if side <= 0 else 0
@@ -256,7 +255,7 @@ def tail_share(counts: NDArray[np.int64], threshold_dn: int, side: int) -> float
     return (below + above) / max(int(counts.sum()), 1)
 
 
-def tail_threshold(shares: NDArray[np.float64], wanted: float, side: int) -> int:
+def tail_threshold(shares: Values, wanted: float, side: int) -> int:
     """Return the least threshold in DN beyond which there is at most so large a share."""
     middle = len(shares) // 2
     below, above = shares[middle::-1], shares[middle:]
@@ -269,7 +268,7 @@ def tail_threshold(shares: NDArray[np.float64], wanted: float, side: int) -> int
 # --- parts --------------------------------------------------------------------------------------------------------
 
 
-def _scaled_difference(first: NDArray[np.uint16], second: NDArray[np.uint16], dark_dn: Plane) -> Plane:
+def _scaled_difference(first: Mosaic, second: Mosaic, dark_dn: Plane) -> Plane:
     one, two = first - dark_dn, second - dark_dn
     sums = float(one.sum(dtype=np.float64)), float(two.sum(dtype=np.float64))
     difference: Plane = one - np.float32(sums[0] / sums[1] if sums[1] > 0 else 1.0) * two
@@ -289,15 +288,15 @@ def _mean(values: NDArray[Any]) -> float:
     return float(values.mean(dtype=np.float64))
 
 
-def _counts(values: NDArray[np.int32], reach: int) -> NDArray[np.int64]:
+def _counts(values: NDArray[np.int32], reach: int) -> Counts:
     return np.bincount((values + reach).ravel(), minlength=2 * reach + 1)
 
 
-def _shared(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+def _shared(first: Values, second: Values) -> float:
     return float(np.mean((first - first.mean()) * (second - second.mean())))
 
 
-def _less_channels(values: NDArray[Any], pattern: NDArray[np.int64]) -> tuple[Plane, NDArray[np.float64]]:
+def _less_channels(values: NDArray[Any], pattern: Counts) -> tuple[Plane, Values]:
     """Return values less their channel's mean, and those means."""
     period, channels = len(pattern), channels_of(pattern)
     sums, counts = np.zeros(channels), np.zeros(channels)
@@ -315,7 +314,7 @@ def _less_channels(values: NDArray[Any], pattern: NDArray[np.int64]) -> tuple[Pl
 _ROW_HALVES: Final[Name] = ("rows", "shared by left and right half", "DN^2")
 
 
-def _lines(change: Plane, period: int) -> tuple[dict[Name, float], NDArray[np.float64], NDArray[np.float64]]:
+def _lines(change: Plane, period: int) -> tuple[dict[Name, float], Values, Values]:
     """Return what rows and columns share, and the periodograms of their means.
 
     Bands of the spectra are in decibels: a band's power scatters in proportion to itself, and the more, the fewer its
@@ -328,7 +327,7 @@ def _lines(change: Plane, period: int) -> tuple[dict[Name, float], NDArray[np.fl
     def shared(axis: int, *parts: Plane) -> float:
         return _shared(*(part.mean(axis=axis, dtype=np.float64) for part in parts))
 
-    def spectrum(check: str, axis: int) -> tuple[dict[Name, float], NDArray[np.float64]]:
+    def spectrum(check: str, axis: int) -> tuple[dict[Name, float], Values]:
         line = change.mean(axis=1 - axis, dtype=np.float64)
         power = np.abs(np.fft.rfft(line)) ** 2 / len(line)
         low, high = max(int(_LOW * len(line)), _FEWEST_LINES) + 1, int(_HIGH * len(line)) + 1
@@ -366,10 +365,10 @@ def _neighbours(change: Plane) -> dict[Name, float]:
     }
 
 
-def _blocks(plane: Plane, period: int) -> NDArray[np.float64]:
+def _blocks(plane: Plane, period: int) -> Values:
     """Return the means of blocks."""
     side = -(-_BLOCK // period) * period
     down, across = plane.shape[0] // side, plane.shape[1] // side
     blocks = plane[: down * side, : across * side].reshape(down, side, across, side)
-    means: NDArray[np.float64] = blocks.mean(axis=(1, 3), dtype=np.float64)
+    means: Values = blocks.mean(axis=(1, 3), dtype=np.float64)
     return means

@@ -20,8 +20,7 @@ from eldata.calibration.core.row_noise import smoothed_power
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from eldata.calibration.core._frames import Counts, Mosaic, Plane, Values
     from eldata.calibration.core.defects import FixedPattern
     from eldata.noise.parameters import NoiseParameters
     from eldata.records import Sensor
@@ -32,6 +31,18 @@ _SHADING_BLOCK = 16  # CFA periods per side, of PatternSummary.shading_dn
 _LEVELS = np.unique(
     np.concatenate([np.geomspace(1e-5, 0.05, 40), np.linspace(0.05, 0.95, 91), 1 - np.geomspace(1e-5, 0.05, 40)])
 )
+
+# What a table calls each figure, and how it writes it.
+_SHOWN_FIGURES = {
+    "r_squared": ("R2", ".5f"),
+    "histogram_distance": ("histogram distance", ".4f"),
+    "histogram_distance_by_chance": ("by chance", ".4f"),
+    "sigma_real_dn": ("sigma real", ".4g"),
+    "sigma_simulated_dn": ("simulated [DN]", ".4g"),
+    "row_sigma_real_dn": ("row sigma real", ".3g"),
+    "row_sigma_simulated_dn": ("simulated [DN]", ".3g"),
+}
+HEADINGS = tuple(heading for heading, _ in _SHOWN_FIGURES.values())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,35 +80,35 @@ class Reproduction:
     sigma_simulated_dn: float
     row_sigma_real_dn: float
     row_sigma_simulated_dn: float
-    levels: NDArray[np.float64] = field(repr=False)
-    quantiles_real_dn: NDArray[np.float64] = field(repr=False)
-    quantiles_simulated_dn: NDArray[np.float64] = field(repr=False)
-    row_frequency: NDArray[np.float64] = field(repr=False)
-    row_power_real_dn2: NDArray[np.float64] = field(repr=False)
-    row_power_simulated_dn2: NDArray[np.float64] = field(repr=False)
-    real_dn: NDArray[np.float32] = field(repr=False)
-    simulated_dn: NDArray[np.float32] = field(repr=False)
+    levels: Values = field(repr=False)
+    quantiles_real_dn: Values = field(repr=False)
+    quantiles_simulated_dn: Values = field(repr=False)
+    row_frequency: Values = field(repr=False)
+    row_power_real_dn2: Values = field(repr=False)
+    row_power_simulated_dn2: Values = field(repr=False)
+    real_dn: Plane = field(repr=False)
+    simulated_dn: Plane = field(repr=False)
 
     @property
     def shown_sigmas_dn(self) -> tuple[float, float]:
         """Standard deviations of the pieces of both frames, the real one's first."""
         return float(self.real_dn.std()), float(self.simulated_dn.std())
 
-    def smoothed_row_powers_dn2(self, period: int) -> tuple[NDArray[np.float64], ...]:
+    def smoothed_row_powers_dn2(self, period: int) -> tuple[Values, ...]:
         """Return frequencies and the two periodograms, the real one first, in neighbouring frequencies together."""
         frequency, real = smoothed_power(self.row_frequency, self.row_power_real_dn2, period)
         return frequency, real, smoothed_power(self.row_frequency, self.row_power_simulated_dn2, period)[1]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the plain numbers."""
-        names = (
-            *("pixels", "frames", "r_squared", "histogram_distance", "histogram_distance_by_chance"),
-            *("sigma_real_dn", "sigma_simulated_dn", "row_sigma_real_dn", "row_sigma_simulated_dn"),
-        )
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in ("pixels", "frames", *_SHOWN_FIGURES)}
+
+    def cells(self) -> tuple[str, ...]:
+        """Return the figures of :data:`HEADINGS` as tables show them."""
+        return tuple(format(getattr(self, name), shown) for name, (_, shown) in _SHOWN_FIGURES.items())
 
 
-def compared_piece(mosaic: NDArray[np.uint16], period: int) -> NDArray[np.uint16]:
+def compared_piece(mosaic: Mosaic, period: int) -> Mosaic:
     """Return a copy of all that :func:`reproduction` needs of a frame whose CFA repeats itself after ``period``."""
     return mosaic[compared_place(mosaic.shape, period)].copy()
 
@@ -108,11 +119,7 @@ def compared_place(shape: tuple[int, ...], period: int) -> tuple[slice, slice]:
 
 
 def reproduction(
-    held_out: NDArray[np.uint16],
-    fixed: FixedPattern,
-    sensor: Sensor,
-    parameters: NoiseParameters,
-    generator: np.random.Generator,
+    held_out: Mosaic, fixed: FixedPattern, sensor: Sensor, parameters: NoiseParameters, generator: np.random.Generator
 ) -> Reproduction:
     """Compare a bias frame that is not part of ``fixed`` with simulated ones, in the middle of the sensor.
 
@@ -189,14 +196,14 @@ def _middle(shape: tuple[int, ...], side: tuple[int, int], period: int) -> tuple
 
 
 def _simulated(
-    level_dn: NDArray[np.float64],
-    spread_dn: NDArray[np.float64],
-    channel: NDArray[np.int64],
+    level_dn: Values,
+    spread_dn: Values,
+    channel: Counts,
     frames: int,
     sensor: Sensor,
     parameters: NoiseParameters,
     generator: np.random.Generator,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Values, Values]:
     """Return one simulated bias frame in DN, and its residual to the mean of n more.
 
     Pixels scatter by ``spread_dn`` around ``level_dn``, which comes on top of their channel's black level and bias.
@@ -218,7 +225,7 @@ def _simulated(
     parameters = replace(parameters, colour_bias_dn=(red, first_green, blue, second_green))
     levels = ((pattern + raised) / range_dn).astype(np.float32)
 
-    def frame() -> NDArray[np.float64]:
+    def frame() -> Values:
         noisy = model.on_mosaic(
             levels, cfa=sensor.cfa, parameters=parameters, ratio=1.0, range_dn=range_dn, generator=generator
         )
@@ -231,13 +238,13 @@ def _simulated(
     return first, first - others / frames
 
 
-def _histogram(ordered: NDArray[np.float64], cell: float) -> NDArray[np.float64]:
+def _histogram(ordered: Values, cell: float) -> Values:
     edges = (np.arange(-60, 61) + 0.5) * cell
     inner = np.searchsorted(ordered, edges)
     counts = np.diff(np.concatenate([[0], inner, [ordered.size]]))
-    shares: NDArray[np.float64] = counts / ordered.size
+    shares: Values = counts / ordered.size
     return shares
 
 
-def _distance(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+def _distance(first: Values, second: Values) -> float:
     return 0.5 * float(np.abs(first - second).sum())

@@ -27,12 +27,10 @@ from eldata.calibration.acceptance.verdicts import LIMIT, TheoryCheck
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from eldata.calibration.acceptance.pairs import Name, PairFigures, PairScale
+    from eldata.calibration.core._frames import Counts, Plane, Values
     from eldata.noise.parameters import NoiseParameters
 
-    Plane = NDArray[np.float32]
 
 COLUMNS = ("check", "statistic", "unit", "frames", "model", "s.e.", "dev. [s.e.]", "n", "verdict")
 
@@ -78,9 +76,9 @@ class Curve:
     """What a plot shows of both sides: ``x`` in ``x_unit``, and a curve each."""
 
     name: str
-    x: NDArray[np.float64] = field(repr=False)
-    frames: NDArray[np.float64] = field(repr=False)
-    model: NDArray[np.float64] = field(repr=False)
+    x: Values = field(repr=False)
+    frames: Values = field(repr=False)
+    model: Values = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,7 +256,7 @@ class PairNumbers:
         """Return one of the numbers of every pair."""
         return [pair.numbers[name] for pair in self.pairs]
 
-    def counts(self, kind: str) -> list[NDArray[np.int64]]:
+    def counts(self, kind: str) -> list[Counts]:
         """Return the counts of every pair's values, or of its differences."""
         return [getattr(pair, kind) for pair in self.pairs]
 

@@ -41,8 +41,7 @@ from eldata.noise.parameters import tukey_lambda_variance
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from eldata.calibration.core._frames import Values
     from eldata.noise.components import Components
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile
@@ -197,7 +196,7 @@ class _Examined:
         largest = max(abs(self.mean(signal_e, channel)) for channel in range(4))
         return _ROUNDING * (largest + math.sqrt(self.variance(signal_e)))
 
-    def frame(self, signal_e: float, size: tuple[int, int], stream: int, spec: str = "") -> NDArray[np.float64]:
+    def frame(self, signal_e: float, size: tuple[int, int], stream: int, spec: str = "") -> Values:
         """Return a packed Bayer flat in DN above black, of these components if they are others than the model's."""
         model = NoiseModel(spec) if spec else self.model
         return _frame(model, self.actual, signal_e, size, _generator(self.seed, stream))
@@ -212,13 +211,13 @@ def tukey_lambda_kurtosis(tukey_lambda: float) -> float:
     return float(tukeylambda.stats(tukey_lambda, moments="k"))  # type: ignore[call-overload] # the stubs misspell it
 
 
-def tukey_lambda_quantile(levels: NDArray[np.float64], tukey_lambda: float) -> NDArray[np.float64]:
+def tukey_lambda_quantile(levels: Values, tukey_lambda: float) -> Values:
     """Return quantiles ``(u^l - (1 - u)^l) / l`` of scale 1, and their limit ``ln(u / (1 - u))`` at l = 0."""
     below, above = np.log(levels), np.log1p(-levels)
     if tukey_lambda == 0:
-        logistic: NDArray[np.float64] = below - above
+        logistic: Values = below - above
         return logistic
-    result: NDArray[np.float64] = (np.expm1(tukey_lambda * below) - np.expm1(tukey_lambda * above)) / tukey_lambda
+    result: Values = (np.expm1(tukey_lambda * below) - np.expm1(tukey_lambda * above)) / tukey_lambda
     return result
 
 
@@ -238,7 +237,7 @@ def _generator(seed: int, stream: int) -> np.random.Generator:
 
 def _frame(
     model: NoiseModel, parameters: NoiseParameters, signal_e: float, size: tuple[int, int], rng: np.random.Generator
-) -> NDArray[np.float64]:
+) -> Values:
     """Return a packed Bayer flat (4, h, w) in DN above black."""
     level = signal_e * parameters.gain_dn_per_e * _RATIO / _RANGE_DN
     clean = np.full((4, *size), level, dtype=np.float32)
@@ -268,7 +267,7 @@ def _over_signal(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryC
     return tuple(means), tuple(variances)
 
 
-def _bias_frame(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCheck, ...], NDArray[np.float64]]:
+def _bias_frame(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCheck, ...], Values]:
     """Channel means and row means of a bias frame."""
     height, width = _BIAS
     frame = one.frame(0.0, _BIAS, 1)
@@ -302,14 +301,14 @@ def _bias_frame(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCh
     return bias, rows, row_means
 
 
-def _read_noise(one: _Examined) -> tuple[tuple[TheoryCheck, ...], NDArray[np.float64] | None]:
+def _read_noise(one: _Examined) -> tuple[tuple[TheoryCheck, ...], Values | None]:
     """Quantiles of the read noise alone, and expected and found ones on a grid."""
     read, parameters = one.parts.read, one.parameters
     if read == "none":
         return (), None
     values = np.sort(one.frame(0.0, _READ, 2, "G*" if read == "tukey-lambda" else "G"), axis=None)
 
-    def expected_and_slope(levels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def expected_and_slope(levels: Values) -> tuple[Values, Values]:
         if read == "tukey-lambda":
             shape, scale = parameters.tukey_lambda, parameters.sigma_tl_dn
             slope = levels ** (shape - 1) + (1 - levels) ** (shape - 1)
@@ -335,7 +334,7 @@ def _other_parts(one: _Examined) -> Iterator[TheoryCheck]:
         yield from _quantile_comparisons("quantisation alone", values, _PART_LEVELS, *uniform)
 
 
-def _gaussian_quantiles(levels: NDArray[np.float64], sigma: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _gaussian_quantiles(levels: Values, sigma: float) -> tuple[Values, Values]:
     """Return quantiles and their derivative by the level."""
     from scipy.special import ndtri
 
@@ -344,11 +343,7 @@ def _gaussian_quantiles(levels: NDArray[np.float64], sigma: float) -> tuple[NDAr
 
 
 def _quantile_comparisons(
-    check: str,
-    values: NDArray[np.float64],
-    levels: NDArray[np.float64],
-    expected: NDArray[np.float64],
-    slope: NDArray[np.float64],
+    check: str, values: Values, levels: Values, expected: Values, slope: Values
 ) -> tuple[TheoryCheck, ...]:
     found = np.quantile(values, levels)
     return tuple(

@@ -11,8 +11,7 @@ import numpy as np
 from eldata.noise.model import NoiseModel
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from eldata.calibration.core._frames import Values
     from eldata.noise.components import Components
     from eldata.noise.gain_modes import GainMode, LogLogFit
     from eldata.noise.parameters import NoiseParameters
@@ -151,8 +150,8 @@ class Diagnostics:
     read: tuple[TheoryCheck, ...]
     parts: tuple[TheoryCheck, ...]
     fits: tuple[TheoryCheck, ...]
-    row_means_dn: NDArray[np.float64]
-    quantiles_dn: NDArray[np.float64] | None
+    row_means_dn: Values
+    quantiles_dn: Values | None
     draws: tuple[NoiseParameters, ...]
 
     @property
@@ -161,12 +160,12 @@ class Diagnostics:
         return NoiseModel(self.spec)
 
     @property
-    def normal_quantiles(self) -> NDArray[np.float64]:
+    def normal_quantiles(self) -> Values:
         """The standard normal quantile at each of ``row_means_dn``, for their probability plot."""
         from scipy.special import ndtri
 
         count = self.row_means_dn.size
-        quantiles: NDArray[np.float64] = ndtri((np.arange(count) + 0.5) / count)
+        quantiles: Values = ndtri((np.arange(count) + 0.5) / count)
         return quantiles
 
     def expected_mean_dn(self, signal_e: float) -> float:

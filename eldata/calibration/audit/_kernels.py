@@ -11,15 +11,17 @@ from eldata.base.compiled import kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Plane, Values
+
 
 @kernel
 def standardised(
     weight: int,
-    mosaic: NDArray[np.uint16],
+    mosaic: Mosaic,
     less: NDArray[np.unsignedinteger[Any]],
-    defects: NDArray[np.bool_],
-    pattern: NDArray[np.int64],
-    scale: NDArray[np.float32],
+    defects: Mask,
+    pattern: Counts,
+    scale: Plane,
     limit: int,
     out: NDArray[np.int16],
 ) -> None:
@@ -61,7 +63,7 @@ def standardised(
 
 
 @kernel
-def lag_products(band: NDArray[np.int16], lags: NDArray[np.int64], sums: NDArray[np.int64]) -> None:
+def lag_products(band: NDArray[np.int16], lags: Counts, sums: Counts) -> None:
     """Add, for each lag (rows, columns), the products of all pixels of the band that lie so far apart."""
     height, width = band.shape
     for index in range(lags.shape[0]):
@@ -78,13 +80,7 @@ def lag_products(band: NDArray[np.int16], lags: NDArray[np.int64], sums: NDArray
 
 @kernel
 def outlier_neighbours(
-    band: NDArray[np.int16],
-    offsets: NDArray[np.int64],
-    reach: int,
-    away: int,
-    levels: NDArray[np.int64],
-    wins: NDArray[np.int64],
-    powers: NDArray[np.float64],
+    band: NDArray[np.int16], offsets: Counts, reach: int, away: int, levels: Counts, wins: Counts, powers: Values
 ) -> None:
     """Compare the neighbours of outliers with those of the pixel ``away`` columns from it.
 
@@ -129,14 +125,14 @@ def outlier_neighbours(
 def variance_and_level(
     band: NDArray[np.int16],
     total: NDArray[np.uint32],
-    first: NDArray[np.uint16],
-    second: NDArray[np.uint16],
-    defects: NDArray[np.bool_],
-    level: NDArray[np.float32],
-    scale: NDArray[np.float32],
+    first: Mosaic,
+    second: Mosaic,
+    defects: Mask,
+    level: Plane,
+    scale: Plane,
     size: int,
     clip: int,
-    sums: NDArray[np.int64],
+    sums: Counts,
 ) -> None:
     """Add up, by block of ``size`` columns, the squares w of a band, clipped, and the levels f of its pixels.
 
@@ -179,36 +175,3 @@ def variance_and_level(
                 added[8] += below * fixed_square
                 added[9] += below * product
             sums[block] += added
-
-
-@kernel
-def add_sizes(
-    band: NDArray[np.int16],
-    step: int,
-    size: int,
-    total: NDArray[np.uint8],
-    counts: NDArray[np.int64],
-    sums: NDArray[np.int64],
-) -> None:
-    """Add abs(band) // step to each pixel's total, and count these sizes by value, defects among them.
-
-    By block of ``size`` columns, ``sums`` (blocks, 2) gets them and their squares.
-    """
-    height, width = band.shape
-    sizes = np.zeros(width, dtype=np.int64)
-    several = np.zeros((4, counts.size), dtype=np.int64)  # so that one addition need not wait for the one before
-    for row in range(height):
-        for column in range(width):
-            sizes[column] = np.uint16(abs(band[row, column])) // np.uint16(step)
-            total[row, column] += np.uint8(sizes[column])
-        for column in range(width):
-            several[column & 3, sizes[column]] += 1
-        for block in range(sums.shape[0]):
-            added: Any = 0
-            squared: Any = 0
-            for column in range(block * size, (block + 1) * size):
-                added += sizes[column]
-                squared += sizes[column] * sizes[column]
-            sums[block, 0] += added
-            sums[block, 1] += squared
-    counts += several.sum(axis=0)

@@ -30,10 +30,9 @@ from eldata.calibration.core.read_noise import read_noise
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from eldata.calibration.audit.bias_sums import BiasStatistics
     from eldata.calibration.audit.neighbours import NeighbourStatistics
+    from eldata.calibration.core._frames import Mask, Values
     from eldata.calibration.core._residual_fit import ResidualHistogram
     from eldata.calibration.core.findings import Figure, Finding
     from eldata.calibration.core.read_noise import ReadNoise
@@ -121,11 +120,7 @@ def light(seen: BiasSeen) -> Iterator[Finding]:
 
 
 def _slope(
-    level: NDArray[np.float64],
-    variance: NDArray[np.float64],
-    of_pixels: float,
-    beside: NDArray[np.float64],
-    ripple: Ripple,
+    level: Values, variance: Values, of_pixels: float, beside: Values, ripple: Ripple
 ) -> tuple[float, float, float]:
     """Return t of the slope of variance over level, the slope, and the mean level over the darkest blocks'.
 
@@ -274,11 +269,11 @@ class DarkSignal:
         return cls(mean, level_dn, covariance > 0, is_of_few)
 
 
-def _mean_and_error(scores: NDArray[np.float64]) -> tuple[float, float]:
+def _mean_and_error(scores: Values) -> tuple[float, float]:
     return float(scores.mean()), float(scores.std(ddof=1)) / math.sqrt(scores.size)
 
 
-def _student(scores: NDArray[np.float64], by_rounding: float) -> float:
+def _student(scores: Values, by_rounding: float) -> float:
     """Return by how many standard errors the mean of the blocks' scores exceeds what rounding may give."""
     mean, error = _mean_and_error(scores)
     return (mean - by_rounding) / error
@@ -330,12 +325,12 @@ def _largest(near: NeighbourStatistics, ripple: Ripple) -> tuple[float, float]:
     return float(tests.max()), -float(ndtri(CHANCE / 2 / tests.size))
 
 
-def _at(near: NeighbourStatistics, lag: tuple[int, int]) -> NDArray[np.bool_]:
-    found: NDArray[np.bool_] = (near.lags == lag).all(axis=1)
+def _at(near: NeighbourStatistics, lag: tuple[int, int]) -> Mask:
+    found: Mask = (near.lags == lag).all(axis=1)
     return found
 
 
-def _sum_of(near: NeighbourStatistics, chosen: NDArray[np.bool_] | bool = True) -> float:
+def _sum_of(near: NeighbourStatistics, chosen: Mask | bool = True) -> float:
     """Return the sum of the correlations that are seen, one of each two opposite directions, above -1/2.
 
     A filter whose weights add up to 1 leaves ``1 / (1 + 2 sum)`` of the variance of independent noise.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.audit.neighbours import NeighbourStatistics
+    from eldata.calibration.core._frames import Counts, Mosaic, Values
     from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.core.read_noise import ReadNoise
     from eldata.calibration.core.row_noise import ColourBias, RowNoise
@@ -87,19 +88,19 @@ class BiasStatistics:
 
     pairs: int
     sigma_dn: float
-    level_dn: NDArray[np.float64] = field(repr=False)
-    variance: NDArray[np.float64] = field(repr=False)
-    level_score: NDArray[np.float64] = field(repr=False)
-    level_freedom: NDArray[np.float64] = field(repr=False)
-    lower_score: NDArray[np.float64] = field(repr=False)
-    lower_freedom: NDArray[np.float64] = field(repr=False)
-    bend_score: NDArray[np.float64] = field(repr=False)
-    pixels: NDArray[np.float64] = field(repr=False)
+    level_dn: Values = field(repr=False)
+    variance: Values = field(repr=False)
+    level_score: Values = field(repr=False)
+    level_freedom: Values = field(repr=False)
+    lower_score: Values = field(repr=False)
+    lower_freedom: Values = field(repr=False)
+    bend_score: Values = field(repr=False)
+    pixels: Values = field(repr=False)
     spread_dn: float
     dsnu_dn: float
-    unlikeness: NDArray[np.float64] = field(repr=False)
-    sizes: NDArray[np.int64] = field(repr=False)
-    totals: NDArray[np.int64] = field(repr=False)
+    unlikeness: Values = field(repr=False)
+    sizes: Counts = field(repr=False)
+    totals: Counts = field(repr=False)
     neighbours: NeighbourStatistics
 
 
@@ -140,16 +141,14 @@ class BiasAudit:
         self._level_dn = np.stack([levels for levels, _ in measured])
         self._pixels = np.stack([pixels for _, pixels in measured])
         self._added = 0
-        self._first: NDArray[np.uint16] | None = None
+        self._first: Mosaic | None = None
         blocks = len(self._bands), self._columns
-        self._squares, self._score, self._freedom, self._bend = np.zeros((4, *blocks))
-        self._lower_score, self._lower_freedom = np.zeros((2, *blocks))
-        self._size_sums, self._size_squares, self._size_products = np.zeros((3, *blocks))
+        self._sums = np.zeros((9, *blocks))
         self._sizes = np.zeros(_LIMIT // self._step + 1, dtype=np.int64)
         self._totals = np.zeros((len(self._bands), BLOCK, width), dtype=np.uint8)
         self._neighbours = Neighbours(fixed.pattern)
 
-    def _levels(self, rows: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _levels(self, rows: slice) -> tuple[Values, Values]:
         """Return the mean of the sound pixels of a band by block and channel, and by block how many they are."""
         fixed, width = self._fixed, self._columns * BLOCK
         sound = ~fixed.defects[rows, :width]
@@ -162,7 +161,7 @@ class BiasAudit:
                 added[:, channel] += values[site].sum(axis=0, dtype=np.int64).reshape(self._columns, -1).sum(axis=1)
         return sums / np.maximum(counts, 1) / fixed.frames, counts.sum(axis=1)
 
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
+    def add(self, mosaic: Mosaic) -> None:
         """Add a bias frame."""
         height, width = self._fixed.total_dn.shape
         checked_mosaic(mosaic, (height, width), len(self._fixed.pattern))
@@ -176,8 +175,8 @@ class BiasAudit:
             self._add_band(index, rows, self._first[index], mosaic[rows])
         self._first = None
 
-    def _add_band(self, index: int, rows: slice, first: NDArray[np.uint16], second: NDArray[np.uint16]) -> None:
-        from eldata.calibration.audit._kernels import add_sizes, standardised, variance_and_level
+    def _add_band(self, index: int, rows: slice, first: Mosaic, second: Mosaic) -> None:
+        from eldata.calibration.audit._kernels import standardised, variance_and_level
 
         fixed, frames = self._fixed, self._fixed.frames
         total, defects, pattern = fixed.total_dn[rows], fixed.defects[rows], fixed.pattern
@@ -196,25 +195,20 @@ class BiasAudit:
         squares, levels, levels_squared, products, bends, *of_lower = sums.T.astype(np.float64)
         pixels = np.maximum(self._pixels[index], 1)
         mean = levels / pixels
-        self._squares[index] += squares
-        self._score[index] += products - mean * squares
-        self._freedom[index] += levels_squared - mean * levels
-        self._bend[index] += bends - 2 * mean * products + (2 * mean**2 - levels_squared / pixels) * squares
+        whole = (
+            squares,
+            products - mean * squares,
+            levels_squared - mean * levels,
+            bends - 2 * mean * products + (2 * mean**2 - levels_squared / pixels) * squares,
+        )
         pixels, squares, levels, levels_squared, products = np.maximum(of_lower[0], 1), *of_lower[1:]
-        self._lower_score[index] += products - levels * squares / pixels
-        self._lower_freedom[index] += levels_squared - levels**2 / pixels
+        lower = products - levels * squares / pixels, levels_squared - levels**2 / pixels
 
-        sizes = np.zeros((self._columns, 2), dtype=np.int64)
-        add_sizes(band, self._step, BLOCK, self._totals[index], self._sizes, sizes)
-        self._size_sums[index] += sizes[:, 0]
-        self._size_squares[index] += sizes[:, 1]
-        self._size_products[index] += sizes[:, 0].astype(np.float64) ** 2
-
-    def _squares_of_totals(self, band: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """Return the sum of the squares by block of a band."""
-        squares = (band.astype(np.int64) ** 2).reshape(BLOCK, self._columns, BLOCK)
-        totals: NDArray[np.int64] = squares.sum(axis=(0, 2))
-        return totals
+        sizes = (np.abs(band) // self._step).astype(np.uint8)
+        self._totals[index] += sizes
+        self._sizes += np.bincount(sizes.ravel(), minlength=self._sizes.size)
+        of_blocks = _by_block(sizes, self._columns), _by_block(np.square(sizes, dtype=np.int64), self._columns)
+        self._sums[:, index] += (*whole, *lower, *of_blocks, of_blocks[0].astype(np.float64) ** 2)
 
     def statistics(self) -> BiasStatistics:
         """Return what was found.
@@ -224,7 +218,7 @@ class BiasAudit:
         DatasetError
             If the frames added are not those of the fixed pattern.
         """
-        fixed, pairs, width = self._fixed, self._pairs, self._columns * BLOCK
+        fixed, pairs = self._fixed, self._pairs
         check_same_frames(self._added, fixed)
         # By band: numpy counts in copies of eight bytes a pixel.
         totals = np.zeros(256, dtype=np.int64)
@@ -234,10 +228,11 @@ class BiasAudit:
         # Defects have no size, and so add to no sum; only to the count of size 0.
         sizes = self._sizes.copy()
         sizes[0] -= pairs * sum(np.count_nonzero(fixed.defects[rows]) for rows in self._bands)
-        squares = np.stack([self._squares_of_totals(of_band[:, :width]) for of_band in self._totals])
+        squares, score, freedom, bend, lower_score, lower_freedom, size_sums, size_squares, products = self._sums
+        of_totals = np.stack([_by_block(np.square(band, dtype=np.int64), self._columns) for band in self._totals])
         # Products of sizes in two different pairs: of the same pixel, and of any two pixels of the block.
-        same = squares - self._size_squares
-        both = self._size_sums**2 - self._size_products
+        same = of_totals - size_squares
+        both = size_sums**2 - products
         covariance = (same / pixels - (both - same) / (pixels * (pixels - 1))) / (pairs * (pairs - 1))
         # A size stands for a step, whose middle lies half of one above it.
         mean = float(sizes @ np.arange(sizes.size) / sizes.sum()) + 0.5
@@ -248,12 +243,12 @@ class BiasAudit:
             pairs=pairs,
             sigma_dn=self._sigma_dn,
             level_dn=(self._level_dn - np.array(fixed.level_dn)).mean(axis=2),
-            variance=self._squares / (pairs * pixels) / UNITS**2,
-            level_score=self._score / UNITS**2 / _LEVEL_UNITS,
-            level_freedom=self._freedom / _LEVEL_UNITS**2,
-            lower_score=self._lower_score / UNITS**2 / _LEVEL_UNITS,
-            lower_freedom=self._lower_freedom / _LEVEL_UNITS**2,
-            bend_score=self._bend / UNITS**2 / _LEVEL_UNITS**2 - of_noise,
+            variance=squares / (pairs * pixels) / UNITS**2,
+            level_score=score / UNITS**2 / _LEVEL_UNITS,
+            level_freedom=freedom / _LEVEL_UNITS**2,
+            lower_score=lower_score / UNITS**2 / _LEVEL_UNITS,
+            lower_freedom=lower_freedom / _LEVEL_UNITS**2,
+            bend_score=bend / UNITS**2 / _LEVEL_UNITS**2 - of_noise,
             pixels=np.maximum(self._pixels, 1),
             spread_dn=self._spread_dn,
             dsnu_dn=float(np.mean(fixed.summary.dsnu_dn)),
@@ -262,6 +257,12 @@ class BiasAudit:
             totals=totals,
             neighbours=self._neighbours.statistics(),
         )
+
+
+def _by_block(band: NDArray[Any], blocks: int) -> Counts:
+    """Return the sums over each block of columns of a band."""
+    sums: Counts = band[:, : blocks * BLOCK].reshape(len(band), blocks, BLOCK).sum(axis=(0, 2), dtype=np.int64)
+    return sums
 
 
 # --- rounding and steps -----------------------------------------------------------------------------------------------
@@ -277,7 +278,7 @@ _LEAST_SIGMA_STEPS = 0.1  # below, all is lost in rounding
 _MANY_STEPS = 5  # above, a ripple is below one in a million
 
 
-def missing_codes(mosaic: NDArray[np.uint16], pattern: NDArray[np.int64]) -> float:
+def missing_codes(mosaic: Mosaic, pattern: Counts) -> float:
     """Return the largest share, of any CFA site, of DN values that never occur though their neighbours do.
 
     A plain converter gives 0. Lossy compression by a curve leaves gaps in bright frames; multiplication after the
@@ -297,7 +298,7 @@ def missing_codes(mosaic: NDArray[np.uint16], pattern: NDArray[np.int64]) -> flo
     return worst
 
 
-def code_step(mosaic: NDArray[np.uint16], pattern: NDArray[np.int64]) -> int:
+def code_step(mosaic: Mosaic, pattern: Counts) -> int:
     """Return by how many DN the values of a bias frame step: 1, or 4 where 12 bits are stored as 14.
 
     Pixels of one column and CFA site, one period apart, differ by noise; all but one in a thousand of the differences

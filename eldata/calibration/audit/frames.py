@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from fractions import Fraction
 
-    from numpy.typing import NDArray
-
+    from eldata.calibration.core._frames import Mosaic
     from eldata.calibration.core.findings import Finding
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, RawHeader, Sensor
@@ -250,19 +249,15 @@ def _within_1_dn(first: tuple[float, ...], second: tuple[float, ...]) -> bool:
 
 def unlike_most(sensors: Mapping[FrameRecord, Sensor]) -> list[Problem]:
     """Return how some frames of one ISO differ from most of them."""
-    kinds: list[tuple[FrameRecord, Sensor, list[FrameRecord]]] = []
+    kinds: dict[FrameRecord, list[FrameRecord]] = {}  # by the first of each
     for record, sensor in sensors.items():
-        for first, of_first, members in kinds:
-            if not unlike(record, sensor, of_first, first.path):
-                members.append(record)
-                break
-        else:
-            kinds.append((record, sensor, [record]))
+        first = next((one for one in kinds if not unlike(record, sensor, sensors[one], "")), record)
+        kinds.setdefault(first, []).append(record)
     if len(kinds) < 2:
         return []
-    example, usual, alike = max(kinds, key=lambda kind: len(kind[2]))  # the first of equals
-    others = (record for record in sensors if record not in alike)
-    return [problem for record in others for problem in unlike(record, sensors[record], usual, example.path)]
+    usual = max(kinds, key=lambda first: len(kinds[first]))  # the first of equals
+    others = (record for record in sensors if record not in kinds[usual])
+    return [problem for record in others for problem in unlike(record, sensors[record], sensors[usual], usual.path)]
 
 
 def unreadable(record: FrameRecord, error: EldataError) -> Problem:
@@ -284,7 +279,7 @@ class Copies:
         self._seen: dict[bytes, FrameRecord] = {}
         self.remarks: list[str] = []
 
-    def original(self, record: FrameRecord, mosaic: NDArray[np.uint16]) -> FrameRecord | None:
+    def original(self, record: FrameRecord, mosaic: Mosaic) -> FrameRecord | None:
         """Return the frame that this one is a copy of, and remark on it; ``None`` for one that is new."""
         from hashlib import blake2b
 
@@ -325,7 +320,7 @@ class FrameFigures:
     spread_dn: float
 
     @classmethod
-    def of(cls, record: FrameRecord, mosaic: NDArray[np.uint16]) -> FrameFigures:
+    def of(cls, record: FrameRecord, mosaic: Mosaic) -> FrameFigures:
         """Measure a frame on some 100,000 of its pixels."""
         step = max(1, math.isqrt(mosaic.size // 100_000)) | 1  # odd: every site of the CFA takes part
         sample = mosaic[::step, ::step]
@@ -333,7 +328,7 @@ class FrameFigures:
         return cls(record, float(sample.mean(dtype=np.float64)), float(high - low) / 2)
 
 
-def clipped_black(record: FrameRecord, mosaic: NDArray[np.uint16]) -> list[Problem]:
+def clipped_black(record: FrameRecord, mosaic: Mosaic) -> list[Problem]:
     """Return a problem if more than 1 % of a bias frame's pixels are 0, where whole noise is needed."""
     share = (mosaic.size - int(np.count_nonzero(mosaic))) / mosaic.size
     if share <= _CLIPPED_SHARE:

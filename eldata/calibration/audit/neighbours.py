@@ -18,6 +18,8 @@ from eldata.errors import DatasetError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.calibration.core._frames import Counts, Values
+
 OUTLIERS = (3, 4, 5, 6)
 """Standard deviations from which on a value counts as an outlier of that size."""
 
@@ -53,10 +55,10 @@ class NeighbourStatistics:
         Mean of the third powers of the values in standard deviations, and its standard error where there is none.
     """
 
-    lags: NDArray[np.int64] = field(repr=False)
-    correlation: NDArray[np.float64]
+    lags: Counts = field(repr=False)
+    correlation: Values
     error: float
-    outlier_wins: NDArray[np.int64]
+    outlier_wins: Counts
     skewness: float
     skewness_error: float
 
@@ -70,7 +72,7 @@ class Neighbours:
         The CFA's period, channel indices.
     """
 
-    def __init__(self, pattern: NDArray[np.int64]) -> None:
+    def __init__(self, pattern: Counts) -> None:
         self._offsets = _same_colour(pattern)
         self._reach = int(np.abs(self._offsets).max())
         self._lags = np.concatenate([_LAGS, _FAR])
@@ -133,7 +135,7 @@ class Neighbours:
         )
 
 
-def _same_colour(pattern: NDArray[np.int64]) -> NDArray[np.int64]:
+def _same_colour(pattern: Counts) -> Counts:
     """Return the offsets of the eight nearest pixels of the same colour, (row, column, 8, 2)."""
     colour = np.where(pattern == 3, 1, pattern)  # both greens of Bayer
     period = len(pattern)
@@ -151,7 +153,7 @@ def _same_colour(pattern: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.array([[nearest(row, column) for column in range(period)] for row in range(period)])
 
 
-def _taken(pattern: NDArray[np.int64], across: int) -> float:
+def _taken(pattern: Counts, across: int) -> float:
     """Return the correlation that taking off the mean of each row and channel makes at a lag, times the columns."""
     share = np.array([[np.count_nonzero(row == channel) for channel in row] for row in pattern]) / len(pattern)
     alike = np.roll(pattern, -across, axis=1) == pattern

@@ -7,19 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.core.findings import (
-    BANDING,
-    CHANCE,
-    ROW_DRIFT,
-)
+from eldata.calibration.core.findings import BANDING, CHANCE, ROW_DRIFT
 from eldata.noise.structure import RowSpectrum, RowWave
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from eldata.calibration.audit.bias_sums import BiasSeen
+    from eldata.calibration.core._frames import Values
     from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.row_noise import LineNoise
 
@@ -51,9 +46,7 @@ def row_waves(seen: BiasSeen) -> Iterator[Finding]:
         yield from BANDING.judged(statistic, threshold, text, {"row noise": (share, error)})
 
 
-def standing_out(
-    line: LineNoise, shape: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
+def standing_out(line: LineNoise, shape: int) -> tuple[Values, Values, Values, float]:
     """Return frequencies, the power under a Hann window, its ground, and the ratio of the two that makes a wave.
 
     An ordinate of white noise, averaged over n frames whose mean is taken off, follows a Gamma distribution of shape
@@ -70,9 +63,7 @@ def standing_out(
     return frequency, power, ground, threshold * (1 + 5 / math.sqrt((2 * _NEAR + 1) * shape))
 
 
-def _slow_drift(
-    line: LineNoise, shape: int, error: float, waves: NDArray[np.float64], heights: NDArray[np.float64]
-) -> Iterator[Finding]:
+def _slow_drift(line: LineNoise, shape: int, error: float, waves: Values, heights: Values) -> Iterator[Finding]:
     """Yield a finding if slow waves over the rows have more power than fast ones.
 
     The sum of the periodogram over its fast part's mean, each ordinate weighted by 1/f: the sharpest test for 1/f. Of
@@ -111,9 +102,7 @@ def _slow_drift(
     yield from ROW_DRIFT.judged(statistic / mean, limit / mean, text, {"row noise": (share, error)})
 
 
-def periodogram(
-    line: LineNoise, window: NDArray[np.float64], blurred_over: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def periodogram(line: LineNoise, window: Values, blurred_over: float) -> tuple[Values, Values]:
     """Return frequencies, cycles per line, and power, DN^2: white noise of variance s^2 gives s^2 throughout.
 
     Taking off the channels' means empties the multiples of a half, for X-Trans of a sixth; these are left out, and what

@@ -25,16 +25,14 @@ from eldata.noise.structure import NoiseStructure, RowSpectrum, TelegraphPixels
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from numpy.typing import NDArray
-
     from eldata.calibration.audit.telegraph import TelegraphGroups
+    from eldata.calibration.core._frames import Mosaic, Values
     from eldata.calibration.core._residual_fit import ResidualHistogram
     from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.read_noise import ReadNoise
     from eldata.calibration.core.row_noise import RowNoise
 
-    Plane = NDArray[np.float32]
 
 _BANDING = (BANDING.name, ROW_DRIFT.name)  # findings by which rows are not white
 _NOT_JUMPING = (LIGHT.name, DARK_SIGNAL.name)  # findings of pixels that are noisier for another reason
@@ -226,9 +224,9 @@ class ResponsePattern:
     def __init__(self, fixed: FixedPattern, limit_dn: float) -> None:
         self._fixed, self._limit = fixed, limit_dn
         self._places = spread_bands(fixed.total_dn.shape, _MOST_PIXELS)
-        self._sums = np.zeros((2, 0))
+        self._sums: Values = np.zeros((2, 0))
 
-    def add(self, first: NDArray[np.uint16], second: NDArray[np.uint16]) -> None:
+    def add(self, first: Mosaic, second: Mosaic) -> None:
         """Add a pair of equal flats; one that saturates is left out.
 
         Its weight is the inverse of the square of what its noise adds to prnu^2.
@@ -247,9 +245,7 @@ class ResponsePattern:
             weight = signal2 / float(np.mean(noise)) ** 2
             self._sums = weight * pair[:2] + (self._sums if self._sums.size else 0.0)
 
-    def _of_band(
-        self, rows: slice, first: NDArray[np.uint16], second: NDArray[np.uint16]
-    ) -> tuple[NDArray[np.float64], float]:
+    def _of_band(self, rows: slice, first: Mosaic, second: Mosaic) -> tuple[Values, float]:
         """Return, by block of columns, the products over the noise's share, the signals' products, how many; noise."""
         fixed, pattern = self._fixed, self._fixed.pattern
         period, blocks = len(pattern), first.shape[1] // BLOCK

@@ -15,11 +15,11 @@ from eldata.noise.structure import TelegraphPixels
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.calibration.core._frames import Mosaic, Plane, Values
     from eldata.calibration.core._residual_fit import ResidualHistogram
     from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.core.read_noise import ReadNoise
 
-    Plane = NDArray[np.float32]
 
 _GROUPS = 3  # of bias frames, whose variances know nothing of each other
 _MOST_PIXELS = 1 << 19  # of a frame are looked at for telegraph pixels
@@ -76,7 +76,7 @@ class TelegraphGroups:
         cut: NDArray[Any] = np.concatenate([plane[rows, : plane.shape[1] // BLOCK * BLOCK] for rows in self._places])
         return cut
 
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
+    def add(self, mosaic: Mosaic) -> None:
         """Add a bias frame."""
         if self._size < 2 or len(self._seconds) == _GROUPS:
             return
@@ -171,7 +171,7 @@ class TelegraphGroups:
         spread = math.hypot(self._sigma_dn / math.sqrt(n - 2), float(np.mean(self._fixed.summary.dsnu_dn)))
         return float(chances @ (ndtr((jump - limit) / spread) + ndtr((-jump - limit) / spread)))
 
-    def _of(self, cumulants: NDArray[np.float64]) -> tuple[float, float, float]:
+    def _of(self, cumulants: Values) -> tuple[float, float, float]:
         """Return share, amplitude in DN and duty."""
         second, third, skewed = (float(value) for value in cumulants)
         if not second > 0:
@@ -180,14 +180,14 @@ class TelegraphGroups:
         duty, amplitude = two_values(more, skewed / (share * (1 - share) * more))
         return share, amplitude * self._sigma_dn, duty
 
-    def _cumulants(self) -> NDArray[np.float64]:
+    def _cumulants(self) -> Values:
         """Return (3, blocks): covariance and third cumulant of the variances, covariance of thirds with variances."""
         sound = _by_block(self._sound.astype(np.float64))
         count = np.maximum(sound.sum(axis=1), 3)
 
-        def centred(plane: Plane) -> NDArray[np.float64]:
+        def centred(plane: Plane) -> Values:
             values = _by_block(plane.astype(np.float64)) * sound
-            centre: NDArray[np.float64] = (values.sum(axis=1) / count)[:, None]
+            centre: Values = (values.sum(axis=1) / count)[:, None]
             return (values - centre) * sound
 
         a, b, c = map(centred, self._seconds)
@@ -232,7 +232,7 @@ def other_pixels(histogram: ResidualHistogram, jumping: TelegraphPixels) -> Resi
     return replace(histogram, counts=counts, squares_dn2=None)
 
 
-def _by_block(plane: NDArray[np.float64]) -> NDArray[np.float64]:
+def _by_block(plane: Values) -> Values:
     """Return (blocks, pixels) of a plane of whole blocks."""
     down, across = plane.shape[0] // BLOCK, plane.shape[1] // BLOCK
     blocks = plane.reshape(down, BLOCK, across, BLOCK).swapaxes(1, 2)

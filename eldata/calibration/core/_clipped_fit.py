@@ -28,16 +28,13 @@ from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from typing import TypeAlias
-
-    from numpy.typing import NDArray
 
     from eldata.calibration.core._clipped_noise import ClippedStatistics
+    from eldata.calibration.core._frames import Values
     from eldata.calibration.core._tukey_lambda import Nodes
     from eldata.calibration.core.defects import FixedPattern
 
-    Values: TypeAlias = NDArray[np.float64]
-
+    _Expected = tuple[Values, Values, float]
 
 _LEVEL_NODES = 15  # of the levels over the frame
 _EVEN = 0.02  # of the noise: levels that vary less count as one
@@ -73,15 +70,6 @@ class ClippedFit:
     level_variances_dn2: Values
     if_laplace: Values
     recorded_slope: Values
-
-
-@dataclass(frozen=True, slots=True)
-class _Expected:
-    """``cells`` (channels, cells); recorded variance of the pixels' levels, by channel, and of rows."""
-
-    cells: Values
-    pattern: Values
-    rows: float
 
 
 class ClippedEquations:
@@ -142,7 +130,7 @@ class ClippedEquations:
         slopes = np.array([growth, 1.0])  # of ln sigma_G by shape and ln scale
         errors = np.sqrt(np.diag(covariance))
         weights = np.exp(-0.5 * plot.normal**2)
-        chi2, freedom = self._chi2(expected.cells)
+        chi2, freedom = self._chi2(expected[0])
         return ReadNoise(
             tukey_lambda=shape,
             tukey_lambda_error=float(errors[0]),
@@ -210,8 +198,9 @@ class ClippedEquations:
         )
 
     def _expected(self, at: Values, pattern: Callable[[float], Nodes] = normal) -> _Expected:
+        """Return (channels, cells); recorded variance of the pixels' levels, by channel, and of rows."""
         noise = self._noise(at)
-        return _Expected(self._cells(noise, at, pattern), *self._variances(noise, at, pattern))
+        return self._cells(noise, at, pattern), *self._variances(noise, at, pattern)
 
     def _cells(self, noise: ClippedNoise, at: Values, pattern: Callable[[float], Nodes]) -> Values:
         rest = float(at[-1]) + self._seen.drift_dn2
@@ -251,13 +240,13 @@ class ClippedEquations:
 
     def _equations(self, expected: _Expected, scores: Values) -> Values:
         """Return what each group adds to the equations, (groups, 4 + channels): all sums are to be 0."""
-        seen = self._seen
-        rest = seen.counts - seen.counts.sum(axis=2, keepdims=True) * expected.cells
+        seen, (cells, pattern, rows) = self._seen, expected
+        rest = seen.counts - seen.counts.sum(axis=2, keepdims=True) * cells
         return np.column_stack(
             [
                 np.einsum("pcj,gcj->gp", scores, rest, optimize=True),
-                (seen.products - seen.pixels * expected.pattern).sum(axis=1),
-                seen.rows - seen.lines * expected.rows,
+                (seen.products - seen.pixels * pattern).sum(axis=1),
+                seen.rows - seen.lines * rows,
             ]
         )
 
@@ -267,12 +256,10 @@ class ClippedEquations:
         steps = _STEP * np.array([1.0, 1.0, *[scale] * (len(at) - 4), scale**2, scale**2])
         beside = [self._expected(at + step) for step in np.diag(steps)]
         cells, pattern, rows = (
-            np.stack(
-                [(getattr(one, name) - getattr(expected, name)) / step for one, step in zip(beside, steps, strict=True)]
-            )
-            for name in ("cells", "pattern", "rows")
+            np.stack([(there - here) / step for there, step in zip(of_all, steps, strict=True)])
+            for of_all, here in zip(zip(*beside, strict=True), expected, strict=True)
         )
-        scores = cells[:-2] / expected.cells
+        scores = cells[:-2] / expected[0]
         slope = np.concatenate(
             [
                 np.einsum("pcj,qcj,c->pq", scores, cells, self._number, optimize=True),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,15 +17,11 @@ from eldata.errors import DatasetError
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
-    from typing import TypeAlias
-
-    from numpy.typing import NDArray
-
+    from eldata.calibration.core._frames import Counts, Values
     from eldata.calibration.core._tukey_lambda import Nodes
     from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.core.row_noise import LineMeans
 
-    Values: TypeAlias = NDArray[np.float64]
 
 _PER_SIGMA = 16  # points of H
 _SUMMED = 12  # standard deviations; further out, the sum over whole DN is an integral
@@ -90,7 +86,7 @@ def summed(first: Nodes, second: Nodes) -> Nodes:
     return np.add.outer(first[0], second[0]).ravel(), np.multiply.outer(first[1], second[1]).ravel()
 
 
-def variance(values: Values, chances: NDArray[np.floating[Any]]) -> Values:
+def variance(values: Values, chances: Values) -> Values:
     """Return the variance along the last axis."""
     centred = values - (values @ chances)[..., None]
     found: Values = centred**2 @ chances
@@ -108,7 +104,7 @@ class ClippedStatistics:
     """
 
     fixed: FixedPattern
-    starts: NDArray[np.int64]
+    starts: Counts
     counts: Values
     pixels: Values
     products: Values
@@ -117,7 +113,7 @@ class ClippedStatistics:
     drift_dn2: float
 
     @classmethod
-    def of(cls, counts: NDArray[np.int64], lines: LineMeans) -> ClippedStatistics:
+    def of(cls, counts: Counts, lines: LineMeans) -> ClippedStatistics:
         """Sum up the frames: their values by group of rows and channel, and what their lines show."""
         fixed = lines.fixed
         frames, (groups, _, size) = fixed.frames, counts.shape
@@ -154,7 +150,7 @@ class ClippedStatistics:
         )
 
 
-def _cell_starts(counts: NDArray[np.int64], mean: float, sigma: float) -> NDArray[np.int64]:
+def _cell_starts(counts: Counts, mean: float, sigma: float) -> Counts:
     """Return where cells begin: 0 alone, then some twentieths of the standard deviation, and ever wider far out."""
     width = max(1.0, sigma / _CELLS_PER_SIGMA)
     starts = [0, 1]

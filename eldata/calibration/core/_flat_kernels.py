@@ -9,7 +9,7 @@ import numpy as np
 from eldata.base.compiled import kernel
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Plane, Values
 
 SEGMENT = 96
 """Mosaic columns of a piece of a row: whole periods of Bayer and of X-Trans."""
@@ -21,14 +21,7 @@ _BLOCKS = SEGMENT // BLOCK
 
 
 @kernel
-def segment_means(
-    first: NDArray[np.uint16],
-    second: NDArray[np.uint16],
-    defects: NDArray[np.bool_],
-    pattern: NDArray[np.int64],
-    means: NDArray[np.float32],
-    noise: NDArray[np.float32],
-) -> None:
+def segment_means(first: Mosaic, second: Mosaic, defects: Mask, pattern: Counts, means: Plane, noise: Plane) -> None:
     """Write the mean of A + B in each segment and a pixel's variance, both (rows, segments, channels).
 
     The variance is half the mean square of the differences between a channel's next sound pixels, a period apart. nan
@@ -73,21 +66,21 @@ def segment_means(
 
 @kernel
 def pair_segments(
-    first: NDArray[np.uint16],
-    second: NDArray[np.uint16],
-    defects: NDArray[np.bool_],
-    pattern: NDArray[np.int64],
-    black: NDArray[np.float64],
+    first: Mosaic,
+    second: Mosaic,
+    defects: Mask,
+    pattern: Counts,
+    black: Values,
     limit: float,
     level_dn: float,
-    means: NDArray[np.float32],
-    noises: NDArray[np.float32],
-    ratios: NDArray[np.float64],
+    noises: Values,
+    left: Values,
+    ratios: Values,
     bright: float,
     step: float,
-    counts: NDArray[np.int64],
-    segments: NDArray[np.int64],
-    sums: NDArray[np.float64],
+    counts: Counts,
+    segments: Counts,
+    sums: Values,
 ) -> None:
     """Add the segments of a pair to their levels, and their pixels to ``counts`` (channel, 65536).
 
@@ -100,12 +93,14 @@ def pair_segments(
     ``ratios`` are those of the whole frames; a segment whose mean is ``bright`` times its noise has its own. There is
     an edge where the light departs from a parabola by more than noise and the share ``step`` of the segment: along the
     row, in one of the means of the segment's blocks and of the two beside it; across the rows, in the means of the
-    segments about it. ``means`` and ``noises`` are those of :func:`segment_means`.
+    segments about it, whose noise and what they leave of a parabola are ``noises`` and ``left`` (rows, segments,
+    channels). That has four degrees of freedom: it goes beyond 5.5 standard errors once in 200,000 segments, and a step
+    between two has half of itself or more (0.49 to 0.62) in it.
     """
     period = pattern.shape[0]
     levels = segments.shape[1]
     block, size = np.empty(_BLOCKS + 2), np.empty(_BLOCKS + 2)
-    ordered, whole = np.empty(7), np.empty(13, dtype=np.int64)
+    whole = np.empty(13, dtype=np.int64)
     for row in range(first.shape[0]):
         for channel in range(black.size):
             phases = np.flatnonzero(pattern[row % period] == channel)
@@ -124,9 +119,8 @@ def pair_segments(
                     segments[channel, level, 1] += 1
                     continue
                 least = step * abs(mean_a + mean_b)
-                noise, is_crossed = _along_column(
-                    means, noises, row, start // SEGMENT, channel, period, n, least, ordered
-                )
+                noise = noises[row, start // SEGMENT, channel]
+                is_crossed = left[row, start // SEGMENT, channel] > (0.5 * least + 5.5 * np.sqrt(noise / n)) ** 2
                 if is_crossed or _has_edge(block, size, noise, least):
                     segments[channel, level, 2] += 1
                     continue
@@ -160,17 +154,17 @@ def pair_segments(
 
 @kernel
 def _add_segment(
-    ones: NDArray[np.uint16],
-    twos: NDArray[np.uint16],
-    bad: NDArray[np.bool_],
+    ones: Mosaic,
+    twos: Mosaic,
+    bad: Mask,
     start: int,
-    phases: NDArray[np.int64],
+    phases: Counts,
     period: int,
     limit: float,
-    counts: NDArray[np.int64],
-    block: NDArray[np.float64],
-    size: NDArray[np.float64],
-    whole: NDArray[np.int64],
+    counts: Counts,
+    block: Values,
+    size: Values,
+    whole: Counts,
 ) -> None:
     """Sum up a segment of two rows, and the blocks beside it.
 
@@ -230,7 +224,7 @@ def _add_segment(
 
 
 @kernel
-def _has_edge(block: NDArray[np.float64], size: NDArray[np.float64], noise: float, least: float) -> Any:
+def _has_edge(block: Values, size: Values, noise: float, least: float) -> Any:
     """Whether a block's mean, of sums and sizes, is off the parabola through all; ``noise`` is a pixel's variance.
 
     Of a step between two of ten blocks 0.38 to 0.47 is left, where a straight line would leave 0.42 to 0.65. Noise
@@ -277,57 +271,3 @@ def _has_edge(block: NDArray[np.float64], size: NDArray[np.float64], noise: floa
             if abs(block[j] - centre - (slope + curve * x) * x) > least + 5 * np.sqrt(noise / size[j]):
                 return True
     return False
-
-
-@kernel
-def _along_column(
-    means: NDArray[np.float32],
-    noises: NDArray[np.float32],
-    row: int,
-    place: int,
-    channel: int,
-    period: int,
-    n: int,
-    least: float,
-    ordered: NDArray[np.float64],
-) -> Any:
-    """Return a pixel's variance about a segment of n pixels, and whether an edge crosses the segments around it.
-
-    These are seven of the channel, ``period`` rows apart, or the one alone where the frame has fewer. The variance is
-    their median: rows beyond an edge may be brighter. What a parabola through their means leaves has four degrees of
-    freedom; it goes beyond 5.5 standard errors once in 200,000 segments, and a step between two has half of itself or
-    more (0.49 to 0.62) in it. ``ordered`` (7,) is room.
-    """
-    first = row - 3 * period
-    while first < 0:
-        first += period
-    while first + 6 * period >= means.shape[0]:
-        first -= period
-    if first < 0:
-        return np.float64(noises[row, place, channel]), False
-    known = 0
-    centre: Any = 0.0
-    tilt: Any = 0.0
-    bend: Any = 0.0
-    total: Any = 0.0
-    own = np.float64(means[row, place, channel])
-    for j in range(7):
-        there = first + j * period
-        value = np.float64(noises[there, place, channel])
-        if not np.isnan(value):
-            i = known
-            while i > 0 and ordered[i - 1] > value:
-                ordered[i] = ordered[i - 1]
-                i -= 1
-            ordered[i] = value
-            known += 1
-        x = j - 3.0
-        level = np.float64(means[there, place, channel]) - own
-        total += level * level
-        centre += level
-        tilt += x * level
-        bend += (x * x - 4.0) * level
-    noise = ordered[known // 2] if known else np.nan
-    # Not a number where a segment has no sound pixel, which is not an edge.
-    left = total - centre * centre / 7 - tilt * tilt / 28 - bend * bend / 84
-    return noise, left > (0.5 * least + 5.5 * np.sqrt(noise / n)) ** 2

@@ -1,10 +1,11 @@
-"""What every estimator checks of its frames, and how it counts channels."""
+"""What every estimator checks of its frames, how it counts channels, and what annotations call its arrays."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import packed_channels
@@ -12,32 +13,36 @@ from eldata.raw.cfa import packed_channels
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from eldata.raw.cfa import Cfa
+
+Mosaic: TypeAlias = NDArray[np.uint16]
+Plane: TypeAlias = NDArray[np.float32]
+Values: TypeAlias = NDArray[np.floating[Any]]
+Counts: TypeAlias = NDArray[np.int64]
+Mask: TypeAlias = NDArray[np.bool_]
 
 _GROUPS = 64
 
 
-def pattern_of(cfa: Cfa) -> NDArray[np.int64]:
+def pattern_of(cfa: Cfa) -> Counts:
     """Return the CFA's smallest period as an array of channel indices; an ArgumentError if it is unsupported."""
     packed_channels(cfa)
     return np.asarray(cfa, dtype=np.int64)
 
 
-def channels_of(pattern: NDArray[np.int64]) -> int:
+def channels_of(pattern: Counts) -> int:
     """Return the number of channels: 4 for Bayer (R, G1, B, G2), 3 for X-Trans."""
     return int(pattern.max()) + 1
 
 
-def by_pixel(values: NDArray[Any], pattern: NDArray[np.int64], shape: tuple[int, ...]) -> NDArray[Any]:
+def by_pixel(values: NDArray[Any], pattern: Counts, shape: tuple[int, ...]) -> NDArray[Any]:
     """Return an array of that shape in which each pixel has its channel's entry of ``values``."""
     repeats = -(-shape[0] // len(pattern)), -(-shape[1] // len(pattern))
     plane: NDArray[Any] = np.tile(values[pattern], repeats)[: shape[0], : shape[1]]
     return plane
 
 
-def checked_mosaic(mosaic: NDArray[Any], shape: tuple[int, int] | None, period: int) -> NDArray[np.uint16]:
+def checked_mosaic(mosaic: NDArray[Any], shape: tuple[int, int] | None, period: int) -> Mosaic:
     """Return the mosaic if it is a frame in DN, of the shape of the frames before or else large enough."""
     if mosaic.dtype != np.uint16:
         raise ArgumentError(
@@ -57,7 +62,7 @@ def checked_mosaic(mosaic: NDArray[Any], shape: tuple[int, int] | None, period: 
     return mosaic
 
 
-def checked_black_level(black_level_dn: Sequence[float], channels: int) -> NDArray[np.float64]:
+def checked_black_level(black_level_dn: Sequence[float], channels: int) -> Values:
     """Return the black levels, one per CFA channel."""
     black = np.asarray(black_level_dn, dtype=np.float64)
     if black.shape != (channels,) or not np.all(np.isfinite(black)):
@@ -76,14 +81,14 @@ class FrameSums:
         (H, W) True where a pixel is not to be used.
     """
 
-    def __init__(self, cfa: Cfa, defects: NDArray[np.bool_] | None = None) -> None:
+    def __init__(self, cfa: Cfa, defects: Mask | None = None) -> None:
         self.pattern = pattern_of(cfa)
         self.channels = channels_of(self.pattern)
         self.frames = 0
         self._defects = defects
         self._shape: tuple[int, int] | None = None
 
-    def _check(self, mosaic: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    def _check(self, mosaic: Mosaic) -> Mask:
         """Refuse a frame that is unlike those before, count it, and return the mask of defects."""
         height, width = checked_mosaic(mosaic, self._shape, len(self.pattern)).shape
         self._shape = height, width
@@ -98,7 +103,7 @@ class FrameSums:
         return self._defects
 
 
-def sums_by_row(values: NDArray[Any], pattern: NDArray[np.int64]) -> NDArray[np.int64]:
+def sums_by_row(values: NDArray[Any], pattern: Counts) -> Counts:
     """Return the sum of each row in each channel, (H, C), of integers or truth values."""
     sums = np.zeros((len(values), channels_of(pattern)), dtype=np.int64)
     period = len(pattern)
@@ -107,17 +112,17 @@ def sums_by_row(values: NDArray[Any], pattern: NDArray[np.int64]) -> NDArray[np.
     return sums
 
 
-def sums_by_line(values: NDArray[Any], pattern: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def sums_by_line(values: NDArray[Any], pattern: Counts) -> tuple[Counts, Counts]:
     """Return the sums of integers or truth values by (row, channel) and by (column, channel)."""
     return sums_by_row(values, pattern), sums_by_row(values.T, pattern.T)
 
 
-def groups_of_rows(height: int) -> NDArray[np.int64]:
+def groups_of_rows(height: int) -> Counts:
     """Return the group of each row, by pairs of rows as the kernels have it; scatter between groups gives errors."""
     return np.arange(height) // 2 % max(1, min(_GROUPS, height // 4))
 
 
-def classes_of_rows(pattern: NDArray[np.int64]) -> int:
+def classes_of_rows(pattern: Counts) -> int:
     """Return how many degrees of freedom channel means take from row means: the rank of the rows' composition."""
     composition = np.stack([np.bincount(row, minlength=channels_of(pattern)) for row in pattern])
     return int(np.linalg.matrix_rank(composition))

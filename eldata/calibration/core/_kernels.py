@@ -14,15 +14,12 @@ from eldata.base.compiled import kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Values
+
 
 @kernel
 def block_moments(
-    total: NDArray[np.uint32],
-    defects: NDArray[np.bool_],
-    side: int,
-    count: NDArray[np.int64],
-    sums: NDArray[np.int64],
-    squares: NDArray[np.float64],
+    total: NDArray[np.uint32], defects: Mask, side: int, count: Counts, sums: Counts, squares: Values
 ) -> None:
     """Write count, sum and sum of squared deviations of the sound pixels of each block of ``side`` x ``side``.
 
@@ -50,9 +47,7 @@ def block_moments(
 
 
 @kernel
-def channel_histograms(
-    mosaic: NDArray[np.uint16], defects: NDArray[np.bool_], pattern: NDArray[np.int64], counts: NDArray[np.int64]
-) -> None:
+def channel_histograms(mosaic: Mosaic, defects: Mask, pattern: Counts, counts: Counts) -> None:
     """Count the sound pixels by group of rows, channel and value in ``counts``; its last value takes all beyond."""
     period = pattern.shape[0]
     groups, last = counts.shape[0], counts.shape[2] - 1
@@ -68,14 +63,14 @@ def channel_histograms(
 
 @kernel
 def residual_sums(
-    mosaic: NDArray[np.uint16],
+    mosaic: Mosaic,
     total: NDArray[np.uint32],
-    defects: NDArray[np.bool_],
+    defects: Mask,
     frames: int,
-    pattern: NDArray[np.int64],
-    row_sums: NDArray[np.int64],
-    row_squares: NDArray[np.int64],
-    column_sums: NDArray[np.int64],
+    pattern: Counts,
+    row_sums: Counts,
+    row_squares: Counts,
+    column_sums: Counts,
 ) -> None:
     """Add the residuals by (row, channel) and by (column, channel), and their squares by row."""
     period = pattern.shape[0]
@@ -96,13 +91,7 @@ def residual_sums(
 
 @kernel
 def residual_histogram(
-    mosaic: NDArray[np.uint16],
-    total: NDArray[np.uint32],
-    defects: NDArray[np.bool_],
-    frames: int,
-    offsets: NDArray[np.int64],
-    step: int,
-    counts: NDArray[np.int64],
+    mosaic: Mosaic, total: NDArray[np.uint32], defects: Mask, frames: int, offsets: Counts, step: int, counts: Counts
 ) -> None:
     """Count the residuals less ``offsets`` (row, column phase) in cells of an odd ``step``, by group of rows.
 

@@ -19,15 +19,15 @@ from eldata.calibration.core._tukey_lambda import HIGHEST, LOWEST
 from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
-    from typing import Any, TypeAlias
+    from typing import Any
 
     from numpy.typing import NDArray
 
+    from eldata.calibration.core._frames import Counts, Values
     from eldata.calibration.core._rounding import LevelFractions, Rounded
     from eldata.calibration.core._tukey_lambda import ResidualModel
     from eldata.calibration.core.row_noise import OffsetResponse
 
-    Values: TypeAlias = NDArray[np.floating[Any]]
 
 CELLS_PER_SIGMA = 20
 _CORE = 6 * CELLS_PER_SIGMA  # cells that stay as they are; beyond, they merge to ever wider ones
@@ -71,11 +71,11 @@ class ResidualHistogram:
     row_pixels: float = math.inf
     rounding_dn: float = 1.0
     reach_dn: float = math.inf
-    squares_dn2: NDArray[np.float64] | None = field(default=None, repr=False)
+    squares_dn2: Values | None = field(default=None, repr=False)
     fractions: LevelFractions | None = field(default=None, repr=False)
 
     @property
-    def values_dn(self) -> NDArray[np.float64]:
+    def values_dn(self) -> Values:
         """Centre of each cell."""
         cells = self.counts.shape[1]
         return np.asarray((np.arange(cells) - cells // 2) * self.cell_dn, dtype=np.float64)
@@ -95,12 +95,12 @@ class ResidualCells:
         Width of the histogram's cells.
     """
 
-    starts: NDArray[np.int64] = field(repr=False)
+    starts: Counts = field(repr=False)
     observed: Values = field(repr=False)
     cell_dn: float
 
     @classmethod
-    def of(cls, counts: NDArray[np.int64], cell_dn: float, reach_dn: float) -> ResidualCells:
+    def of(cls, counts: Counts, cell_dn: float, reach_dn: float) -> ResidualCells:
         """Merge the cells of a histogram; beyond the reach all is one cell."""
         both = folded(counts)
         starts = _cell_starts(both.sum(axis=0), reach_dn / cell_dn)
@@ -119,7 +119,7 @@ class ResidualCells:
         sums[..., places[firsts]] = np.add.reduceat(values, firsts, axis=-1)
         return sums
 
-    def places(self, points: int, frames: int) -> NDArray[np.int64]:
+    def places(self, points: int, frames: int) -> Counts:
         """Return the cell of each of the points 0, 1, ... 1/n DN."""
         step = round(self.cell_dn * frames)
         cell = (np.arange(points) + step // 2) // step
@@ -174,7 +174,7 @@ class ResidualFit:
         return float(misfit.sum()) / freedom, freedom
 
 
-def folded(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+def folded(counts: Counts) -> Counts:
     """Return the counts of abs(residual): the distribution is symmetric."""
     centre = counts.shape[1] // 2
     both = counts[:, centre:].copy()
@@ -351,7 +351,7 @@ class _Rounding:
         return replace(rounded.response, relative_error=error / rounded.response.sigma_dn(seen))
 
 
-def centred(by_group: Values, sizes: Values | NDArray[np.int64]) -> Values:
+def centred(by_group: Values, sizes: Values | Counts) -> Values:
     """Return sums by group less their share of the whole, by the groups' sizes."""
     return np.asarray(by_group - np.multiply.outer(sizes / sizes.sum(), by_group.sum(axis=0)))
 
@@ -360,7 +360,7 @@ def _inside(at: Values) -> Values:
     return np.array([min(max(float(at[0]), LOWEST + 1e-3), HIGHEST), float(at[1])])
 
 
-def _cell_starts(both: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
+def _cell_starts(both: Counts, reach: float) -> Counts:
     """Return where the cells of the likelihood start: one by one in the core, then ever wider; the last is open."""
     starts = list(range(min(_CORE, len(both) - 1)))
     width = 1.0

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Values: TypeAlias = NDArray[np.floating[Any]]
+    from eldata.calibration.core._frames import Counts, Values
+
     Complex: TypeAlias = NDArray[np.complexfloating[Any, Any]]
 
 HARMONICS = 12
@@ -75,7 +76,7 @@ class LevelFractions:
         Over time, around these offsets.
     """
 
-    remainders: NDArray[np.int64] = field(repr=False)
+    remainders: Counts = field(repr=False)
     local_levels: Values = field(repr=False)
     dsnu_dn: Values
     rows: Values = field(repr=False)
@@ -83,7 +84,7 @@ class LevelFractions:
     pixel_variance_dn2: float
 
     @property
-    def pixels(self) -> NDArray[np.int64]:
+    def pixels(self) -> Counts:
         """By group and channel."""
         return np.asarray(self.remainders.sum(axis=2))
 
@@ -286,14 +287,7 @@ class RoundedResiduals:
         return folded, rounding
 
     def _term(
-        self,
-        k: int,
-        noise: _Noise,
-        frequency: Values,
-        nodes: Values,
-        shares: Values,
-        seen: Values,
-        blur2: float,
+        self, k: int, noise: _Noise, frequency: Values, nodes: Values, shares: Values, seen: Values, blur2: float
     ) -> Values:
         """Return a term of the sum over k, (fractions, frequencies), for row offsets at nodes, seen as these."""
         n = self.frames
@@ -347,7 +341,7 @@ class _Noise:
         value: Values = np.where(size < self._last, self._table(np.minimum(size, self._last)), 0.0)
         return value
 
-    def slopes(self, orders: NDArray[np.int64]) -> Values:
+    def slopes(self, orders: Counts) -> Values:
         """Return the derivative of Q at 2 pi times each positive order."""
         slopes: Values = self._table(2 * math.pi * orders, 1)
         return slopes

@@ -14,9 +14,8 @@ from eldata.noise.parameters import tukey_lambda_variance
 if TYPE_CHECKING:
     from typing import TypeAlias
 
-    from numpy.typing import NDArray
+    from eldata.calibration.core._frames import Values
 
-    Values: TypeAlias = NDArray[np.floating[Any]]
     Nodes: TypeAlias = tuple[Values, Values]
 
 LOWEST, HIGHEST = -0.49, 1.0
@@ -62,13 +61,7 @@ def tukey_lambda_tail(x: Any, shape: float) -> Any:
 
 
 @kernel
-def smoothed_tails(
-    x: NDArray[np.floating[Any]],
-    shape: float,
-    scale: float,
-    nodes: NDArray[np.floating[Any]],
-    weights: NDArray[np.floating[Any]],
-) -> Any:
+def smoothed_tails(x: Values, shape: float, scale: float, nodes: Values, weights: Values) -> Any:
     """Return P(scale X + U > x), U being the discrete distribution of nodes and weights."""
     tails = np.zeros(x.size)
     for i in range(x.size):
@@ -78,7 +71,7 @@ def smoothed_tails(
 
 
 @kernel
-def tail_from_table(x: float, unit: float, step: float, table: NDArray[np.floating[Any]]) -> Any:
+def tail_from_table(x: float, unit: float, step: float, table: Values) -> Any:
     """Return a symmetric distribution's P(X > x) from ln P on a grid of even steps in arsinh(x / unit), by cubics."""
     place = np.arcsinh(abs(x) / unit) / step
     last = table.size - 3
@@ -97,13 +90,7 @@ def tail_from_table(x: float, unit: float, step: float, table: NDArray[np.floati
 
 @kernel
 def mixture_tails(
-    edges: NDArray[np.floating[Any]],
-    own: float,
-    nodes: NDArray[np.floating[Any]],
-    weights: NDArray[np.floating[Any]],
-    unit: float,
-    step: float,
-    table: NDArray[np.floating[Any]],
+    edges: Values, own: float, nodes: Values, weights: Values, unit: float, step: float, table: Values
 ) -> Any:
     """Return P(own X + Z > edge) for each edge, with X from its table and Z discrete: nodes and weights."""
     tails = np.zeros(edges.size)

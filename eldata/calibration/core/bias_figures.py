@@ -1,6 +1,6 @@
 """What the second pass over bias frames gives: colour bias, row noise and read noise, whether or not black is clipped.
 
-Read noise has two estimators of one face (:class:`ReadNoiseSums`): by residuals (each value less its pixel's own mean,
+Read noise has two estimators of one face: by residuals (each value less its pixel's own mean,
 the channel's drift and the row's offset), or, where the noise reaches 0, so that a pixel's mean over the frames is not
 its level, by all values of a channel that are left above (:mod:`eldata.calibration.core._clipped_fit`).
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,18 +31,15 @@ from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from typing import TypeAlias
-
-    from numpy.typing import NDArray
 
     from eldata.calibration.core._clipped_fit import ClippedFit
+    from eldata.calibration.core._frames import Mosaic, Values
     from eldata.calibration.core._rounding import LevelFractions
     from eldata.calibration.core.defects import FixedPattern
     from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.core.row_noise import LineSums, RowNoise
 
-    Values: TypeAlias = NDArray[np.float64]
 
 _FRACTIONS = 128  # of a DN, in which local levels are counted
 _HALF = 8192  # cells on each side of 0
@@ -51,19 +48,6 @@ MOST_ZEROS = 0.75
 """Share of a channel's values that may be 0: of more, what is left is a tail, and which one is not known."""
 
 _REACH = 200  # standard deviations that are counted value by value
-
-
-class ReadNoiseSums(Protocol):
-    """Accumulates bias frames for an estimate of the read noise."""
-
-    def add(self, mosaic: NDArray[np.uint16], sums_of_lines: LineSums) -> None:
-        """Add a bias frame."""
-
-    def solve(self, lines: LineMeans) -> FixedPattern:
-        """Return what stays from frame to frame as it is without a clip, by what lines show, too."""
-
-    def figures(self, lines: LineMeans, bias: ColourBias) -> BiasFigures:
-        """Return the figures, given the bias of the recorded means; after :meth:`solve`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,9 +85,9 @@ class BiasSums:
 
     def __init__(self, fixed: FixedPattern) -> None:
         self._lines = LineMeans(fixed)
-        self._values: ReadNoiseSums = ClippedValues(fixed) if fixed.clips_at_black else Residuals(fixed)
+        self._values: ClippedValues | Residuals = ClippedValues(fixed) if fixed.clips_at_black else Residuals(fixed)
 
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
+    def add(self, mosaic: Mosaic) -> None:
         """Add a bias frame."""
         self._values.add(mosaic, self._lines.add(mosaic))
 
@@ -149,7 +133,7 @@ class Residuals:
         self._squares = np.zeros(len(self._counts))  # of residuals and of offsets, in units of 1/n DN
         self._offset_squares = 0.0
 
-    def add(self, mosaic: NDArray[np.uint16], sums_of_lines: LineSums) -> None:
+    def add(self, mosaic: Mosaic, sums_of_lines: LineSums) -> None:
         """Add a bias frame, with its sums by :func:`~eldata.calibration.core.row_noise.line_sums`."""
         from eldata.calibration.core._kernels import residual_histogram
 
@@ -254,7 +238,7 @@ class ClippedValues:
         self.counts = np.zeros((groups, channels_of(fixed.pattern), highest + 1), dtype=np.int64)
         self.added = 0
 
-    def add(self, mosaic: NDArray[np.uint16], sums_of_lines: LineSums) -> None:
+    def add(self, mosaic: Mosaic, sums_of_lines: LineSums) -> None:
         """Add a bias frame; what its lines show is in the means of all."""
         del sums_of_lines
         from eldata.calibration.core._kernels import channel_histograms

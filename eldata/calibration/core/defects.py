@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Values
     from eldata.raw.cfa import Cfa
 
 MINIMUM_FRAMES = 4
@@ -58,7 +59,7 @@ class PatternSummary:
     pixels: int
     dsnu_dn: tuple[float, ...]
     dsnu_error_dn: tuple[float, ...]
-    shading_dn: NDArray[np.float64] = field(repr=False)
+    shading_dn: Values = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,10 +89,10 @@ class FixedPattern:
         Defects, non-uniformity and shading.
     """
 
-    pattern: NDArray[np.int64] = field(repr=False)
+    pattern: Counts = field(repr=False)
     frames: int
     total_dn: NDArray[np.uint32] = field(repr=False)
-    defects: NDArray[np.bool_] = field(repr=False)
+    defects: Mask = field(repr=False)
     threshold_dn: tuple[float, ...]
     level_dn: tuple[float, ...]
     temporal_variance_dn2: tuple[float, ...]
@@ -112,11 +113,6 @@ class FixedPattern:
         """Whether the noise reaches 0, where recorded values end, so that residuals are not those of the noise."""
         return self.reach_dn < _LEAST_REACH * math.sqrt(max(self.temporal_variance_dn2))
 
-    @property
-    def mean_dn(self) -> NDArray[np.float32]:
-        """The mean frame, (H, W)."""
-        return (self.total_dn / self.frames).astype(np.float32)
-
 
 class BiasStack(FrameSums):
     """Accumulates bias frames for :func:`fixed_pattern`: the memory of some four mosaics, for any number of frames.
@@ -130,7 +126,7 @@ class BiasStack(FrameSums):
     def __init__(self, cfa: Cfa) -> None:
         super().__init__(cfa)
 
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
+    def add(self, mosaic: Mosaic) -> None:
         """Add a bias frame."""
         if self.frames >= _MOST_FRAMES:
             raise ArgumentError(f"a stack takes {_MOST_FRAMES} frames at most")
@@ -149,7 +145,7 @@ class BiasStack(FrameSums):
         self.squares += np.multiply(wide, wide, out=wide)
 
     @property
-    def scatter(self) -> NDArray[np.int64]:
+    def scatter(self) -> Counts:
         """Each pixel's variance over time, times n (n - 1), in ``squared_rows``, which have the frame's own CFA."""
         total = self.total[self.squared_rows].astype(np.int64)
         np.multiply(total, total, out=total)
@@ -221,7 +217,8 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     side = _BLOCK * len(pattern)
     grid = tuple(-(-length // side) for length in defects.shape)
 
-    def measure(channel: int) -> _Channel:
+    def measure(channel: int) -> tuple[Any, ...]:
+        """Return variance over time, level, non-uniformity and its error, shading, and noise of an entry of it."""
         blocks: list[tuple[NDArray[Any], ...]] = []
         added, squared, counted = 0, 0.0, 0
         for site in _sites(pattern, channel):
@@ -241,46 +238,35 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         mean = float((level * pixels).sum() / np.sum(pixels))
         dsnu, dsnu_error = _non_uniformity(blocks, variance / frames, variance_error / frames)
         shading = _with_edges(np.where(pixels > 0, level - mean, 0.0), np.asarray(pixels))
-        return _Channel(variance, mean, dsnu, dsnu_error, shading, max(float(np.median(pixels)), 1.0))
+        noise = math.sqrt((variance / frames + dsnu**2) / max(float(np.median(pixels)), 1.0))
+        return variance, mean, dsnu, dsnu_error, shading, noise
 
-    measured = [measure(channel) for channel in range(channels)]
+    variances, levels, dsnu, dsnu_error, shading, noise = zip(*map(measure, range(channels)), strict=True)
     return FixedPattern(
         pattern=pattern,
         frames=frames,
         total_dn=total,
         defects=defects,
         threshold_dn=tuple(limits),
-        level_dn=tuple(one.level for one in measured),
-        temporal_variance_dn2=tuple(one.variance for one in measured),
-        shading_error_dn=tuple(math.sqrt((one.variance / frames + one.dsnu**2) / one.block_pixels) for one in measured),
+        level_dn=levels,
+        temporal_variance_dn2=variances,
+        shading_error_dn=noise,
         summary=PatternSummary(
             defects=int(defects.sum()),
             off_level=off_level,
             stuck=stuck,
             pixels=defects.size,
-            dsnu_dn=tuple(one.dsnu for one in measured),
-            dsnu_error_dn=tuple(one.dsnu_error for one in measured),
-            shading_dn=np.stack([one.shading for one in measured]),
+            dsnu_dn=dsnu,
+            dsnu_error_dn=dsnu_error,
+            shading_dn=np.stack(shading),
         ),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Channel:
-    """What one channel's sound pixels show; ``block_pixels`` is how many pixels a block of the shading has."""
-
-    variance: float
-    level: float
-    dsnu: float
-    dsnu_error: float
-    shading: NDArray[np.float64]
-    block_pixels: float
 
 
 Site = tuple[slice, slice]
 
 
-def _sites(pattern: NDArray[np.int64], channel: int) -> Iterator[Site]:
+def _sites(pattern: Counts, channel: int) -> Iterator[Site]:
     period = len(pattern)
     for y, x in np.argwhere(pattern == channel):
         yield slice(y, None, period), slice(x, None, period)
@@ -304,7 +290,7 @@ def _from_median(values: NDArray[np.int32]) -> NDArray[np.int32]:
     return padded[:height, :width]
 
 
-def _with_edges(levels: NDArray[np.float64], pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+def _with_edges(levels: Values, pixels: Counts) -> Values:
     """Return the levels of blocks, those of a last row or column without a pixel from the one before."""
     for of_edge, counts in ((levels, pixels), (levels.T, pixels.T)):
         if len(of_edge) > 1 and not counts[-1].any():
@@ -312,7 +298,7 @@ def _with_edges(levels: NDArray[np.float64], pixels: NDArray[np.int64]) -> NDArr
     return levels
 
 
-def _stuck(stack: BiasStack, scatter: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _stuck(stack: BiasStack, scatter: Counts) -> Mask:
     """Return the pixels that never change, if the noise of the others makes that improbable."""
     lowest, highest, frames = stack.lowest, stack.highest, stack.frames
     constant = lowest == highest

@@ -23,8 +23,7 @@ from eldata.errors import ArgumentError, DatasetError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Plane, Values
     from eldata.raw.cfa import Cfa
 
 _LEVELS = 512  # from black to saturation
@@ -61,15 +60,15 @@ class PhotonTransferLine:
     intercept_dn2: float
     intercept_error: float
     chi2_per_dof: float
-    signal_dn: NDArray[np.float64] = field(repr=False)
-    variance_dn2: NDArray[np.float64] = field(repr=False)
-    variance_error_dn2: NDArray[np.float64] = field(repr=False)
+    signal_dn: Values = field(repr=False)
+    variance_dn2: Values = field(repr=False)
+    variance_error_dn2: Values = field(repr=False)
 
-    def variance_at(self, signal_dn: NDArray[np.float64]) -> NDArray[np.float64]:
+    def variance_at(self, signal_dn: Values) -> Values:
         """Return the line's variance at these signals, DN^2."""
         return self.gain_dn_per_e * signal_dn + self.intercept_dn2
 
-    def pooled(self, levels: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def pooled(self, levels: int) -> tuple[Values, Values, Values]:
         """Return the points pooled to at most ``levels``: weighted means of neighbours, which stay on a line."""
         order = np.argsort(self.signal_dn, kind="stable")
         groups = np.array_split(order, min(levels, order.size))
@@ -122,12 +121,7 @@ class FlatSums(FrameSums):
     """Sums of flat frames; parameters as :class:`FlatPairs`."""
 
     def __init__(
-        self,
-        cfa: Cfa,
-        black_level_dn: Sequence[float],
-        white_level_dn: float,
-        *,
-        defects: NDArray[np.bool_] | None = None,
+        self, cfa: Cfa, black_level_dn: Sequence[float], white_level_dn: float, *, defects: Mask | None = None
     ) -> None:
         super().__init__(cfa, defects)
         self.black = checked_black_level(black_level_dn, self.channels)
@@ -161,7 +155,7 @@ class FlatPairs(FlatSums):
         self._counts = np.zeros((self.channels, 65536), dtype=np.int64)
         self._saturation: tuple[Saturation | None, ...] | None = None
 
-    def add(self, first: NDArray[np.uint16], second: NDArray[np.uint16]) -> None:
+    def add(self, first: Mosaic, second: Mosaic) -> None:
         """Add two frames of the same scene, exposure and ISO; use each frame in one pair only.
 
         The light may change between the two, at once or from row to row: each segment of a row is scaled by its own
@@ -186,8 +180,7 @@ class FlatPairs(FlatSums):
             self.black,
             self.limit_dn,
             self._level_dn,
-            means,
-            noise,
+            *_across_rows(means, noise, len(self.pattern)),
             self._ratios(first, second, defects),
             _BRIGHT,
             _STEP,
@@ -196,9 +189,7 @@ class FlatPairs(FlatSums):
             self._sums,
         )
 
-    def _ratios(
-        self, first: NDArray[np.uint16], second: NDArray[np.uint16], defects: NDArray[np.bool_]
-    ) -> NDArray[np.float64]:
+    def _ratios(self, first: Mosaic, second: Mosaic, defects: Mask) -> Values:
         """Return the light of the first frame over that of the second, by channel; 1 where it is not well known."""
         period = len(self.pattern)
         ratios = np.ones(self.channels)
@@ -253,13 +244,13 @@ class FlatPairs(FlatSums):
         return float((products / variance).sum()) / total, total**-0.5
 
     @property
-    def _unclipped(self) -> NDArray[np.bool_]:
+    def _unclipped(self) -> Mask:
         whole, clipped, _ = np.moveaxis(self._segments, 2, 0)
-        unclipped: NDArray[np.bool_] = (self._sums[:, :, 0] > 0) & (clipped <= CLIPPED_SHARE * (whole + clipped))
+        unclipped: Mask = (self._sums[:, :, 0] > 0) & (clipped <= CLIPPED_SHARE * (whole + clipped))
         return unclipped
 
     @property
-    def _usable(self) -> NDArray[np.bool_]:
+    def _usable(self) -> Mask:
         usable = self._unclipped
         for channel, found in enumerate(self.saturation):
             if found is not None:
@@ -268,17 +259,17 @@ class FlatPairs(FlatSums):
                 usable[channel, chosen] = found.is_below(signal, spread)
         return usable
 
-    def _of(self, channel: int, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
+    def _of(self, channel: int, chosen: Mask) -> tuple[Values, ...]:
         """Return signal, variance, degrees of freedom, and variance of single frames of some levels of a channel."""
         freedom, variance, mean, spread = self._sums[channel, chosen, :4].T
         return mean / freedom, variance / freedom, freedom, spread / freedom
 
-    def points(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def points(self, channel: int) -> tuple[Values, Values, Values]:
         """Return signal (DN over black), variance (DN^2) and degrees of freedom of a channel's usable levels."""
         signal, variance, freedom, _ = self._of(channel, self._usable[channel])
         return signal, variance, freedom
 
-    def scatter(self, channel: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def scatter(self, channel: int) -> tuple[Values, Counts]:
         """Return how the variances of a channel's usable levels scatter, and the segments that show it.
 
         The mean square deviation of the segments' own variances from their level's, times their degrees of freedom,
@@ -288,6 +279,30 @@ class FlatPairs(FlatSums):
         segments = self._segments[channel, chosen, 0]
         freedom, variance, squares = self._sums[channel, chosen][:, [0, 1, 6]].T
         return (squares - variance**2 / freedom) / np.maximum(segments - 1, 1), segments
+
+
+def _across_rows(means: Plane, noises: Plane, period: int) -> tuple[Values, Values]:
+    """Return a pixel's variance about each segment, and what a parabola leaves of the means of the segments about it.
+
+    These are seven of the channel, ``period`` rows apart, or the one alone where the frame has fewer. The variance is
+    their median: rows beyond an edge may be brighter. What is left, a sum of squares, is not a number where a segment
+    has no sound pixel, which is not an edge.
+    """
+    row = np.arange(len(means))
+    first = np.where(row < 3 * period, row % period, row - 3 * period)
+    first -= period * np.maximum(-((len(means) - 1 - 6 * period - first) // period), 0)
+    places = np.where(first < 0, row, first + period * np.arange(7)[:, None])
+    total, centre, tilt, bend = np.zeros((4, *means.shape))
+    for x, there in enumerate(places, -3):
+        level = means[there].astype(np.float64) - means
+        total += level * level
+        centre += level
+        tilt += x * level
+        bend += (x * x - 4.0) * level
+    ordered = np.sort(noises[places], axis=0)
+    middle = np.isfinite(ordered).sum(axis=0, keepdims=True) // 2
+    noise = np.take_along_axis(ordered, middle, axis=0)[0].astype(np.float64)
+    return noise, total - centre * centre / 7 - tilt * tilt / 28 - bend * bend / 84
 
 
 def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
@@ -326,12 +341,7 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
 
 
 def _weighted_line(
-    signal: NDArray[np.float64],
-    variance: NDArray[np.float64],
-    freedom: NDArray[np.float64],
-    scatter: NDArray[np.float64],
-    segments: NDArray[np.int64],
-    channel: int,
+    signal: Values, variance: Values, freedom: Values, scatter: Values, segments: Counts, channel: int
 ) -> PhotonTransferLine:
     if len(signal) < 2 or not np.ptp(signal) > 0:
         raise DatasetError(
@@ -373,9 +383,7 @@ def _weighted_line(
     )
 
 
-def straight_line(
-    x: NDArray[np.float64], y: NDArray[np.float64], weight: NDArray[np.float64], error2: NDArray[np.float64]
-) -> tuple[float, float, tuple[float, float]]:
+def straight_line(x: Values, y: Values, weight: Values, error2: Values) -> tuple[float, float, tuple[float, float]]:
     """Return slope and intercept with these weights, and the variances of both if y has these."""
     total = float(weight.sum())
     centre = float(weight @ x) / total

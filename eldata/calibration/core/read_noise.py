@@ -21,11 +21,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.calibration.core.findings import FIT, ROUNDING, SHAPE
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.calibration.core._frames import Values
     from eldata.calibration.core._residual_fit import ResidualFit, ResidualHistogram
     from eldata.calibration.core._tukey_lambda import ResidualModel
     from eldata.calibration.core.defects import PatternSummary
@@ -90,7 +91,7 @@ class ReadNoise:
     ppcc_sigma_tl_dn: float = math.nan
     ppcc_lambda_plain: float = math.nan
     ppcc_sigma_plain_dn: float = math.nan
-    curve: NDArray[np.float64] = field(repr=False, default_factory=lambda: np.zeros((2, 0)))
+    curve: Values = field(repr=False, default_factory=lambda: np.zeros((2, 0)))
     r_squared_tl: float
     r_squared_gauss: float
     chi2_per_dof: float
@@ -128,9 +129,9 @@ class ProbabilityPlot:
         Of the two least-squares lines through the origin that all residuals, not just these points, make.
     """
 
-    ordered_dn: NDArray[np.float64] = field(repr=False)
-    normal: NDArray[np.float64] = field(repr=False)
-    tukey_lambda: NDArray[np.float64] = field(repr=False)
+    ordered_dn: Values = field(repr=False)
+    normal: Values = field(repr=False)
+    tukey_lambda: Values = field(repr=False)
     shape: float
     slope_normal_dn: float
     slope_tukey_lambda_dn: float
@@ -145,8 +146,6 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
 
     Raises
     ------
-    ArgumentError
-        If the histogram is malformed.
     DatasetError
         If it holds too few residuals, or all in a few cells.
     """
@@ -154,16 +153,6 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     from eldata.calibration.core._tukey_lambda import HIGHEST, LOWEST, ResidualModel, correlation, normal_correlation
 
     counts = histogram.counts
-    if counts.ndim != 2 or counts.shape[1] % 2 == 0 or not histogram.cell_dn > 0:
-        raise ArgumentError(
-            "a histogram is (groups, an odd number of cells) with cells of positive width; found shape "
-            f"{counts.shape}, width {histogram.cell_dn}"
-        )
-    if histogram.frames < 1 or not histogram.row_pixels > 1:
-        raise ArgumentError(
-            f"residuals are of 1 frame or more and rows of 2 pixels or more; found {histogram.frames} and "
-            f"{histogram.row_pixels}"
-        )
     total = counts.sum(axis=0)
     inner = total[1:-1]
     beyond = int(total[0] + total[-1])
@@ -288,7 +277,7 @@ def probability_plot(histogram: ResidualHistogram, read: ReadNoise) -> Probabili
     )
 
 
-def ppcc(values: NDArray[np.float64], counts: NDArray[Any]) -> tuple[float, float, NDArray[np.float64]]:
+def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:
     """Return the shape of the highest probability-plot correlation, the plot's slope there, and the curve.
 
     The curve is (2, 41): shapes from -0.45 to 0.55 and correlations.
@@ -322,7 +311,7 @@ def ppcc(values: NDArray[np.float64], counts: NDArray[Any]) -> tuple[float, floa
     return shape, correlation(values, weights, shape)[1], np.stack([shapes, curve])
 
 
-def _expected(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualFit) -> NDArray[np.float64]:
+def _expected(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualFit) -> Values:
     """Return the probability of each inner cell of the histogram."""
     from eldata.calibration.core._residual_fit import ResidualCells, folded
 

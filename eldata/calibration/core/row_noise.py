@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.calibration.core._frames import Counts, Mosaic, Plane, Values
     from eldata.calibration.core.defects import FixedPattern
 
-    Values: TypeAlias = NDArray[np.floating[Any]]
-    LineSums: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+    LineSums: TypeAlias = tuple[Counts, Counts, Counts]
 
 _NODE_DN = 0.04  # spacing of row offsets: what turns a dozen times per DN is still resolved
 _NODES_REACH = 5.0
@@ -122,13 +122,13 @@ class LineNoise:
     shapiro_p: float
     shapiro_values: int
     excess_kurtosis: float
-    quantiles: NDArray[np.float64] = field(repr=False)
-    ordered_dn: NDArray[np.float64] = field(repr=False)
+    quantiles: Values = field(repr=False)
+    ordered_dn: Values = field(repr=False)
     r_squared: float
-    frequency: NDArray[np.float64] = field(repr=False)
-    power_dn2: NDArray[np.float64] = field(repr=False)
-    deviations_dn: NDArray[np.float64] = field(repr=False)
-    fixed_dn: NDArray[np.float64] = field(repr=False)
+    frequency: Values = field(repr=False)
+    power_dn2: Values = field(repr=False)
+    deviations_dn: Values = field(repr=False)
+    fixed_dn: Values = field(repr=False)
 
     @property
     def normal_line_dn(self) -> tuple[float, float]:
@@ -136,7 +136,7 @@ class LineNoise:
         slope, level = np.polyfit(self.quantiles, self.ordered_dn, 1)
         return float(slope), float(level)
 
-    def smoothed_power_dn2(self, period: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def smoothed_power_dn2(self, period: int) -> tuple[Values, Values]:
         """Return the periodogram in neighbouring frequencies together, for a CFA of this period."""
         return smoothed_power(self.frequency, self.power_dn2, period)
 
@@ -183,13 +183,8 @@ class ColourBias:
     bias_dn: tuple[float, ...]
     standard_error_dn: tuple[float, ...]
     row_error_dn: tuple[float, ...]
-    frame_bias_dn: NDArray[np.float64] = field(repr=False)
+    frame_bias_dn: Values = field(repr=False)
     frames: int
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the CFA's channels."""
-        return ("R", "G1", "B", "G2") if len(self.bias_dn) == 4 else ("R", "G", "B")
 
 
 class LineMeans:
@@ -214,13 +209,13 @@ class LineMeans:
         self.fixed = fixed
         self.row_pixels, self.column_pixels = sums_by_line(~fixed.defects, fixed.pattern)
         self.row_totals, self.column_totals = sums_by_line(np.where(fixed.defects, 0, fixed.total_dn), fixed.pattern)
-        self.rows_dn: list[NDArray[np.float64]] = []
-        self.columns_dn: list[NDArray[np.float64]] = []
-        self.means_dn: list[NDArray[np.float64]] = []
-        self.row_variances_dn2: list[NDArray[np.float64]] = []
+        self.rows_dn: list[Values] = []
+        self.columns_dn: list[Values] = []
+        self.means_dn: list[Values] = []
+        self.row_variances_dn2: list[Values] = []
         self.squares = 0.0
 
-    def add(self, mosaic: NDArray[np.uint16]) -> LineSums:
+    def add(self, mosaic: Mosaic) -> LineSums:
         """Add a bias frame, and return its sums."""
         found = line_sums(mosaic, self.fixed)
         rows, squares, columns = found
@@ -249,7 +244,7 @@ def check_same_frames(added: int, fixed: FixedPattern) -> None:
         )
 
 
-def line_sums(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> LineSums:
+def line_sums(mosaic: Mosaic, fixed: FixedPattern) -> LineSums:
     """Return sums of one frame's residuals (n times the deviation from the pixel's mean) over its sound pixels.
 
     By (row, channel), their squares by row, and by (column, channel).
@@ -265,7 +260,7 @@ def line_sums(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> LineSums:
     return rows, squares, columns
 
 
-def levels_and_lines(sums: NDArray[Any], pixels: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def levels_and_lines(sums: NDArray[Any], pixels: Counts) -> tuple[Values, Values]:
     """Return each channel's mean in the frame, and that of each line over its channels, each less its own."""
     level = sums.sum(axis=0) / np.maximum(pixels.sum(axis=0), 1)
     return level, (sums - pixels * level).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
@@ -316,10 +311,10 @@ def row_noise(means: LineMeans, response: OffsetResponse | None = None) -> RowNo
 
 
 def _line_noise(
-    deviations: NDArray[np.float64],
-    pixels: NDArray[np.int64],
-    fixed_sums: NDArray[np.float64],
-    pattern: NDArray[np.int64],
+    deviations: Values,
+    pixels: Counts,
+    fixed_sums: Values,
+    pattern: Counts,
     pixel_variance: float,
     response: OffsetResponse | None,
 ) -> LineNoise:
@@ -421,7 +416,7 @@ _FREQUENCIES = 80
 _FREQUENCIES_TOGETHER = 4  # at least: a single one scatters by all of itself
 
 
-def power_spectrum(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> NDArray[np.float32]:
+def power_spectrum(mosaic: Mosaic, fixed: FixedPattern) -> Plane:
     """Return the centred power spectrum of a bias frame less its channels' means, DN^2 per pixel.
 
     The average over tiles of 256 x 256 pixels (up to 64 of them, evenly spread): white noise of variance s^2 gives s^2
@@ -453,34 +448,11 @@ def power_spectrum(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> NDArray[n
                     site -= np.nanmean(site)
             power += np.abs(np.fft.fft2(np.nan_to_num(tile))) ** 2
             tiles += 1
-    spectrum: NDArray[np.float32] = np.fft.fftshift(power / (tiles * TILE * TILE)).astype(np.float32)
+    spectrum: Plane = np.fft.fftshift(power / (tiles * TILE * TILE)).astype(np.float32)
     return spectrum
 
 
-@dataclass(frozen=True, slots=True)
-class SpectrumLines:
-    """The lines in a centred power spectrum, DN^2: its ground, and the means of the rows' and of the columns' line."""
-
-    ground_dn2: float
-    rows_dn2: float
-    columns_dn2: float
-
-    @classmethod
-    def of(cls, spectrum: NDArray[np.floating]) -> SpectrumLines:
-        """Measure them, without the frequencies next to 0, which are shading and drift in both directions."""
-        height, width = spectrum.shape
-        wide = np.asarray(spectrum, dtype=np.float64)
-        far = np.abs(np.arange(height) - height // 2) > 4
-        return cls(
-            ground_dn2=float(np.median(wide)),
-            rows_dn2=float(wide[far, width // 2].mean()),
-            columns_dn2=float(wide[height // 2, far].mean()),
-        )
-
-
-def smoothed_power(
-    frequency: NDArray[np.float64], power: NDArray[np.float64], period: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def smoothed_power(frequency: Values, power: Values, period: int) -> tuple[Values, Values]:
     """Return means of neighbouring frequencies, without those that taking off the channels' means has emptied.
 
     These are 0 and the multiples of one over the CFA's period.

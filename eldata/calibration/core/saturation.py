@@ -11,6 +11,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.calibration.core._frames import Counts, Mask, Values
+
 
 MARGIN = 0.02  # of the range from black to white: pixels so near to white count as saturated
 _PILE = 100  # pixels: chance moves so many by 10 %
@@ -57,20 +59,20 @@ class Saturation:
     statistic: float
     threshold: float
 
-    def is_below(self, signal_dn: NDArray[np.float64], spread_dn2: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_below(self, signal_dn: Values, spread_dn2: Values) -> Mask:
         """Return which levels it leaves alone."""
-        below: NDArray[np.bool_] = signal_dn + self.room * np.sqrt(spread_dn2) <= self.limit_dn
+        below: Mask = signal_dn + self.room * np.sqrt(spread_dn2) <= self.limit_dn
         return below
 
 
 def saturation(
-    counts: NDArray[np.int64],
+    counts: Counts,
     black_dn: float,
     limit_dn: float,
-    signal_dn: NDArray[np.float64],
-    variance_dn2: NDArray[np.float64],
-    freedom: NDArray[np.float64],
-    spread_dn2: NDArray[np.float64],
+    signal_dn: Values,
+    variance_dn2: Values,
+    freedom: Values,
+    spread_dn2: Values,
 ) -> Saturation | None:
     """Return where a channel saturates below the recorded white level, or ``None`` where nothing shows.
 
@@ -86,7 +88,7 @@ def saturation(
     return _piled_up(counts, black_dn, limit_dn) or _falling(black_dn, signal_dn, variance_dn2, freedom, spread_dn2)
 
 
-def _piled_up(counts: NDArray[np.int64], black_dn: float, limit_dn: float) -> Saturation | None:
+def _piled_up(counts: Counts, black_dn: float, limit_dn: float) -> Saturation | None:
     """Return where values end in a pile: at one value, or within some.
 
     The upper end of noise, whatever its light, falls towards the top: there a bin holds less than those below it.
@@ -107,11 +109,7 @@ def _piled_up(counts: NDArray[np.int64], black_dn: float, limit_dn: float) -> Sa
 
 
 def _falling(
-    black_dn: float,
-    signal_dn: NDArray[np.float64],
-    variance_dn2: NDArray[np.float64],
-    freedom: NDArray[np.float64],
-    spread_dn2: NDArray[np.float64],
+    black_dn: float, signal_dn: Values, variance_dn2: Values, freedom: Values, spread_dn2: Values
 ) -> Saturation | None:
     """Return from where the variance falls: below what the levels before foretell, for good, and in itself.
 
@@ -143,7 +141,7 @@ def _falling(
     return None
 
 
-def _grouped(freedom: NDArray[np.float64]) -> list[NDArray[np.intp]]:
+def _grouped(freedom: Values) -> list[NDArray[np.intp]]:
     """Return neighbouring levels by groups that know their variance well."""
     groups: list[NDArray[np.intp]] = []
     begin = 0
@@ -156,9 +154,7 @@ def _grouped(freedom: NDArray[np.float64]) -> list[NDArray[np.intp]]:
     return groups
 
 
-def _foretold(
-    x: NDArray[np.float64], y: NDArray[np.float64], freedom: NDArray[np.float64], at: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _foretold(x: Values, y: Values, freedom: Values, at: Values) -> tuple[Values, Values]:
     """Return the line through some levels at others, and its standard error there; of one level: that it rises."""
     if len(x) == 1:
         return np.full(len(at), y[0]), np.full(len(at), y[0] * math.sqrt(2 / freedom[0]))

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.calibration.core._frames import Mosaic
     from eldata.calibration.core.defects import FixedPattern
 
 _UNITS = 256  # of a DN: rows' means are rounded to them
@@ -56,7 +57,7 @@ class SingleFramePlot:
     tukey_lambda: float
 
 
-def single_frame_plot(mosaic: NDArray[np.uint16], fixed: FixedPattern) -> SingleFramePlot:
+def single_frame_plot(mosaic: Mosaic, fixed: FixedPattern) -> SingleFramePlot:
     """Return R^2 of the probability plots of a bias frame's sound pixels less their channels' and their rows' means."""
     from eldata.calibration.core._kernels import residual_histogram
     from eldata.calibration.core._tukey_lambda import correlation, normal_correlation
@@ -94,7 +95,7 @@ class FlatFrames(FlatSums):
         self.points: list[list[tuple[float, float]]] = [[] for _ in self.black]
         """Median over black and variance of each frame that is neither clipped nor saturated, by channel."""
 
-    def add(self, mosaic: NDArray[np.uint16]) -> None:
+    def add(self, mosaic: Mosaic) -> None:
         """Add a flat frame."""
         from eldata.calibration.core._kernels import channel_histograms
 

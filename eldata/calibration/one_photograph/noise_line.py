@@ -29,7 +29,8 @@ from eldata.errors import ArgumentError, DatasetError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Values = NDArray[np.floating[Any]]
+    from eldata.calibration.core._frames import Mask, Values
+
 
 WINDOW = 8
 _VERTICAL, _HORIZONTAL = np.mgrid[:WINDOW, :WINDOW]
@@ -85,7 +86,7 @@ class NoiseLine:
     channels_differ: bool
 
 
-def noise_line(packed: Values, usable: NDArray[np.bool_] | None = None) -> NoiseLine:
+def noise_line(packed: Values, usable: Mask | None = None) -> NoiseLine:
     """Estimate the line from a frame itself, whose noise is independent from pixel to pixel.
 
     What the smooth windows still have of the scene is taken off: how the highest frequencies follow the middle ones in
@@ -164,10 +165,10 @@ class _Windows:
     beside: Values
     highest: Values
     middle: Values
-    sound: NDArray[np.bool_]
+    sound: Mask
 
     @classmethod
-    def of(cls, packed: Values, usable: NDArray[np.bool_] | None) -> _Windows:
+    def of(cls, packed: Values, usable: Mask | None) -> _Windows:
         from scipy.fft import dctn
 
         channels, rows, columns = len(packed), packed.shape[1] // WINDOW, packed.shape[2] // WINDOW
@@ -196,12 +197,13 @@ class _Windows:
                 sound.ravel()[group] = False
         return cls(windows.mean, windows.beside, highest, middle, sound)
 
-    def groups(self, chosen: NDArray[np.bool_], brightness: Values | None = None) -> list[NDArray[np.intp]]:
-        """Return the chosen windows' flat indices in groups of like brightness: that beside them, or this one."""
+    def groups(
+        self, chosen: Mask, brightness: Values, most: int = _GROUPS, fewest: int = _FEWEST_IN_GROUP
+    ) -> list[NDArray[np.intp]]:
+        """Return the chosen windows' flat indices in groups of like brightness."""
         places = np.flatnonzero(chosen)
-        sorting = self.beside if brightness is None else brightness
-        places = places[np.argsort(sorting.ravel()[places], kind="stable")]
-        return np.array_split(places, max(1, min(_GROUPS, len(places) // _FEWEST_IN_GROUP)))
+        places = places[np.argsort(brightness.ravel()[places], kind="stable")]
+        return np.array_split(places, max(1, min(most, len(places) // fewest)))
 
     def excess(self, line: _Line) -> Values:
         """Return how much more the middle frequencies hold at each place, all channels together, as a share."""
@@ -213,7 +215,7 @@ class _Windows:
         from scipy.stats import chi2
 
         count = np.count_nonzero(_HIGHEST)
-        groups = self.groups(self.sound)
+        groups = self.groups(self.sound, self.beside)
         mean = np.array([self.mean.ravel()[group].mean() for group in groups])
         lowest = np.array([np.quantile(self.highest.ravel()[group], _LOWEST) for group in groups])
         variance = lowest * count / chi2.ppf(_LOWEST, count)
@@ -223,14 +225,14 @@ class _Windows:
         slope, offset = _least_squares(mean, variance, np.maximum(variance, floor) ** 2)
         return _Line(slope, offset, floor)
 
-    def fitted(self, chosen: NDArray[np.bool_], line: _Line, values: Values | None = None) -> _Line:
+    def fitted(self, chosen: Mask, line: _Line, values: Values | None = None) -> _Line:
         """Return the line through the groups' means of the highest frequencies, or of other values with its weights."""
         groups = _Groups.of(self, chosen, self.highest if values is None else values)
         found, square = groups.fitted(line)
         wider = math.sqrt(max(square, 1.0))
         return replace(found, slope_error=wider * found.slope_error, offset_error=wider * found.offset_error)
 
-    def fitted_by_parts(self, chosen: NDArray[np.bool_], line: _Line, values: Values) -> _Line:
+    def fitted_by_parts(self, chosen: Mask, line: _Line, values: Values) -> _Line:
         """Return the line with errors that are at least those of leaving out one part of the frame after another."""
         found, groups = self.fitted(chosen, line, values), _Groups.of(self, chosen, values)
         parts = [part for part in range(groups.counts.shape[1]) if groups.counts[:, part].any()]
@@ -274,7 +276,7 @@ class _Groups:
     values: Values
 
     @classmethod
-    def of(cls, windows: _Windows, chosen: NDArray[np.bool_], values: Values) -> _Groups:
+    def of(cls, windows: _Windows, chosen: Mask, values: Values) -> _Groups:
         down, across = _PARTS
         _, rows, columns = chosen.shape
         part = (np.arange(rows) * down // rows)[:, None] * across + np.arange(columns) * across // columns
@@ -282,23 +284,16 @@ class _Groups:
         by_channel = chosen.reshape(len(chosen), -1).sum(axis=1)
         # Too few windows for a slope in each channel that has some: one offset for all.
         together = bool((by_channel[by_channel > 0] < 2 * _FEWEST_OF_CHANNEL).all())
-        found: list[tuple[int, Any]] = []
-        for channel in range(1 if together else len(chosen)):
-            alone = chosen if together else np.zeros_like(chosen)
-            if not together:
-                alone[channel] = chosen[channel]
-            places = np.flatnonzero(alone)
-            if not len(places):
-                continue
-            places = places[np.argsort(windows.beside.ravel()[places], kind="stable")]
-            most, fewest = (_GROUPS, _FEWEST_IN_GROUP) if together else (_GROUPS_OF_CHANNEL, _FEWEST_OF_CHANNEL)
-            found += [(channel, one) for one in np.array_split(places, max(1, min(most, len(places) // fewest)))]
+        found: list[tuple[int, Any]] = [(0, one) for one in windows.groups(chosen, windows.beside) if together]
+        for channel in range(0 if together else len(chosen)):
+            if chosen[channel].any():
+                groups = windows.groups(_alone(chosen, channel), windows.beside, _GROUPS_OF_CHANNEL, _FEWEST_OF_CHANNEL)
+                found += [(channel, one) for one in groups]
 
         def summed(weights: Values | None) -> Values:
-            size = down * across
-            of_groups = (None if weights is None else weights.ravel()[one] for _, one in found)
             sums = [
-                np.bincount(parts[one], of_group, size) for (_, one), of_group in zip(found, of_groups, strict=True)
+                np.bincount(parts[one], None if weights is None else weights.ravel()[one], down * across)
+                for _, one in found
             ]
             return np.array(sums, dtype=np.float64)
 
@@ -338,6 +333,13 @@ class _Groups:
         return _Line(slope, offset, floor, *errors), square / max(len(mean) - len(of_channel) - 1, 1)
 
 
+def _alone(chosen: Mask, channel: int) -> Mask:
+    """Return the windows of one channel that are chosen."""
+    alone = np.zeros_like(chosen)
+    alone[channel] = chosen[channel]
+    return alone
+
+
 def _least_squares(x: Values, y: Values, variance: Values) -> tuple[float, float]:
     """Return slope and offset; of points without spread, slope 0."""
     weight = 1 / variance
@@ -350,7 +352,7 @@ def _least_squares(x: Values, y: Values, variance: Values) -> tuple[float, float
     return slope, float(weight @ y) / total - slope * middle
 
 
-def _check_found(smooth: NDArray[np.bool_], sound: NDArray[np.bool_]) -> None:
+def _check_found(smooth: Mask, sound: Mask) -> None:
     """Refuse a frame that has too few smooth windows."""
     count = np.count_nonzero(smooth)
     if count < _FEWEST_WINDOWS:
@@ -363,7 +365,7 @@ def _check_found(smooth: NDArray[np.bool_], sound: NDArray[np.bool_]) -> None:
         )
 
 
-def _check_white(mean: float, within: float, smooth: NDArray[np.bool_], sound: NDArray[np.bool_]) -> None:
+def _check_white(mean: float, within: float, smooth: Mask, sound: Mask) -> None:
     """Refuse a frame whose smooth windows have a mean excess of the middle frequencies that noise alone has not.
 
     Of white noise it lies around 0. Where noise is smoothed, the middle frequencies of all windows hold more than the
@@ -386,7 +388,7 @@ def _check_white(mean: float, within: float, smooth: NDArray[np.bool_], sound: N
         )
 
 
-def _with_channels(windows: _Windows, smooth: NDArray[np.bool_], settled: _Line, scene: Values) -> NoiseLine:
+def _with_channels(windows: _Windows, smooth: Mask, settled: _Line, scene: Values) -> NoiseLine:
     """Return the result: the line of all channels without what is of the scene, held against each channel's own."""
     from scipy.stats import chi2
 
@@ -394,8 +396,7 @@ def _with_channels(windows: _Windows, smooth: NDArray[np.bool_], settled: _Line,
     line = windows.fitted_by_parts(smooth, settled, windows.highest - scene)
     slopes, errors = [], []
     for index in range(len(smooth)):
-        alone = np.zeros_like(smooth)
-        alone[index] = smooth[index]
+        alone = _alone(smooth, index)
         enough = np.count_nonzero(alone) >= _FEWEST_WINDOWS
         own = windows.fitted(alone, line) if enough else _Line(math.nan, math.nan, 0.0)
         usable = math.isfinite(own.slope_error)

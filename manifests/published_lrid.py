@@ -6,6 +6,8 @@ gain is the exposure ratio.
 
 Sources: H. Feng et al., "Learnability Enhancement for Low-Light Raw Image Denoising: A Data Perspective", TPAMI 2024;
 the PMN repository's branch TPAMI: infos, README, get_dataset_infos.py, data_process/phone_datasets.py, trainer_LRID.py.
+
+No public text lists the dark frames: ``bias/6400`` and ``bias-hot/6400`` are read as whole folders, and are patterns.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from __future__ import annotations
 import pickletools
 import re
 from collections import Counter, defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -21,7 +23,9 @@ from eldata.base.fields import TextFile
 from eldata.base.files import write_text
 from eldata.base.tables import csv_text
 from eldata.errors import ManifestError
-from eldata.manifest.card import CameraCard, Card, Download
+from eldata.manifest.card import CameraCard, Card, Download, Subset
+from eldata.manifest.pairs import NOMINAL_RATIO, WARM_SENSOR
+from eldata.raw.stated import MosaicFacts
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
@@ -38,6 +42,13 @@ SCORED = {
     "indoor_x5": ("eval", (4, 14, 25, 41, 44, 51, 52, 53, 58)),
     "indoor_x3": ("", ()),
     "outdoor_x3": ("test", (9, 21, 22, 32, 44, 51)),
+}
+
+# Scenes that the published code takes the dark frames of a warm sensor for (PhoneBase_Dataset.hot_check).
+WARM = {
+    "indoor_x5": (6, 15, 33, 35, 37, 39, 46, 59),
+    "indoor_x3": (1, 2, 4, 5, 6, 10, *range(12, 20)),
+    "outdoor_x3": (*range(6), 7, *range(10, 20), 22, 26, 30, 51, 52, 54, 55, 56),
 }
 
 _COLUMNS = ("part", "scene", "gain", "exposure_ns", "orientation", "frames")
@@ -73,7 +84,10 @@ class Burst:
 
 def lrid_records(bursts: Iterable[Burst]) -> tuple[FrameRecord, ...]:
     """Return the rows of the set, sorted by path."""
-    rows: dict[str, FrameRecord] = {}
+    rows = {
+        f"{folder}/6400/*.dng": FrameRecord(f"{folder}/6400/*.dng", "bias", CAMERA, iso=ISO, flags=flags)
+        for folder, flags in (("bias", ()), ("bias-hot", (WARM_SENSOR,)))
+    }
     for burst in bursts:
         scene = f"{burst.part}-{burst.scene}"
         name, scored = SCORED[burst.part]
@@ -81,10 +95,10 @@ def lrid_records(bursts: Iterable[Burst]) -> tuple[FrameRecord, ...]:
         reference = f"{burst.part}/npy/GT_align_ours/{burst.scene}.npy"
         rows[reference] = FrameRecord(reference, "reference", CAMERA, scene, split, REFERENCE_ISO)
         exposure_s = Fraction(burst.exposure_ns, NANOSECONDS)
-        for path in burst.names:
-            rows[path] = FrameRecord(
-                path, "noisy", CAMERA, scene, split, ISO, exposure_s, Fraction(burst.gain), reference=reference
-            )
+        warm = (WARM_SENSOR,) if int(burst.scene) in WARM[burst.part] else ()
+        noisy = FrameRecord("", "noisy", CAMERA, scene, split, ISO, exposure_s, Fraction(burst.gain))
+        noisy = replace(noisy, reference=reference, flags=(NOMINAL_RATIO, *warm))
+        rows |= {path: replace(noisy, path=path) for path in burst.names}
     return tuple(sorted(rows.values(), key=lambda row: row.path))
 
 
@@ -180,6 +194,26 @@ def published_lrid(bursts: Iterable[Burst]) -> tuple[Card, tuple[FrameRecord, ..
                 notes="the first frame of each burst alone, by the authors",
             ),
         ),
+        subsets=(
+            Subset(
+                "indoor-first",
+                "first frame of each burst of 9 indoor scenes, all ratios",
+                f"{_CODE}, trainer_LRID.py --mode eval, data_process/phone_datasets.py",
+                45,
+                splits=("eval",),
+                first=True,
+            ),
+            Subset(
+                "outdoor-first",
+                "first frame of each burst of 6 outdoor scenes, all ratios",
+                f"{_CODE}, trainer_LRID.py --mode test, data_process/phone_datasets.py",
+                18,
+                splits=("test",),
+                first=True,
+            ),
+        ),
+        protocol="pmn-lrid",
+        mosaics=(MosaicFacts("*/npy/*.npy", "RGGB", (64.0,), 1023.0),),
         known_defects=(
             (
                 "The burst indoor_x5/6400/4/024 is listed with 8 frames, 001434 and 001435 being left out; the "
@@ -188,13 +222,18 @@ def published_lrid(bursts: Iterable[Burst]) -> tuple[Card, tuple[FrameRecord, ..
             ),
             (
                 "outdoor_x5 (7 scenes) was abandoned by the authors; it is in LRID_raw alone, and not listed here. "
-                "Dark frames (bias, bias-hot), frames of ISO 100 and metadata are not listed either."
+                "Frames of ISO 100 and metadata are not listed either."
             ),
             (
                 "In some scenes the sensor was in a hot mode with other dark frames: PhoneBase_Dataset.hot_check names "
-                "the scenes."
+                "the scenes, whose frames have the flag warm-sensor here, as those of bias-hot have."
             ),
-            "No checksums were published: eldata lock cannot record them before eldata can load the references.",
+            (
+                "References were fused from frames of ISO 100 whose exposure no file here states: the ratio is that of "
+                "the folders (flag nominal-ratio)."
+            ),
+            "LRID_simplified has the first frame of each burst alone: verify names the others as missing.",
+            "No checksums were published: eldata lock records those of your copy.",
         ),
         sources=(
             f"{_CODE}, infos/*.info: every file, exposure and ISO; README: layout, sizes",
@@ -208,23 +247,30 @@ def published_lrid(bursts: Iterable[Burst]) -> tuple[Card, tuple[FrameRecord, ..
         contents=(
             "139 scenes of a phone's IMX686, 60 indoor (gains 1, 2, 4, 8, 16), 57 outdoor and 22 indoor with an ND "
             "filter (gains 1, 2, 4), ten DNG frames of ISO 6400 for each gain, RGGB, 4624 x 3472; references in .npy, "
-            "fused and aligned from 25 frames of ISO 100"
+            "fused and aligned from 25 frames of ISO 100; dark frames of ISO 6400, and such of a warm sensor"
         ),
         levels="black 64, white 1023 for every file (the published code; 10 bits)",
         scored=(
             (
                 f"{_CODE}, trainer_LRID.py: the first frame of each burst of 9 indoor_x5 scenes (split eval) and 6 "
                 "outdoor_x3 scenes (split test), each gain by itself; reference clipped to [0, 1], the input not; "
-                "prediction clipped to [0, 1], whole frame, no scalar, PSNR and SSIM by scikit-image on packed values. "
-                "The authors' own input has dark shading subtracted."
+                "prediction clipped to [0, 1], whole frame, no scalar, PSNR and SSIM by scikit-image on packed values: "
+                "protocol pmn-lrid, subsets indoor-first and outdoor-first. The authors' own input has dark shading "
+                "subtracted."
             ),
-            "No protocol of eldata's: levels 64 and 1023 for every file cannot be said by one.",
+            (
+                "YOND's public code (fenghansen/YOND_public, commit a0b5d27) loads the set, with the black level of "
+                "the files, but what scores it (YOND_LRID.py) is not among its files."
+            ),
         ),
         unknown=(
             "The data type of the references' arrays, which are mosaics in DN.",
-            "How the files name the phone's model: eldata does not check it.",
-            "Whether LRID_simplified has the same folders and names.",
+            "How the files name the camera model: eldata does not check it.",
+            (
+                "Names, number and exposures of the dark frames: noiseparam-iso-6400.h5 in the PMN repository has "
+                "figures of 240 of them."
+            ),
+            "Whether LRID_simplified has the same names of files.",
         ),
-        unreadable="references are mosaics in .npy, of a data type that no public text states, and without levels",
     )
     return card, records

@@ -17,6 +17,7 @@ from .loading import evaluation_loader as evaluation_loader
 from .loading import set_epoch as set_epoch
 from .loading import training_loader as training_loader
 from .lrd import LRDDataset as LRDDataset
+from .lrid import LRIDDataset as LRIDDataset
 from .noise2noise import Noise2Noise as Noise2Noise
 from .packed import PackedClips as PackedClips
 from .packed import PackedStore as PackedStore

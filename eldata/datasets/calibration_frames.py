@@ -15,9 +15,10 @@ from eldata.base.numbers import counted
 from eldata.base.tables import frame_of
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError, did_you_mean
-from eldata.manifest.catalogue import data_root, load_manifest
+from eldata.manifest.catalogue import data_root, is_name, known_manifest, load_manifest
 from eldata.manifest.frame_files import FrameFiles
 from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
+from eldata.manifest.patterns import expand
 from eldata.raw.files import RAW_EXTENSIONS
 from eldata.records import FrameRecord
 
@@ -69,8 +70,9 @@ class CalibrationFrames:
     camera
         The camera's name; may be left out if there is one alone.
     manifest
-        A manifest's CSV file, whose rows of role ``bias`` and ``flat`` are taken in place of what the folders hold;
-        not those with the flag ``longer-dark`` or ``warm-sensor``, which are series of their own: give their folder.
+        A manifest's CSV file, or the name of a known set, whose rows of role ``bias`` and ``flat`` are taken in place
+        of what the folders hold; not those with the flag ``longer-dark`` or ``warm-sensor``, which are series of their
+        own: give their folder.
     isos
         Only these ISOs.
 
@@ -107,11 +109,11 @@ class CalibrationFrames:
         self.skipped: tuple[str, ...] = ()
         stated = None
         if manifest is not None:
-            loaded = load_manifest(manifest)
+            loaded = known_manifest(str(manifest)) if is_name(manifest) else load_manifest(manifest)
             self.root = loaded.folder() if root is None else Path(root)
             found = tuple(
                 record
-                for record in loaded.records
+                for record in expand(loaded.records, self.root)
                 if record.role in _ROLES and not {LONGER_DARK, WARM_SENSOR} & {*record.flags}
             )
             self.camera = _chosen_camera(camera, {record.camera for record in found}, str(loaded.path))

@@ -27,9 +27,9 @@ class Representation(TypedDict, total=False):
     ----------
     levels
         ``"published"``: white level 16383 for every camera; ``"metadata"``: the file's own. Black is the file's either
-        way. Or the constants of the SID code by name: :func:`eldata.raw.levels.with_levels`. RGB is divided by 65535.
-        By default those of the protocol that the set's card names: ``"published"`` of ELD and SID, ``"metadata"`` of a
-        set of one's own.
+        way. Or the constants of the SID code, or of LRID's, by name: :func:`eldata.raw.levels.with_levels`. RGB is
+        divided by 65535. By default those of the protocol that the set's card names: ``"published"`` of ELD and SID,
+        ``"metadata"`` of a set of one's own.
     clip
         Of the input. ``"both"``: the normalised frame is clipped to [0, 1] before and after it is multiplied by the
         ratio, as published; ``"upper"``: at 1 only, so that negative read noise is kept; ``"none"``. The target lies in

@@ -24,6 +24,7 @@ _ENTRIES: dict[str, tuple[str, dict[str, str]]] = {
     "drv": ("eldata.datasets.drv:DRVDataset", {}),
     "crvd": ("eldata.datasets.crvd:CRVDDataset", {}),
     "lrd": ("eldata.datasets.lrd:LRDDataset", {}),
+    "lrid": ("eldata.datasets.lrid:LRIDDataset", {}),
 }
 
 
@@ -34,7 +35,7 @@ def dataset_names() -> tuple[str, ...]:
     --------
     >>> from eldata.datasets import dataset_names
     >>> dataset_names()
-    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'crvd', 'lrd')
+    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'crvd', 'lrd', 'lrid')
     """
     return tuple(dict.fromkeys((*_ENTRIES, *registered_names())))
 

@@ -8,7 +8,7 @@ from eldata.base.arguments import spell_keywords
 from eldata.datasets.base import PairDataset, PairOptions
 from eldata.errors import ArgumentError, check_choice
 from eldata.manifest.pairs import splits_of
-from eldata.raw.levels import SID_LEVELS_DN
+from eldata.raw.levels import CAMERA_LEVELS_DN
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -85,8 +85,8 @@ class SIDDataset(PairDataset):
         check_choice("camera", camera, _MANIFESTS)
         shipped = _MANIFESTS[camera]
         levels, split = options.get("levels"), options.get("split")
-        if levels in SID_LEVELS_DN and levels != shipped:
-            raise ArgumentError(f"levels {levels!r} are of the other camera; those of {camera!r} are {shipped!r}")
+        if levels in CAMERA_LEVELS_DN and levels != shipped:
+            raise ArgumentError(f"levels {levels!r} are of another camera; those of {camera!r} are {shipped!r}")
         names = splits_of(split)
         if names is not None:
             for name in names:

@@ -374,10 +374,12 @@ def notes_of(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResul
         )
     notes += _white_level_notes(result.scores, scored)
     levels = plan.protocol.levels
-    if scores and levels in ONE_CAMERAS_LEVELS and "published" not in (scored.equal_choices or {}).get("levels", ()):
+    same = {"metadata", "published"} & {*(scored.equal_choices or {}).get("levels", ())}
+    if scores and levels in ONE_CAMERAS_LEVELS and not same:
+        other = "others" if levels == "lrid" else "another black level"
         notes.append(
             f"{LEVELS[levels]} was taken for every file, as protocol {plan.protocol.name} has it; some of these files "
-            "state another black level"
+            f"state {other}"
         )
     if "task" in result.provenance and scores:
         notes.append(_task_note(result.provenance["task"]))

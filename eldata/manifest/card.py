@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import json_text, path_problem, write_text
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.records import FrameRecord, PairRecord
+
+OfPair = TypeVar("OfPair", "PairRecord", "FrameRecord")
 
 OWN_PROTOCOL = "raw"
 """The protocol of a card that names none, such as that of a set of one's own."""
@@ -106,6 +108,9 @@ class Subset:
         Wanted values; empty means all.
     paths
         Pattern of the noisy frames' paths, with ``*`` and ``?`` as in a shell.
+    first
+        Whether of each burst, which is what has a reference, an ISO and a ratio in common, only the first frame by path
+        belongs to it.
     """
 
     name: str
@@ -115,14 +120,27 @@ class Subset:
     splits: tuple[str, ...] = ()
     scenes: tuple[str, ...] = ()
     paths: str = "*"
+    first: bool = False
 
     def holds(self, pair: PairRecord | FrameRecord) -> bool:
-        """Return whether a pair, or the row of a noisy frame, belongs to this subset."""
+        """Return whether a pair, or the row of a noisy frame, belongs to this subset, but for ``first``."""
         return (
             (not self.splits or pair.split in self.splits)
             and (not self.scenes or pair.scene in self.scenes)
             and fnmatchcase(pair.path, self.paths)
         )
+
+    def members(self, rows: Iterable[OfPair]) -> list[OfPair]:
+        """Return those of a dataset's pairs, or rows of noisy frames, that belong to this subset."""
+        held = [row for row in rows if self.holds(row)]
+        if not self.first:
+            return held
+        first: dict[object, str] = {}
+        for row in held:
+            burst = row.reference, row.iso, row.ratio
+            first[burst] = min(row.path, first.get(burst, row.path))
+        paths = set(first.values())
+        return [row for row in held if row.path in paths]
 
     def choose(self, pairs: Sequence[PairRecord]) -> list[PairRecord]:
         """Return the pairs of this subset, given all pairs of a dataset.
@@ -132,7 +150,7 @@ class Subset:
         ManifestError
             If their number is not the expected one.
         """
-        chosen = [pair for pair in pairs if self.holds(pair)]
+        chosen = self.members(pairs)
         if len(chosen) != self.pairs:
             raise ManifestError(
                 f"subset {self.name!r}: the card expects {self.pairs} pairs, the manifest has {len(chosen)}"
@@ -364,6 +382,7 @@ def _subset(entry: Fields) -> Subset:
         splits=entry.texts("splits", missing_ok=True, empty=True),
         scenes=entry.texts("scenes", missing_ok=True, empty=True),
         paths=entry.optional("paths", entry.text, "*"),
+        first=entry.optional("first", entry.flag, default=False),
     )
 
 
@@ -374,4 +393,8 @@ def save_card(path: Path, card: Card) -> None:
 
 def card_text(card: Card) -> str:
     """Return a dataset card as it is written."""
-    return json_text({name: value for name, value in asdict(card).items() if name != "mosaics" or value})
+    fields = {name: value for name, value in asdict(card).items() if name != "mosaics" or value}
+    for subset in fields["subsets"]:
+        if not subset["first"]:
+            del subset["first"]
+    return json_text(fields)

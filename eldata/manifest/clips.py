@@ -174,7 +174,7 @@ def choose_clips(
     name = choice.get("subset")
     if name is not None:
         subset = find_subset(subsets, name)
-        chosen = [row for row in noisy if subset.holds(row)]
+        chosen = subset.members(noisy)
         clips = {row.scene for row in chosen}
         if len(clips) != subset.pairs:
             raise ManifestError(

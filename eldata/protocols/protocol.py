@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from eldata.metrics.image_score import ScoringRules
 
 
-Levels = Literal["metadata", "published", "metadata-per-channel", "sid-sony", "sid-fuji"]
+Levels = Literal["metadata", "published", "metadata-per-channel", "sid-sony", "sid-fuji", "lrid"]
 Clip = Literal["both", "upper", "none"]
 Amplification = Literal["metadata", "nominal", "measured"]
 Space = Literal["raw", "srgb"]
@@ -33,7 +33,7 @@ Covariance = Literal["sample", "population"]
 
 ANY_DATASET = "any"
 
-ONE_CAMERAS_LEVELS: tuple[Levels, ...] = ("sid-sony", "sid-fuji")
+ONE_CAMERAS_LEVELS: tuple[Levels, ...] = ("sid-sony", "sid-fuji", "lrid")
 """Levels that are constants of one camera, whatever the file states."""
 
 NO_SHADING = "none"
@@ -59,7 +59,8 @@ class Protocol:
     levels
         Levels that normalise the reference. ``published``: white is 16383, black the file's; ``metadata``: the file's
         own; ``metadata-per-channel``: LibRaw's white level of each channel; ``sid-sony``, ``sid-fuji``: the constants
-        that the SID code has for every file of a camera, and PMN's too (:mod:`eldata.raw.levels`).
+        that the SID code has for every file of a camera, and PMN's too; ``lrid``: PMN's for the phone of LRID
+        (:mod:`eldata.raw.levels`).
     reference_clip
         Clip of the normalised reference: to [0, 1], ``upper`` at 1 only, or ``none``.
     region
@@ -184,7 +185,7 @@ class Protocol:
         return response_of(self.response)
 
     @property
-    def frame_levels(self) -> Literal["metadata", "published", "sid-sony", "sid-fuji"]:
+    def frame_levels(self) -> Literal["metadata", "published", "sid-sony", "sid-fuji", "lrid"]:
         """The levels of the datasets' frames, which have one white level for all channels."""
         return "metadata" if self.levels == "metadata-per-channel" else self.levels
 

@@ -20,6 +20,7 @@ LEVELS = {
     "metadata-per-channel": "LibRaw's white of each channel, black the file's",
     "sid-sony": "black 512, white 16383",
     "sid-fuji": "black 1024, white 16383",
+    "lrid": "black 64, white 1023",
 }
 CLIPS = {"both": "to [0, 1]", "upper": "at 1 only", "none": "none"}
 _CLAMPS = {"both": "to [0, 1], before and after the factor", "before": "to [0, 1] before the factor", "none": "none"}
@@ -150,7 +151,7 @@ def summary(protocol: Protocol) -> tuple[str, ...]:
     else:
         pairs = [f"{protocol.as_dict()['frame_count'] or 'all'} frames per clip"]
     levels = {"published": "16383", "metadata": "file", "metadata-per-channel": "file, channel"}
-    levels |= {"sid-sony": "16383, black 512", "sid-fuji": "16383, black 1024"}
+    levels |= {"sid-sony": "16383, black 512", "sid-fuji": "16383, black 1024", "lrid": "1023, black 64"}
     scalar = "yes" if protocol.factor_region == protocol.region else f"yes ({_region(protocol.factor_region)})"
     space = {"raw": "raw", "srgb": "sRGB, 8 bit" if protocol.rounding != "none" else "sRGB"}[protocol.space]
     if protocol.prediction_space == "srgb":

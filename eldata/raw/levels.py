@@ -35,18 +35,20 @@ Levels = Literal["metadata", "published"]
 LEVELS: tuple[Levels, ...] = get_args(Levels)
 
 # Choices of both levels: those above, and the constants of one camera.
-FrameLevels = Literal[Levels, "sid-sony", "sid-fuji"]
+FrameLevels = Literal[Levels, "sid-sony", "sid-fuji", "lrid"]
 FRAME_LEVELS: tuple[FrameLevels, ...] = get_args(FrameLevels)
 
 # The ELD and SID code divide by this white level for every camera, whatever its real one (ELD repository,
 # sid_dataset.py; SID repository, test_Sony.py and test_Fuji.py).
 PUBLISHED_WHITE_LEVEL_DN = 16383.0
 
-# Black and white level that the SID code has for every file of a camera (the same places). The ELD code takes the black
-# level of a Bayer file from the file, and that of X-Trans from here.
-SID_LEVELS_DN: dict[str, tuple[float, float]] = {
+# Black and white level that published code has for every file of a camera: the SID code (the same places), and for the
+# phone of LRID PMN's (branch TPAMI, data_process/phone_datasets.py). The ELD code takes the black level of a Bayer file
+# from the file, and that of X-Trans from here.
+CAMERA_LEVELS_DN: dict[str, tuple[float, float]] = {
     "sid-sony": (512.0, PUBLISHED_WHITE_LEVEL_DN),
     "sid-fuji": (1024.0, PUBLISHED_WHITE_LEVEL_DN),
+    "lrid": (64.0, 1023.0),
 }
 
 
@@ -66,8 +68,8 @@ def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
     """Return a sensor with the chosen black and white level.
 
     ``"metadata"``: the file's own. ``"published"``: white is 16383, black is the file's, per CFA channel.
-    ``"sid-sony"`` (512 and 16383) and ``"sid-fuji"`` (1024 and 16383): the constants of the SID code, for comparison
-    with numbers that were made with it.
+    ``"sid-sony"`` (512 and 16383), ``"sid-fuji"`` (1024 and 16383) and ``"lrid"`` (64 and 1023): the constants of the
+    SID code and of PMN's for LRID, for comparison with numbers that were made with them.
 
     Raises
     ------
@@ -77,7 +79,7 @@ def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
     check_choice("levels", levels, FRAME_LEVELS)
     if levels == "metadata" or levels == "published":  # spelt out so that mypy narrows the type
         return replace(sensor, white_level_dn=white_level_dn(sensor, levels))
-    black, white = SID_LEVELS_DN[levels]
+    black, white = CAMERA_LEVELS_DN[levels]
     return replace(sensor, black_level_dn=(black,) * len(sensor.black_level_dn), white_level_dn=white)
 
 

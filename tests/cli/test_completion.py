@@ -22,7 +22,7 @@ WORDS = {
     ("veri",): ["verify"],
     ("evaluate", "--data"): ["--dataset"],
     ("evaluate", "x", "--dataset", "sid"): ["sid-fuji", "sid-sony", "sidd"],
-    ("evaluate", "x", "--protocol", "pmn"): ["pmn", "pmn-eld", "pmn-sid"],
+    ("evaluate", "x", "--protocol", "pmn"): ["pmn", "pmn-eld", "pmn-lrid", "pmn-sid"],
     ("verify", "lr"): ["lrd", "lrid"],
     ("synthesize", "x", "--camera", "SonyA"): ["SonyA7S2", "SonyA7S2-PMN"],
     ("profile", "sh"): ["show"],

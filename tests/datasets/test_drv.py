@@ -229,7 +229,8 @@ def test_levels_come_from_the_file(raw: Path) -> None:
     black = np.array(SENSOR.black_level_dn, np.float64)[:, None, None]
     np.testing.assert_allclose(own.numpy() * (16300 - black), published.numpy() * (16383 - black), atol=0.01)
     with pytest.raises(
-        ArgumentError, match="levels must be one of 'metadata', 'published', 'sid-sony', 'sid-fuji'; found 'mine'"
+        ArgumentError,
+        match="levels must be one of 'metadata', 'published', 'sid-sony', 'sid-fuji', 'lrid'; found 'mine'",
     ):
         DRVDataset(raw, form="raw", levels="mine")  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="clip must be one of"):

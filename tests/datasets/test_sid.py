@@ -137,7 +137,9 @@ def test_the_published_constants_by_name() -> None:
     for name, (black, channels) in {"sid-sony": (512.0, 4), "sid-fuji": (1024.0, 3)}.items():
         sensor = with_levels(SENSORS[name], name)  # type: ignore[arg-type]
         assert (sensor.black_level_dn, sensor.white_level_dn) == ((black,) * channels, 16383.0)
-    with pytest.raises(ArgumentError, match="levels must be one of 'metadata', 'published', 'sid-sony', 'sid-fuji'"):
+    with pytest.raises(
+        ArgumentError, match="levels must be one of 'metadata', 'published', 'sid-sony', 'sid-fuji', 'lrid'"
+    ):
         with_levels(SENSORS["sid-sony"], "sid")  # type: ignore[arg-type]
 
 
@@ -250,8 +252,11 @@ def test_eval_is_validation_and_test(sid: Path) -> None:
         ({"ratios": [200]}, "no pair has ratio 200; known are 100, 250, 300"),
         ({"exclude_flags": ["bad"]}, "no pair has flag bad; known are misaligned"),
         ({"split": "train", "subset": "indoor-15"}, "no pair has all of the wanted"),
-        ({"levels": "sid"}, "levels must be one of 'metadata', 'published', 'sid-sony', 'sid-fuji'; found 'sid'"),
-        ({"levels": "sid-fuji"}, "of the other camera; those of 'sony' are 'sid-sony'"),
+        (
+            {"levels": "sid"},
+            "levels must be one of 'metadata', 'published', 'sid-sony', 'sid-fuji', 'lrid'; found 'sid'",
+        ),
+        ({"levels": "sid-fuji"}, "of another camera; those of 'sony' are 'sid-sony'"),
         ({"amplification": "exif"}, "amplification must be one of 'metadata', 'nominal', 'measured'; found 'exif'"),
         ({"clip": "lower"}, "clip must be one of"),
     ],

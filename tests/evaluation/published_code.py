@@ -4,7 +4,7 @@ It shares no code with the package, on purpose: nothing of ``eldata`` may be imp
 and the function that it follows. The repositories, at these commits:
 
 - ELD: Vandermode/ELD, 53d5408
-- PMN: megvii-research/PMN, d207d3e
+- PMN: megvii-research/PMN, d207d3e; on LRID its branch TPAMI, 9f985ba
 - LED: Srameo/LED, ee3d372
 - LRD: fengzhang427/LRD, 451f079
 - SID: cchen156/Learning-to-See-in-the-Dark, 0448b58
@@ -21,9 +21,11 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import nullcontext
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache, partial
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import exifread
@@ -68,15 +70,22 @@ class Route:
     score: Callable[[Array, Array, Path], Score]
 
     def of_prediction(self, mosaic: Array, reference: Path) -> Score:
-        with rawpy.imread(str(reference)) as raw:
+        with opened(reference) as raw:
             return self.score(self.arranged(mosaic, raw), self.target(raw), reference)
 
     def of_input(self, noisy: Path, reference: Path) -> Score:
         """Score a network that returns what it is given."""
-        with rawpy.imread(str(reference)) as raw:
+        with opened(reference) as raw:
             target = self.target(raw)
-        with rawpy.imread(str(noisy)) as raw:
+        with opened(noisy) as raw:
             return self.score(self.given(raw, self.ratio(noisy, reference)), target, reference)
+
+
+def opened(path: Path) -> Any:
+    """A raw file, or a mosaic in .npy in its place: PMN utils.py dataload, branch TPAMI."""
+    if path.suffix == ".npy":
+        return nullcontext(SimpleNamespace(raw_image_visible=np.load(path)))
+    return rawpy.imread(str(path))
 
 
 # --- how frames are packed --------------------------------------------------------------------------------------------
@@ -200,6 +209,21 @@ def sony_frame(raw: Any, ratio: float | None = None) -> Array:
     return given
 
 
+def lrid_frame(raw: Any, ratio: float | None = None) -> Array:
+    """PMN, branch TPAMI, data_process/process.py raw2bayer with bl 64 and wp 1023 (runfiles/IMX686/Ours.yml).
+
+    data_process/phone_datasets.py IMX686_Dataset, ``__getitem__``: a reference is clipped, an input multiplied by the
+    gain of its folder (ori is false) and not clipped (clip is false) before trainer_LRID.py clamps it to be scored. The
+    dark shading, which is subtracted first, is data and not of a protocol; it is left out.
+    """
+    black = np.array([0, 0, 0, 0]) + 64
+    normalised = (bayer_in_place(dn(raw), raw) - black[:, None, None]) / (1023 - black[:, None, None])
+    if ratio is None:
+        return unit(normalised).astype(np.float32)
+    given: Array = normalised.astype(np.float32) * np.float32(ratio)
+    return given
+
+
 def led_levels(raw: Any) -> Array:
     """LED led/data/raw_utils.py read_img: LibRaw's white level per channel, or its one where there are none."""
     stated = raw.camera_white_level_per_channel
@@ -252,6 +276,12 @@ def ratio_by_names_and_iso(noisy: Path, reference: Path) -> float:
     return (100 * long) / (float(iso) * short)
 
 
+def ratio_by_folder(noisy: Path, reference: Path) -> float:
+    """PMN, branch TPAMI, get_dataset_infos.py get_IMX686_info_short: the folder's name."""
+    del reference
+    return float(noisy.parent.parent.name)
+
+
 def ratio_by_number(noisy: Path, reference: Path) -> float:
     """PMN data_process/real_datasets.py ELD_Dataset: the nominal one, here from where the frame lies in its scene."""
     del reference
@@ -292,7 +322,10 @@ def eld_score(output: Array, target: Array, reference: Path) -> Score:
 
 
 def uncorrected_score(output: Array, target: Array, reference: Path) -> Score:
-    """The same without the corrector; LRD test_denoise_SID.py and test_denoise_ELD.py, where it is commented out."""
+    """The same without the corrector; LRD test_denoise_SID.py and test_denoise_ELD.py, where it is commented out.
+
+    PMN trainer_LRID.py eval, branch TPAMI, which clamps to [0, 1] first.
+    """
     del reference
     return assessed(output, target)
 
@@ -520,6 +553,7 @@ BAYER = {
     "sony-sid": on_sid(SONY),
     "pmn-eld": PMN,
     "sony-eld": SONY,
+    "pmn-lrid": Route(bayer_in_place, lrid_frame, lrid_frame, ratio_by_folder, uncorrected_score),
     "led-sid": on_sid(LED),
     "led-eld": LED,
     "lrd-sid": on_sid(LRD),

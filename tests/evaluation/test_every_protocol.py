@@ -746,8 +746,8 @@ def test_black_levels_of_xtrans(name: str, tmp_path: Path) -> None:
 
 
 def test_every_shipped_protocol_is_compared() -> None:
-    """The clips' in ``test_video``."""
-    assert {*ELD_COUNTS, *SID_COUNTS, *CENTRE, "lrd-lrd", "raw"} == {*published_code.BAYER}
+    """The clips' in ``test_video``, LRID's in ``test_lrid``."""
+    assert {*ELD_COUNTS, *SID_COUNTS, *CENTRE, "lrd-lrd", "pmn-lrid", "raw"} == {*published_code.BAYER}
     assert {*published_code.BAYER, *published_code.RENDERED, *published_code.CLIPS} == {*PROTOCOLS}
     assert {name for name in PROTOCOLS if PROTOCOLS[name].kind is not IMAGES} == {*published_code.CLIPS}
 

@@ -1,4 +1,4 @@
-"""LRID, SIDD and CRVD, which have a manifest but cannot be loaded yet, and the sets that have a card alone."""
+"""LRID; SIDD and CRVD, which have a manifest but cannot be loaded yet; and the sets that have a card alone."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 FACTS = shipped_folder() / "facts"
 GENERATED = ("lrid", "sidd", "crvd")
-UNREADABLE = ("lrid", "sidd")
+UNREADABLE = ("sidd",)
 ALONE = ("aim25", "fivek", "lld", "rawnind")
 
 
@@ -79,7 +79,7 @@ def test_lrid_has_the_files_of_the_info_files() -> None:
         if part == "indoor_x5":
             expected[Fraction(4), "indoor_x5-024"] = 8
         assert found == expected
-    assert Counter(record.role for record in records) == {"noisy": 3000 + 1710 + 660 - 2, "reference": 139}
+    assert Counter(record.role for record in records) == {"noisy": 3000 + 1710 + 660 - 2, "reference": 139, "bias": 2}
     assert not [record for record in records if "outdoor_x5" in record.path], "which the authors abandoned"
 
 
@@ -104,7 +104,38 @@ def test_lrid_splits_are_the_scenes_that_the_published_code_scores() -> None:
     scored = {split: {r.scene for r in records if r.split == split} for split in ("eval", "test")}
     assert scored["eval"] == {f"indoor_x5-{number:03d}" for number in (4, 14, 25, 41, 44, 51, 52, 53, 58)}
     assert scored["test"] == {f"outdoor_x3-{number:03d}" for number in (9, 21, 22, 32, 44, 51)}
-    assert {record.split for record in records} == {"eval", "test", "train"}
+    assert {record.split for record in records if record.role != "bias"} == {"eval", "test", "train"}
+
+
+def test_lrid_subsets_are_first_frames_of_bursts() -> None:
+    """As the published code takes them: frame 0 of the sorted names, each gain."""
+    manifest = shipped_manifest("lrid")
+    for subset, split, gains in (("indoor-first", "eval", (1, 2, 4, 8, 16)), ("outdoor-first", "test", (1, 2, 4))):
+        found = select_pairs(manifest.records, manifest.card.subsets, subset=subset)
+        bursts: dict[str, list[str]] = {}
+        for record in manifest.records:
+            if record.role == "noisy" and record.split == split:
+                bursts.setdefault(record.path.rpartition("/")[0], []).append(record.path)
+        assert [pair.path for pair in found] == sorted(min(paths) for paths in bursts.values())
+        assert Counter(pair.ratio for pair in found) == dict.fromkeys(map(Fraction, gains), len(found) // len(gains))
+
+
+def test_lrid_says_which_scenes_the_sensor_was_warm_in() -> None:
+    """The numbers that hot_check has: 8, 14 and 25 scenes; the two outdoor ones that are scored among them."""
+    records = shipped_manifest("lrid").records
+    warm = {record.scene for record in records if record.role == "noisy" and "warm-sensor" in record.flags}
+    assert Counter(str(scene).partition("-")[0] for scene in warm) == {
+        "indoor_x5": 8,
+        "indoor_x3": 14,
+        "outdoor_x3": 25,
+    }
+    scored = {record.scene for record in records if record.split in ("eval", "test")}
+    assert warm & scored == {"outdoor_x3-022", "outdoor_x3-051"}
+    assert {r.path: r.flags for r in records if r.role == "bias"} == {
+        "bias/6400/*.dng": (),
+        "bias-hot/6400/*.dng": ("warm-sensor",),
+    }
+    assert all("nominal-ratio" in record.flags for record in records if record.role == "noisy")
 
 
 def info_files(folder: Path, change: Any = None) -> Path:

@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from importlib.resources import as_file, files
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 import torch
 from scipy.linalg import hadamard
 from torch import nn
 
-from eldata.baselines.unet import UNet
+from eldata.base.files import sha256_of
+from eldata.baselines.tiling import tiled
+from eldata.baselines.unet import UNet, load_weights
+from eldata.errors import DatasetError
 
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Values = NDArray[np.floating[Any]]
+
+_WEIGHTS = "noise_aware.safetensors"
+_TILE, _OVERLAP = 1024, 192  # packed pixels; a quarter of the overlap is as far as the network sees
 _SOFT = 8.0  # standard deviations of noise up to which details are about linear
 _REACH = 5  # of the mean that is taken off, in pixels of the halved image
 
@@ -96,3 +110,49 @@ class NoiseAwareUNet(nn.Module):
         with torch.autocast(noisy.device.type, enabled=False):
             off = torch.einsum("ij,nihw->njhw", matrix, off.float())
             return undo(values - nn.functional.pixel_shuffle(off, 2), slope, black)
+
+
+def remove_noise(image: Values, slope: float, offset: float, black: tuple[float, ...]) -> NDArray[np.float32]:
+    """Return the estimate of the network that ships, on a GPU if torch sees one.
+
+    Parameters
+    ----------
+    image
+        (4, h, w), packed, normalised and amplified, negative values kept.
+    slope, offset, black
+        Of its noise (:class:`eldata.baselines.classical.SignalNoise`).
+
+    Raises
+    ------
+    DatasetError
+        If it has other channels than Bayer's four.
+    FileError
+        If the weights are not there or not its own: the installation is damaged.
+    """
+    if len(image) != len(_COLOURS):
+        raise DatasetError(
+            f"the network takes packed Bayer frames of 4 channels; found {len(image)}: take dct or anscombe-bm3d"
+        )
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    network, (slopes, offsets) = _network(device), torch.tensor([[slope], [offset]], device=device)
+
+    def run(part: NDArray[np.float32]) -> Values:
+        with torch.inference_mode():
+            made = network(torch.from_numpy(part)[None].to(device), slopes, offsets)
+        return np.asarray(made[0].cpu().numpy())
+
+    taken = image - np.array(black or (0.0,) * len(image))[:, None, None]
+    return tiled(run, taken.astype(np.float32), tile=_TILE, overlap=_OVERLAP, multiple=network.multiple)
+
+
+@lru_cache(maxsize=1)
+def _network(device: str) -> NoiseAwareUNet:
+    network = NoiseAwareUNet()
+    load_weights(network, _WEIGHTS)
+    return network.to(device).eval()
+
+
+def weights_digest() -> str:
+    """Return the hash of the weights that ship, which names them in ``predictions.json``."""
+    with as_file(files("eldata.baselines") / _WEIGHTS) as path:
+        return sha256_of(path)

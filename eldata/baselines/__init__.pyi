@@ -7,6 +7,7 @@ from .predicting import BaselineDenoiser as BaselineDenoiser
 from .predicting import Denoiser as Denoiser
 from .predicting import write_predictions as write_predictions
 from .tiling import tiled as tiled
+from .told_noise import denoise as denoise
 from .training import Training as Training
 from .training import absolute_error as absolute_error
 from .training import clip_error as clip_error

@@ -44,10 +44,14 @@ class SignalNoise:
         Variance per unit of signal, 0 or more.
     offset
         Variance without light, above 0.
+    black
+        Mean of each packed channel without light, which the frame's black level is off by; empty: not known. Only
+        ``network`` takes it off: the published methods know of no colour bias.
     """
 
     slope: float
     offset: float
+    black: tuple[float, ...] = ()
 
     def variance(self, signal: Values) -> Values:
         """Return the variance where the expected signal is this; below 0 it is that of no light."""
@@ -69,7 +73,8 @@ def noise_of_parameters(parameters: NoiseParameters, *, ratio: float, range_dn: 
     scale = ratio / range_dn
     gauss, row = float(parameters.sigma_gauss_dn), float(parameters.sigma_row_dn)
     rounding = parameters.quantisation_step_dn**2 / 12
-    return SignalNoise(float(parameters.gain_dn_per_e) * scale, (gauss**2 + row**2 + rounding) * scale**2)
+    black = tuple(bias * scale for bias in parameters.colour_bias_dn)
+    return SignalNoise(float(parameters.gain_dn_per_e) * scale, (gauss**2 + row**2 + rounding) * scale**2, black)
 
 
 def noise_of_image(image: Values) -> SignalNoise:
@@ -294,15 +299,18 @@ class Baseline:
         Whether it looks at the noise at all.
     needs
         The packages that it needs beyond those of eldata, by the modules that it imports.
+    has_weights
+        Whether it was trained: then the hash of its weights is part of what decides its predictions.
     """
 
     title: str
     denoise: Callable[[Values, SignalNoise | None], Values]
     uses_noise: bool = True
     needs: Mapping[str, str] = field(default_factory=dict)
+    has_weights: bool = False
 
     def versions(self) -> dict[str, str]:
-        """Return the versions of the packages that it needs.
+        """Return the versions of the packages that it needs, and the hash of its weights.
 
         Raises
         ------
@@ -311,7 +319,12 @@ class Baseline:
         """
         for module in self.needs:
             _imported(module)
-        return {package: version(package) for package in self.needs.values()}
+        found = {package: version(package) for package in self.needs.values()}
+        if self.has_weights:
+            from eldata.baselines.noise_aware import weights_digest
+
+            found["weights_sha256"] = weights_digest()
+        return found
 
 
 _WAVELET = {"pywt": "PyWavelets", "skimage.restoration": "scikit-image"}  # which asks for the first only at work
@@ -381,6 +394,13 @@ def _bm3d_of_white(image: Values) -> Values:
     return np.moveaxis(np.asarray(bm3d.bm3d(last, 1.0, profile)), -1, 0)
 
 
+def _network(image: Values, line: SignalNoise | None) -> Values:
+    from eldata.baselines.noise_aware import remove_noise
+
+    line = _known(line)
+    return remove_noise(image, line.slope, line.offset, line.black)
+
+
 def _in_brightness(image: Values, denoise: Callable[[Values], Values]) -> Values:
     """Denoise brightness and differences of colour, in which white noise stays white."""
     matrix = decorrelation(len(image))
@@ -397,6 +417,7 @@ BASELINES: Mapping[str, Baseline] = MappingProxyType(
         "anscombe-bm3d": Baseline(
             "BM3D of stabilised values, exact unbiased inverse (A-BM3D)", _anscombe_bm3d, needs=_BM3D
         ),
+        "network": Baseline("the network that ships, told the noise", _network, has_weights=True),
     }
 )
-"""The denoisers without training, by the names that ``eldata baseline`` and ``--baseline`` take."""
+"""The denoisers that need no training of yours, by the names that ``eldata baseline`` and ``--baseline`` take."""

@@ -52,6 +52,8 @@ class NoisyFrame:
         The frame itself, as in the manifest.
     iso
         ISO speed, if it is known.
+    has_own_black
+        Whether a dark shading was taken off, and the camera's colour bias with it.
     window
         Of a frame of a clip: ``frame.window(5)`` is (5, C, h, w) float32, the frame in the middle of those around it.
         At the clip's ends those inside are mirrored (:func:`mirrored_window`). :class:`DatasetError` if there is no
@@ -65,6 +67,7 @@ class NoisyFrame:
     path: str
     iso: float | None
     window: Callable[[int], NDArray[np.float32]]
+    has_own_black: bool = False
 
 
 @dataclass(slots=True, eq=False)
@@ -114,7 +117,8 @@ class NoisyFrames:
         if self.protocol.input_space == "srgb":
             image = rendered_frame(image, frame, self.protocol.curve).astype(np.float32)
             return NoisyFrame(image, ratio, math.nan, pair, path, iso or None, near)
-        return NoisyFrame(image, ratio, white[0] - float(np.mean(black)), pair, path, iso or None, near)
+        range_dn, is_black = white[0] - float(np.mean(black)), self.dark_shading is not None
+        return NoisyFrame(image, ratio, range_dn, pair, path, iso or None, near, is_black)
 
     def _window(self, path: str, length: int) -> Values:
         if self.clip is None:

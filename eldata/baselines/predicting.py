@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -14,15 +14,10 @@ from eldata import __version__
 from eldata.base.files import inside, remove_leftovers
 from eldata.base.numbers import counted
 from eldata.base.workers import Failed, require_files
-from eldata.baselines.classical import (
-    BASELINES,
-    SignalNoise,
-    noise_of_image,
-    noise_of_parameters,
-    noise_of_patches,
-)
+from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_patches
 from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames
 from eldata.baselines.prediction_folder import ANSWERS, begun, remarks_on
+from eldata.baselines.told_noise import estimate_line, line_of_profile
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.evaluation.layouts import stem_of
 from eldata.evaluation.pairs import files_of, frames_of, place_of
@@ -32,8 +27,6 @@ from eldata.evaluation.request import make_request
 from eldata.manifest.card import CHANNELS
 from eldata.manifest.clips import clips_of, setting_name
 from eldata.manifest.patterns import expand
-from eldata.noise.gain_modes import rows_nearest, rows_of
-from eldata.noise.parameters import NoiseParameters
 from eldata.noise.profile import profile_of
 from eldata.protocols.kinds import IMAGES
 from eldata.protocols.named import protocols_for
@@ -83,7 +76,7 @@ class Denoiser(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BaselineDenoiser:
-    """A denoiser without training (:data:`eldata.baselines.BASELINES`).
+    """A denoiser that needs no training of yours (:data:`eldata.baselines.BASELINES`).
 
     Attributes
     ----------
@@ -150,43 +143,12 @@ class BaselineDenoiser:
         if self.noise is not None:
             return noise_of_patches(frame.image)
         if not self.profiles:
-            try:
-                return noise_of_image(frame.image)
-            except DatasetError as error:
-                raise DatasetError(
-                    f"{error}. With the camera's noise given (--profile, profiles=...) the frame need not tell it"
-                ) from error
+            return estimate_line(frame.image)
         if math.isnan(frame.range_dn):
             raise ArgumentError("a profile is of raw frames, and these are in RGB; leave --profile out")
         profile = profile_of(frame.pair.camera, self.profiles, another=self.profile_of_another_camera)
-        if frame.iso is None:
-            raise DatasetError(f"{frame.path}: its ISO is not known, so the profile does not tell its noise")
-        if frame.range_dn <= 1:
-            raise DatasetError(
-                f"{frame.path}: its white level is 1, so it holds shares of white and no DN, and the profile is in DN; "
-                "leave the profile out"
-            )
-        return noise_of_parameters(typical(profile, float(frame.iso)), ratio=frame.ratio, range_dn=frame.range_dn)
-
-
-def typical(profile: CameraProfile, iso: float) -> NoiseParameters:
-    """Return a profile's figures at an ISO: as measured there, else on its lines.
-
-    Raises
-    ------
-    ArgumentError
-        If the ISO lies beyond the calibrated ones, or between two gain modes.
-    """
-    try:
-        return profile.measured(iso)
-    except ArgumentError:
-        gain = profile.gain_at_iso(iso)
-    mode = profile.mode_at(gain)
-    rows = rows_of(mode, profile.rows, profile.modes)
-    nearest = (rows_nearest(gain, rows) or rows)[0]  # lambda goes with the gain
-    scale, gauss, row = (fit.scale_dn(gain, 0.0) for fit in (mode.tukey_lambda_fit, mode.gauss_fit, mode.row_fit))
-    step = profile.quantisation_step_dn
-    return NoiseParameters(gain, nearest.tukey_lambda, scale, gauss, row, quantisation_step_dn=step)
+        line = line_of_profile(profile, frame.path, frame.iso, ratio=frame.ratio, range_dn=frame.range_dn)
+        return replace(line, black=()) if frame.has_own_black else line
 
 
 @dataclass(frozen=True, slots=True)

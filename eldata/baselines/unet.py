@@ -214,14 +214,25 @@ def reference_network() -> UNet:
     368648
     """
     network = blank_reference()
-    with as_file(files("eldata.baselines") / _REFERENCE) as path:
+    load_weights(network, _REFERENCE)
+    return network
+
+
+def load_weights(network: nn.Module, name: str) -> None:
+    """Give a network the weights of a file that ships.
+
+    Raises
+    ------
+    FileError
+        If they are not there or not its own: the installation is damaged.
+    """
+    with as_file(files("eldata.baselines") / name) as path:
         try:
             network.load_state_dict(load_file(path))
         except Exception as error:  # safetensors and torch raise what their parts raise
             raise FileError(path, f"is not what was shipped; install eldata again ({type(error).__name__})") from error
-    return network
 
 
-def save_weights(network: UNet, path: Path) -> None:
+def save_weights(network: nn.Module, path: Path) -> None:
     """Write a network's weights in half precision, as they ship: half of the size, and rounded by 5e-4 of each."""
     save_file({name: value.half().contiguous() for name, value in network.state_dict().items()}, path)

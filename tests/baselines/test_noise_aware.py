@@ -1,0 +1,189 @@
+"""The network that is told the noise: its transformation, and its training."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from eldata.baselines import noise_aware, unet
+from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_parameters, stabilised
+from eldata.baselines.noise_aware import NoiseAwareUNet, remove_noise, stabilise, undo
+from eldata.baselines.predicting import BaselineDenoiser, write_predictions
+from eldata.baselines.told_noise import denoise
+from eldata.datasets import Arrays, SyntheticPairs
+from eldata.demo.camera import CAMERAS
+from eldata.demo.evaluation import known_profile
+from eldata.demo.scenes import scene_radiance
+from eldata.errors import ArgumentError, DatasetError, FileError
+from eldata.noise import LED_RANGES, NoiseModel, NoiseParameters, VirtualCameras
+from eldata.noise.parameters import tukey_lambda_variance
+from eldata.raw import read_raw
+from tests.trees import frame, tree_in
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "train_noise_aware.py"
+WEIGHTS = Path(noise_aware.__file__).with_name("noise_aware.safetensors")
+NOISY = 4  # of the tree's frames, at factor 100
+LINES = {"shot noise": (0.05, 1e-6), "both": (0.01, 1e-4), "read noise": (1e-6, 0.01), "read noise alone": (0.0, 0.01)}
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_above_black_the_transform_is_anscombes_and_leads_back(name: str) -> None:
+    """The other one, in numpy, was checked against its definition (test_classical.py)."""
+    slope, offset = LINES[name]
+    line, signals = SignalNoise(slope, offset), np.linspace(-0.3, 1.5, 1000)
+    known = torch.tensor([slope, offset], dtype=torch.float64)
+    values, black = stabilise(torch.from_numpy(signals), *known)
+    theirs = stabilised(signals, line) - stabilised(np.zeros(1), line)
+    np.testing.assert_allclose(values[signals >= 0], theirs[signals >= 0], rtol=1e-6, atol=1e-4)
+    assert bool((values.diff() > 0).all()), "below black nothing is cut off"
+    np.testing.assert_allclose(undo(values, known[0], black), signals, rtol=1e-9, atol=1e-12)
+
+
+def test_before_its_training_it_returns_its_input() -> None:
+    noisy = torch.randn(4, 4, 16, 24, generator=torch.Generator().manual_seed(0)) + 0.5
+    slope, offset = torch.tensor(list(LINES.values())).T
+    with torch.inference_mode():
+        torch.testing.assert_close(NoiseAwareUNet(width=4)(noisy, slope, offset), noisy, rtol=1e-5, atol=1e-6)
+
+
+def test_noise_has_one_deviation_behind_the_transform() -> None:
+    """4,096 draws each of 64 signals from 20 electrons: that of one has an error of 0.011; the transform's is 0.01."""
+    generator = np.random.default_rng(0)
+    signals, slope, sigma = np.geomspace(20, 2000, 64)[:, None], 0.001, 0.003
+    noisy = slope * generator.poisson(signals, (64, 4096)) + generator.normal(0, sigma, (64, 4096))
+    values, _ = stabilise(torch.from_numpy(noisy), torch.tensor(slope), torch.tensor(sigma**2))
+    assert np.std(values.numpy(), axis=1) == pytest.approx(1, abs=0.01 + 5 * 0.011)
+    assert float(values.std(dim=1).mean()) == pytest.approx(1, abs=0.01 + 5 * 0.0014)
+
+
+@pytest.fixture
+def example(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """The script of the training, with three frames, and epochs of nine steps."""
+    spec = importlib.util.spec_from_file_location("train_noise_aware", EXAMPLE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    small = {"FRAMES": {"still life": 1, "picture": 1, "leaves": 1}, "SIDE": 64, "EPOCH": 9, "BATCH": 2, "CROP": 32}
+    for name, value in {**small, "VALIDATION": (32, 3)}.items():
+        monkeypatch.setattr(module, name, value)
+    threads = torch.get_num_threads()
+    yield module
+    torch.set_num_threads(threads)
+
+
+def test_the_training_goes_on_and_is_ended_on_a_copy(example: Any, tmp_path: Path) -> None:
+    made = [example.clean_frame("leaves", 2, np.random.default_rng([5, 2])) for _ in range(2)]
+    assert np.array_equal(*made)
+    assert made[0].shape == (4, 64, 64)
+    assert 0 <= made[0].min() < made[0].max() <= 1
+    given = ["--width", "4", "--precision", "float32"]
+    example.main([str(tmp_path), "--steps", "18", *given])
+    begun = (tmp_path / "checkpoint.pt").read_bytes()
+    assert (tmp_path / "curve.csv").read_text(encoding="utf-8").count("\n") == 3
+    example.main([str(tmp_path), "--cooldown", "9", "--export", str(tmp_path / "w.safetensors"), *given])
+    assert (tmp_path / "checkpoint.pt").read_bytes() == begun
+    network = NoiseAwareUNet(width=4)
+    network.load_state_dict(load_file(tmp_path / "w.safetensors"))
+    assert network.network.last.weight.detach().any(), "it was trained"
+    with (tmp_path / "cooldown-9.csv").open(encoding="utf-8") as file:
+        assert all(np.isfinite(float(value)) for line in csv.DictReader(file) for value in line.values())
+
+
+def test_the_mean_of_the_weights_is_what_is_used(example: Any) -> None:
+    """After n steps with weights w, a mean that began at 0 is w (1 - (1 - share)^n)."""
+    network = example.Averaged(NoiseAwareUNet(width=4), share=0.25)
+    with torch.no_grad():
+        network.network.network.last.bias.fill_(2.0)
+        for _ in range(3):
+            network.train()(torch.zeros(1, 4, 8, 8), torch.ones(1), torch.ones(1))
+    bias = network.average.network.last.bias
+    torch.testing.assert_close(bias, torch.full_like(bias, 2 * (1 - 0.75**3)))
+
+
+# --- the one that ships -----------------------------------------------------------------------------------------------
+
+
+def test_the_network_is_as_small_as_it_is_said_to_be() -> None:
+    assert WEIGHTS.stat().st_size < 2_000_000
+    with torch.inference_mode():
+        assert sum(one.numel() for one in NoiseAwareUNet().parameters()) == 971_582
+
+
+def test_tiles_are_not_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quarter of the overlap is as far as it sees, so that tiles make what the whole frame makes."""
+    image = np.random.default_rng(0).random((4, 300, 530)).astype(np.float32)
+    whole = remove_noise(image, 0.05, 1e-3, ())
+    monkeypatch.setattr(noise_aware, "_TILE", 384)
+    np.testing.assert_allclose(remove_noise(image, 0.05, 1e-3, ()), whole, atol=1e-5)
+
+
+def test_what_black_is_off_by_is_taken_off() -> None:
+    image = np.random.default_rng(1).random((4, 32, 32)).astype(np.float32)
+    black = (0.01, 0.02, -0.03, 0.0)
+    less = (image - np.array(black)[:, None, None]).astype(np.float32)
+    assert np.array_equal(remove_noise(image, 0.05, 1e-3, black), remove_noise(less, 0.05, 1e-3, ()))
+    parameters = NoiseParameters(2.0, 0.0, 3.0, 4.0, 0.5, (1.0, -2.0, 3.0, 0.5))
+    found = noise_of_parameters(parameters, ratio=100.0, range_dn=10_000.0).black
+    assert found == pytest.approx((0.01, -0.02, 0.03, 0.005), rel=1e-12)
+
+
+def test_other_mosaics_are_refused() -> None:
+    with pytest.raises(DatasetError, match="4 channels; found 9"):
+        BASELINES["network"].denoise(np.zeros((9, 32, 32), np.float32), SignalNoise(0.1, 0.01))
+
+
+def test_a_damaged_installation_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = tmp_path / "baselines" / WEIGHTS.name
+    place.parent.mkdir()
+    shutil.copy(WEIGHTS.with_name("reference.safetensors"), place)
+    monkeypatch.setattr(unet, "files", lambda _: place.parent)
+    with pytest.raises(FileError, match="install eldata again"):
+        unet.load_weights(NoiseAwareUNet(), WEIGHTS.name)
+
+
+def test_denoise_makes_what_the_command_makes(demo_tree: Path, tmp_path: Path) -> None:
+    tree, out = tree_in(demo_tree), tmp_path / "p"
+    profiles = tuple(known_profile(camera, (800, 1600, 3200)) for camera in CAMERAS)
+    denoiser = BaselineDenoiser("network", profiles)
+    report = write_predictions(denoiser, "", out, manifest=tree.csv, root=tree.root, cameras=["DemoAlpha"])
+    assert (report.written, report.problems) == (6, ())
+    made = np.load((out / frame(NOISY)).with_suffix(".npy"))
+    noisy, pair = read_raw(tree.file(NOISY)), next(one for one in tree.manifest.records if one.path == frame(NOISY))
+    ratio = float(pair.ratio or 0)
+    np.testing.assert_allclose(denoise(noisy, profiles[0], ratio=ratio, levels="published"), made, atol=1e-6)
+    with pytest.raises(DatasetError, match="its ISO is not known"):
+        denoise(replace(noisy, exposure=replace(noisy.exposure, iso=None)), profiles[0])
+    with pytest.raises(ArgumentError, match="ratio"):
+        denoise(noisy, profiles[0], ratio=0.0)
+
+
+@pytest.mark.parametrize(("gain", "ratio"), [(0.05, 1.0), (0.05, 300.0), (1.0, 100.0), (4.0, 200.0), (20.0, 300.0)])
+def test_it_is_never_worse_than_its_input(gain: float, ratio: float) -> None:
+    """Six cameras of another seed, two scenes of the demo's kind with numbers beyond all that it was trained on."""
+    cameras = VirtualCameras(6, replace(LED_RANGES, gain_dn_per_e=(gain, gain * 1.001)), seed=99)
+    clean = np.stack([scene_radiance(scene, 136, 136)[[0, 1, 2, 1]] for scene in (777, 778)]).astype(np.float32)
+    model = NoiseModel("P*+G*+R+U")
+    pairs = SyntheticPairs(
+        Arrays(clean, range_dn=15871), cameras, ratio=ratio, model=model, clip="none", crop=128, crops_per_frame=3
+    )
+    for index in range(len(pairs)):
+        one = pairs[index]
+        read = tukey_lambda_variance(one["tukey_lambda"]) * one["sigma_tl_dn"] ** 2 + one["sigma_row_dn"] ** 2 + 1 / 12
+        scale = ratio / 15871
+        made = remove_noise(one["input"].numpy(), one["gain_dn_per_e"] * scale, read * scale**2, ())
+        noisy, target = one["input"].numpy(), one["target"].numpy()
+        before, after = (-10 * np.log10(np.mean((np.clip(x, 0, 1) - target) ** 2)) for x in (noisy, made))
+        assert before > 50 or after > before - 0.1

@@ -204,4 +204,4 @@ def test_what_examples_skip_is_what_nobody_has_here() -> None:
         for full, value in with_examples().items()
         if "doctest: +SKIP" in (inspect.getdoc(value) or "")
     }
-    assert skipped <= {"DRVDataset", "LRDDataset", "SIDDataset", "DarkFrames", "dark_shading"}
+    assert skipped <= {"DRVDataset", "LRDDataset", "SIDDataset", "SIDDDataset", "DarkFrames", "dark_shading"}

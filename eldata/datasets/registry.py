@@ -23,6 +23,7 @@ _ENTRIES: dict[str, tuple[str, dict[str, str]]] = {
     "sid-fuji": ("eldata.datasets.sid:SIDDataset", {"camera": "fuji"}),
     "drv": ("eldata.datasets.drv:DRVDataset", {}),
     "lrd": ("eldata.datasets.lrd:LRDDataset", {}),
+    "sidd": ("eldata.datasets.sidd:SIDDDataset", {}),
 }
 
 
@@ -33,7 +34,7 @@ def dataset_names() -> tuple[str, ...]:
     --------
     >>> from eldata.datasets import dataset_names
     >>> dataset_names()
-    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'lrd')
+    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'lrd', 'sidd')
     """
     return tuple(dict.fromkeys((*_ENTRIES, *registered_names())))
 

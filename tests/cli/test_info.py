@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
 
 from eldata.manifest import catalogue
-from eldata.manifest.card import Download
+from eldata.manifest.card import Download, load_card, save_card
 from eldata.manifest.catalogue import carded_names, shipped_card, shipped_manifest, shipped_names
 from tests.cli.test_usage import assert_one_line
 from tests.download.helpers import contents, file_names, make_shelf
@@ -132,23 +133,22 @@ def test_a_set_with_a_card_alone(eldata: Cli, tmp_path: Path) -> None:
     assert_one_line(eldata("evaluate", tmp_path, "--dataset", "rawnind"), "by its card alone", "eldata info rawnind")
 
 
-def test_a_set_that_cannot_be_loaded(eldata: Cli, tmp_path: Path) -> None:
-    for record in shipped_manifest("sidd").records:
-        path = tmp_path / "SIDD" / record.path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(b"bytes")
-    page = eldata("info", "sidd", "--root", tmp_path).out
-    assert "\neldata cannot load it yet\n    - its files are normalised arrays in MATLAB's format" in page
+def test_a_set_that_cannot_be_loaded(eldata: Cli, small: Path) -> None:
+    card = catalogue.shipped_folder() / "small.json"
+    save_card(card, replace(load_card(card), unreadable="its files are walnuts"))
+    put(small, 6)
+    page = eldata("info", "small").out
+    assert "\neldata cannot load it yet\n    - its files are walnuts" in page
     next_line = page.splitlines()[-1]
     assert next_line.endswith("--level quick")
     verified = eldata(*next_line.split()[1:])
     assert (verified.code, verified.err) == (0, "")
-    assert "sidd: 640 of 640 files checked (quick)" in verified.out
+    assert "small: 6 of 6 files checked (quick)" in verified.out
     deeper = eldata(*next_line.split()[1:-1], "metadata")
     assert deeper.code == 1
     assert "expected  files that eldata can load" in deeper.out
-    refused = eldata("evaluate", tmp_path, "--dataset", "sidd", "--root", tmp_path)
-    assert_one_line(refused, "eldata cannot load sidd yet", "eldata info sidd", "--level quick")
+    refused = eldata("evaluate", "preds", "--dataset", "small")
+    assert_one_line(refused, "eldata cannot load small yet", "eldata info small", "--level quick")
 
 
 @pytest.mark.parametrize(("name", "counted"), [("sid-sony", "(129 pairs)"), ("drv", "(129 clips)")])

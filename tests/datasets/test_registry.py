@@ -35,6 +35,7 @@ from tests.datasets.methods import FORK
 from tests.drv_tree import build_drv_tree
 from tests.lrd_tree import build_lrd_tree
 from tests.sid_tree import build_sid_tree
+from tests.sidd_tree import build_sidd_tree
 from tests.trees import build_published_tree
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ TREES: dict[str, Callable[[Manifest, Path], None]] = {
     "sid-fuji": build_sid_tree,
     "drv": build_drv_tree,
     "lrd": build_lrd_tree,
+    "sidd": build_sidd_tree,
 }
 
 # The argument that chooses among values of a kind: a list of them ...
@@ -186,7 +188,7 @@ def test_the_card_is_filled_in(name: str) -> None:
     manifest = shipped_manifest(name)
     assert manifest.name == manifest.path.stem == name
     for item in fields(manifest.card):
-        if item.name in ("subsets", "contents", "levels", "scored", "unknown", "unreadable"):
+        if item.name in ("subsets", "mosaics", "contents", "levels", "scored", "unknown", "unreadable"):
             continue  # not every set has named ones; the rest is for what a manifest does not say
         assert getattr(manifest.card, item.name), f"{item.name} is empty"
     assert manifest.card.homepage.startswith("https://")

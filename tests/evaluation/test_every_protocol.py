@@ -730,9 +730,9 @@ def test_black_levels_of_xtrans(name: str, tmp_path: Path) -> None:
 
 
 def test_every_shipped_protocol_is_compared() -> None:
-    """The clips' in ``test_video``."""
+    """The clips' in ``test_video``, SIDD's, which is of no raw files, in ``test_sidd``."""
     assert {*ELD_COUNTS, *SID_COUNTS, *CENTRE, "lrd-lrd", "raw"} == {*published_code.BAYER}
-    assert {*published_code.BAYER, *published_code.RENDERED, *published_code.CLIPS} == {*PROTOCOLS}
+    assert {*published_code.BAYER, *published_code.RENDERED, *published_code.CLIPS, "sfrn-sidd"} == {*PROTOCOLS}
     assert {name for name in PROTOCOLS if PROTOCOLS[name].kind is not IMAGES} == {*published_code.CLIPS}
 
 

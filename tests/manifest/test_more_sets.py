@@ -1,4 +1,4 @@
-"""LRID, SIDD and CRVD, which have a manifest but cannot be loaded yet, and the sets that have a card alone."""
+"""LRID, SIDD and CRVD, of which some cannot be loaded yet, and the sets that have a card alone."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from eldata.records import FrameRecord
 
 FACTS = shipped_folder() / "facts"
-UNREADABLE = ("lrid", "sidd", "crvd")
+UNREADABLE = ("lrid", "crvd")
 ALONE = ("aim25", "fivek", "lld", "rawnind")
 
 
@@ -50,7 +50,7 @@ def published(name: str) -> tuple[Card, tuple[FrameRecord, ...]]:
     return published_sidd(load_instances(FACTS / "sidd.csv")) if name == "sidd" else published_crvd()
 
 
-@pytest.mark.parametrize("name", UNREADABLE)
+@pytest.mark.parametrize("name", ["lrid", "sidd", "crvd"])
 def test_committed_files_are_what_the_generator_writes(name: str, tmp_path: Path) -> None:
     card, records = published(name)
     save_records(tmp_path / f"{name}.csv", records)
@@ -308,7 +308,7 @@ def test_a_set_without_a_manifest_is_told_from_an_unknown_one(name: str, tmp_pat
 
 
 def test_new_fields_of_a_card_may_be_missing_and_come_back(tmp_path: Path) -> None:
-    card = shipped_card("sidd")
+    card = replace(shipped_card("sidd"), unreadable="nobody can")
     save_card(tmp_path / "new.json", card)
     assert load_card(tmp_path / "new.json") == card
     assert card.contents

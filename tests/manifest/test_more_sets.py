@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 FACTS = shipped_folder() / "facts"
 UNREADABLE = ("lrid", "crvd")
-ALONE = ("aim25", "fivek", "lld", "rawnind")
+ALONE = ("aim25", "fivek", "lld", "rawnind", "sidd-cc")
 
 
 def published(name: str) -> tuple[Card, tuple[FrameRecord, ...]]:

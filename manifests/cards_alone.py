@@ -6,6 +6,7 @@ Sources stand on each card.
 from __future__ import annotations
 
 from eldata.manifest.card import CameraCard, Card, Download
+from manifests.published_sidd import CAMERAS as SIDD_CAMERAS
 
 _AIM_CODE = "starter kit (SonyResearch/AIM2025_Denoise_Challenge), commit 5d6531d"
 _AIM_PAPER = "arXiv 2510.06601"
@@ -212,4 +213,51 @@ RAWNIND = Card(
     ),
 )
 
-CARDS_ALONE = (AIM25, FIVEK, LLD, RAWNIND)
+_SIDD_CC = "card of the set on Hugging Face (MhdMohammadi/SIDD-CC)"
+
+SIDD_CC = Card(
+    name="sidd-cc",
+    title="SIDD-CC: SIDD with ground truth made again, without its colour shift",
+    version="1.0",
+    folder="SIDD-CC",
+    citation=(
+        "M. Mohammadi et al., Why Low-Light Cameras Go Color Blind: Removing Color Bias in Raw Denoising, IEEE "
+        "International Conference on Computational Photography, 2026, arXiv 2607.11090"
+    ),
+    licence="SIDD's terms of use (the set's card on Hugging Face)",
+    homepage="https://mhdmohammadi.github.io/SIDD-CC/",
+    cfa="bayer",
+    cameras={name: CameraCard(()) for name in SIDD_CAMERAS.values()},
+    counts={},
+    downloads=(
+        Download("https://huggingface.co/datasets/MhdMohammadi/SIDD-CC", notes="Raw 23 GB, sRGB 8.1 GB"),
+        Download(
+            "https://huggingface.co/datasets/MhdMohammadi/SIDD-CC-DNG",
+            notes="the training instances' DNG files, 17,250 of 234.5 GB",
+        ),
+    ),
+    known_defects=(
+        (
+            "56 of SIDD's 200 scene instances are not in it: 34 are no longer served, and those of the Galaxy S6 that "
+            "the phone clipped at black were left out."
+        ),
+    ),
+    sources=(
+        f"{_SIDD_CC}: layout, form of the arrays, sizes, terms",
+        "Card of its DNG files (MhdMohammadi/SIDD-CC-DNG): numbers of instances, the split",
+        "Page of the paper (MhdMohammadi/SIDD-CC on GitHub, commit b5f1a00): what was wrong with SIDD's ground truth",
+    ),
+    contents=(
+        "144 scene instances of SIDD, 115 to train with and 29 to test on; Raw/train/Data/<instance>/*.MAT after the "
+        "official medium set, Raw/test/Benchmark*Blocks*.mat. References average frames first and are clipped last, "
+        "where SIDD's frames were clipped before"
+    ),
+    levels="float32 mosaics, black subtracted, left unclipped: black 0, and values below it",
+    scored=("Its test data are blocks, which no protocol of eldata's scores.",),
+    unknown=(
+        "Which of SIDD's instances are in it: the lists were not read, so eldata cannot list the files.",
+        "Whether 1 is white, as in SIDD's files, or the numbers are DN; which of MATLAB's formats the files have.",
+    ),
+)
+
+CARDS_ALONE = (AIM25, FIVEK, LLD, RAWNIND, SIDD_CC)

@@ -136,7 +136,7 @@ def of_published(_: pytest.MonkeyPatch) -> Names:
 def of_datasets(_: pytest.MonkeyPatch) -> Names:
     for folders in ("ELD/SonyA7S2", "SID/Sony", "SID/Fuji"):
         Path("data", folders).mkdir(parents=True)
-    for manifest in map(shipped_manifest, ("lrd", "crvd", "lrid")):
+    for manifest in map(shipped_manifest, ("lrd", "crvd", "lrid", "sidd")):
         for record in manifest.records:
             (manifest.folder("data") / record.path).parent.mkdir(parents=True, exist_ok=True)
     build_drv_tree(shipped_manifest("drv"), Path("data/DRV"), frames=12)

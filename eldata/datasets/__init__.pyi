@@ -29,6 +29,7 @@ from .rgb import StagedPairs as StagedPairs
 from .rgb import raw2rgb as raw2rgb
 from .rgb import rgb2rgb as rgb2rgb
 from .sid import SIDDataset as SIDDataset
+from .sidd import SIDDDataset as SIDDDataset
 from .streamed_pairs import StreamedPairs as StreamedPairs
 from .synthetic import SyntheticClips as SyntheticClips
 from .synthetic import SyntheticPairs as SyntheticPairs

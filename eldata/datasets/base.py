@@ -338,7 +338,6 @@ class PairDataset(SourcePairs):
     def __init__(self, root: Path | str | None, manifest: Path | str, **options: Unpack[PairOptions]) -> None:
         choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
         loaded = _manifest(manifest)
-        loaded.card.check_readable()
         self.root = data_root() / loaded.card.folder if root is None else Path(root)
         records = select_pairs(loaded.records, loaded.card.subsets, **choice)
         levels = representation.get("levels") or default_protocol(loaded.card).frame_levels

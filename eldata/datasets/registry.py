@@ -25,6 +25,7 @@ _ENTRIES: dict[str, tuple[str, dict[str, str]]] = {
     "crvd": ("eldata.datasets.crvd:CRVDDataset", {}),
     "lrd": ("eldata.datasets.lrd:LRDDataset", {}),
     "lrid": ("eldata.datasets.lrid:LRIDDataset", {}),
+    "sidd": ("eldata.datasets.sidd:SIDDDataset", {}),
 }
 
 
@@ -35,7 +36,7 @@ def dataset_names() -> tuple[str, ...]:
     --------
     >>> from eldata.datasets import dataset_names
     >>> dataset_names()
-    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'crvd', 'lrd', 'lrid')
+    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'crvd', 'lrd', 'lrid', 'sidd')
     """
     return tuple(dict.fromkeys((*_ENTRIES, *registered_names())))
 

@@ -74,8 +74,7 @@ class Overview:
     @property
     def verify_command(self) -> str:
         """The command that checks the files."""
-        level = "quick" if self.card.unreadable else "metadata"
-        return f"eldata verify {self.card.name} --root {shlex.quote(str(self.root))} --level {level}"
+        return f"eldata verify {self.card.name} --root {shlex.quote(str(self.root))} --level metadata"
 
     @property
     def download_command(self) -> str:
@@ -146,17 +145,15 @@ def _facts(card: Card) -> list[str]:
         ("cameras", ", ".join(card.cameras)),
         ("CFA", "bayer and xtrans" if card.cfa == "both" else card.cfa),
         ("levels", card.levels),
-        ("protocol", "" if card.unreadable else card.protocol),
+        ("protocol", card.protocol),
         ("contents", card.contents),
     )
     return [line for name, text in facts if text for line in wrapped(f"{name:<11}{text}", " " * 11)]
 
 
 def _remarks(card: Card) -> list[str]:
-    cannot = (f"{card.unreadable}; names and sizes are checked (eldata verify --level quick)",)
     lines = []
     for title, texts in (
-        ("eldata cannot load it yet", cannot if card.unreadable else ()),
         ("how it is scored", card.scored),
         ("known defects", card.known_defects),
         ("not known", card.unknown),

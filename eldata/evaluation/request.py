@@ -123,7 +123,6 @@ def make_request(
     path, baseline = options.get("manifest"), options.get("baseline")
     task, store = options.get("task"), options.get("store")
     manifest = known_manifest(dataset) if path is None else load_manifest(path)
-    manifest.card.check_readable()
     shading = options.get("dark_shading")
     protocols = _every_protocol(manifest) if protocol == ALL else (_protocol(protocol, manifest),)
     request = Request(

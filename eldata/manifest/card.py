@@ -192,8 +192,6 @@ class Card:
         How published code scores it, and what of that no protocol of eldata's can say.
     unknown
         What no public text says.
-    unreadable
-        Why eldata cannot load the files yet; empty: it can.
     """
 
     name: str
@@ -217,20 +215,11 @@ class Card:
     levels: str = ""
     scored: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
-    unreadable: str = ""
 
     @property
     def spdx(self) -> str:
         """The licence's SPDX name, ``LicenseRef-...`` for one's own; empty if the card has other words, or none."""
         return self.licence.strip() if _SPDX.fullmatch(self.licence.strip()) else ""
-
-    def check_readable(self) -> None:
-        """Raise :class:`ManifestError` if eldata cannot load the set's files yet."""
-        if self.unreadable:
-            raise ManifestError(
-                f"eldata cannot load {self.name} yet: {self.unreadable}; eldata info {self.name} says more, and "
-                "eldata verify --level quick checks names and sizes"
-            )
 
 
 def stated(text: str) -> str:
@@ -314,7 +303,6 @@ def load_card(path: Path, content: bytes | None = None) -> Card:
         levels=top.optional("levels", top.text, "", empty=True),
         scored=top.texts("scored", missing_ok=True, empty=True),
         unknown=top.texts("unknown", missing_ok=True, empty=True),
-        unreadable=top.optional("unreadable", top.text, "", empty=True),
     )
 
 

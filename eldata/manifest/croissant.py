@@ -259,7 +259,7 @@ def _responsible(card: Card) -> dict[str, Any]:
             "Training and evaluation of denoisers of raw photographs taken in the dark, and of models of their noise."
         ],
         "rai:dataPreprocessingProtocol": list(sentences([card.levels])),
-        "rai:dataLimitations": list(sentences([*card.known_defects, card.unreadable])),
+        "rai:dataLimitations": list(sentences(card.known_defects)),
         "rai:dataCollectionMissingData": " ".join(sentences(card.unknown)),
         "rai:personalSensitiveInformation": ["Not stated by the texts that this card was made from."],
     }

@@ -121,12 +121,6 @@ def _verify_dataset(
     needed = folder / tops.pop() if len(tops) == 1 else folder
     if not needed.is_dir():
         return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, ())
-    if manifest.card.unreadable and level != "quick":
-        advice = f"check names and sizes with --level quick; eldata info {manifest.name} says more"
-        unread = Problem(
-            manifest.name, str(folder), "level", "files that eldata can load", manifest.card.unreadable, advice
-        )
-        return DatasetReport(manifest.name, folder, False, manifest.card.homepage, len(records), 0, 0, (unread,))
     found, present, remarks = check_files(manifest, folder, records, level=level, workers=workers)
     listed = expand(records, folder)
     hashed = sum(record.sha256 is not None for record in present) if level == "full" else 0

@@ -109,7 +109,7 @@ def test_every_dataset_has_its_page(name: str, eldata: Cli) -> None:
     for place in card.downloads:
         assert place.address in outcome.out
     shown = " ".join(outcome.out.split())
-    texts = (card.citation, card.licence, card.contents, card.levels, card.unreadable, *card.scored, *card.unknown)
+    texts = (card.citation, card.licence, card.contents, card.levels, *card.scored, *card.unknown)
     for text in (*texts, *card.known_defects, *card.sources):
         assert text in shown
     assert f"CFA {card.cfa}" in shown or card.cfa == "both"
@@ -130,25 +130,6 @@ def test_a_set_with_a_card_alone(eldata: Cli, tmp_path: Path) -> None:
     assert (dataset["manifest"], dataset["presence"], dataset["verify"]) == (None, None, None)
     assert_one_line(eldata("download", "rawnind"), "by its card alone", "eldata info rawnind")
     assert_one_line(eldata("evaluate", tmp_path, "--dataset", "rawnind"), "by its card alone", "eldata info rawnind")
-
-
-def test_a_set_that_cannot_be_loaded(eldata: Cli, tmp_path: Path) -> None:
-    for record in shipped_manifest("sidd").records:
-        path = tmp_path / "SIDD" / record.path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(b"bytes")
-    page = eldata("info", "sidd", "--root", tmp_path).out
-    assert "\neldata cannot load it yet\n    - its files are normalised arrays in MATLAB's format" in page
-    next_line = page.splitlines()[-1]
-    assert next_line.endswith("--level quick")
-    verified = eldata(*next_line.split()[1:])
-    assert (verified.code, verified.err) == (0, "")
-    assert "sidd: 640 of 640 files checked (quick)" in verified.out
-    deeper = eldata(*next_line.split()[1:-1], "metadata")
-    assert deeper.code == 1
-    assert "expected  files that eldata can load" in deeper.out
-    refused = eldata("evaluate", tmp_path, "--dataset", "sidd", "--root", tmp_path)
-    assert_one_line(refused, "eldata cannot load sidd yet", "eldata info sidd", "--level quick")
 
 
 @pytest.mark.parametrize(("name", "counted"), [("sid-sony", "(129 pairs)"), ("drv", "(129 clips)")])

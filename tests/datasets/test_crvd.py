@@ -16,6 +16,7 @@ from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest import shipped_manifest, verify
 from eldata.manifest.writing import save_manifest
 from eldata.protocols import get_protocol
+from tests.crvd_tree import build_crvd_tree
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from eldata.manifest.catalogue import Manifest
 
-SHAPE, SCENES, ISOS = (40, 56), ("scene1", "scene7"), (1600, 25600)
+SCENES, ISOS = ("scene1", "scene7"), (1600, 25600)
 
 
 @pytest.fixture(scope="module")
@@ -33,15 +34,11 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> tuple[Manifest, Path]:
     folder = tmp_path_factory.mktemp("crvd")
     shipped = shipped_manifest("crvd")
     rows = [row for row in shipped.records if row.scene in SCENES and row.iso in ISOS]
-    for number, row in enumerate(rows):
-        path = shipped.folder(folder) / row.path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scene = np.random.default_rng(SCENES.index(row.scene)).gamma(2.0, 300.0, SHAPE)
-        noise = np.random.default_rng(number).normal(0, 5 if row.role == "reference" else 60, SHAPE)
-        tifffile.imwrite(path, np.clip(240 + scene + noise, 0, 4095).astype(np.uint16))
     counts = {role: sum(row.role == role for row in rows) for role in ("noisy", "reference")}
     (first,) = (replace(subset, pairs=14) for subset in shipped.card.subsets if subset.name == "test-first")
-    return save_manifest(folder / "crvd.csv", replace(shipped.card, counts=counts, subsets=(first,)), rows), folder
+    manifest = save_manifest(folder / "crvd.csv", replace(shipped.card, counts=counts, subsets=(first,)), rows)
+    build_crvd_tree(manifest, manifest.folder(folder))
+    return manifest, folder
 
 
 def as_published(raw: NDArray[np.uint16]) -> NDArray[np.float64]:

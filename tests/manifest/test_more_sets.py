@@ -1,11 +1,10 @@
-"""LRID; SIDD and CRVD, which have a manifest but cannot be loaded yet; and the sets that have a card alone."""
+"""LRID, SIDD and CRVD, and the sets that have a card alone."""
 
 from __future__ import annotations
 
 import pickle
 import re
 from collections import Counter
-from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
@@ -16,19 +15,14 @@ from eldata.datasets import PairDataset
 from eldata.errors import ManifestError
 from eldata.manifest.card import Card, card_text, load_card, save_card
 from eldata.manifest.catalogue import (
-    Manifest,
     carded_names,
     shipped_card,
     shipped_folder,
     shipped_manifest,
     shipped_names,
 )
-from eldata.manifest.lock import lock
 from eldata.manifest.pairs import select_pairs
 from eldata.manifest.table import save_records
-from eldata.manifest.verify import verify
-from eldata.manifest.writing import save_manifest
-from eldata.sources.store.sources import source_of_dataset
 from manifests.cards_alone import CARDS_ALONE
 from manifests.published_crvd import published_crvd
 from manifests.published_lrid import Burst, bursts_from_infos, load_bursts, published_lrid, save_bursts
@@ -41,8 +35,7 @@ if TYPE_CHECKING:
 
 FACTS = shipped_folder() / "facts"
 GENERATED = ("lrid", "sidd", "crvd")
-UNREADABLE = ("sidd",)
-ALONE = ("aim25", "fivek", "lld", "rawnind")
+ALONE = ("aim25", "fivek", "lld", "rawnind", "sidd-cc")
 
 
 def published(name: str) -> tuple[Card, tuple[FrameRecord, ...]]:
@@ -267,52 +260,6 @@ def test_crvd_has_55_groups_of_seven_frames() -> None:
     assert first[0].reference.endswith("_clean_and_slightly_denoised.tiff")
 
 
-# --- what cannot be loaded says so ------------------------------------------------------------------------------------
-
-
-@pytest.fixture(params=UNREADABLE)
-def one_scene(request: pytest.FixtureRequest, tmp_path: Path) -> Manifest:
-    """A manifest of one scene's files, with a few bytes in each."""
-    name = request.param
-    shipped = shipped_manifest(name)
-    records = [record for record in shipped.records if record.scene == shipped.records[0].scene]
-    card = replace(shipped.card, counts=dict(Counter(str(record.role) for record in records)), subsets=())
-    for record in records:
-        path = shipped.folder(tmp_path) / record.path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(b"bytes")
-    used = {record.camera: card.cameras[record.camera] for record in records}
-    return save_manifest(tmp_path / f"{name}.csv", replace(card, cameras=used), records)
-
-
-def test_names_are_verified_and_deeper_levels_say_what_is_missing(one_scene: Manifest, tmp_path: Path) -> None:
-    assert verify([one_scene], tmp_path, level="quick").ok
-    (one_scene.folder(tmp_path) / one_scene.records[0].path).unlink()
-    (lost,) = verify([one_scene], tmp_path, level="quick").problems
-    assert lost.path == one_scene.records[0].path
-    for level in ("metadata", "full"):
-        (problem,) = verify([one_scene, shipped_manifest("eld")], tmp_path, level=level).problems
-        assert (problem.field, problem.found) == ("level", one_scene.card.unreadable)
-        assert "--level quick" in problem.advice
-
-
-def test_a_set_that_cannot_be_loaded_is_refused_by_name(one_scene: Manifest, tmp_path: Path) -> None:
-    name = one_scene.name
-    message = f"eldata cannot load {name} yet: .*; eldata info {name} says more"
-    with pytest.raises(ManifestError, match=message):
-        evaluate(tmp_path, name, root=tmp_path)
-    with pytest.raises(ManifestError, match=message):
-        evaluate(tmp_path, manifest=one_scene.path, root=tmp_path)
-    with pytest.raises(ManifestError, match=message):
-        PairDataset(one_scene.folder(tmp_path), name)
-    with pytest.raises(ManifestError, match=message):
-        source_of_dataset(name, root=tmp_path)
-    before = one_scene.path.read_bytes()
-    report = lock(one_scene.path, tmp_path)
-    assert (report.files_locked, [problem.field for problem in report.problems]) == (0, ["level"])
-    assert one_scene.path.read_bytes() == before
-
-
 # --- cards alone ------------------------------------------------------------------------------------------------------
 
 
@@ -344,8 +291,7 @@ def test_new_fields_of_a_card_may_be_missing_and_come_back(tmp_path: Path) -> No
     save_card(tmp_path / "new.json", card)
     assert load_card(tmp_path / "new.json") == card
     assert card.contents
-    assert card.unreadable
     old = re.sub(r',\n  "contents".*', "\n}\n", card_text(card), flags=re.DOTALL)
     (tmp_path / "old.json").write_text(old)
     loaded = load_card(tmp_path / "old.json")
-    assert (loaded.contents, loaded.levels, loaded.scored, loaded.unknown, loaded.unreadable) == ("", "", (), (), "")
+    assert (loaded.contents, loaded.levels, loaded.scored, loaded.unknown) == ("", "", (), ())

@@ -8,7 +8,6 @@ from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 import pytest
 import scipy.io
@@ -25,6 +24,7 @@ from eldata.manifest.writing import save_manifest
 from eldata.raw import bayer_cfa, read_raw, write_dng
 from eldata.raw.stated import MosaicFacts, StatedFile
 from eldata.records import Exposure, FrameRecord, Sensor
+from tests.sidd_tree import save_matlab_73
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,15 +35,6 @@ if TYPE_CHECKING:
 SHAPE, BLACK, WHITE, CFA = (48, 64), 240.0, 4095.0, "GBRG"
 REFERENCE, NOISY = Exposure(Fraction(100), Fraction(1)), Exposure(Fraction(1600), Fraction(1, 1600))
 RATIO = Fraction(100)
-
-
-def save_matlab_73(path: Path, mosaic: NDArray[Any]) -> None:
-    """Write as MATLAB does: HDF5 behind a block of 512 bytes, columns first, beside what is not an array."""
-    with h5py.File(path, "w", userblock_size=512) as file:
-        file.create_dataset("x", data=mosaic.T, compression="gzip", chunks=(16, 16))
-        file.create_group("#refs#")
-    with path.open("r+b") as raw:
-        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
 
 
 WRITERS: dict[str, Callable[[Path, NDArray[Any]], object]] = {

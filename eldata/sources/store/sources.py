@@ -131,7 +131,6 @@ def source_of_dataset(
     loaded = known_manifest(name) if manifest is None else load_manifest(manifest)
     if loaded.name != name:
         raise ArgumentError(f"{manifest}: is the manifest of {loaded.name!r}, not of {name!r}")
-    loaded.card.check_readable()
     if _holds_clips(loaded.records):
         folder = _folder(loaded, root)
         return _source_of_clips(loaded.card, loaded.records, folder, chosen, ids)

@@ -1,0 +1,51 @@
+"""SIDD's files on disk: the published names, with small arrays in MATLAB's 7.3 format inside, made from seeds."""
+
+from __future__ import annotations
+
+import zlib
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.manifest.catalogue import Manifest
+    from eldata.records import FrameRecord
+
+SHAPE = (40, 48)
+
+
+def shares_of(record: FrameRecord) -> NDArray[np.float32]:
+    """Pixels of a frame, (H, W) as MATLAB shows them, in [0, 1]; of a noisy frame some are clipped at either end."""
+    clean = np.random.default_rng(zlib.crc32((record.reference or record.path).encode())).random(SHAPE, np.float32)
+    if record.reference is None:
+        return clean
+    noise = np.random.default_rng(zlib.crc32(record.path.encode())).normal(0, 0.05, SHAPE)
+    return np.clip(clean + noise, 0, 1).astype(np.float32)
+
+
+def save_matlab_73(path: Path, mosaic: NDArray[Any]) -> None:
+    """Write as MATLAB does: HDF5 behind a block of 512 bytes, columns first, beside what is not an array."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file.create_dataset("x", data=mosaic.T, compression="gzip", chunks=(16, 16))
+        file.create_group("#refs#")
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+
+def write_frames(folder: Path, records: Iterable[FrameRecord]) -> None:
+    """Write frames below the dataset's folder, each with pixels of its own."""
+    for record in records:
+        path = folder / record.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_matlab_73(path, shares_of(record))
+
+
+def build_sidd_tree(manifest: Manifest, folder: Path) -> None:
+    """Write every file of SIDD's medium set that the manifest lists."""
+    write_frames(folder, manifest.records)

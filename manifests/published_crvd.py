@@ -137,6 +137,7 @@ def published_crvd() -> tuple[Card, tuple[FrameRecord, ...]]:
         ),
         unknown=(
             "The size of the archives, and how the TIFF files are compressed.",
+            "How the camera names itself: the files state no camera model.",
             "The exposure times: a frame and its reference were exposed alike, so every ratio is 1.",
         ),
         protocol="rvidenet-crvd",

@@ -7,25 +7,32 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
-from eldata.base.arguments import spell_keywords
+from eldata.base.arguments import keywords, spell_keywords
 from eldata.datasets.base import no_folder
-from eldata.datasets.clips import ClipWindows, WindowOptions
+from eldata.datasets.choices import Representation
+from eldata.datasets.clips import ClipWindows, Windowing, WindowOptions
+from eldata.datasets.items import Cropping
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.catalogue import data_root, known_manifest, load_manifest
 from eldata.manifest.clips import moment_name
 from eldata.manifest.frame_files import FrameFiles
+from eldata.manifest.pairs import Choice, select_pairs
 from eldata.sources.frames import Files
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable
 
     from eldata.manifest.catalogue import Manifest
-    from eldata.records import FrameRecord
+    from eldata.records import FrameRecord, PairRecord
 
 SHOTS = range(10)
 """The noisy shots of a frame."""
 
 _FRAME = re.compile(r".*/frame([1-9][0-9]*)_noisy([0-9])\.tiff")
+
+
+class _OfWindows(Representation, Cropping, Windowing, total=False):
+    """What of the options is not the choice of frames."""
 
 
 class CRVDDataset(ClipWindows):
@@ -48,7 +55,8 @@ class CRVDDataset(ClipWindows):
     manifest
         A manifest's CSV file in place of the shipped one, such as one that ``eldata lock`` has filled in.
     options
-        Which windows of which clips: ``window``, ``stride``, ``split``, ``ids`` and all else of
+        Which frames (:class:`~eldata.manifest.pairs.Choice`): ``scenes``, ``isos``, ``split``, ``subset`` and so on;
+        which windows of their clips: ``window``, ``stride``, ``ids`` and all else of
         :class:`~eldata.datasets.clips.Windowing`.
 
     Raises
@@ -84,16 +92,18 @@ class CRVDDataset(ClipWindows):
         folder = data_root() / found.card.folder if root is None else Path(root)
         if not folder.is_dir():
             raise no_folder(folder, found.card, "indoor_raw_noisy and indoor_raw_gt")
-        rows = _moments(found, shots)
+        choice, of_windows = keywords("CRVDDataset", options, Choice, _OfWindows)
+        rows = _moments(found, select_pairs(found.records, found.card.subsets, **choice), shots)
         files = Files(FrameFiles.of(folder, found.card, rows), rows)
-        super().__init__(files, rows, (), folder, **options)
+        super().__init__(files, rows, (), folder, **of_windows)
 
 
-def _moments(manifest: Manifest, shots: Collection[int]) -> list[FrameRecord]:
-    """Return the rows as moments of sequences (:mod:`eldata.manifest.clips`), of these noisy shots alone."""
+def _moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collection[int]) -> list[FrameRecord]:
+    """Return the rows of pairs as moments of sequences (:mod:`eldata.manifest.clips`), of these noisy shots alone."""
     if not {*shots} <= set(SHOTS):
         raise ArgumentError(f"shots must be of 0 to {len(SHOTS) - 1}; found {list(shots)}")
-    noisy = [row for row in manifest.records if row.role == "noisy"]
+    chosen = {pair.path for pair in pairs}
+    noisy = [row for row in manifest.records if row.path in chosen]
     scene_of: dict[str | None, str] = {}
     kept = []
     for row, (frame, shot) in zip(noisy, map(_numbers, noisy), strict=True):

@@ -289,6 +289,7 @@ PUBLISHED: dict[FrameLevels, tuple[float | None, float]] = {
     "published": (None, 16383.0),
     "sid-sony": (512.0, 16383.0),
     "sid-fuji": (1024.0, 16383.0),
+    "lrid": (64.0, 1023.0),
 }
 
 

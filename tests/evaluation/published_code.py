@@ -209,6 +209,13 @@ def sony_frame(raw: Any, ratio: float | None = None) -> Array:
     return given
 
 
+def sony_lrid_input(raw: Any, ratio: float) -> Array:
+    """SonyResearch/raw_image_denoising datasets/real_dataset.py LRIDEvalDataset, without its dark shading."""
+    packed = bayer_in_place(dn(raw).astype(np.float32), raw)
+    given: Array = np.minimum(((packed - 64) / (1023 - 64)).astype(np.float32) * np.float32(ratio), 1)
+    return given
+
+
 def lrid_frame(raw: Any, ratio: float | None = None) -> Array:
     """PMN, branch TPAMI, data_process/process.py raw2bayer with bl 64 and wp 1023 (runfiles/IMX686/Ours.yml).
 
@@ -553,6 +560,7 @@ BAYER = {
     "sony-sid": on_sid(SONY),
     "pmn-eld": PMN,
     "sony-eld": SONY,
+    "sony-lrid": Route(bayer_in_place, lrid_frame, sony_lrid_input, ratio_by_folder, uncorrected_score),
     "pmn-lrid": Route(bayer_in_place, lrid_frame, lrid_frame, ratio_by_folder, uncorrected_score),
     "led-sid": on_sid(LED),
     "led-eld": LED,

@@ -47,7 +47,6 @@ def lrid(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def assert_equal(result: EvaluationResult, of: Callable[[str, str], Score]) -> None:
-    assert result.protocol.name == "pmn-lrid"
     assert not result.problems
     off = []
     for pair, image in zip(result.pairs, result.images, strict=True):
@@ -58,12 +57,13 @@ def assert_equal(result: EvaluationResult, of: Callable[[str, str], Score]) -> N
     assert np.max(off) <= 1e-6
 
 
+@pytest.mark.parametrize("protocol", ["pmn-lrid", "sony-lrid"])
 @pytest.mark.parametrize("subset", COUNTS)
-def test_the_input_has_the_scores_of_the_published_arithmetic(subset: str, lrid: Path) -> None:
-    result = evaluate(None, "lrid", root=lrid, baseline="input", subset=subset)
+def test_the_input_has_the_scores_of_the_published_arithmetic(subset: str, protocol: str, lrid: Path) -> None:
+    result = evaluate(None, "lrid", root=lrid, baseline="input", subset=subset, protocol=protocol)
     assert len(result.images) == COUNTS[subset]
     files = lrid / "LRID"
-    assert_equal(result, lambda path, reference: ROUTE.of_input(files / path, files / reference))
+    assert_equal(result, lambda path, reference: BAYER[protocol].of_input(files / path, files / reference))
     assert any("black 64, white 1023 was taken for every file" in note for note in result.notes), "not the file's"
     gains = (1, 2, 4, 8, 16) if subset == "indoor-first" else (1, 2, 4)
     assert [row.ratio for row in result.table if row.ratio is not None] == list(gains)
@@ -77,6 +77,7 @@ def test_predictions_have_the_scores_of_the_published_arithmetic(lrid: Path) -> 
         mosaics[record.path] = (1.1 * clean + generator.normal(-0.01, 0.03, clean.shape)).astype(np.float32)
         save_prediction(lrid / "preds", record.path, mosaics[record.path])
     result = evaluate(lrid / "preds", "lrid", root=lrid)
+    assert result.protocol.name == "pmn-lrid"
     assert len(result.images) == COUNTS["indoor-first"], "the first subset is that of --mode eval"
     assert_equal(result, lambda path, reference: ROUTE.of_prediction(mosaics[path], files / reference))
     assert not any("taken for every file" in note for note in result.notes), "the card's levels are those"

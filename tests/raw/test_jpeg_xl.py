@@ -93,8 +93,16 @@ def bare(content: bytes) -> bytes:
     return content[at:]
 
 
+LAYOUTS: dict[str, dict[str, Any]] = {
+    "tiles": {},
+    "strips": {"tile": None},
+    "cut": {"whole": False},
+    "bare": {"change": bare},
+}
+
+
 @pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("layout", [{}, {"tile": None}, {"whole": False}, {"change": bare}], ids=str)
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
 @pytest.mark.parametrize("name", TAGS)
 def test_a_mosaic_is_what_libraw_reads_of_it_uncompressed(
     name: str, layout: dict[str, Any], order: Any, tmp_path: Path

@@ -1,8 +1,8 @@
 """What the audit of bias frames finds, measured: ``python -m tests.calibration.audit_study``, by hand.
 
-It prints the table of docs/calibration.md, "What the audit finds": each fault in several sizes, how far it puts each
-figure off, what the audit makes of it, and how often the figures that are given lie within their errors. With
-``--clean N`` it counts what the audit says of N random cameras without a fault. A quick form of both is in
+The main rows of what it prints stand in docs/calibration.md, "What the audit finds": each fault in several sizes, how
+far it puts each figure off, what the audit makes of it, and how often the figures that are given lie within their
+errors. With ``--clean N`` it counts what the audit says of N random cameras without a fault. A quick form of both is in
 test_bias_audit.py.
 """
 

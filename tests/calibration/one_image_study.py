@@ -2,7 +2,7 @@
 
 The demo's scenes 1 to 6 by its two simulated cameras, at several exposures: bias, coverage of the errors, and what is
 refused; then K by the virtual benchmark's two sensors, whose pixels differ in response, noise and level and jump; then
-the first frames with their noise filtered. The tables stand in docs/calibration.md.
+the first frames with their noise filtered. docs/calibration.md sums the tables up.
 """
 
 from __future__ import annotations

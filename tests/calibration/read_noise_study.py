@@ -1,10 +1,10 @@
 """How far off the figures of bias frames are, and how often their stated errors hold, regime by regime.
 
-``python -m tests.calibration.read_noise_study --cameras 60`` prints the table of docs/calibration.md; names choose
-regimes, a camera takes a second. A regime is a simulated body with noise and fixed pattern of one kind; each camera is
-a specimen of it. For each figure: mean and scatter of its errors in per cent, and the share of cameras whose truth lies
-within 1.96 stated errors, among those where it was given. 95 % are expected; 60 cameras miss that by 3 % (one standard
-error), 200 by 1.5 %.
+``python -m tests.calibration.read_noise_study --cameras 60`` prints the table that docs/calibration.md sums up; names
+choose regimes, a camera takes a second. A regime is a simulated body with noise and fixed pattern of one kind; each
+camera is a specimen of it. For each figure: mean and scatter of its errors in per cent, and the share of cameras
+whose truth lies within 1.96 stated errors, among those where it was given. 95 % are expected; 60 cameras miss that by
+3 % (one standard error), 200 by 1.5 %.
 """
 
 from __future__ import annotations

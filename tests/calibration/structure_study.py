@@ -2,7 +2,7 @@
 
 Simulated cameras of 288 x 384 pixels, nine bias frames and three pairs of flats: what is claimed of clean ones, and of
 planted structure the mean of the figures over their truth, their scatter in stated errors, and how often it is found.
-The tables stand in docs/calibration.md.
+docs/calibration.md sums the tables up.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Predictions with a known mistake, and honest ones: frames of simulated cameras, denoisers, and what goes wrong.
 
 Nothing is written: each frame is photographed, packed, denoised and scored in memory. ``python -m
-tests.evaluation.diagnosis_cases planted|honest [SEED...]`` prints the tables of docs/evaluation.md.
+tests.evaluation.diagnosis_cases planted|honest [SEED...]`` prints what docs/evaluation.md sums up.
 """
 
 from __future__ import annotations

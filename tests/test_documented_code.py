@@ -290,7 +290,7 @@ NEEDS: dict[str, Callable[[pytest.MonkeyPatch], Names]] = {
     "docs/training.md": of_stores,
 }
 # What a block takes to be otherwise than those before it have left it.
-BEFORE: dict[tuple[str, int], Names] = {("docs/raw-files.md", 4): {"packed": torch.zeros(1, 16, 8, 8)}}
+BEFORE: dict[tuple[str, int], Names] = {("docs/raw-files.md", 2): {"packed": torch.zeros(1, 16, 8, 8)}}
 # They need a cluster of several machines: tests/base/clusters runs the same calls on one of processes.
 ON_MACHINES = ("docs/clusters.md",)
 

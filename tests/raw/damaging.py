@@ -1,6 +1,6 @@
 """Damage to raw files as disks, downloads and cables do it, and how much of it is noticed.
 
-``python -m tests.raw.damaging FILE... --trials 1000`` prints the rates of docs/reliability.md.
+``python -m tests.raw.damaging FILE... --trials 1000`` prints the rates of docs/raw-files.md.
 """
 
 from __future__ import annotations

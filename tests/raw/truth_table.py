@@ -2,7 +2,25 @@
 
 exiftool (https://exiftool.org) must be installed. One line a file, and one for each field that differs; exit code 1
 if any does. A file whose pixels are missing, such as the heads in exiftool's own t/images, is compared in what it
-states of camera and exposure. docs/raw-files.md has the table of the files that were tried.
+states of camera and exposure. docs/raw-files.md has the table of the files that were tried, which are these (of 1 and
+8, tests/raw/real has parts, with their licences):
+
+- DNG: 1 gopro/gpr Fusion GPBK7066 converted to DNG (GoPro Fusion); 2 syoyo/tinydng colorchart.dng (Canon Kiss X4,
+  converted); 3 imageio/test_images Blackmagic.dng (Pocket Cinema Camera 4K); 4 bep/imagemeta sample.dng (Canon SD450;
+  head, noise for pixels); 5 Exiv2/exiv2 IMG_1361.dng (iPhone 12 Pro); 6 photoprism/photoprism canon_eos_6d.dng
+  (linear); 7 exiftool/exiftool DNG.dng (Canon 350D).
+- CR3: 8 mindeng/nom-exif canon-r6.cr3; 9 Exiv2/exiv2 Canon-R6-pruned.CR3; 10 exiftool/exiftool CanonRaw.cr3 (M50).
+- CRW: 11 evanoberholster/imagemeta CRW.CRW (Canon D30); 12 Exiv2/exiv2 exiv2-canon-powershot-s40.crw;
+  13 exiftool/exiftool CanonRaw.crw (300D).
+- CR2: 14 exiftool/exiftool CanonRaw.cr2 (350D); 15 bep/imagemeta sample.cr2 (Canon S90).
+- NEF: 16 bep/imagemeta sample.nef (Nikon D1); 17 exiftool/exiftool Nikon.nef (D70).
+- ARW, RAF: 18 bep/imagemeta sample.arw (Sony A330); 19 exiftool/exiftool FujiFilm.raf (S5 Pro);
+  20 mindeng/nom-exif fujifilm_x_t1_01.raf.meta (exiftool reads nothing of it: cut off inside its JPEG).
+- RW2, PEF, IIQ, MRW: 21 exiftool/exiftool Panasonic.rw2 (LX3); 22 bep/imagemeta jølstravatnet.pef (Pentax K-3 II);
+  23 exiftool/exiftool PhaseOne.iiq (Leaf Credo 40); 24 exiftool/exiftool Minolta.mrw (DiMAGE A2).
+- KDC, GPR: 25 letmaik/rawpy RAW_KODAK_DC50_é.KDC; 26 to 29 gopro/gpr GPBK7066, GPFR7066 (Fusion), GOPR0024 (Hero6),
+  GOPR9231 (Hero7); 30 evanoberholster/imagemeta Hero8.GPR.
+- X3F: 31, 32 exiftool/exiftool Sigma.x3f (SD10), SigmaDP2.x3f.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.evaluation.pairs import Pair
+    from eldata.manifest.catalogue import FrameFiles
     from eldata.manifest.clips import Clip
-    from eldata.manifest.frame_files import FrameFiles
     from eldata.protocols.protocol import Protocol as ScoringProtocol
     from eldata.raw.levels import Clip as ClipRange
 

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
     from eldata.evaluation.pairs import Pair
     from eldata.evaluation.request import EvaluationOptions, Request
+    from eldata.manifest.catalogue import FrameFiles
     from eldata.manifest.clips import Clip
-    from eldata.manifest.frame_files import FrameFiles
     from eldata.noise.profile import CameraProfile
     from eldata.protocols.protocol import Protocol as ScoringProtocol
     from eldata.raw.levels import Clip as ClipRange

@@ -18,8 +18,7 @@ from eldata.datasets.choices import Options, Representation, chosen_shading, sha
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, Cropping, Part, ReadItems
 from eldata.errors import DatasetError
-from eldata.manifest.catalogue import Manifest, data_root, known_manifest, known_names, load_manifest
-from eldata.manifest.frame_files import FrameFiles
+from eldata.manifest.catalogue import FrameFiles, Manifest, data_root, known_manifest, known_names, load_manifest
 from eldata.manifest.pairs import Choice, select_pairs
 from eldata.protocols.named import default_protocol
 from eldata.raw.cfa import packed_area, packed_shape, unpack

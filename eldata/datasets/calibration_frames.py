@@ -15,8 +15,7 @@ from eldata.base.numbers import counted
 from eldata.base.tables import frame_of
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError, did_you_mean
-from eldata.manifest.catalogue import data_root, is_name, known_manifest, load_manifest
-from eldata.manifest.frame_files import FrameFiles
+from eldata.manifest.catalogue import FrameFiles, data_root, is_name, known_manifest, load_manifest
 from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
 from eldata.manifest.patterns import expand
 from eldata.raw.files import RAW_EXTENSIONS

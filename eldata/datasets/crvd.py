@@ -13,9 +13,8 @@ from eldata.datasets.choices import Representation
 from eldata.datasets.clips import ClipWindows, Windowing, WindowOptions
 from eldata.datasets.items import Cropping
 from eldata.errors import ArgumentError, ManifestError
-from eldata.manifest.catalogue import data_root, known_manifest, load_manifest
+from eldata.manifest.catalogue import FrameFiles, data_root, known_manifest, load_manifest
 from eldata.manifest.clips import moment_name
-from eldata.manifest.frame_files import FrameFiles
 from eldata.manifest.pairs import Choice, select_pairs
 from eldata.sources.frames import Files
 

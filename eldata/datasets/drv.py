@@ -9,9 +9,8 @@ from eldata.base.arguments import spell_keywords
 from eldata.datasets.base import no_folder
 from eldata.datasets.clips import ClipWindows, WindowOptions
 from eldata.errors import check_choice
-from eldata.manifest.catalogue import data_root, load_manifest, shipped_manifest
+from eldata.manifest.catalogue import FrameFiles, data_root, load_manifest, shipped_manifest
 from eldata.manifest.drv import DYNAMIC, scan_raw
-from eldata.manifest.frame_files import FrameFiles
 from eldata.sources.frames import Files
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from eldata.base.files import inside
 from eldata.base.pixels import rgb_frame
 from eldata.base.workers import require_files
 from eldata.errors import ArgumentError, DatasetError, RawFileError
+from eldata.manifest.catalogue import FrameFiles
 from eldata.manifest.clip_checks import size_findings
-from eldata.manifest.frame_files import FrameFiles
 from eldata.manifest.patterns import RowFinding
 from eldata.manifest.verify import header_findings, ratio_findings
 from eldata.manifest.verify_report import Problem
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from eldata.manifest.catalogue import Manifest
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Clip, Levels
+    from eldata.raw.stated import StatedFile
     from eldata.records import FrameRecord
     from eldata.sources.store.format import StoredFrame
     from eldata.sources.store.read import PixelReader
@@ -82,6 +83,9 @@ class Originals:
         """
         return inside(self.files.folder, path) if self.store is None else self.store / path
 
+    def _file(self, path: str) -> Path | StatedFile:
+        return self.files.at(path) if path in self.files.stated else self.place(path)
+
     def require(self, path: str) -> None:
         """Raise :class:`~eldata.base.workers.UnseenFileError` unless this machine sees where a frame is read from."""
         require_files(self.place(path) if self.store is None else self.store)
@@ -97,14 +101,14 @@ class Originals:
         from eldata.raw.reading import read_raw
 
         if self.store is None:
-            return read_raw(self.files.at(path))
+            return read_raw(self._file(path))
         return _stored_frame(self.store, self.held[path])
 
     def header(self, path: str) -> RawHeader:
         """Return what a frame's file says of itself."""
         from eldata.raw.reading import read_header
 
-        return read_header(self.files.at(path)) if self.store is None else _header(self.store, self.held[path])
+        return read_header(self._file(path)) if self.store is None else _header(self.store, self.held[path])
 
     def rgb(self, path: str) -> NDArray[np.float32]:
         """Return a frame of preprocessed RGB, (3, h, w) in [0, 1]; of files alone."""

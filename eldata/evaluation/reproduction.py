@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from eldata.evaluation.pairs import Pair
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.tasks import TaskFunction
-    from eldata.manifest.frame_files import FrameFiles
+    from eldata.manifest.catalogue import FrameFiles
 
 _PLACES = ("predictions",)  # of the provenance: where files lay, which decides no score
 _SHOWN = 12  # differing scores

@@ -11,8 +11,7 @@ from eldata.base.fields import TextFile
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.tasks import Task
-from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest, shipped_names
-from eldata.manifest.frame_files import FrameFiles
+from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest, shipped_names
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.kinds import IMAGES, Kind
 from eldata.protocols.named import default_protocol, get_protocol, protocols_for

@@ -10,25 +10,87 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from eldata.base.files import inside
 from eldata.errors import ArgumentError, EldataError, ManifestError, did_you_mean
 from eldata.manifest.card import Card, load_card
-from eldata.manifest.patterns import is_pattern
+from eldata.manifest.patterns import expand, is_pattern
 from eldata.manifest.table import load_table
+from eldata.raw.stated import StatedFile
+from eldata.records import Exposure
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection, Iterable, Mapping
 
+    from eldata.raw.stated import MosaicFacts
     from eldata.records import FrameRecord
 
 ROOT_VARIABLE = "ELDATA_ROOT"
 ENTRY_POINTS = "eldata.datasets"
 """The group of entry points under which other packages name their sets."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFiles:
+    """The files of a set.
+
+    Attributes
+    ----------
+    folder
+        The set's; paths start there, and may not leave it.
+    stated
+        What is stated of mosaics without levels of their own, by path.
+    """
+
+    folder: Path
+    stated: Mapping[str, tuple[MosaicFacts, Exposure]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, folder: Path, card: Card, records: Iterable[FrameRecord]) -> FrameFiles:
+        """Return the files of these rows."""
+        if not card.mosaics:
+            return cls(folder)
+        stated = {}
+        for record in expand(tuple(records), folder):
+            facts = mosaic_facts(card.mosaics, record)
+            if facts is not None:
+                stated[record.path] = facts, Exposure(record.iso, record.exposure_s)
+        return cls(folder, stated)
+
+    def at(self, path: str) -> Path | StatedFile:
+        """Return what :func:`eldata.raw.read_raw` reads of a path.
+
+        Raises
+        ------
+        ManifestError
+            If it leads out of the folder.
+        """
+        file = inside(self.folder, path)
+        return StatedFile(file, *self.stated[path]) if path in self.stated else file
+
+    def absolute(self) -> FrameFiles:
+        """Return the same, wherever a process starts."""
+        return replace(self, folder=self.folder.absolute())
+
+    def only(self, paths: Collection[str]) -> FrameFiles:
+        """Return the same for these paths alone: what a worker gets."""
+        return replace(self, stated={path: self.stated[path] for path in paths if path in self.stated})
+
+
+def mosaic_facts(mosaics: Iterable[MosaicFacts], record: FrameRecord) -> MosaicFacts | None:
+    """Return the first facts that a card states for a row's camera and path; ``None``: the file states them."""
+    fit = (
+        facts
+        for facts in mosaics
+        if fnmatchcase(record.path, facts.paths) and (not facts.cameras or record.camera in facts.cameras)
+    )
+    return next(fit, None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,15 @@ from eldata.base.files import sha256_of, write_problem
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ManifestError
 from eldata.manifest.card import counts_of, load_card
-from eldata.manifest.catalogue import Manifest, data_root, is_name, known_manifest, load_manifest, locked_path
-from eldata.manifest.frame_files import FrameFiles
+from eldata.manifest.catalogue import (
+    FrameFiles,
+    Manifest,
+    data_root,
+    is_name,
+    known_manifest,
+    load_manifest,
+    locked_path,
+)
 from eldata.manifest.patterns import expand
 from eldata.manifest.table import load_table
 from eldata.manifest.verify import content_findings, verify

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from eldata.base.files import inside, sha256_of
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ArgumentError, ManifestError, RawFileError, UnusableRawError, did_you_mean
-from eldata.manifest.catalogue import Manifest, find_manifests
+from eldata.manifest.catalogue import FrameFiles, Manifest, find_manifests
 from eldata.manifest.clip_checks import (
     exposure_findings,
     png_decode_findings,
@@ -32,7 +32,6 @@ from eldata.manifest.clip_checks import (
     png_size_findings,
     size_findings,
 )
-from eldata.manifest.frame_files import FrameFiles
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.manifest.patterns import RowFinding, expand, is_png, pattern_findings
 from eldata.manifest.table import number_text

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
-    from eldata.manifest.frame_files import FrameFiles
+    from eldata.manifest.catalogue import FrameFiles
     from eldata.plots.axes import Theme
     from eldata.protocols.kinds import Kind
     from eldata.reports.figures import Plot

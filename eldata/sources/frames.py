@@ -16,7 +16,7 @@ import numpy as np
 from eldata.base.memory import scratch
 from eldata.base.pixels import read_rgb16
 from eldata.errors import ArgumentError, DatasetError
-from eldata.manifest.frame_files import FrameFiles
+from eldata.manifest.catalogue import FrameFiles
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.manifest.patterns import is_png
 from eldata.manifest.verify import RATIO_TOLERANCE

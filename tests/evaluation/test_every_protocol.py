@@ -484,7 +484,7 @@ def own_xtrans(name: str, top: int, left: int) -> Route:
         return packed
 
     def target(raw: rawpy.RawPy) -> NDArray[np.float32]:
-        black = 512 if name.startswith("pmn") else raw.black_level_per_channel[0]
+        black = 512 if name.startswith(("pmn", "sony")) else raw.black_level_per_channel[0]
         white = raw.white_level if name.startswith(("led", "lrd", "raw")) else 16383
         return published_code.unit((arranged(published_code.dn(raw), raw) - black) / np.float32(white - black))
 
@@ -503,7 +503,7 @@ def own_blocks(name: str, pattern: Cfa) -> Route:
         return reference_pack(mosaic, pattern)
 
     def target(raw: rawpy.RawPy) -> NDArray[np.float32]:
-        black = np.float32(512) if name.startswith("pmn") else levels
+        black = np.float32(512) if name.startswith(("pmn", "sony")) else levels
         white = np.float32(raw.white_level if name.startswith(("led", "lrd", "raw")) else 16383)
         return published_code.unit((arranged(published_code.dn(raw), raw) - black) / (white - black))
 

@@ -19,7 +19,7 @@ from eldata.datasets import CalibrationFrames, PairDataset
 from eldata.errors import DatasetError, ManifestError, RawFileError
 from eldata.manifest import load_manifest, verify
 from eldata.manifest.card import CameraCard, Card, load_card, save_card
-from eldata.manifest.frame_files import FrameFiles
+from eldata.manifest.catalogue import FrameFiles
 from eldata.manifest.writing import save_manifest
 from eldata.raw import bayer_cfa, read_raw, write_dng
 from eldata.raw.stated import MosaicFacts, StatedFile

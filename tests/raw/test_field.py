@@ -180,7 +180,7 @@ def test_a_file_of_one_image_says_so(tmp_path: Path) -> None:
 
 # --- what says no mosaic --------------------------------------------------------------------------------------
 
-GREY = "is a grey TIFF, which states no colour filter array .*; use the camera's raw file, or write .*write_dng"
+GREY = "is a grey TIFF, which states no colour filter array .*; use the camera's raw file, or state them in the mosaics"
 
 
 def test_a_grey_tiff_is_no_mosaic() -> None:

@@ -21,7 +21,14 @@ _BLOCKS = SEGMENT // BLOCK
 
 
 @kernel
-def segment_means(first: Mosaic, second: Mosaic, defects: Mask, pattern: Counts, means: Plane, noise: Plane) -> None:
+def segment_means(
+    first: Mosaic,
+    second: Mosaic,
+    defects: Mask,
+    pattern: Counts,
+    means: Plane,
+    noise: Plane,
+) -> None:
     """Write the mean of A + B in each segment and a pixel's variance, both (rows, segments, channels).
 
     The variance is half the mean square of the differences between a channel's next sound pixels, a period apart. nan
@@ -73,8 +80,8 @@ def pair_segments(
     black: Values,
     limit: float,
     level_dn: float,
-    noises: Values,
-    left: Values,
+    means: Plane,
+    noises: Plane,
     ratios: Values,
     bright: float,
     step: float,
@@ -93,14 +100,12 @@ def pair_segments(
     ``ratios`` are those of the whole frames; a segment whose mean is ``bright`` times its noise has its own. There is
     an edge where the light departs from a parabola by more than noise and the share ``step`` of the segment: along the
     row, in one of the means of the segment's blocks and of the two beside it; across the rows, in the means of the
-    segments about it, whose noise and what they leave of a parabola are ``noises`` and ``left`` (rows, segments,
-    channels). That has four degrees of freedom: it goes beyond 5.5 standard errors once in 200,000 segments, and a step
-    between two has half of itself or more (0.49 to 0.62) in it.
+    segments about it. ``means`` and ``noises`` are those of :func:`segment_means`.
     """
     period = pattern.shape[0]
     levels = segments.shape[1]
     block, size = np.empty(_BLOCKS + 2), np.empty(_BLOCKS + 2)
-    whole = np.empty(13, dtype=np.int64)
+    ordered, whole = np.empty(7), np.empty(13, dtype=np.int64)
     for row in range(first.shape[0]):
         for channel in range(black.size):
             phases = np.flatnonzero(pattern[row % period] == channel)
@@ -119,8 +124,9 @@ def pair_segments(
                     segments[channel, level, 1] += 1
                     continue
                 least = step * abs(mean_a + mean_b)
-                noise = noises[row, start // SEGMENT, channel]
-                is_crossed = left[row, start // SEGMENT, channel] > (0.5 * least + 5.5 * np.sqrt(noise / n)) ** 2
+                noise, is_crossed = _along_column(
+                    means, noises, row, start // SEGMENT, channel, period, n, least, ordered
+                )
                 if is_crossed or _has_edge(block, size, noise, least):
                     segments[channel, level, 2] += 1
                     continue
@@ -271,3 +277,57 @@ def _has_edge(block: Values, size: Values, noise: float, least: float) -> Any:
             if abs(block[j] - centre - (slope + curve * x) * x) > least + 5 * np.sqrt(noise / size[j]):
                 return True
     return False
+
+
+@kernel
+def _along_column(
+    means: Plane,
+    noises: Plane,
+    row: int,
+    place: int,
+    channel: int,
+    period: int,
+    n: int,
+    least: float,
+    ordered: Values,
+) -> Any:
+    """Return a pixel's variance about a segment of n pixels, and whether an edge crosses the segments around it.
+
+    These are seven of the channel, ``period`` rows apart, or the one alone where the frame has fewer. The variance is
+    their median: rows beyond an edge may be brighter. What a parabola through their means leaves has four degrees of
+    freedom; it goes beyond 5.5 standard errors once in 200,000 segments, and a step between two has half of itself or
+    more (0.49 to 0.62) in it. ``ordered`` (7,) is room.
+    """
+    first = row - 3 * period
+    while first < 0:
+        first += period
+    while first + 6 * period >= means.shape[0]:
+        first -= period
+    if first < 0:
+        return np.float64(noises[row, place, channel]), False
+    known = 0
+    centre: Any = 0.0
+    tilt: Any = 0.0
+    bend: Any = 0.0
+    total: Any = 0.0
+    own = np.float64(means[row, place, channel])
+    for j in range(7):
+        there = first + j * period
+        value = np.float64(noises[there, place, channel])
+        if not np.isnan(value):
+            i = known
+            while i > 0 and ordered[i - 1] > value:
+                ordered[i] = ordered[i - 1]
+                i -= 1
+            ordered[i] = value
+            known += 1
+        x = j - 3.0
+        level = np.float64(means[there, place, channel]) - own
+        total += level * level
+        centre += level
+        tilt += x * level
+        bend += (x * x - 4.0) * level
+    noise = ordered[known // 2] if known else np.nan
+    # Not a number where a segment has no sound pixel, which is not an edge.
+    left = total - centre * centre / 7 - tilt * tilt / 28 - bend * bend / 84
+    return noise, left > (0.5 * least + 5.5 * np.sqrt(noise / n)) ** 2

@@ -23,7 +23,7 @@ from eldata.errors import ArgumentError, DatasetError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Plane, Values
+    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Values
     from eldata.raw.cfa import Cfa
 
 _LEVELS = 512  # from black to saturation
@@ -180,7 +180,8 @@ class FlatPairs(FlatSums):
             self.black,
             self.limit_dn,
             self._level_dn,
-            *_across_rows(means, noise, len(self.pattern)),
+            means,
+            noise,
             self._ratios(first, second, defects),
             _BRIGHT,
             _STEP,
@@ -279,30 +280,6 @@ class FlatPairs(FlatSums):
         segments = self._segments[channel, chosen, 0]
         freedom, variance, squares = self._sums[channel, chosen][:, [0, 1, 6]].T
         return (squares - variance**2 / freedom) / np.maximum(segments - 1, 1), segments
-
-
-def _across_rows(means: Plane, noises: Plane, period: int) -> tuple[Values, Values]:
-    """Return a pixel's variance about each segment, and what a parabola leaves of the means of the segments about it.
-
-    These are seven of the channel, ``period`` rows apart, or the one alone where the frame has fewer. The variance is
-    their median: rows beyond an edge may be brighter. What is left, a sum of squares, is not a number where a segment
-    has no sound pixel, which is not an edge.
-    """
-    row = np.arange(len(means))
-    first = np.where(row < 3 * period, row % period, row - 3 * period)
-    first -= period * np.maximum(-((len(means) - 1 - 6 * period - first) // period), 0)
-    places = np.where(first < 0, row, first + period * np.arange(7)[:, None])
-    total, centre, tilt, bend = np.zeros((4, *means.shape))
-    for x, there in enumerate(places, -3):
-        level = means[there].astype(np.float64) - means
-        total += level * level
-        centre += level
-        tilt += x * level
-        bend += (x * x - 4.0) * level
-    ordered = np.sort(noises[places], axis=0)
-    middle = np.isfinite(ordered).sum(axis=0, keepdims=True) // 2
-    noise = np.take_along_axis(ordered, middle, axis=0)[0].astype(np.float64)
-    return noise, total - centre * centre / 7 - tilt * tilt / 28 - bend * bend / 84
 
 
 def photon_transfer(flats: FlatPairs) -> PhotonTransfer:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.calibration.core.findings import FIT, ROUNDING, SHAPE
-from eldata.errors import DatasetError
+from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -146,6 +146,8 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
 
     Raises
     ------
+    ArgumentError
+        If the histogram is malformed.
     DatasetError
         If it holds too few residuals, or all in a few cells.
     """
@@ -153,6 +155,16 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     from eldata.calibration.core._tukey_lambda import HIGHEST, LOWEST, ResidualModel, correlation, normal_correlation
 
     counts = histogram.counts
+    if counts.ndim != 2 or counts.shape[1] % 2 == 0 or not histogram.cell_dn > 0:
+        raise ArgumentError(
+            "a histogram is (groups, an odd number of cells) with cells of positive width; found shape "
+            f"{counts.shape}, width {histogram.cell_dn}"
+        )
+    if histogram.frames < 1 or not histogram.row_pixels > 1:
+        raise ArgumentError(
+            f"residuals are of 1 frame or more and rows of 2 pixels or more; found {histogram.frames} and "
+            f"{histogram.row_pixels}"
+        )
     total = counts.sum(axis=0)
     inner = total[1:-1]
     beyond = int(total[0] + total[-1])

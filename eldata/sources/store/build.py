@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.manifest.frame_files import FrameFiles
+    from eldata.manifest.catalogue import FrameFiles
     from eldata.records import Role
     from eldata.sources.store.format import AnyStored, Compression
     from eldata.sources.store.journal import JournaledFile

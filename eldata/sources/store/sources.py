@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple, Unpack
 from eldata.base.arguments import keywords
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import card_text
-from eldata.manifest.catalogue import Manifest, known_manifest, load_manifest
+from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest
 from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.drv import scan_raw
-from eldata.manifest.frame_files import FrameFiles
 from eldata.manifest.pairs import Choice, select_pairs
 from eldata.manifest.patterns import expand, is_pattern, is_png
 from eldata.manifest.table import table_text

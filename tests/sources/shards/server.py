@@ -107,14 +107,14 @@ class Handler(BaseHTTPRequestHandler):
                 self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             pieces = 50 if failure == "trickle" else max(1, round(len(content) / self.site.bytes_per_s / 0.02))
             each = -(-len(content) // pieces) or 1
+            with self.site.lock:  # before the reader has it, who may look
+                self.site.sent += len(content)
             for start in range(0, len(content), each):
                 self.wfile.write(content[start : start + each])
                 if pieces > 1:
                     time.sleep(0.02)
             if failure == "stop":
                 self.site.ended.wait()
-            with self.site.lock:
-                self.site.sent += len(content)
 
     def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 # its name in the base class
         pass

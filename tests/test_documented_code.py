@@ -54,8 +54,6 @@ ELSEWHERE = {
     "docs/adding-a-dataset.md": "tests/test_adding_a_dataset.py",
     "docs/srgb.md": "tests/isp/test_docs.py",
 }
-# Of these, which name a file, too: what writes it is run there.
-FILES_ELSEWHERE = {"crvd_to_dng.py": "tests/datasets/test_crvd_as_dng.py"}
 # Sizes and times alone are made smaller.
 SMALLER = {
     "crop=512": "crop=16",
@@ -300,8 +298,8 @@ def test_no_document_is_left_out() -> None:
     assert written == {*NEEDS, "docs/srgb.md", *ON_MACHINES}
     for name, text in DOCUMENTS.items():
         named = {kind.partition(" ")[2] for kind, _ in _FENCE.findall(text) if kind.startswith("python ")}
-        assert name in ELSEWHERE or named <= FILES_ELSEWHERE.keys()
-    for test in (*ELSEWHERE.values(), *FILES_ELSEWHERE.values()):
+        assert name in ELSEWHERE or not named
+    for test in ELSEWHERE.values():
         assert (ROOT / test).is_file()
     for name in ON_MACHINES:
         for text in blocks(name):

@@ -11,7 +11,7 @@ import numpy as np
 from eldata.base.files import file_problem, folder_problem, inside
 from eldata.base.workers import Failed, Workers, require_files
 from eldata.errors import DatasetError
-from eldata.manifest.catalogue import known_manifest, load_manifest
+from eldata.manifest.catalogue import FrameFiles, known_manifest, load_manifest
 from eldata.manifest.pairs import Choice, select_pairs
 from eldata.raw.colour import camera_to_srgb
 
@@ -76,6 +76,13 @@ def exported_pairs(
     if problem is not None:
         raise DatasetError(f"{folder}: {problem}; --root names the folder that holds {loaded.card.folder}")
     paths = list(dict.fromkeys(path for pair in pairs for path in (pair.reference, pair.path)))
+    stated = FrameFiles.of(folder, loaded.card, loaded.records).stated
+    mosaics = [path for path in paths if path in stated]
+    if mosaics:
+        raise DatasetError(
+            f"{folder / mosaics[0]}: is a mosaic whose levels the set's card states, as are {len(mosaics)} of "
+            f"{len(paths)} files; published code reads raw files, by LibRaw: write them as DNG (eldata.raw.write_dng)"
+        )
     absent = [path for path in paths if file_problem(inside(folder, path)) is not None]
     if absent:
         raise DatasetError(

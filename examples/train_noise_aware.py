@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from PIL import Image
+from safetensors.torch import load_file
 from torch import nn
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 from torch.utils.data import ConcatDataset
@@ -53,18 +54,17 @@ if TYPE_CHECKING:
 
 RANGE_DN = 15871.0
 GAINS_DN_PER_E = (0.05, 20.0)
-# Factors, and how often each is drawn: high ones are what such a network is for.
-FACTORS = {(1.0, 8.0): 1, (8.0, 40.0): 1, (40.0, 120.0): 2, (120.0, 300.0): 2}
+# Factors, and how often each is drawn: frames that have hardly any noise are the hardest to leave as they are.
+FACTORS = {(1.0, 3.0): 3, (3.0, 8.0): 2, (8.0, 40.0): 2, (40.0, 120.0): 2, (120.0, 300.0): 2}
 MODEL = "P*+G*+R+U"
 SIDE = 256  # of a clean frame, packed pixels
 FRAMES = {"still life": 600, "picture": 700, "leaves": 300}
 HELD = {"still life": 6, "picture": 5, "leaves": 5}  # of the same kinds, and by cameras that are not trained on
 PHASES = (((0, 1), (3, 2)), ((1, 0), (2, 3)), ((3, 2), (0, 1)), ((2, 3), (1, 0)))  # of the CFA, in turn
 FIRST_STILL_LIFE = 1001  # none that the demo, the benchmark or a test shows
-BATCH, CROP, EPOCH, RATE = 64, 96, 1000, 1e-3
-STEPS = 40_000
-SHARE = 1 / 2000  # of the present weights in their running mean
-HELD_SIDE, HELD_FACTORS = 128, (3.0, 30.0, 100.0, 250.0)
+EPOCH = 500  # steps
+SHARE = 1 / 500  # of the present weights in their running mean
+HELD_SIDE, HELD_FACTORS = 128, (1.0, 10.0, 100.0, 250.0)
 TOLD = 0.05  # standard deviation of the logarithm of what the network is told, over what is true
 FLOOR = 0.01  # share of the noise's variance below which an error hardly counts
 # What no line tells of, in standard deviations of the read noise, each in half of the crops: offsets of columns, and a
@@ -76,7 +76,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Train to the end, and write the weights."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path, help="folder of this training; the same command goes on with it")
-    parser.add_argument("--steps", type=int, default=STEPS, help="(default: %(default)s)")
+    parser.add_argument("--begin", type=Path, metavar="FILE", help="weights to begin with, of an earlier run")
+    parser.add_argument("--steps", type=int, default=20_000, help="(default: %(default)s)")
+    parser.add_argument("--rate", type=float, default=5e-4, help="learning rate at first (default: %(default)s)")
+    parser.add_argument("--batch", type=int, default=64, help="(default: %(default)s)")
+    parser.add_argument("--crop", type=int, default=96, help="in packed pixels (default: %(default)s)")
     parser.add_argument("--precision", choices=("float32", "bfloat16"), default="bfloat16")
     parser.add_argument("--device", default="cpu", help="(default: %(default)s)")
     parser.add_argument("--workers", type=int, default=0, help="processes that make the noise (default: %(default)s)")
@@ -88,22 +92,26 @@ def main(argv: Sequence[str] | None = None) -> None:
     seed, workers = options.seed, Workers(max(options.workers, 1))
     clean = clean_frames(options.run / "clean.npy", FRAMES, seed, workers)
     held = validation(clean_frames(options.run / "validation.npy", HELD, seed + 1, workers), seed + 1)
-    network = Averaged(NoiseAwareUNet(seed=seed))
+    begun = NoiseAwareUNet(seed=seed)
+    if options.begin is not None:
+        begun.load_state_dict(load_file(options.begin))
+    network = Averaged(begun)
+    pairs = noisy_pairs(clean, options.batch, options.crop, seed)
     training = Training(
         network.to(memory_format=torch.channels_last),  # type: ignore[call-overload] # torch's stub
-        training_loader(noisy_pairs(clean, seed), BATCH, seed=seed, workers=options.workers, device=options.device),
+        training_loader(pairs, options.batch, seed=seed, workers=options.workers, device=options.device),
         steps=options.steps,
-        learning_rate=RATE,
+        learning_rate=options.rate,
         loss=decibels,
         device=options.device,
         precision=options.precision,
-        settings={"seed": seed, "crop": CROP, "frames": len(clean)},
+        settings={"seed": seed, "crop": options.crop, "frames": len(clean)},
     )
     torch.manual_seed(seed)
-    begun, curve = time.monotonic(), options.run / "curve.csv"
+    started, curve = time.monotonic(), options.run / "curve.csv"
     for report in training.epochs(options.run / "checkpoint.pt"):
         found = gains_db(network, held, options.device)
-        line = {"step": report.step, "s": round(time.monotonic() - begun), "loss": f"{report.loss:.4f}", **found}
+        line = {"step": report.step, "s": round(time.monotonic() - started), "loss": f"{report.loss:.4f}", **found}
         with curve.open("a", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, line)
             if file.tell() == 0:
@@ -265,11 +273,11 @@ def grain(side: int, generator: np.random.Generator) -> NDArray[np.float32]:
     return np.asarray(made / made.std(), np.float32)
 
 
-def noisy_pairs(source: Kept, seed: int) -> ConcatDataset[Any]:
+def noisy_pairs(source: Kept, batch: int, crop: int, seed: int) -> ConcatDataset[Any]:
     """Return crops of all frames with the noise of virtual cameras, factors as often as they are wanted."""
     virtual = VirtualCameras(200, replace(LED_RANGES, gain_dn_per_e=GAINS_DN_PER_E), seed=seed)
-    per = EPOCH * BATCH / len(source) / sum(FACTORS.values())
-    options: dict[str, Any] = {"model": NoiseModel(MODEL), "clip": "none", "crop": CROP, "augment": True}
+    per = EPOCH * batch / len(source) / sum(FACTORS.values())
+    options: dict[str, Any] = {"model": NoiseModel(MODEL), "clip": "none", "crop": crop, "augment": True}
     return ConcatDataset(
         [
             SyntheticPairs(

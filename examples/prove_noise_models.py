@@ -216,7 +216,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     files = {camera: options.folder / f"{camera}.json" for camera in options.cameras}
     if options.table:
         files = {camera: path for camera, path in files.items() if path.exists()}
-    records = {camera: Record(path, asdict(recipe)) for camera, path in files.items()}
+    records = {camera: Record(path, None if options.table else asdict(recipe)) for camera, path in files.items()}
     for camera, record in () if options.table else records.items():
         work(Bench(options.folder, camera), recipe, record, options)
     print("\n\n".join(table(camera, record) for camera, record in records.items()))
@@ -252,12 +252,12 @@ def slug(row: str) -> str:
 class Record:
     """A camera's scores, images of each row and seed in one order, and what the acceptance test said of each model."""
 
-    def __init__(self, path: Path, recipe: dict[str, Any]) -> None:
+    def __init__(self, path: Path, recipe: dict[str, Any] | None) -> None:
         self.path = path
         known: dict[str, Any] = {"recipe": recipe}
         if path.exists():
             known = dict(TextFile(path, EldataError).json().data)
-        if known["recipe"] != recipe:
+        if recipe not in (None, known["recipe"]):
             raise EldataError(f"{path}: is of {known['recipe']}, not of {recipe}; take another folder")
         self.data = known
         self.checks: dict[str, dict[str, float]] = known.setdefault("checks", {})

@@ -6,6 +6,7 @@ import csv
 import importlib.util
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from eldata.base.workers import Workers
 from eldata.baselines import noise_aware, unet
 from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_parameters, stabilised
 from eldata.baselines.noise_aware import NoiseAwareUNet, remove_noise, stabilise, undo
@@ -55,7 +57,9 @@ def test_before_its_training_it_returns_its_input() -> None:
     noisy = torch.randn(4, 4, 16, 24, generator=torch.Generator().manual_seed(0)) + 0.5
     slope, offset = torch.tensor(list(LINES.values())).T
     with torch.inference_mode():
-        torch.testing.assert_close(NoiseAwareUNet(width=4)(noisy, slope, offset), noisy, rtol=1e-5, atol=1e-6)
+        torch.testing.assert_close(
+            NoiseAwareUNet(widths=(4, 6), blocks=(1, 1))(noisy, slope, offset), noisy, rtol=1e-5, atol=1e-6
+        )
 
 
 def test_noise_has_one_deviation_behind_the_transform() -> None:
@@ -76,41 +80,67 @@ def example(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    small = {"FRAMES": {"still life": 1, "picture": 1, "leaves": 1}, "SIDE": 64, "EPOCH": 9, "BATCH": 2, "CROP": 32}
-    for name, value in {**small, "VALIDATION": (32, 3)}.items():
+    small = {"FRAMES": {"still life": 1, "picture": 1, "leaves": 1}, "HELD": {"picture": 2}, "SIDE": 64, "EPOCH": 9}
+    for name, value in {**small, "HELD_SIDE": 32}.items():
         monkeypatch.setattr(module, name, value)
+    network = partial(NoiseAwareUNet, widths=(4, 6), blocks=(1, 1))
+    monkeypatch.setattr(module, "NoiseAwareUNet", network)
     threads = torch.get_num_threads()
     yield module
     torch.set_num_threads(threads)
 
 
-def test_the_training_goes_on_and_is_ended_on_a_copy(example: Any, tmp_path: Path) -> None:
-    made = [example.clean_frame("leaves", 2, np.random.default_rng([5, 2])) for _ in range(2)]
-    assert np.array_equal(*made)
-    assert made[0].shape == (4, 64, 64)
-    assert 0 <= made[0].min() < made[0].max() <= 1
-    given = ["--width", "4", "--precision", "float32"]
-    example.main([str(tmp_path), "--steps", "18", *given])
-    begun = (tmp_path / "checkpoint.pt").read_bytes()
+def test_the_training_goes_on_and_another_begins_with_its_weights(example: Any, tmp_path: Path) -> None:
+    frames = example.clean_frames(tmp_path / "frames.npy", {"leaves": 2, "picture": 1}, 5, Workers(1))
+    clean = np.load(frames.path)
+    assert clean.shape == (3, 4, 64, 64)
+    assert 0 <= clean.min() < clean.max() <= 1
+    assert np.array_equal(clean[1], example.clean_frame(("leaves", 1, 5)))
+    given = ["--steps", "18", "--batch", "2", "--crop", "32", "--precision", "float32"]
+    example.main([str(tmp_path), *given])
     assert (tmp_path / "curve.csv").read_text(encoding="utf-8").count("\n") == 3
-    example.main([str(tmp_path), "--cooldown", "9", "--export", str(tmp_path / "w.safetensors"), *given])
-    assert (tmp_path / "checkpoint.pt").read_bytes() == begun
-    network = NoiseAwareUNet(width=4)
-    network.load_state_dict(load_file(tmp_path / "w.safetensors"))
-    assert network.network.last.weight.detach().any(), "it was trained"
-    with (tmp_path / "cooldown-9.csv").open(encoding="utf-8") as file:
+    example.main([str(tmp_path), *given])  # nothing is left to do
+    weights = load_file(tmp_path / "noise_aware.safetensors")
+    assert weights["last.weight"].any(), "it was trained"
+    example.main([str(tmp_path / "two"), *given, "--begin", str(tmp_path / "noise_aware.safetensors")])
+    moved = load_file(tmp_path / "two" / "noise_aware.safetensors")
+    assert 0 < max(float((moved[name] - weights[name]).abs().max()) for name in weights) < 0.02
+    with (tmp_path / "two" / "curve.csv").open(encoding="utf-8") as file:
         assert all(np.isfinite(float(value)) for line in csv.DictReader(file) for value in line.values())
 
 
-def test_the_mean_of_the_weights_is_what_is_used(example: Any) -> None:
+def test_the_mean_of_the_weights_is_what_is_used(example: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """After n steps with weights w, a mean that began at 0 is w (1 - (1 - share)^n)."""
-    network = example.Averaged(NoiseAwareUNet(width=4), share=0.25)
+    monkeypatch.setattr(example, "SHARE", 0.25)
+    network = example.Averaged(example.NoiseAwareUNet())
     with torch.no_grad():
-        network.network.network.last.bias.fill_(2.0)
+        network.network.last.bias.fill_(2.0)
         for _ in range(3):
             network.train()(torch.zeros(1, 4, 8, 8), torch.ones(1), torch.ones(1))
-    bias = network.average.network.last.bias
+    bias = network.average.last.bias
     torch.testing.assert_close(bias, torch.full_like(bias, 2 * (1 - 0.75**3)))
+
+
+def test_the_line_of_a_batch_is_the_models(example: Any) -> None:
+    """Of lambda from -0.24 to 0.2 and near 0, against the closed form that the noise model has."""
+    shapes = torch.tensor([-0.24, -0.05, -1e-6, 0.0, 1e-3, 0.2], dtype=torch.float64)
+    found = example.tukey_lambda_variances(shapes)
+    assert found.tolist() == pytest.approx([tukey_lambda_variance(float(shape)) for shape in shapes], rel=5e-4)
+
+
+def test_what_no_line_tells_of_is_as_large_as_it_is_said_to_be(example: Any) -> None:
+    """Of 400 crops: half have jumps, of a size that is uniform from 0 to 4 sigma, in 6 % of the pixels."""
+    torch.manual_seed(0)
+    added = example.untold(torch.zeros(400, 4, 64, 64), torch.full((400,), 2.0))
+    columns = added.median(dim=2).values  # jumps are too few to move it
+    assert torch.equal(columns[:, 0], columns[:, 3])
+    assert torch.equal(columns[:, 1], columns[:, 2])
+    jumps = added - columns[:, :, None]
+    share = (jumps.abs() > 1e-6).float().mean(dim=(1, 2, 3))
+    assert float((share > 0).float().mean()) == pytest.approx(0.5, abs=5 * 0.5 / 20)
+    assert float(share[share > 0].mean()) == pytest.approx(2 * 0.03, abs=0.001)
+    assert 7.5 < float(jumps.abs().max()) < 8
+    assert float(columns.std(dim=2).max()) < 2 * 0.3 * 1.5
 
 
 # --- the one that ships -----------------------------------------------------------------------------------------------
@@ -119,14 +149,14 @@ def test_the_mean_of_the_weights_is_what_is_used(example: Any) -> None:
 def test_the_network_is_as_small_as_it_is_said_to_be() -> None:
     assert WEIGHTS.stat().st_size < 2_000_000
     with torch.inference_mode():
-        assert sum(one.numel() for one in NoiseAwareUNet().parameters()) == 971_582
+        assert sum(one.numel() for one in NoiseAwareUNet().parameters()) == 973_832
 
 
 def test_tiles_are_not_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the overlap is as far as it sees, so that tiles make what the whole frame makes."""
-    image = np.random.default_rng(0).random((4, 300, 530)).astype(np.float32)
+    image = np.random.default_rng(0).random((4, 300, 700)).astype(np.float32)
     whole = remove_noise(image, 0.05, 1e-3, ())
-    monkeypatch.setattr(noise_aware, "_TILE", 384)
+    monkeypatch.setattr(noise_aware, "_TILE", 512)
     np.testing.assert_allclose(remove_noise(image, 0.05, 1e-3, ()), whole, atol=1e-5)
 
 

@@ -197,9 +197,10 @@ def test_intervals_of_seeds_are_those_of_a_paired_t_test(tmp_path: Path) -> None
     assert example["with_interval"](*record.of("dct", 100.0)) == pytest.approx((31.0, 0.0))
 
 
-def test_the_documented_tables_are_those_of_the_records() -> None:
+@pytest.mark.parametrize("folder", ["proof", "proof/larger"])
+def test_the_documented_tables_are_those_of_the_records(folder: str) -> None:
     """What docs/proof.md shows is what the command prints of the records beside it."""
-    example, records = ROOT / "examples" / "prove_noise_models.py", ROOT / "docs" / "proof"
+    example, records = ROOT / "examples" / "prove_noise_models.py", ROOT / "docs" / folder
     printed = subprocess.run(
         [sys.executable, example, records, "--table"], capture_output=True, text=True, timeout=PATIENCE_S, check=True
     ).stdout

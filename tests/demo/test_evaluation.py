@@ -44,7 +44,7 @@ def sheet_size(rows: int, height: int, width: int, columns: int = 4) -> tuple[in
 
 def test_the_whole_path(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     folder, results = demo
-    assert set(results) == {"amplified", "dct", "unet"}
+    assert set(results) == {"amplified", "dct", "network"}
     for result in results.values():
         assert not result.problems
         assert len(result.images) == len(result.pairs) == 12
@@ -53,7 +53,7 @@ def test_the_whole_path(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     assert not list(folder.rglob("*.part"))
 
 
-@pytest.mark.parametrize("name", ["dct", "unet"])
+@pytest.mark.parametrize("name", ["dct", "network"])
 def test_denoisers_beat_the_amplified_input_everywhere(
     name: str, demo: tuple[Path, dict[str, EvaluationResult]]
 ) -> None:
@@ -79,7 +79,7 @@ def test_contact_sheet_of_the_demo(demo: tuple[Path, dict[str, EvaluationResult]
         assert np.abs(picture - reference).mean() < np.abs(amplified - reference).mean()
 
 
-@pytest.mark.parametrize("name", ["amplified", "dct", "unet"])
+@pytest.mark.parametrize("name", ["amplified", "dct", "network"])
 def test_scores_on_disk(name: str, demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     folder, results = demo
     with (folder / f"{name}.csv").open(newline="") as file:
@@ -94,7 +94,14 @@ def test_what_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     run_demo(folder, scenes=2)
     out = capsys.readouterr().out
     commands = [shlex.split(line)[1:] for line in out.splitlines() if line.startswith("$ ")]  # to be pasted
-    assert [command[1] for command in commands] == ["verify", "baseline", "predict", "evaluate", "evaluate", "evaluate"]
+    assert [command[1] for command in commands] == [
+        "verify",
+        "baseline",
+        "baseline",
+        "evaluate",
+        "evaluate",
+        "evaluate",
+    ]
     for command in commands:
         assert parser().parse_args(command[1:]).root == str(folder / "data")
     for words in ("64 raw files", "all well", "eldata verify", "eldata evaluate", "24 of 24", "contact-sheet.png"):

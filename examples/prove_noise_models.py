@@ -237,7 +237,7 @@ def work(bench: Bench, recipe: Recipe, record: Record, options: argparse.Namespa
 def untrained(bench: Bench, row: str) -> Any:
     """Return what denoises without a training of ours; for the noisy input nothing does."""
     if row == "reference":
-        return Trained(reference_network())
+        return Trained(reference_network(), "cpu")
     return None if row == "input" else BaselineDenoiser(row, (bench.profile,))
 
 
@@ -302,8 +302,8 @@ class Record:
 class Trained:
     """A network as what predicts a frame."""
 
-    def __init__(self, network: UNet) -> None:
-        self.network = network.cpu().eval()
+    def __init__(self, network: UNet, device: str) -> None:
+        self.network, self.device = network.to(device).eval(), device
 
     def settings(self, cameras: Any, channels: Any) -> dict[str, str]:  # noqa: ARG002 # of all alike
         """Return what decides its predictions; their folder is removed once it is scored."""
@@ -312,7 +312,8 @@ class Trained:
     def __call__(self, frame: NoisyFrame) -> np.ndarray:
         """Return the network's estimate of a whole frame."""
         with torch.inference_mode():
-            clean: np.ndarray = self.network(torch.from_numpy(frame.image)[None])[0].contiguous().numpy()
+            made = self.network(torch.from_numpy(frame.image)[None].to(self.device))[0]
+        clean: np.ndarray = made.contiguous().cpu().numpy()
         return clean
 
 
@@ -352,7 +353,7 @@ def train(
     for report in training.epochs(checkpoint):
         print(f"{bench.camera}.{name}: {report}", flush=True)
     facts = {"cpu_s": round(time.process_time() - begun, 1), **speed}
-    images, scores = score(bench, Trained(network), name)
+    images, scores = score(bench, Trained(network, device), name)
     checkpoint.unlink()
     return images, scores, facts
 

@@ -1,17 +1,17 @@
 """Train the network that is told the noise, on clean pictures that every installation has and virtual cameras' noise.
 
-    python examples/train_noise_aware.py run                              # until it is ended; again: it goes on
-    python examples/train_noise_aware.py run --cooldown 20000 --export noise-aware.safetensors
+    python examples/train_noise_aware.py run --steps 2000                 # on a CPU: the first two of many hours
+    python examples/train_noise_aware.py run --device cuda --workers 14   # minutes
 
-The first makes the clean frames once (`run/clean.npy`), trains at a constant rate, and writes `run/checkpoint.pt` and a
-line of `run/curve.csv` every 1,000 steps. Ctrl-C or a kill costs what came after the last of them. The second begins
-with the running mean of the weights so far, lets the rate fall to nothing over so many steps of its own, and writes the
-weights in half precision; the first may go on afterwards as if nothing had been.
+Clean frames are made once (`run/clean.npy`); `run/checkpoint.pt` and a line of `run/curve.csv` are written after each
+1,000 steps, `run/noise_aware.safetensors` at the end, in half precision. The same command goes on after a Ctrl-C or a
+kill.
 
 Clean frames are still lifes of the demo's kind, scikit-image's pictures that the virtual benchmark does not test on,
 and discs that lie upon each other like dead leaves, in sizes, colours and exposures of all kinds. Noise is that of
-virtual cameras, K from 0.05 to 20 DN/e- and factors from 1 to 300; the colour bias, which a profile knows and
-`denoise` takes off, is left out.
+virtual cameras, K from 0.05 to 20 DN/e- and factors from 1 to 300, and in half of the crops what no line tells of:
+columns with an offset and pixels that jump. The colour bias, which a profile knows and `denoise` takes off, is left
+out.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import copy
 import csv
+import math
 import os
 import time
 from dataclasses import replace
@@ -28,11 +29,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from PIL import Image
+from safetensors.torch import load_file
 from torch import nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 from torch.utils.data import ConcatDataset
 
 from eldata import SyntheticPairs
 from eldata.base.files import atomic_write
+from eldata.base.workers import Workers
 from eldata.baselines import Training
 from eldata.baselines.noise_aware import NoiseAwareUNet
 from eldata.baselines.unet import save_weights
@@ -41,7 +45,6 @@ from eldata.demo.benchmark_frames import TRAINING_PICTURES, picture_radiance, pi
 from eldata.demo.camera import CAMERAS, METERED_SHARE, mosaic_light
 from eldata.demo.scenes import scene_radiance
 from eldata.noise import LED_RANGES, NoiseModel, VirtualCameras
-from eldata.noise.parameters import tukey_lambda_variance
 from eldata.raw import pack
 
 if TYPE_CHECKING:
@@ -51,98 +54,88 @@ if TYPE_CHECKING:
 
 RANGE_DN = 15871.0
 GAINS_DN_PER_E = (0.05, 20.0)
-# Factors, and how often each is drawn: high ones are what such a network is for.
-FACTORS = {(1.0, 8.0): 1, (8.0, 40.0): 1, (40.0, 120.0): 2, (120.0, 300.0): 2}
+# Factors, and how often each is drawn: frames that have hardly any noise are the hardest to leave as they are.
+FACTORS = {(1.0, 3.0): 3, (3.0, 8.0): 2, (8.0, 40.0): 2, (40.0, 120.0): 2, (120.0, 300.0): 2}
 MODEL = "P*+G*+R+U"
 SIDE = 256  # of a clean frame, packed pixels
-FRAMES = {"still life": 200, "picture": 360, "leaves": 140}
+FRAMES = {"still life": 600, "picture": 700, "leaves": 300}
+HELD = {"still life": 6, "picture": 5, "leaves": 5}  # of the same kinds, and by cameras that are not trained on
 PHASES = (((0, 1), (3, 2)), ((1, 0), (2, 3)), ((3, 2), (0, 1)), ((2, 3), (1, 0)))  # of the CFA, in turn
 FIRST_STILL_LIFE = 1001  # none that the demo, the benchmark or a test shows
-BATCH, CROP, EPOCH = 16, 64, 1000
-RATE, OPEN_END = 5e-4, 4_000_000  # half of these steps have this rate, which is days of them
-VALIDATION = 128, 16  # side of a crop, and frames for each factor
+EPOCH = 500  # steps
+SHARE = 1 / 500  # of the present weights in their running mean
+HELD_SIDE, HELD_FACTORS = 128, (1.0, 10.0, 100.0, 250.0)
 TOLD = 0.05  # standard deviation of the logarithm of what the network is told, over what is true
 FLOOR = 0.01  # share of the noise's variance below which an error hardly counts
+# What no line tells of, in standard deviations of the read noise, each in half of the crops: offsets of columns, and a
+# share of pixels that jump by so much.
+COLUMNS, JUMPING, JUMPS = 0.3, 0.03, 4.0
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Train on, or cool down and export."""
+    """Train to the end, and write the weights."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path, help="folder of this training; the same command goes on with it")
-    parser.add_argument("--steps", type=int, default=OPEN_END, help="(default: %(default)s)")
-    parser.add_argument("--width", type=int, default=46, help="of the network's first level (default: %(default)s)")
-    parser.add_argument("--cooldown", type=int, metavar="STEPS", help="end the training on a copy, with a falling rate")
-    parser.add_argument("--export", type=Path, metavar="FILE", help="write the weights of a cooldown")
+    parser.add_argument("--begin", type=Path, metavar="FILE", help="weights to begin with, of an earlier run")
+    parser.add_argument("--steps", type=int, default=20_000, help="(default: %(default)s)")
+    parser.add_argument("--rate", type=float, default=5e-4, help="learning rate at first (default: %(default)s)")
+    parser.add_argument("--batch", type=int, default=64, help="(default: %(default)s)")
+    parser.add_argument("--crop", type=int, default=96, help="in packed pixels (default: %(default)s)")
     parser.add_argument("--precision", choices=("float32", "bfloat16"), default="bfloat16")
     parser.add_argument("--device", default="cpu", help="(default: %(default)s)")
+    parser.add_argument("--workers", type=int, default=0, help="processes that make the noise (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
     options = parser.parse_args(argv)
     options.run.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
-    clean = clean_frames(options.run / "clean.npy", options.seed)
-    network = Averaged(NoiseAwareUNet(width=options.width, seed=options.seed))
-    name, steps = "checkpoint", options.steps
-    if options.cooldown is not None:
-        name, steps = f"cooldown-{options.cooldown}", options.cooldown
-        begun = torch.load(options.run / "checkpoint.pt", map_location="cpu", weights_only=True)
-        network.load_state_dict(begun["network"])
-        network.network.load_state_dict(network.average.state_dict())
-        network.share = 1.0  # a falling rate is a mean already
-    train(network, clean, steps, options, name)
-    if options.export is not None:
-        save_weights(network.average, options.export)
-
-
-def train(network: Averaged, clean: NDArray[np.float16], steps: int, options: Any, name: str) -> None:
-    """Train to an end, with a checkpoint and a line of the curve each epoch."""
-    torch.manual_seed(options.seed)
-    is_end = options.cooldown is not None
-    loader = training_loader(noisy_pairs(clean, options.seed + is_end), BATCH, seed=options.seed, workers=0)
+    torch.backends.cudnn.benchmark = True  # all crops have one size
+    seed, workers = options.seed, Workers(max(options.workers, 1))
+    clean = clean_frames(options.run / "clean.npy", FRAMES, seed, workers)
+    held = validation(clean_frames(options.run / "validation.npy", HELD, seed + 1, workers), seed + 1)
+    begun = NoiseAwareUNet(seed=seed)
+    if options.begin is not None:
+        begun.load_state_dict(load_file(options.begin))
+    network = Averaged(begun)
+    pairs = noisy_pairs(clean, options.batch, options.crop, seed)
     training = Training(
         network.to(memory_format=torch.channels_last),  # type: ignore[call-overload] # torch's stub
-        loader,
-        steps=steps,
-        learning_rate=RATE,
+        training_loader(pairs, options.batch, seed=seed, workers=options.workers, device=options.device),
+        steps=options.steps,
+        learning_rate=options.rate,
         loss=decibels,
         device=options.device,
         precision=options.precision,
-        settings={"width": options.width, "seed": options.seed, "crop": CROP, "frames": len(clean)},
+        settings={"seed": seed, "crop": options.crop, "frames": len(clean)},
     )
-    held = validation(options.seed)
-    begun, curve = time.monotonic(), options.run / ("curve.csv" if not is_end else f"{name}.csv")
-    for report in training.epochs(options.run / f"{name}.pt", save_every=250):
-        found = gains_db(network, held)
-        line = {"step": report.step, "s": round(time.monotonic() - begun), "loss": f"{report.loss:.4f}", **found}
+    torch.manual_seed(seed)
+    started, curve = time.monotonic(), options.run / "curve.csv"
+    for report in training.epochs(options.run / "checkpoint.pt"):
+        found = gains_db(network, held, options.device)
+        line = {"step": report.step, "s": round(time.monotonic() - started), "loss": f"{report.loss:.4f}", **found}
         with curve.open("a", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, line)
             if file.tell() == 0:
                 writer.writeheader()
             writer.writerow(line)
         print(report, *(f"{factors} {gain}" for factors, gain in found.items()), sep=", ", flush=True)
+    save_weights(network.average, options.run / "noise_aware.safetensors")
 
 
 class Averaged(nn.Module):
-    """A network in training, and a running mean of its weights, which is what it is in use.
+    """A network in training, and a running mean of its weights, which is what it is in use."""
 
-    Attributes
-    ----------
-    share
-        Of the present weights in the mean, at each step.
-    """
-
-    def __init__(self, network: NoiseAwareUNet, share: float = 1 / 2000) -> None:
+    def __init__(self, network: NoiseAwareUNet) -> None:
         super().__init__()
-        self.network, self.share = network, share
+        self.network = network
         self.average = copy.deepcopy(network).requires_grad_(False)
+        self.update = get_ema_multi_avg_fn(1 - SHARE)  # type: ignore[no-untyped-call] # torch's stub
 
     def forward(self, *given: torch.Tensor) -> torch.Tensor:
         """Return what the network makes, or in use the mean."""
         if not self.training:
             made: torch.Tensor = self.average(*given)
             return made
-        with torch.no_grad():
-            for mean, weights in zip(self.average.parameters(), self.network.parameters(), strict=True):
-                mean.lerp_(weights, self.share)
+        self.update(list(self.average.parameters()), [one.detach() for one in self.network.parameters()], 0)
         trained: torch.Tensor = self.network(*given)
         return trained
 
@@ -153,38 +146,60 @@ class Averaged(nn.Module):
 def line_of(batch: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor]:
     """Return slope and offset of the true noise of each item, (N,) (eldata/baselines/classical.py has them)."""
     scale = batch["ratio"] / RANGE_DN
-    shapes = [tukey_lambda_variance(float(shape)) for shape in batch["tukey_lambda"]]
-    read = torch.tensor(shapes) * batch["sigma_tl_dn"] ** 2 + batch["sigma_row_dn"] ** 2 + 1 / 12
-    return batch["gain_dn_per_e"] * scale, read * scale**2
+    read = tukey_lambda_variances(batch["tukey_lambda"]) * batch["sigma_tl_dn"] ** 2 + batch["sigma_row_dn"] ** 2
+    return (batch["gain_dn_per_e"] * scale).float(), ((read + 1 / 12) * scale**2).float()
+
+
+def tukey_lambda_variances(shape: torch.Tensor) -> torch.Tensor:
+    """Return the variances for scale 1: 2 / lambda^2 (1 / (1 + 2 lambda) - Gamma(lambda + 1)^2 / Gamma(2 lambda + 2)).
+
+    On the device of the batch. Nearer to 0 than 1e-4 that of 1e-4, which is the limit's to 1 part in 2,000.
+    """
+    shape = torch.where(shape.abs() < 1e-4, 1e-4, shape.double())
+    beta = torch.exp(2 * torch.lgamma(shape + 1) - torch.lgamma(2 * shape + 2))
+    return 2 / shape**2 * (1 / (1 + 2 * shape) - beta)
 
 
 def decibels(network: nn.Module, batch: Mapping[str, Any]) -> torch.Tensor:
     """Return the mean logarithm of each crop's error over its noise: what PSNR means, whatever the noise."""
     slope, offset = line_of(batch)
-    told = torch.exp(TOLD * torch.randn(2, len(slope)))
-    made = network(batch["input"], slope * told[0], offset * told[1] ** 2)
+    told = torch.exp(TOLD * torch.randn(2, len(slope), device=slope.device))
+    noisy = batch["input"] + untold(batch["input"], offset.sqrt())
+    made = network(noisy, slope * told[0], offset * told[1] ** 2)
     noise = offset + slope * batch["target"].mean(dim=(1, 2, 3))
     error = ((made - batch["target"]) ** 2).mean(dim=(1, 2, 3)) / noise
     loss: torch.Tensor = torch.log(error + FLOOR).mean()
     return loss
 
 
+def untold(noisy: torch.Tensor, sigma: torch.Tensor) -> torch.Tensor:
+    """Return what a sensor adds that no line tells of, for read noise of ``sigma`` (N,)."""
+    count, _, _, width = noisy.shape
+    each = sigma[:, None, None, None] * (torch.rand(2, count, 1, 1, 1, device=noisy.device) * 2 - 1).clamp(min=0)
+    # In any phase R and one green lie in the same columns of the mosaic, B and the other green in those between.
+    columns = torch.randn(count, 2, 1, width, device=noisy.device)[:, [0, 1, 1, 0]]
+    places = torch.rand(noisy.shape, device=noisy.device)
+    jumps = (places < JUMPING).float() - (places > 1 - JUMPING).float()
+    return COLUMNS * each[0] * columns + JUMPS * each[1] * jumps
+
+
 # --- clean frames -----------------------------------------------------------------------------------------------------
 
 
-def clean_frames(path: Path, seed: int) -> NDArray[np.float16]:
-    """Return clean frames (N, 4, h, w), made once: frame i depends on (seed, i) alone."""
+def clean_frames(path: Path, counts: Mapping[str, int], seed: int, workers: Workers) -> Kept:
+    """Return clean frames, made once: frame i depends on (seed, i) alone."""
     if not path.exists():
-        kinds = [kind for kind, count in FRAMES.items() for _ in range(count)]
-        made = [clean_frame(kind, place, np.random.default_rng([seed, place])) for place, kind in enumerate(kinds)]
+        kinds = [kind for kind, count in counts.items() for _ in range(count)]
+        made = workers.run(clean_frame, [(kind, place, seed) for place, kind in enumerate(kinds)], unit="frame")
         with atomic_write(path) as file:
-            np.save(file, np.stack(made).astype(np.float16))
-    frames: NDArray[np.float16] = np.load(path, mmap_mode="r")
-    return frames
+            np.save(file, np.stack(list(made)))
+    return Kept(path)
 
 
-def clean_frame(kind: str, place: int, generator: np.random.Generator) -> NDArray[np.float32]:
+def clean_frame(wanted: tuple[str, int, int]) -> NDArray[np.float16]:
     """Return what one of the demo's sensors would see of a picture without noise, packed, white at 1."""
+    kind, place, seed = wanted
+    generator = np.random.default_rng([seed, place])
     side, colours = 2 * SIDE, np.arange(3)
     if kind == "still life":
         size = int(side * generator.uniform(1, 2.2))
@@ -203,7 +218,7 @@ def clean_frame(kind: str, place: int, generator: np.random.Generator) -> NDArra
     sensor = replace(known, cfa=cfa, height=side, width=side, white_balance=balance)
     mosaic = mosaic_light(radiance[colours].astype(np.float32), sensor)
     exposure = METERED_SHARE * 2 ** generator.uniform(-2.2, 0.6)
-    return np.clip(pack((mosaic * exposure).astype(np.float32), cfa), 0, 1)
+    return np.clip(pack((mosaic * exposure).astype(np.float32), cfa), 0, 1).astype(np.float16)
 
 
 def window(radiance: NDArray[np.float32], side: int, generator: np.random.Generator) -> NDArray[np.float32]:
@@ -258,16 +273,15 @@ def grain(side: int, generator: np.random.Generator) -> NDArray[np.float32]:
     return np.asarray(made / made.std(), np.float32)
 
 
-def noisy_pairs(clean: NDArray[np.float16], seed: int) -> ConcatDataset[Any]:
+def noisy_pairs(source: Kept, batch: int, crop: int, seed: int) -> ConcatDataset[Any]:
     """Return crops of all frames with the noise of virtual cameras, factors as often as they are wanted."""
     virtual = VirtualCameras(200, replace(LED_RANGES, gain_dn_per_e=GAINS_DN_PER_E), seed=seed)
-    per = EPOCH * BATCH / len(clean) / sum(FACTORS.values())
-    source = Kept(clean)
-    options: dict[str, Any] = {"model": NoiseModel(MODEL), "clip": "none", "crop": CROP, "augment": True}
+    per = EPOCH * batch / len(source) / sum(FACTORS.values())
+    options: dict[str, Any] = {"model": NoiseModel(MODEL), "clip": "none", "crop": crop, "augment": True}
     return ConcatDataset(
         [
             SyntheticPairs(
-                source, virtual, ratio=factors, crops_per_frame=round(per * often), seed=seed + place, **options
+                source, virtual, ratio=factors, crops_per_frame=math.ceil(per * often), seed=seed + place, **options
             )
             for place, (factors, often) in enumerate(FACTORS.items())
         ]
@@ -275,11 +289,15 @@ def noisy_pairs(clean: NDArray[np.float16], seed: int) -> ConcatDataset[Any]:
 
 
 class Kept:
-    """The clean frames as a source, each with the CFA that it was seen through."""
+    """The clean frames of a file as a source, each with the CFA that it was seen through.
+
+    Worker processes are sent the file's name, and share its pages.
+    """
 
     reads_parts = True
 
-    def __init__(self, clean: NDArray[np.floating[Any]]) -> None:
+    def __init__(self, path: Path) -> None:
+        self.path, clean = path, np.load(path, mmap_mode="r")
         by_phase = [Arrays(clean, range_dn=RANGE_DN, cfa=cfa) for cfa in PHASES]
         self.frames = [by_phase[place % len(PHASES)].frame(place) for place in range(len(clean))]
 
@@ -290,6 +308,9 @@ class Kept:
         """Return a frame."""
         return self.frames[index]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Kept, (self.path,)
+
     def __repr__(self) -> str:
         return f"Kept({len(self)} frames)"
 
@@ -297,40 +318,34 @@ class Kept:
 # --- validation -------------------------------------------------------------------------------------------------------
 
 
-def validation(seed: int) -> dict[str, list[Mapping[str, Any]]]:
-    """Return noisy items of pictures and cameras that are not trained on, by factor."""
-    side, count = VALIDATION
-    kinds = [("still life", "leaves", "picture")[place % 3] for place in range(count)]
-    clean = np.stack(
-        [clean_frame(kind, place, np.random.default_rng([seed, 9, place])) for place, kind in enumerate(kinds)]
-    )
-    virtual = VirtualCameras(50, replace(LED_RANGES, gain_dn_per_e=GAINS_DN_PER_E), seed=seed + 999)
+def validation(clean: Kept, seed: int) -> dict[str, list[Mapping[str, Any]]]:
+    """Return noisy items by other cameras, by factor."""
+    virtual = VirtualCameras(50, replace(LED_RANGES, gain_dn_per_e=GAINS_DN_PER_E), seed=seed)
     held = {}
-    for factor in (3.0, 30.0, 100.0, 250.0):
-        pairs = SyntheticPairs(Kept(clean), virtual, ratio=factor, model=NoiseModel(MODEL), clip="none", crop=side)
-        held[f"x{factor:g}"] = [torch.utils.data.default_collate([pairs[place]]) for place in range(count)]
+    for factor in HELD_FACTORS:
+        pairs = SyntheticPairs(
+            clean, virtual, ratio=factor, model=NoiseModel(MODEL), clip="none", crop=HELD_SIDE, seed=seed
+        )
+        held[f"x{factor:g}"] = [torch.utils.data.default_collate([pairs[place]]) for place in range(len(clean))]
     return held
 
 
-def gains_db(network: Averaged, held: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, float]:
+def gains_db(network: Averaged, held: Mapping[str, Sequence[Mapping[str, Any]]], device: str) -> dict[str, float]:
     """Return the mean gain in PSNR over the input, by factor."""
     network.eval()
 
     def db(image: torch.Tensor, clean: torch.Tensor) -> float:
         return float(-10 * torch.log10(((image.clamp(0, 1) - clean) ** 2).mean()))
 
+    gains = {}
     with torch.inference_mode():
-        return {
-            factors: round(
-                sum(
-                    db(network(one["input"], *line_of(one)), one["target"]) - db(one["input"], one["target"])
-                    for one in items
-                )
-                / len(items),
-                3,
-            )
-            for factors, items in held.items()
-        }
+        for factor, items in held.items():
+            found = []
+            for item in items:
+                made = network(*(one.to(device) for one in (item["input"], *line_of(item)))).cpu()
+                found.append(db(made, item["target"]) - db(item["input"], item["target"]))
+            gains[factor] = round(sum(found) / len(found), 3)
+    return gains
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from importlib.resources import as_file, files
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,16 +14,18 @@ from torch import nn
 
 from eldata.base.files import sha256_of
 from eldata.baselines.tiling import tiled
-from eldata.baselines.unet import UNet, load_weights
+from eldata.baselines.unet import LEAK, draw_weights, load_weights
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     Values = NDArray[np.floating[Any]]
 
 _WEIGHTS = "noise_aware.safetensors"
-_TILE, _OVERLAP = 1024, 192  # packed pixels; a quarter of the overlap is as far as the network sees
+_TILE, _OVERLAP = 1024, 256  # packed pixels; a quarter of the overlap is as far as the network sees
 _SOFT = 8.0  # standard deviations of noise up to which details are about linear
 _REACH = 5  # of the mean that is taken off, in pixels of the halved image
 
@@ -60,29 +63,40 @@ class NoiseAwareUNet(nn.Module):
 
     The generalised Anscombe transformation makes of any camera's noise one of standard deviation 1. Above black it is
     that of M. Makitalo and A. Foi (2013), less what it makes of black; below black it goes on straight, since there is
-    read noise alone, so that nothing of it is cut off. A :class:`~eldata.baselines.unet.UNet` at half the size sees
-    2 x 2 pixels of the four colours as 16 orthonormal sums and differences, and two numbers of the noise, and returns
-    what the transformed values are off by. The inverse is the algebraic one, which gives an untouched input back
-    exactly. What an unbiased inverse would add, the network has learnt: its loss is in linear light, behind the
-    inverse.
+    read noise alone, so that nothing of it is cut off. A U-Net of residual blocks (as K. Zhang et al., TPAMI 2021, have
+    it) sees at half the size 2 x 2 pixels of the four colours as 16 orthonormal sums and differences, and two numbers
+    of the noise, and returns what the transformed values are off by. The inverse is the algebraic one, which gives an
+    untouched input back exactly. What an unbiased inverse would add, the network has learnt: its loss is in linear
+    light, behind the inverse.
 
     Parameters
     ----------
-    width, depth, seed
-        As :class:`~eldata.baselines.unet.UNet` has them. At first the network returns its input.
+    widths
+        Channels of its levels, each of half the size of the one above.
+    blocks
+        Residual blocks of each level, and again on the way up.
+    seed
+        Of the first weights, with which it returns its input.
     """
 
-    def __init__(self, *, width: int = 46, depth: int = 2, seed: int = 0) -> None:
+    def __init__(
+        self, *, widths: Sequence[int] = (64, 96, 104), blocks: Sequence[int] = (2, 1, 1), seed: int = 0
+    ) -> None:
         super().__init__()
-        self.network = UNet(16, inputs=22, width=width, depth=depth, seed=seed)
-        nn.init.zeros_(self.network.last.weight)
+        self.multiple = 2 ** len(widths)
+        self.first = nn.Conv2d(22, widths[0], 3, padding=1)
+        self.blocks = nn.ModuleList(_blocks(width, count) for width, count in zip(widths, blocks, strict=True))
+        self.halved = nn.ModuleList(nn.Conv2d(wide, deep, 2, stride=2) for wide, deep in pairwise(widths))
+        self.doubled = nn.ModuleList(nn.ConvTranspose2d(deep, wide, 2, stride=2) for wide, deep in pairwise(widths))
+        self.blocks_up = nn.ModuleList(
+            _blocks(width, count) for width, count in zip(widths[:-1], blocks[:-1], strict=True)
+        )
+        self.last = nn.Conv2d(widths[0], 16, 3, padding=1)
+        draw_weights(self, seed)
+        for last in (self.last, *(block.second for block in self.modules() if isinstance(block, _Block))):
+            nn.init.zeros_(last.weight)
         both = torch.kron(torch.tensor(_COLOURS), torch.from_numpy(hadamard(4, np.float32)) / 2)
         self.register_buffer("_matrix", both, persistent=False)
-
-    @property
-    def multiple(self) -> int:
-        """What heights and widths are multiples of."""
-        return 2 * self.network.multiple
 
     def forward(self, noisy: torch.Tensor, slope: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:
         """Return estimates of clean images.
@@ -106,10 +120,38 @@ class NoiseAwareUNet(nn.Module):
             read = (offset / (offset + 0.1 * slope)).expand_as(levels[:, :1])
             known = torch.cat([levels / white, (white.log2() / 8).expand_as(read), read], dim=1)
             inputs = torch.cat([_SOFT * torch.asinh(details / _SOFT), known], dim=1)
-        off = self.network(inputs)
+        off = self._off(inputs)
         with torch.autocast(noisy.device.type, enabled=False):
             off = torch.einsum("ij,nihw->njhw", matrix, off.float())
             return undo(values - nn.functional.pixel_shuffle(off, 2), slope, black)
+
+    def _off(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Return the 16 sums and differences of what transformed values are off by."""
+        x, above = self.first(inputs), []
+        for blocks, halve in zip(self.blocks, self.halved, strict=False):
+            above.append(blocks(x))
+            x = halve(above[-1])
+        x = self.blocks[-1](x)
+        for blocks, double in zip(reversed(self.blocks_up), reversed(self.doubled), strict=True):
+            x = blocks(above.pop() + double(x))
+        off: torch.Tensor = self.last(x)
+        return off
+
+
+class _Block(nn.Module):
+    """What two convolutions make, added to their input; at first nothing."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.first, self.second = (nn.Conv2d(width, width, 3, padding=1) for _ in range(2))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        added: torch.Tensor = x + self.second(nn.functional.leaky_relu(self.first(x), LEAK))
+        return added
+
+
+def _blocks(width: int, count: int) -> nn.Sequential:
+    return nn.Sequential(*(_Block(width) for _ in range(count)))
 
 
 def remove_noise(image: Values, slope: float, offset: float, black: tuple[float, ...]) -> NDArray[np.float32]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _REFERENCE = "reference.safetensors"
-_SLOPE = 0.2  # of the leaky ReLUs
+LEAK = 0.2  # slope of the leaky ReLUs below 0
 _WEIGHTS = 6  # keeps these random numbers apart from those of items, order, workers and turns
 
 
@@ -171,7 +171,7 @@ def draw_weights(network: nn.Module, seed: int, *, last: Collection[nn.Module] =
         if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
             # What adds up in one output value: of a transposed convolution, whose steps do not overlap, one tap.
             taps = layer.in_channels * (math.prod(layer.kernel_size) if isinstance(layer, nn.Conv2d) else 1)
-            gain = 1.0 if layer in last or isinstance(layer, nn.ConvTranspose2d) else 2 / (1 + _SLOPE**2)
+            gain = 1.0 if layer in last or isinstance(layer, nn.ConvTranspose2d) else 2 / (1 + LEAK**2)
             with torch.no_grad():
                 layer.weight.normal_(0.0, math.sqrt(gain / taps), generator=generator)
                 if layer.bias is not None:
@@ -181,9 +181,9 @@ def draw_weights(network: nn.Module, seed: int, *, last: Collection[nn.Module] =
 def _two(before: int, after: int, *, bias: bool) -> nn.Sequential:
     return nn.Sequential(
         nn.Conv2d(before, after, 3, padding=1, bias=bias),
-        nn.LeakyReLU(_SLOPE),
+        nn.LeakyReLU(LEAK),
         nn.Conv2d(after, after, 3, padding=1, bias=bias),
-        nn.LeakyReLU(_SLOPE),
+        nn.LeakyReLU(LEAK),
     )
 
 

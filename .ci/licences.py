@@ -32,9 +32,9 @@ _LONGEST = 60
 
 HEAD = """# Licences of the dependencies
 
-eldata is under the [MIT licence](../LICENSE). It is installed with the packages below, each under its own licence, and
-contains none of their code. `make licences` writes this page from what the locked packages state of themselves
-(`License-Expression`, `License` or the classifiers of their metadata); a test holds it against them.
+eldata is under the [MIT licence](../LICENSE). It is installed with the packages below and contains none of their code.
+`make licences` writes this page from what the locked packages state of themselves (`License-Expression`, `License` or
+the classifiers of their metadata); a test holds it against them.
 
 A wheel may bring compiled libraries whose licences its metadata do not repeat. rawpy brings LibRaw (LGPL-2.1 or
 CDDL-1.0), h5py HDF5 (a BSD licence), imagecodecs and hdf5plugin a library for each codec, numpy and scipy OpenBLAS
@@ -95,11 +95,14 @@ def page(project: dict[str, object], lock: str) -> str:
     groups = [("eldata", needed(list(project["dependencies"])))]  # type: ignore[call-overload] # a list of texts
     groups += [(f"extra `{name}`", needed(packages)) for name, packages in extras.items()]
     groups += [("development", needed([*dev, "hatchling"]))]
-    names = {*locked(lock), "torch"}
-    lines = ["| package | licence | for |", "|---|---|---|"]
-    for name in sorted(names):
+    kinds: dict[tuple[str, str], list[str]] = {}
+    for name in sorted({*locked(lock), "torch"}):
         use = next((group for group, packages in groups if name in packages), "development")
-        lines.append(f"| {name} | {licence_of(name) or 'unknown'} | {use} |")
+        kinds.setdefault((use, licence_of(name) or "unknown"), []).append(name)
+    order = {group: number for number, (group, _) in enumerate(groups)}
+    lines = ["| for | licence | packages |", "|---|---|---|"]
+    for use, licence in sorted(kinds, key=lambda kind: (order[kind[0]], kind[1])):
+        lines.append(f"| {use} | {licence} | {', '.join(kinds[use, licence])} |")
     return HEAD + "\n".join(lines) + "\n"
 
 

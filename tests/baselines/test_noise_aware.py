@@ -200,20 +200,29 @@ def test_denoise_makes_what_the_command_makes(demo_tree: Path, tmp_path: Path) -
         denoise(noisy, profiles[0], ratio=0.0)
 
 
-@pytest.mark.parametrize(("gain", "ratio"), [(0.05, 1.0), (0.05, 300.0), (1.0, 100.0), (4.0, 200.0), (20.0, 300.0)])
-def test_it_is_never_worse_than_its_input(gain: float, ratio: float) -> None:
-    """Six cameras of another seed, two scenes of the demo's kind with numbers beyond all that it was trained on."""
+@pytest.mark.parametrize(
+    ("gain", "ratio", "before_db", "gained_db"),
+    [(0.05, 300.0, 35.2, 5.6), (0.3, 10.0, 47.2, 2.0), (1.0, 100.0, 29.7, 6.6), (20.0, 300.0, 11.0, 11.7)],
+)
+def test_what_it_gains(gain: float, ratio: float, before_db: float, gained_db: float) -> None:
+    """By six cameras of another seed, of two scenes of the demo's kind beyond all that it was trained on.
+
+    Means of six images as they were measured, within 0.1 dB; and no image is worse than its input.
+    """
     cameras = VirtualCameras(6, replace(LED_RANGES, gain_dn_per_e=(gain, gain * 1.001)), seed=99)
     clean = np.stack([scene_radiance(scene, 136, 136)[[0, 1, 2, 1]] for scene in (777, 778)]).astype(np.float32)
     model = NoiseModel("P*+G*+R+U")
     pairs = SyntheticPairs(
         Arrays(clean, range_dn=15871), cameras, ratio=ratio, model=model, clip="none", crop=128, crops_per_frame=3
     )
-    for index in range(len(pairs)):
-        one = pairs[index]
+    found = []
+    for one in map(pairs.__getitem__, range(len(pairs))):
         read = tukey_lambda_variance(one["tukey_lambda"]) * one["sigma_tl_dn"] ** 2 + one["sigma_row_dn"] ** 2 + 1 / 12
         scale = ratio / 15871
         made = remove_noise(one["input"].numpy(), one["gain_dn_per_e"] * scale, read * scale**2, ())
         noisy, target = one["input"].numpy(), one["target"].numpy()
-        before, after = (-10 * np.log10(np.mean((np.clip(x, 0, 1) - target) ** 2)) for x in (noisy, made))
-        assert before > 50 or after > before - 0.1
+        found.append([-10 * np.log10(np.mean((np.clip(x, 0, 1) - target) ** 2)) for x in (noisy, made)])
+    before, after = np.array(found).T
+    assert (after > before).all()
+    assert before.mean() == pytest.approx(before_db, abs=0.1)
+    assert (after - before).mean() == pytest.approx(gained_db, abs=0.1)

@@ -63,6 +63,15 @@ def test_denoisers_beat_the_amplified_input_everywhere(
         assert after.ssim > before.ssim
 
 
+def test_the_network_beats_a_filter_on_cameras_that_it_has_not_seen(
+    demo: tuple[Path, dict[str, EvaluationResult]],
+) -> None:
+    """Half a decibel is promised; over the demo's four scenes it is 2.3 to 2.8 in each line."""
+    for before, after in zip(demo[1]["dct"].table, demo[1]["network"].table, strict=True):
+        assert after.psnr_db > before.psnr_db + 0.5
+        assert after.ssim > before.ssim
+
+
 def test_contact_sheet_of_the_demo(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     with Image.open(demo[0] / "contact-sheet.png") as image:
         assert image.format == "PNG"

@@ -16,7 +16,7 @@ import torch
 from eldata.datasets import Arrays, CleanClips, CleanFrames, SyntheticClips, SyntheticPairs
 from eldata.errors import ArgumentError
 from eldata.noise import NoiseMaker, NoiseModel, NoiseParameters
-from eldata.noise.makers import check_noise_maker, made_exposure, maker_name
+from eldata.noise.makers import check_noise_maker, made_exposure
 
 CLEAN = np.full((4, 6, 8), 0.25, np.float32)
 
@@ -118,12 +118,6 @@ def test_what_is_not_an_exposure(result: Any, words: str) -> None:
         made_exposure(lambda *_, **__: result, CLEAN)
 
 
-def test_names() -> None:
-    assert maker_name(brighter) == "brighter"
-    assert maker_name(Scaled(2.0)) == "Scaled(2.0)"
-    assert maker_name(NoiseModel("P*")) == "NoiseModel('P*')"
-
-
 @pytest.fixture
 def examples(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples"))
@@ -161,12 +155,3 @@ def test_the_example_trains_on_it(demo_tree: Path) -> None:
     options = {"parameters": NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0), "ratio": 100.0, "range_dn": 15871.0}
     made = made_exposure(model, clip, **options, generator=np.random.default_rng(0))
     assert len(np.unique(made.reshape(3, -1), axis=0)) == 3  # each frame of a clip has noise of its own
-
-
-def test_a_maker_of_a_module_goes_to_workers() -> None:
-    dataset = pickle.loads(pickle.dumps(pairs(brighter)))
-    assert torch.equal(dataset[0]["input"], pairs(brighter)[0]["input"])
-    parameters = NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0)
-    generator = np.random.default_rng(0)
-    options = {"parameters": parameters, "ratio": 1.0, "range_dn": 1.0, "generator": generator}
-    assert made_exposure(brighter, CLEAN, **options).dtype == np.float32

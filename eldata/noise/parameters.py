@@ -164,37 +164,28 @@ def tukey_lambda_variance(tukey_lambda: float) -> float:
 # --- random numbers -------------------------------------------------------------------------------------------------
 
 
-def _is_torch(generator: Generator) -> bool:
-    torch = sys.modules.get("torch")
-    return torch is not None and isinstance(generator, torch.Generator)
-
-
 def _checked(generator: Generator) -> None:
-    if not isinstance(generator, np.random.Generator) and not _is_torch(generator):
+    torch = sys.modules.get("torch")
+    kinds = (np.random.Generator,) if torch is None else (np.random.Generator, torch.Generator)
+    if not isinstance(generator, kinds):
         raise ArgumentError(
             f"generator must be a numpy.random.Generator or a torch.Generator, not {type(generator).__name__}; "
             "for example numpy.random.default_rng(0)"
         )
 
 
-def uniforms(generator: Generator, count: int) -> list[float]:
-    """Return ``count`` draws from [0, 1), float64."""
+def draw_numbers(generator: Generator) -> tuple[list[float], list[float]]:
+    """Return two draws from [0, 1) and three standard normal ones, float64: what one draw of parameters takes."""
     _checked(generator)
     if isinstance(generator, np.random.Generator):
-        return list(generator.random(count).tolist())
+        return generator.random(2).tolist(), generator.standard_normal(3).tolist()
     import torch
 
-    return list(torch.rand(count, generator=generator, dtype=torch.float64, device=generator.device).tolist())
-
-
-def standard_normals(generator: Generator, count: int) -> list[float]:
-    """Return ``count`` standard normal draws, float64."""
-    _checked(generator)
-    if isinstance(generator, np.random.Generator):
-        return list(generator.standard_normal(count).tolist())
-    import torch
-
-    return list(torch.randn(count, generator=generator, dtype=torch.float64, device=generator.device).tolist())
+    uniform, normal = (
+        draw(count, generator=generator, dtype=torch.float64, device=generator.device)
+        for draw, count in ((torch.rand, 2), (torch.randn, 3))
+    )
+    return uniform.tolist(), normal.tolist()
 
 
 def key_from(generator: Generator) -> int:

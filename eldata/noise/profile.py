@@ -34,7 +34,7 @@ from eldata.noise.gain_modes import (
     rows_nearest,
     rows_of,
 )
-from eldata.noise.parameters import Generator, NoiseParameters, standard_normals, uniforms
+from eldata.noise.parameters import Generator, NoiseParameters, draw_numbers
 from eldata.noise.profile_files import OF_ONE_MODE, profile_path, read_profile, schema_of
 
 if TYPE_CHECKING:
@@ -379,8 +379,7 @@ class CameraProfile:
             as K may, of the gain modes, no row has a gain to be near to, or the ISO was not measured.
         """
         # Always five numbers, whatever is fixed: fixing one parameter leaves the others' draws as they were.
-        u_gain, u_row = uniforms(generator, 2)
-        z_tl, z_gauss, z_row = standard_normals(generator, 3)
+        (u_gain, u_row), (z_tl, z_gauss, z_row) = draw_numbers(generator)
         if iso is not None and gain_dn_per_e is not None:
             raise ArgumentError("give iso or gain_dn_per_e, not both")
         if row == "measured":

@@ -17,6 +17,7 @@ from eldata.datasets import Arrays, CleanClips, CleanFrames, SyntheticClips, Syn
 from eldata.errors import ArgumentError
 from eldata.noise import NoiseMaker, NoiseModel, NoiseParameters
 from eldata.noise.makers import check_noise_maker, made_exposure
+from tests.cases import in_one_test
 
 CLEAN = np.full((4, 6, 8), 0.25, np.float32)
 
@@ -86,17 +87,14 @@ def test_our_own_model_is_one() -> None:
     check_noise_maker(max)  # whose arguments are not stated
 
 
-@pytest.mark.parametrize(
-    ("model", "words"),
+@in_one_test(
+    "model, words",
     [
-        ("G+P", r"model='G\+P' is a text; give NoiseModel\('G\+P'\)"),
-        (5, r"model must be a NoiseModel, or an object to be called as model\(clean, parameters=\.\.\., .*; found 5"),
-        (NoiseModel, r"model must be a NoiseModel, or an object to be called as .*; found <class"),
-        (lambda clean: clean, r"cannot be called as model\(clean, parameters=.*: got an unexpected keyword argument"),
-        (
-            lambda clean, iso, **_: clean * iso,
-            r"cannot be called as model\(clean, .*: missing a required argument: 'iso'",
-        ),
+        ("G+P", r"give NoiseModel\('G\+P'\)"),
+        (5, "must be a NoiseModel, or an object to be called as .*; found 5"),
+        (NoiseModel, "must be a NoiseModel, .*; found <class"),
+        (lambda clean: clean, "cannot be called .* unexpected keyword"),
+        (lambda clean, iso, **_: clean * iso, "cannot be called .* missing .*: 'iso'"),
     ],
 )
 def test_what_cannot_make_noise_is_refused_before_the_first_item(model: Any, words: str) -> None:
@@ -104,13 +102,12 @@ def test_what_cannot_make_noise_is_refused_before_the_first_item(model: Any, wor
         pairs(model)
 
 
-@pytest.mark.parametrize(
-    ("result", "words"),
+@in_one_test(
+    "result, words",
     [
-        (CLEAN[0], r"<lambda> returned float32 of shape \(6, 8\); expected an array like the clean one, \(4, 6, 8\)"),
-        (CLEAN.astype(np.uint16), r"returned uint16 of shape"),
+        (CLEAN[0], r"<lambda> returned float32 of shape \(6, 8\); expected .*, \(4, 6, 8\)"),
+        (CLEAN.astype(np.uint16), "returned uint16 of shape"),
         (None, "returned NoneType; expected"),
-        ((CLEAN, CLEAN), "returned tuple; expected"),
     ],
 )
 def test_what_is_not_an_exposure(result: Any, words: str) -> None:

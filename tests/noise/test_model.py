@@ -326,9 +326,7 @@ def test_levels_of_a_converter_that_make_no_sense() -> None:
 @pytest.mark.parametrize("clean", [np.full((4, 4, 4), 3000, np.uint16), np.ones((4, 4, 4), np.int64)], ids=str)
 def test_whole_numbers_are_dn_and_not_normalised(clean: Any) -> None:
     """Taken as normalised, 3000 DN would be 3000 times white, and almost without noise."""
-    words = (
-        rf"^clean is (torch\.)?{clean.dtype}, whole numbers .* give \(clean - black\) / \(white - black\) in float32"
-    )
+    words = rf"^clean is (torch\.)?{clean.dtype}, whole numbers .* give \(clean - black\)"
     for given in (clean, torch.from_numpy(clean)):
         with pytest.raises(ArgumentError, match=words):
             noisy(given)
@@ -389,9 +387,7 @@ def test_where_to_write() -> None:
 )
 def test_where_nothing_can_be_written(wrong: Any) -> None:
     clean = np.zeros((2, 4, 6, 8), np.float32)
-    with pytest.raises(
-        ArgumentError, match=r"out must be a writeable C-contiguous float32 array of shape \(2, 4, 6, 8\)"
-    ):
+    with pytest.raises(ArgumentError, match=r"out must be a writeable .* of shape \(2, 4, 6, 8\)"):
         noisy(clean, out=clean if isinstance(wrong, str) else wrong)
     with pytest.raises(ArgumentError, match="out= is for arrays"):
         noisy(torch.zeros(2, 4, 6, 8), out=np.empty((2, 4, 6, 8), np.float32))

@@ -337,6 +337,24 @@ def test_the_model_is_the_sum_of_its_components() -> None:
     np.testing.assert_allclose(noisy(clean, **FULL, key=61), total, atol=1e-4)
 
 
+def test_each_image_has_its_own_parameters() -> None:
+    clean = gradient((3, 4, 32, 48), 1.0)
+    each: dict[str, Any] = {
+        "gain_dn_per_e": [0.1, 0.8, 6.0],
+        "ratio": [100.0, 200.0, 300.0],
+        "tukey_lambda": [-0.2, 0.0, 0.14],
+        "sigma_read_dn": [1.0, 2.0, 0.0],
+        "sigma_row_dn": [0.3, 0.0, 1.0],
+        "bias_dn": [[0, 1, 2, 3], [1, 1, 1, 1], [0, 0, 0, 0]],
+    }
+    kinds: dict[str, Any] = {"shot": "poisson", "read": "tukey-lambda", "quantisation": "uniform", "range_dn": 15871.0}
+    together = noisy(clean, **kinds, **each)
+    for image in range(3):
+        alone: dict[str, Any] = {name: [values[image]] for name, values in each.items()}
+        part = noisy(clean[image : image + 1].copy(), **kinds, **alone, first_image=image)
+        np.testing.assert_array_equal(part[0], together[image])
+
+
 def test_rows_of_a_bayer_mosaic_share_their_draw() -> None:
     """R with G1 and B with G2, other rows other draws: 2 x 4096 rows of sigma 0.6, whatever the columns."""
     out = noisy(flat(0, (1, 4, 4096, 530)), sigma_row_dn=0.6, key=81)[0]

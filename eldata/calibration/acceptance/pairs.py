@@ -228,18 +228,14 @@ def smoothed(plane: Plane, sigma_dn: float, pattern: Counts) -> Plane:
     return result
 
 
-def same_sizes(first: Plane, second: Plane) -> float:
-    """Return the covariance of the sizes that a pixel's differences have in two pairs, over the squared mean size.
+def shared_energy(first: Plane, second: Plane) -> float:
+    """Return the mean product of two planes: of the means of two sets of frames, the energy that they share, DN^2.
 
-    Where all pixels have the same noise it is 0, whatever the noise's distribution; otherwise the squared coefficient
-    of variation of the pixels' noise: pixels that jump between two levels, or noise that differs from pixel to pixel.
+    Of the sizes of a pixel's differences in two pairs it is their covariance over the squared mean size. Where all
+    pixels have the same noise that is 0, whatever the noise's distribution; otherwise the squared coefficient of
+    variation of the pixels' noise: pixels that jump between two levels, or noise that differs from pixel to pixel.
     """
     return _mean(first * second)
-
-
-def same_pattern(mean_dn: Plane, pattern_dn: Plane) -> float:
-    """Return the energy, DN^2, that a pair's mean shares with a mean of other frames."""
-    return _mean(mean_dn * pattern_dn)
 
 
 def distance(counts: Counts, reference: Values) -> float:

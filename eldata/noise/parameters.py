@@ -93,7 +93,7 @@ class NoiseParameters:
     def __post_init__(self) -> None:
         for name in _names():
             if name != "colour_bias_dn":
-                checked_number(name, getattr(self, name))
+                checked_number(name, getattr(self, name), above=0 if name == "gain_dn_per_e" else -math.inf)
         # Lists, and the arrays and tensors that samples have, become a tuple: a draw can be compared and is a key.
         bias: Any = self.colour_bias_dn
         values = tuple(bias) if isinstance(bias, (tuple, list)) else _values(bias)
@@ -107,8 +107,6 @@ class NoiseParameters:
             checked_number("range_dn", self.range_dn, above=0)
         if self.iso is not None:
             checked_number("iso", self.iso, above=0)
-        if not self.gain_dn_per_e > 0:
-            raise ArgumentError(f"gain_dn_per_e must be above 0; found {self.gain_dn_per_e}")
         for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
             if getattr(self, name) < 0:
                 raise ArgumentError(f"{name} must not be negative; found {getattr(self, name)}")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from eldata.base.fields import names_of
 from eldata.base.files import write_json
 from eldata.base.notebook import block, table
-from eldata.base.numbers import counted
+from eldata.base.numbers import checked_number, counted
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, ProfileError, check_choice
 from eldata.noise.gain_modes import (
@@ -389,9 +389,7 @@ class CameraProfile:
         if iso is not None:
             gain = self.gain_at_iso(iso, extrapolate=extrapolate)
         elif gain_dn_per_e is not None:
-            gain = float(gain_dn_per_e)
-            if not (math.isfinite(gain) and gain > 0):
-                raise ArgumentError(f"gain_dn_per_e must be finite and above 0; found {gain_dn_per_e}")
+            gain = checked_number("gain_dn_per_e", gain_dn_per_e, above=0)
         else:
             gain = gain_at_share(self.gain_modes, u_gain)
         mode = self.mode_at(gain, extrapolate=extrapolate)

@@ -238,6 +238,17 @@ def test_the_line_is_scipys() -> None:
     assert found.r_squared == pytest.approx(theirs.rvalue**2)
 
 
+def test_the_residual_variance_is_unbiased() -> None:
+    """2000 fits of five points: the mean of sigma^2 within 4 standard errors, sqrt(2 / 3 / 2000)."""
+    generator = np.random.default_rng(16)
+    gains = [0.1, 0.4, 1.6, 6.4, 25.6]
+    squares = [
+        fit_log_log(gains, np.exp(0.5 * np.log(gains) + generator.normal(0, 0.2, 5)).tolist()).fit.sigma ** 2
+        for _ in range(2000)
+    ]
+    assert np.mean(squares) == pytest.approx(0.04, rel=4 * math.sqrt(2 / 3 / 2000))
+
+
 @pytest.mark.parametrize(
     ("gains", "scales", "error", "words"),
     [

@@ -16,13 +16,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from eldata.calibration.acceptance.reproduction import compared_place
 from eldata.calibration.acceptance.verdicts import CHANNELS
+from eldata.calibration.audit.frames import FrameFigures, FrameReader, clipped_black
 from eldata.calibration.core._frames import by_pixel, channels_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
 
     from eldata.calibration.core._frames import Counts, Mosaic, Plane, Values
+    from eldata.datasets.calibration_frames import FlatPair
+    from eldata.records import FrameRecord
 
 
 Name = tuple[str, str, str]
@@ -259,6 +265,41 @@ def tail_threshold(shares: Values, wanted: float, side: int) -> int:
     beyond = np.cumsum(np.asarray(folded)[::-1])[::-1]
     few = np.flatnonzero(beyond <= wanted)
     return int(few[0]) if few.size else middle
+
+
+# --- the camera's ---------------------------------------------------------------------------------------------------
+
+
+class HeldOutFrames(FrameReader):
+    """Reads the frames of one ISO, a pair at a time and no copies, and collects what is wrong with them."""
+
+    def _mosaics(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, Mosaic]]:
+        for record, frame in self.read(records):
+            if self.copies.original(record, frame.mosaic) is None:
+                yield record, frame.mosaic
+            del frame  # before the next one is decoded
+
+    def bias_pairs(self, records: Sequence[FrameRecord]) -> Iterator[tuple[Mosaic, Mosaic]]:
+        """Yield pairs of pieces of bias frames that share no frame."""
+        first: Mosaic | None = None
+        for record, mosaic in self._mosaics(records):
+            self.problems += clipped_black(record, mosaic)
+            self.figures.append(FrameFigures.of(record, mosaic))
+            piece = self.cut(mosaic)
+            if first is None:
+                first = piece
+            else:
+                yield first, piece
+                first = None
+
+    def flats(self, pair: FlatPair) -> tuple[Mosaic, Mosaic] | None:
+        """Return a pair of whole flats."""
+        found = [mosaic for _, mosaic in self._mosaics((pair.first, pair.second))]
+        return (found[0], found[1]) if len(found) == 2 else None
+
+    def cut(self, mosaic: NDArray[np.generic]) -> Mosaic:
+        """Return a copy of the piece that is compared."""
+        return mosaic[compared_place(mosaic.shape, len(self.sensor.cfa))].copy()  # type: ignore[return-value]
 
 
 # --- parts --------------------------------------------------------------------------------------------------------

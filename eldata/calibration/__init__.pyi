@@ -24,9 +24,9 @@ from .core.row_noise import ColourBias as ColourBias
 from .core.row_noise import LineMeans as LineMeans
 from .core.row_noise import RowNoise as RowNoise
 from .core.row_noise import colour_bias as colour_bias
-from .core.row_noise import power_spectrum as power_spectrum
 from .core.row_noise import row_noise as row_noise
 from .core.single_frame import FlatFrames as FlatFrames
+from .core.single_frame import power_spectrum as power_spectrum
 from .core.single_frame import single_frame_plot as single_frame_plot
 from .core.single_frame import spatial_photon_transfer as spatial_photon_transfer
 from .iso_results import IsoCalibration as IsoCalibration

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -163,8 +162,7 @@ def stated_gains(frames: CalibrationFrames, gains: Mapping[float, float] | Camer
         return known
     stated = {float(iso): float(gain) for iso, gain in (gains or {}).items()}
     for iso, gain in stated.items():
-        if not (math.isfinite(gain) and gain > 0):
-            raise ArgumentError(f"K at ISO {iso:g} must be finite and above 0; found {gain:g}")
+        checked_number(f"K at ISO {iso:g}", gain, above=0)
         if iso not in isos:
             raise ArgumentError(f"K is stated at ISO {iso:g}, of which there are no frames; there are {listed}")
     return stated

@@ -33,8 +33,7 @@ from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.core.findings import TRANSFER, with_accepted
 from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
-from eldata.calibration.core.row_noise import power_spectrum
-from eldata.calibration.core.single_frame import FlatFrames, single_frame_plot, spatial_photon_transfer
+from eldata.calibration.core.single_frame import FlatFrames, power_spectrum, single_frame_plot, spatial_photon_transfer
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
 from eldata.errors import ArgumentError, DatasetError

@@ -93,7 +93,7 @@ class NoiseParameters:
     def __post_init__(self) -> None:
         for name in _names():
             if name != "colour_bias_dn":
-                checked_number(name, getattr(self, name))
+                checked_number(name, getattr(self, name), above=0 if name == "gain_dn_per_e" else -math.inf)
         # Lists, and the arrays and tensors that samples have, become a tuple: a draw can be compared and is a key.
         bias: Any = self.colour_bias_dn
         values = tuple(bias) if isinstance(bias, (tuple, list)) else _values(bias)
@@ -107,8 +107,6 @@ class NoiseParameters:
             checked_number("range_dn", self.range_dn, above=0)
         if self.iso is not None:
             checked_number("iso", self.iso, above=0)
-        if not self.gain_dn_per_e > 0:
-            raise ArgumentError(f"gain_dn_per_e must be above 0; found {self.gain_dn_per_e}")
         for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
             if getattr(self, name) < 0:
                 raise ArgumentError(f"{name} must not be negative; found {getattr(self, name)}")
@@ -164,37 +162,28 @@ def tukey_lambda_variance(tukey_lambda: float) -> float:
 # --- random numbers -------------------------------------------------------------------------------------------------
 
 
-def _is_torch(generator: Generator) -> bool:
-    torch = sys.modules.get("torch")
-    return torch is not None and isinstance(generator, torch.Generator)
-
-
 def _checked(generator: Generator) -> None:
-    if not isinstance(generator, np.random.Generator) and not _is_torch(generator):
+    torch = sys.modules.get("torch")
+    kinds = (np.random.Generator,) if torch is None else (np.random.Generator, torch.Generator)
+    if not isinstance(generator, kinds):
         raise ArgumentError(
             f"generator must be a numpy.random.Generator or a torch.Generator, not {type(generator).__name__}; "
             "for example numpy.random.default_rng(0)"
         )
 
 
-def uniforms(generator: Generator, count: int) -> list[float]:
-    """Return ``count`` draws from [0, 1), float64."""
+def draw_numbers(generator: Generator) -> tuple[list[float], list[float]]:
+    """Return two draws from [0, 1) and three standard normal ones, float64: what one draw of parameters takes."""
     _checked(generator)
     if isinstance(generator, np.random.Generator):
-        return list(generator.random(count).tolist())
+        return generator.random(2).tolist(), generator.standard_normal(3).tolist()
     import torch
 
-    return list(torch.rand(count, generator=generator, dtype=torch.float64, device=generator.device).tolist())
-
-
-def standard_normals(generator: Generator, count: int) -> list[float]:
-    """Return ``count`` standard normal draws, float64."""
-    _checked(generator)
-    if isinstance(generator, np.random.Generator):
-        return list(generator.standard_normal(count).tolist())
-    import torch
-
-    return list(torch.randn(count, generator=generator, dtype=torch.float64, device=generator.device).tolist())
+    uniform, normal = (
+        draw(count, generator=generator, dtype=torch.float64, device=generator.device)
+        for draw, count in ((torch.rand, 2), (torch.randn, 3))
+    )
+    return uniform.tolist(), normal.tolist()
 
 
 def key_from(generator: Generator) -> int:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from eldata.base.fields import names_of
 from eldata.base.files import write_json
 from eldata.base.notebook import block, table
-from eldata.base.numbers import counted
+from eldata.base.numbers import checked_number, counted
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, ProfileError, check_choice
 from eldata.noise.gain_modes import (
@@ -34,7 +34,7 @@ from eldata.noise.gain_modes import (
     rows_nearest,
     rows_of,
 )
-from eldata.noise.parameters import Generator, NoiseParameters, standard_normals, uniforms
+from eldata.noise.parameters import Generator, NoiseParameters, draw_numbers
 from eldata.noise.profile_files import OF_ONE_MODE, profile_path, read_profile, schema_of
 
 if TYPE_CHECKING:
@@ -379,8 +379,7 @@ class CameraProfile:
             as K may, of the gain modes, no row has a gain to be near to, or the ISO was not measured.
         """
         # Always five numbers, whatever is fixed: fixing one parameter leaves the others' draws as they were.
-        u_gain, u_row = uniforms(generator, 2)
-        z_tl, z_gauss, z_row = standard_normals(generator, 3)
+        (u_gain, u_row), (z_tl, z_gauss, z_row) = draw_numbers(generator)
         if iso is not None and gain_dn_per_e is not None:
             raise ArgumentError("give iso or gain_dn_per_e, not both")
         if row == "measured":
@@ -390,9 +389,7 @@ class CameraProfile:
         if iso is not None:
             gain = self.gain_at_iso(iso, extrapolate=extrapolate)
         elif gain_dn_per_e is not None:
-            gain = float(gain_dn_per_e)
-            if not (math.isfinite(gain) and gain > 0):
-                raise ArgumentError(f"gain_dn_per_e must be finite and above 0; found {gain_dn_per_e}")
+            gain = checked_number("gain_dn_per_e", gain_dn_per_e, above=0)
         else:
             gain = gain_at_share(self.gain_modes, u_gain)
         mode = self.mode_at(gain, extrapolate=extrapolate)

@@ -19,7 +19,7 @@ from eldata.calibration.audit.bias_checks import bias_findings
 from eldata.calibration.audit.bias_sums import BiasAudit, BiasSeen, code_step, missing_codes
 from eldata.calibration.core.findings import given, with_accepted
 from tests.calibration import draws
-from tests.calibration.chain import calibrated
+from tests.calibration.chain import calibrated, figures_of
 from tests.calibration.faults import EVERY, NONE, Planted
 from tests.calibration.simulation import XTRANS, Body, Camera
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.core.findings import Figure, Finding, GivenFigure
+    from eldata.calibration.core.findings import Finding, GivenFigure
 
 CAMERA = Camera(shape=(512, 768), shading=1.0)
 FRAMES = 9
@@ -65,15 +65,8 @@ def audited(
     gain = camera.gain if knows_gain else None
     seen = BiasSeen(audit.statistics(), found.bias, found.rows, found.read, step, gaps, gain_dn_per_e=gain)
     findings = with_accepted(bias_findings(seen), accept)
-    read, rows, sigma = found.read, found.rows.rows, found.read.sigma_gauss_dn
-    measured: tuple[tuple[str, Figure, float, float, float, float], ...] = (
-        ("lambda", "read noise", read.tukey_lambda, read.tukey_lambda_error, 1.0, camera.tukey_lambda),
-        ("sigma_TL", "read noise", read.sigma_tl_dn, read.sigma_tl_error_dn, read.sigma_tl_dn, camera.sigma_tl),
-        ("sigma_G", "read noise", sigma, read.sigma_gauss_error_dn, sigma, camera.noise.sigma_gauss_dn),
-        ("sigma_row", "row noise", rows.sigma_dn, rows.sigma_error_dn, rows.sigma_dn, camera.sigma_row),
-    )
     before, after, truth = {}, {}, {}
-    for name, figure, value, error, scale, true in measured:
+    for name, (figure, value, error, true, scale) in figures_of(found, camera).items():
         before[name] = given((), figure, value, error, scale)
         after[name] = given(findings, figure, value, error, scale)
         truth[name] = true

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from eldata.calibration.core.findings import Figure
     from tests.calibration.simulation import Body, Camera
 
 
@@ -51,6 +52,18 @@ def calibrated(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Calibrat
     fixed = sums.fixed_pattern()
     found = sums.figures([camera.black] * len(camera.bias))
     return Calibration(fixed, found.rows, found.read, found.bias, found.findings)
+
+
+def figures_of(found: Calibration, camera: Camera) -> dict[str, tuple[Figure, float, float, float, float]]:
+    """Figures of bias frames: what each is withheld with, its value and error, the truth, the scale of allowances."""
+    read, rows = found.read, found.rows.rows
+    truth = camera.noise.sigma_gauss_dn
+    return {
+        "lambda": ("read noise", read.tukey_lambda, read.tukey_lambda_error, camera.tukey_lambda, 1.0),
+        "sigma_TL": ("read noise", read.sigma_tl_dn, read.sigma_tl_error_dn, camera.sigma_tl, read.sigma_tl_dn),
+        "sigma_G": ("read noise", read.sigma_gauss_dn, read.sigma_gauss_error_dn, truth, read.sigma_gauss_dn),
+        "sigma_row": ("row noise", rows.sigma_dn, rows.sigma_error_dn, camera.sigma_row, rows.sigma_dn),
+    }
 
 
 def transferred(

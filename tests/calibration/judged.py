@@ -11,8 +11,8 @@ import numpy as np
 from eldata.calibration.acceptance.comparison import check_iso_noise
 from eldata.calibration.audit.frames import IsoFrames
 from eldata.datasets.calibration_frames import FlatPair
+from eldata.noise.mosaic import pack_whole, unpack_whole
 from eldata.noise.parameters import NoiseParameters
-from eldata.raw.cfa import packing_sites
 from tests.calibration.faults import NONE, Planted, digitised
 from tests.calibration.in_memory import ISO, FramesInMemory, record
 from tests.calibration.simulation import Body, Camera
@@ -47,9 +47,9 @@ class Specimen:
         return digitised(faulty)[0]
 
     def __call__(self, clean: NDArray[np.float32], *, range_dn: float, generator: np.random.Generator, **_: Any) -> Any:
-        light = whole(clean, self.camera) * range_dn
+        light = unpack_whole(clean.astype(np.float64), self.camera.cfa, self.camera.shape) * range_dn
         mosaic = self.frame(np.maximum(light, 0), generator) - self.camera.black
-        return packed((mosaic / range_dn).astype(np.float32), self.camera, clean.shape)
+        return pack_whole((mosaic / range_dn).astype(np.float32), self.camera.cfa)
 
 
 @dataclass
@@ -64,23 +64,6 @@ class Both:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.values, name)
-
-
-def packed(mosaic: NDArray[np.float32], camera: Camera, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Whole periods of a mosaic, packed as datasets do."""
-    result = np.empty(shape, dtype=np.float32)
-    sites = packing_sites(camera.cfa)
-    for row, column, channel, y, x in sites.table:
-        result[channel, y :: sites.sub, x :: sites.sub] = mosaic[row :: sites.period, column :: sites.period]
-    return result
-
-
-def whole(clean: NDArray[np.float32], camera: Camera) -> NDArray[np.float64]:
-    result = np.empty(camera.shape)
-    sites = packing_sites(camera.cfa)
-    for row, column, channel, y, x in sites.table:
-        result[row :: sites.period, column :: sites.period] = clean[channel, y :: sites.sub, x :: sites.sub]
-    return result
 
 
 def truth(camera: Camera) -> NoiseParameters:

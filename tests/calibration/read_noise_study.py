@@ -18,15 +18,14 @@ import numpy as np
 from scipy import stats
 
 from eldata.calibration.core.findings import given
-from tests.calibration.chain import calibrated
+from tests.calibration.chain import calibrated, figures_of
 from tests.calibration.simulation import Body, Camera
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import Any
 
     from numpy.typing import NDArray
-
-    from eldata.calibration.core.findings import Figure
 
 FIGURES = ("lambda", "sigma_TL", "sigma_G", "sigma_row", "bias")
 
@@ -115,25 +114,14 @@ def scores(regime: Regime, seed: tuple[int, ...]) -> dict[str, tuple[float, floa
     """Return the relative error of each figure (lambda: as it is) and the same in stated errors; ``None``: withheld."""
     body = Body(regime.camera, np.random.default_rng(seed))
     found = calibrated(body.camera, body.bias_frames(regime.frames))
-    read, rows, findings = found.read, found.rows.rows, found.findings
-    figures: dict[str, tuple[Figure, float, float, float, float]] = {
-        "lambda": ("read noise", read.tukey_lambda, read.tukey_lambda_error, regime.tukey_lambda, 1.0),
-        "sigma_TL": ("read noise", read.sigma_tl_dn, read.sigma_tl_error_dn, regime.sigma_tl, regime.sigma_tl),
-        "sigma_G": (
-            "read noise",
-            read.sigma_gauss_dn,
-            read.sigma_gauss_error_dn,
-            regime.sigma_gauss,
-            regime.sigma_gauss,
-        ),
-        "sigma_row": ("row noise", rows.sigma_dn, rows.sigma_error_dn, regime.sigma_row, regime.sigma_row or 1.0),
-        "bias": ("colour bias", found.bias.bias_dn[0], found.bias.standard_error_dn[0], body.colour_bias_dn[0], 1.0),
-    }
+    bias = "colour bias", found.bias.bias_dn[0], found.bias.standard_error_dn[0], body.colour_bias_dn[0], 1.0
     scored: dict[str, tuple[float, float] | None] = {
-        "chi2": (read.chi2_per_dof, float(any(one.effect != "remark" for one in findings)))
+        "chi2": (found.read.chi2_per_dof, float(any(one.effect != "remark" for one in found.findings)))
     }
-    for name, (figure, value, error, true, unit) in figures.items():
-        one = given(findings, figure, value, error, unit)
+    figures: dict[str, tuple[Any, float, float, float, float]] = {**figures_of(found, regime.camera), "bias": bias}
+    for name, (figure, value, error, true, scale) in figures.items():
+        one = given(found.findings, figure, value, error, scale)
+        unit = 1.0 if name in ("lambda", "bias") else true or 1.0
         scored[name] = None if one is None else ((value - true) / unit, (value - true) / one.error)
     return scored
 

@@ -13,7 +13,7 @@ import pytest
 from eldata.calibration import Finding
 from eldata.calibration.acceptance.theory import diagnose, sample_parameters
 from eldata.calibration.camera import joined
-from eldata.calibration.core.findings import ACCEPTABLE, SYMBOLS, checked_acceptance, with_accepted
+from eldata.calibration.core.findings import ACCEPTABLE, SYMBOLS, checked_acceptance, named, with_accepted
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile
 from eldata.reports.calibration import calibration_page
@@ -93,26 +93,20 @@ def test_a_withheld_figure_is_given_nowhere(figure: Figure, isos: tuple[IsoCalib
     in_the_dark = figure != "gain"
     assert (one.parameters is None) == in_the_dark
     assert (data["reproduction"] is None) == in_the_dark
-    page = page_of(found)
+    # No number that only the withheld figure has is left in the text or the profile's notes.
+    cells_of_it = {whole.table()[1][1][index] for index in hidden}
+    cells_of_it |= set(whole.bias_table()[1][1][1:5]) if figure == "colour bias" else set()
+    for text in (found.format_text(), *found.profile.notes):
+        assert [cell for cell in cells_of_it if cell in text] == []
+
+
+def test_a_page_shows_no_withheld_figure(isos: tuple[IsoCalibration, ...]) -> None:
+    whole, page = joined("TestCamera", isos), page_of(with_findings(isos, finding(*SYMBOLS))).replace("−", "-")
     assert f"Withheld: {WHY}." in page
-    assert f"Withheld, since an assumption does not hold: {typeset(SYMBOLS[figure])} at ISO 400." in page
+    assert f"Withheld, since an assumption does not hold: {typeset(named(SYMBOLS))} at ISO 400." in page
     assert "Not shown, since withheld: ISO 400." in page
-    # No number that only the withheld figure has is left in the text, the page or the profile's notes.
-    for text in (found.format_text(), page, *found.profile.notes):
-        for cell in {whole.table()[1][1][index] for index in hidden} | (
-            set(whole.bias_table()[1][1][1:5]) if figure == "colour bias" else set()
-        ):
-            assert cell not in text.replace("−", "-")
-
-
-def test_the_page_says_at_once_which_errors_are_larger(isos: tuple[IsoCalibration, ...]) -> None:
-    found = joined(
-        "TestCamera", [isos[0], replace(isos[1], findings=(finding("gain", effect="wider", allowance=0.05),))]
-    )
-    page = checked(calibration_page(found)).text
-    assert "Given with a larger error: K at ISO 400." in page
-    assert f"Errors made larger: {WHY}." in page
-    assert "Withheld" not in page
+    hidden = {*whole.table()[1][1][GAIN_CELL : ROW_CELL + 1], *whole.bias_table()[1][1][1:5]}
+    assert [cell for cell in hidden if cell in page] == []
 
 
 def test_the_profile_of_what_is_left(isos: tuple[IsoCalibration, ...], tmp_path: Path) -> None:
@@ -149,20 +143,19 @@ def test_limits_of_k_are_of_what_is_given(isos: tuple[IsoCalibration, ...]) -> N
     assert profile.gain_range_dn_per_e == (isos[0].gain_dn_per_e, isos[2].gain_dn_per_e)
 
 
-@pytest.mark.parametrize(
-    ("figure", "why"),
-    [
+def test_no_profile_of_nothing(isos: tuple[IsoCalibration, ...]) -> None:
+    dark = "the read noise or the colour bias is withheld at every ISO"
+    cases: tuple[tuple[Figure, str], ...] = (
+        ("read noise", dark),
+        ("colour bias", dark),
         ("gain", "K is withheld at every ISO that has flats"),
-        ("read noise", "the read noise or the colour bias is withheld at every ISO"),
-        ("colour bias", "the read noise or the colour bias is withheld at every ISO"),
-    ],
-)
-def test_no_profile_of_nothing(figure: Figure, why: str, isos: tuple[IsoCalibration, ...]) -> None:
-    found = joined("TestCamera", [replace(one, findings=(finding(figure),)) for one in isos])
-    assert found.made_profile is None
-    assert found.no_profile.startswith(why)
-    assert as_json(found)["no_profile"] == found.no_profile
-    assert f"no profile can be made: {why}" in found.format_text()
+    )
+    for figure, why in cases:
+        found = joined("TestCamera", [replace(one, findings=(finding(figure),)) for one in isos])
+        assert found.made_profile is None
+        assert found.no_profile.startswith(why)
+        assert as_json(found)["no_profile"] == found.no_profile
+        assert f"no profile can be made: {why}" in found.format_text()
     assert f"No profile can be made: {why}" in page_of(found)
 
 
@@ -207,7 +200,11 @@ def test_an_allowance_widens_errors_in_quadrature(isos: tuple[IsoCalibration, ..
     assert data["gain_error"] == one.gain.error
     error_shown = float(found.table()[1][1][GAIN_CELL].split(" ± ")[1])
     assert error_shown == pytest.approx(one.gain.error, rel=0.17)
-    assert found.table()[1][1][GAIN_CELL] in page_of(found)
+    page = page_of(found)
+    assert found.table()[1][1][GAIN_CELL] in page
+    assert f"Given with a larger error: {typeset(named(one.widened))} at ISO 400." in page
+    assert "Errors made larger: " in page
+    assert "Withheld" not in page
     assert found.profile.rows == joined("TestCamera", isos).profile.rows, "the figures themselves stay"
 
 
@@ -271,8 +268,13 @@ def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
     assert json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))["accepted"] == [said]
     assert profile.accepted == (said,)
     assert f"accepted, with larger errors\n  {said}" in found.format_text()
+
+
+def test_pages_say_what_is_accepted(isos: tuple[IsoCalibration, ...]) -> None:
+    found = with_findings(isos, *with_accepted([spoilt("dark signal", "read noise", 0.25)], ["dark signal"]))
+    (said,) = found.accepted
     assert f"Accepted, though a check would withhold it: {typeset(said)}." in page_of(found)
-    page = checked(profile_page(diagnose(profile, sample_parameters(profile, 0)))).text
+    page = checked(profile_page(diagnose(found.profile, sample_parameters(found.profile, 0)))).text
     assert "Accepted" in page
     assert f"{typeset(said)}, with a larger error" in page
 

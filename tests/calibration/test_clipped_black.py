@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,13 +15,10 @@ from eldata.calibration.core.bias_figures import ClippedValues
 from eldata.calibration.core.findings import given
 from eldata.calibration.core.row_noise import line_sums
 from eldata.errors import DatasetError
-from tests.calibration.chain import calibrated, stacked
+from tests.calibration.chain import calibrated, figures_of, stacked
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.read_noise_study import REGIMES
 from tests.calibration.simulation import XTRANS, Body, Camera
-
-if TYPE_CHECKING:
-    from eldata.calibration.core.findings import Figure
 
 QUIET = Camera(shape=(96, 128), black=0.0, hot_share=0.0)
 
@@ -64,24 +61,18 @@ def test_noise_behind_the_clip(name: str) -> None:
     regime = REGIMES[name]
     body = Body(regime.camera, np.random.default_rng(31))
     found = calibrated(body.camera, body.bias_frames(10))
-    read, rows = found.read, found.rows.rows
-    figures: tuple[tuple[Figure, float, float, float, float], ...] = (
-        ("read noise", read.tukey_lambda, read.tukey_lambda_error, regime.tukey_lambda, 0.01),
-        ("read noise", read.sigma_tl_dn, read.sigma_tl_error_dn, regime.sigma_tl, 0.02 * regime.sigma_tl),
-        ("read noise", read.sigma_gauss_dn, read.sigma_gauss_error_dn, regime.sigma_gauss, 0.02 * regime.sigma_gauss),
-        ("row noise", rows.sigma_dn, rows.sigma_error_dn, regime.sigma_row, 0.08 * regime.sigma_row),
-        *(
-            ("colour bias", bias, error, true, 0.05 * regime.sigma_gauss)
-            for bias, error, true in zip(
-                found.bias.bias_dn, found.bias.standard_error_dn, body.colour_bias_dn, strict=True
-            )
-        ),
-    )
-    for figure, value, error, true, most in figures:
-        one = given(found.findings, figure, value, error, true)
+    most = {"lambda": 0.01, "sigma_TL": 0.02 * regime.sigma_tl, "sigma_G": 0.02 * regime.sigma_gauss}
+    most |= {"sigma_row": 0.08 * regime.sigma_row, "colour bias": 0.05 * regime.sigma_gauss}
+    of_bias = zip(found.bias.bias_dn, found.bias.standard_error_dn, body.colour_bias_dn, strict=True)
+    figures: list[tuple[str, tuple[Any, float, float, float, float]]] = [
+        *figures_of(found, body.camera).items(),
+        *(("colour bias", ("colour bias", *one, 1.0)) for one in of_bias),
+    ]
+    for name, (figure, value, error, true, scale) in figures:
+        one = given(found.findings, figure, value, error, scale)
         assert one is not None
-        assert abs(one.value - true) < 5 * one.error, (figure, one, true)
-        assert error < most, (figure, error)
+        assert abs(one.value - true) < 5 * one.error, (name, one, true)
+        assert error < most[name], (name, error)
     pattern = math.hypot(regime.dsnu, regime.camera.column_pattern)
     for dsnu, error in zip(found.fixed.summary.dsnu_dn, found.fixed.summary.dsnu_error_dn, strict=True):
         assert abs(dsnu - pattern) < 5 * math.hypot(error, 0.04 * pattern)  # that of 384 columns scatters by 4 %

@@ -189,29 +189,6 @@ def test_spectrum_normality_and_plot() -> None:
     assert rows.r_squared > 0.99
 
 
-def test_a_wave_over_the_rows_shows_in_the_spectrum() -> None:
-    body = Body(CAMERA, np.random.default_rng(10))
-    k = np.arange(512)[:, None]
-    phases = np.random.default_rng(0).uniform(0, 2 * math.pi, 6)
-    frames = [
-        np.rint(body.fixed + body.noise() + np.sin(2 * math.pi * 50 * k / 512 + phase)).astype(np.uint16)
-        for phase in phases
-    ]
-    rows = lines_of(frames).rows
-    assert int(rows.power_dn2.argmax()) == 50
-
-
-def test_rows_that_are_not_normal_fail_the_test() -> None:
-    body = Body(CAMERA.with_(sigma_row=0.0), np.random.default_rng(11))
-    generator = np.random.default_rng(1)
-    frames = [
-        np.rint(body.fixed + body.noise() + generator.choice([-1.0, 1.0], (512, 1))).astype(np.uint16) for _ in range(6)
-    ]
-    rows = lines_of(frames).rows
-    assert rows.sigma_dn == pytest.approx(1, rel=0.03)
-    assert rows.shapiro_p < 1e-6
-
-
 # --- colour bias --------------------------------------------------------------------------------------------------
 
 
@@ -233,16 +210,6 @@ def test_bias_per_frame_and_pooled() -> None:
         by_rows = math.sqrt((rows.var(axis=1, ddof=1) / rows.shape[1]).sum()) / 6
         assert found.row_error_dn[channel] == pytest.approx(by_rows)
     assert found.frames == 6
-
-
-def test_hot_pixels_shift_a_bias_that_is_not_masked() -> None:
-    camera = CAMERA.with_(hot_share=1e-3)
-    body = Body(camera, np.random.default_rng(14))
-    frames = body.bias_frames(6)
-    masked = colour_bias(lines(stacked(camera, frames), frames), [512.0] * 4)
-    plain = lines(without_defects(frames), frames)
-    assert abs(masked.bias_dn[0] - camera.bias[0]) < 0.1
-    assert colour_bias(plain, [512.0] * 4).bias_dn[0] > camera.bias[0] + 0.5
 
 
 def test_unusable_lines_and_levels() -> None:

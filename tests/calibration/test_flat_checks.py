@@ -39,8 +39,6 @@ def small(setting: study.Setting) -> study.Setting:
         (13583, 0.0, study.Setting()),
         (13583, 0.0, study.QUIET),
         (13583, 0.0, study.LOUD),
-        (13583, 0.0, study.EVEN),
-        (13583, 0.01, study.Setting()),
         (13583, 0.03, study.QUIET),
         (13583, 0.01, study.EVEN),
     ],
@@ -196,14 +194,11 @@ def test_flats_without_two_levels_below_saturation() -> None:
 
 def test_sound_cameras_raise_no_alarm() -> None:
     """Six here; the study has 200 (none of them did)."""
-    assert set(study.alarms(6)) == {"refused"}
-    assert study.alarms(6)["refused"] == 0
+    assert study.alarms(6) == {"refused": 0}
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(
-    "name", ["clean", "pairs unequal by 8 %", "hard saturation at 13583", "two levels, even light"]
-)
+@pytest.mark.parametrize("name", ["pairs unequal by 8 %", "hard saturation at 13583"])
 def test_standard_errors_of_the_gain_cover_the_truth(name: str) -> None:
     """200 cameras: the share within 1.96 errors has a standard error of 1.5 %; allowed are four and a half."""
     share, mean, count = study.coverage(name, 200)

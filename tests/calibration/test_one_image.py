@@ -73,14 +73,6 @@ def test_the_line_is_the_cameras_within_its_errors() -> None:
     assert 1.8 < np.square(deviations).sum() < 54  # 5e-6 of chi^2 each: errors are neither too small nor too large
 
 
-def test_no_unit_is_preferred() -> None:
-    frame = packed(ALPHA, photograph(ALPHA, 1, 3200, 10))
-    line, scaled = noise_line(frame), noise_line(frame / 1024)
-    assert scaled.windows == line.windows
-    assert scaled.slope * 1024 == pytest.approx(line.slope, rel=1e-4)
-    assert scaled.offset * 1024**2 == pytest.approx(line.offset, rel=1e-4)
-
-
 def test_texture_in_most_of_the_frame_stays_out_of_it() -> None:
     """Stripes and blobs of ten times the noise's variance over half of it, up to the middle frequencies."""
     generator = np.random.default_rng(5)

@@ -60,11 +60,6 @@ def test_gain_within_its_errors(
         assert all(abs(line.chi2_per_dof - 1) < 1 for line in found.channels)
 
 
-def test_hot_pixels_that_are_not_masked_change_little() -> None:
-    body = Body(Camera(shape=(512, 768), hot_share=5e-4), np.random.default_rng(5))
-    assert transferred(body, [500, 3000, 6000, 9000]).gain_dn_per_e == pytest.approx(1, rel=0.01)
-
-
 def test_a_channel_that_is_hardly_known_hardly_counts() -> None:
     """Four pairs; K = 1, but 1.3 in B, with a thirtieth of the light on a sixteenth of the pixels: plain mean 1.075."""
     generator, shape = np.random.default_rng(7), (256, 384)

@@ -22,6 +22,8 @@ from eldata.noise.exposures import Adc, Exposures
 from eldata.raw.cfa import XTRANS_CFA, unpack
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 ALPHA = 1e-5
@@ -117,18 +119,6 @@ def _pooled(observed: NDArray[Any], expected: NDArray[np.float64]) -> tuple[NDAr
     return np.bincount(groups, observed).astype(np.float64), np.bincount(groups, expected).astype(np.float64)
 
 
-def test_poisson_mean_and_variance_follow_the_signal() -> None:
-    """Signals from 0 to 500 electrons, 2^20 draws each; the variance's error is sqrt((I + 2 I^2) / n)."""
-    signals = np.concatenate(([0, 0.001, 0.02, 0.5], np.linspace(1, 500, 36))).astype(np.float32)
-    clean = np.broadcast_to(signals[:, None, None, None], (signals.size, 4, 512, 512)).copy()
-    out = noisy(clean, shot="poisson", key=5).astype(np.float64)
-    signal = signals.astype(np.float64)
-    draws = out[0].size
-    assert (np.abs(out.mean((1, 2, 3)) - signal) <= SIGMAS * np.sqrt(signal / draws)).all()
-    allowed = SIGMAS * np.sqrt((signal + 2 * signal**2) / draws)
-    assert (np.abs(out.var((1, 2, 3)) - signal) <= allowed + 1e-12).all()
-
-
 def test_poisson_of_a_gradient_is_standardised_everywhere() -> None:
     """Every pixel has another mean: sum of (N - I) / sqrt(I) and of its square, in 64 ranges of I up to 2000."""
     clean = np.linspace(0.5, 2000, 1 << 22, dtype=np.float32).reshape(4, 4, 512, 512)
@@ -166,7 +156,7 @@ def test_alias_tables_hold_poisson_probabilities_within_one_unit(family: str) ->
 
 @pytest.mark.parametrize("shape", [-0.3, -0.14, -0.05, -1e-7, 0, 1e-7, 0.05, 0.14, 0.5, 1, 2])
 def test_tukey_lambda_distribution(shape: float) -> None:
-    """Kolmogorov-Smirnov at 4095 quantiles with 2^22 draws, and the variance where the fourth moment exists."""
+    """Kolmogorov-Smirnov at 4095 quantiles with 2^22 draws, the variance where the fourth moment exists, and tails."""
     key = int(abs(shape) * 1e8) + 3
     out = noisy(flat(0, (4, 4, 512, 512)), read="tukey-lambda", tukey_lambda=shape, sigma_read_dn=1.0, key=key).ravel()
     out.sort()
@@ -179,30 +169,8 @@ def test_tukey_lambda_distribution(shape: float) -> None:
         variance, excess = _tukey_lambda_moments(shape if abs(shape) > 1e-5 else 0)
         allowed = SIGMAS * variance * math.sqrt((excess + 2) / out.size)
         assert abs(out.astype(np.float64).var() - variance) < allowed
-
-
-def test_tukey_lambda_tails_hold_what_they_should() -> None:
-    """2^26 draws: counts beyond the quantiles of 1e-5, 1e-6 and 1e-7 on either side are Poisson (671, 67 and 6.7)."""
-    shape = -0.14
-    tails = (1e-5, 1e-6, 1e-7)
-    counts = np.zeros((2, len(tails)), dtype=np.int64)
-    images = 4
-    for batch in range(4):
-        out = noisy(
-            flat(0, (images, 4, 1024, 1024)),
-            read="tukey-lambda",
-            tukey_lambda=shape,
-            sigma_read_dn=1.0,
-            key=11,
-            first_image=batch * images,
-        )
-        far = out[np.abs(out) > -stats.tukeylambda.ppf(2e-5, shape)]
-        for index, tail in enumerate(tails):
-            counts[0, index] += np.count_nonzero(far < stats.tukeylambda.ppf(tail, shape))
-            counts[1, index] += np.count_nonzero(far > -stats.tukeylambda.ppf(tail, shape))
-    expected = 2.0**26 * np.array(tails)
-    assert np.min(stats.poisson.cdf(counts, expected)) > ALPHA
-    assert np.min(stats.poisson.sf(counts - 1, expected)) > ALPHA
+    if abs(shape) > 1e-5:
+        check_tails(out, lambda tail: stats.tukeylambda.ppf(tail, shape))
 
 
 @pytest.mark.parametrize("shape", [-1, -0.5, -0.3, -0.14, -0.05, -1e-3, 0, 1e-3, 0.05, 0.14, 0.3, 0.5, 1, 1.5, 2])
@@ -274,6 +242,14 @@ def _tukey_lambda(words: NDArray[np.uint64], shape: float) -> NDArray[np.float32
     return out
 
 
+def check_tails(draws: NDArray[Any], quantile: Callable[[float], Any]) -> None:
+    """Counts beyond the quantiles of 1e-5 and 1e-6 on either side are Poisson."""
+    for tail in (1e-5, 1e-6):
+        for count in (np.count_nonzero(draws < quantile(tail)), np.count_nonzero(draws > -quantile(tail))):
+            assert stats.poisson.cdf(count, tail * draws.size) > ALPHA
+            assert stats.poisson.sf(count - 1, tail * draws.size) > ALPHA
+
+
 # Gaussian, uniform
 
 
@@ -290,10 +266,7 @@ def test_gaussian_distribution(part: str) -> None:
     assert stats.kstest(z, stats.norm.cdf, method="asymp").pvalue > ALPHA
     assert abs((z**2).mean() - 1) < SIGMAS * math.sqrt(2 / z.size)
     assert abs((z**4).mean() - 3) < SIGMAS * math.sqrt(96 / z.size)
-    for tail in (1e-5, 1e-6):
-        for count in (np.count_nonzero(z < stats.norm.ppf(tail)), np.count_nonzero(z > -stats.norm.ppf(tail))):
-            assert stats.poisson.cdf(count, tail * z.size) > ALPHA
-            assert stats.poisson.sf(count - 1, tail * z.size) > ALPHA
+    check_tails(z, stats.norm.ppf)
 
 
 def test_gaussian_arithmetic_is_accurate_and_reaches_seven_sigma() -> None:
@@ -325,13 +298,13 @@ def _correlation(a: NDArray[Any], b: NDArray[Any]) -> float:
 
 @pytest.mark.parametrize("part", ["poisson", "gaussian shot", "tukey-lambda", "gaussian read", "uniform"])
 def test_neighbours_are_uncorrelated(part: str) -> None:
-    """Values and squares, at lags of columns and rows, across channels, images and keys: about 2^21 pairs each."""
-    out = noisy(flat(3.3, (2, 4, 512, 512)), **PART[part], key=41).astype(np.float64)
-    other_key = noisy(flat(3.3, (2, 4, 512, 512)), **PART[part], key=42).astype(np.float64)
+    """Values and squares, at lags of columns and rows, across channels, images and keys: about 2^19 pairs each."""
+    clean = flat(3.3, (2, 4, 256, 256))
+    out, other_key = (noisy(clean, **PART[part], key=key).astype(np.float64) for key in (41, 42))
     mean = out.mean()
     squares = [np.minimum((x - mean) ** 2, 30.0) for x in (out, other_key)]
     for a, b in ((out, other_key), squares):
-        pairs = [(a[..., lag:], a[..., :-lag]) for lag in (1, 2, 3, 8, 256)]
+        pairs = [(a[..., lag:], a[..., :-lag]) for lag in (1, 2, 3, 8, 128)]
         pairs += [(a[..., lag:, :], a[..., :-lag, :]) for lag in (1, 2, 128)]
         pairs += [(a[:, :-1], a[:, 1:]), (a[:, :2], a[:, 2:]), (a[:1], a[1:]), (a, b)]
         pairs += [(a[..., 1:, 1:], a[..., :-1, :-1])]
@@ -362,53 +335,6 @@ def test_the_model_is_the_sum_of_its_components() -> None:
     for name in ("poisson", "tukey-lambda", "row", "bias", "uniform"):
         total += noisy(clean, **PART[name], key=61).astype(np.float64) - means
     np.testing.assert_allclose(noisy(clean, **FULL, key=61), total, atol=1e-4)
-
-
-# The model
-
-
-def test_composed_mean_and_variance() -> None:
-    """K = 0.7, I = 12.5: mean K I + bias, variance K (K I) + sigma^2 Var(TL) + sigma_row^2 + 1/12.
-
-    Per channel, over 64 images of 512 x 64: 2^21 pixels in 2^15 mosaic rows. The mean's error is sigma_row over the
-    rows plus the rest over the pixels; likewise the variance's, with the fourth moments of each part.
-    """
-    gain, electrons, ratio, range_dn, shape, sigma, row = 0.7, 12.5, 200.0, 15871.0, -0.1, 1.7, 0.6
-    bias = np.array([0.3, -0.2, 0.1, 0.0])
-    clean = flat(electrons * gain * ratio / range_dn, (64, 4, 512, 64))
-    out = noisy(
-        clean,
-        gain_dn_per_e=gain,
-        range_dn=range_dn,
-        ratio=ratio,
-        shot="poisson",
-        read="tukey-lambda",
-        tukey_lambda=shape,
-        sigma_read_dn=sigma,
-        sigma_row_dn=row,
-        bias_dn=bias,
-        quantisation="uniform",
-        key=71,
-    )
-    dn = out.astype(np.float64) * range_dn / ratio
-    pixels, rows = dn[:, 0].size, 64 * 512
-    tukey_variance, tukey_excess = _tukey_lambda_moments(shape)
-    variances = np.array([gain**2 * electrons, sigma**2 * tukey_variance, 1 / 12])
-    fourth_cumulants = variances**2 * np.array([1 / electrons, tukey_excess, -1.2])
-    white = variances.sum()
-    mean_error = math.sqrt(row**2 / rows + white / pixels)
-    variance_error = math.sqrt(
-        (2 * white**2 + fourth_cumulants.sum()) / pixels + 2 * row**4 / rows + 4 * white * row**2 / pixels
-    )
-    for channel in range(4):
-        assert abs(dn[:, channel].mean() - gain * electrons - bias[channel]) < SIGMAS * mean_error
-        assert abs(dn[:, channel].var() - white - row**2) < SIGMAS * variance_error
-
-
-def test_gaussian_shot_noise_has_the_poisson_variance() -> None:
-    out = noisy(flat(30.0), shot="gaussian", gain_dn_per_e=4.0, key=72).astype(np.float64)
-    assert abs(out.mean() - 30.0) < SIGMAS * math.sqrt(120.0 / out.size)
-    assert abs(out.var() - 120.0) < SIGMAS * 120.0 * math.sqrt(2 / out.size)
 
 
 def test_each_image_has_its_own_parameters() -> None:
@@ -454,34 +380,6 @@ def _check_row_draws(rows: NDArray[np.float64], sigma: float) -> None:
     assert abs(rows.var() / sigma**2 - 1) < SIGMAS * math.sqrt(2 / count)
     for lag in (1, 2, 3, 6):
         assert abs(_correlation(rows[lag:], rows[:-lag])) < SIGMAS / math.sqrt(count - lag)
-
-
-# The converter
-
-
-def test_adc_gives_codes_within_its_limits() -> None:
-    """Codes are integers from 0 to white; an exact signal rounds to the nearest."""
-    black, white = 512.0, 1023.0
-    clean = gradient((1, 4, 128, 128), 700.0)
-    codes = noisy(
-        clean, read="gaussian", sigma_read_dn=400.0, quantisation="adc", black_dn=black, white_dn=white
-    ) + np.float32(black)
-    np.testing.assert_array_equal(codes, np.rint(codes))
-    assert (codes.min(), codes.max()) == (0.0, 1023.0)
-    exact = noisy(clean, quantisation="adc", black_dn=black, white_dn=white)
-    np.testing.assert_array_equal(exact, np.minimum(np.rint(np.maximum(clean, 0) + 512), 1023) - 512)
-
-
-def test_adc_scales_its_codes_back() -> None:
-    clean = gradient((1, 4, 32, 32), 1.0)
-    out = noisy(clean, range_dn=15871.0, ratio=100.0, quantisation="adc", black_dn=512.0, white_dn=16383.0)
-    codes = out.astype(np.float64) * 15871 / 100
-    np.testing.assert_allclose(codes, np.rint(np.maximum(clean, 0) * 158.71), atol=1e-4)
-
-
-def test_limits_of_the_output() -> None:
-    out = noisy(gradient((1, 4, 64, 64), 1.0), **PART["gaussian read"], low=0.0, high=1.0)
-    assert (out.min(), out.max()) == (0.0, 1.0)
 
 
 # Odd input
@@ -545,7 +443,3 @@ def test_the_stream_is_frozen() -> None:
         out = noisy(gradient((2, 4, 8, 600), 1600.0), **(FULL | {"read": read, "shot": shot, "key": 2026}))
         digest.update(out.astype("<f4").tobytes())
     assert digest.hexdigest()[:16] == "7b05bc1223dc25c5"
-
-
-def test_no_images_are_fine() -> None:
-    assert noisy(flat(1.0, (0, 4, 4, 8))).shape == (0, 4, 4, 8)

@@ -20,7 +20,7 @@ from tests.cases import in_one_test
 if TYPE_CHECKING:
     from pathlib import Path
 
-COUNT = 20_000
+COUNT = 5_000
 LEAST_P_VALUE = 1e-6
 
 LOW = GainMode(

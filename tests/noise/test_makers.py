@@ -16,7 +16,8 @@ import torch
 from eldata.datasets import Arrays, CleanClips, CleanFrames, SyntheticClips, SyntheticPairs
 from eldata.errors import ArgumentError
 from eldata.noise import NoiseMaker, NoiseModel, NoiseParameters
-from eldata.noise.makers import check_noise_maker, made_exposure, maker_name
+from eldata.noise.makers import check_noise_maker, made_exposure
+from tests.cases import in_one_test
 
 CLEAN = np.full((4, 6, 8), 0.25, np.float32)
 
@@ -86,17 +87,14 @@ def test_our_own_model_is_one() -> None:
     check_noise_maker(max)  # whose arguments are not stated
 
 
-@pytest.mark.parametrize(
-    ("model", "words"),
+@in_one_test(
+    "model, words",
     [
-        ("G+P", r"model='G\+P' is a text; give NoiseModel\('G\+P'\)"),
-        (5, r"model must be a NoiseModel, or an object to be called as model\(clean, parameters=\.\.\., .*; found 5"),
-        (NoiseModel, r"model must be a NoiseModel, or an object to be called as .*; found <class"),
-        (lambda clean: clean, r"cannot be called as model\(clean, parameters=.*: got an unexpected keyword argument"),
-        (
-            lambda clean, iso, **_: clean * iso,
-            r"cannot be called as model\(clean, .*: missing a required argument: 'iso'",
-        ),
+        ("G+P", r"give NoiseModel\('G\+P'\)"),
+        (5, "must be a NoiseModel, or an object to be called as .*; found 5"),
+        (NoiseModel, "must be a NoiseModel, .*; found <class"),
+        (lambda clean: clean, "cannot be called .* unexpected keyword"),
+        (lambda clean, iso, **_: clean * iso, "cannot be called .* missing .*: 'iso'"),
     ],
 )
 def test_what_cannot_make_noise_is_refused_before_the_first_item(model: Any, words: str) -> None:
@@ -104,24 +102,17 @@ def test_what_cannot_make_noise_is_refused_before_the_first_item(model: Any, wor
         pairs(model)
 
 
-@pytest.mark.parametrize(
-    ("result", "words"),
+@in_one_test(
+    "result, words",
     [
-        (CLEAN[0], r"<lambda> returned float32 of shape \(6, 8\); expected an array like the clean one, \(4, 6, 8\)"),
-        (CLEAN.astype(np.uint16), r"returned uint16 of shape"),
+        (CLEAN[0], r"<lambda> returned float32 of shape \(6, 8\); expected .*, \(4, 6, 8\)"),
+        (CLEAN.astype(np.uint16), "returned uint16 of shape"),
         (None, "returned NoneType; expected"),
-        ((CLEAN, CLEAN), "returned tuple; expected"),
     ],
 )
 def test_what_is_not_an_exposure(result: Any, words: str) -> None:
     with pytest.raises(ArgumentError, match=words):
         made_exposure(lambda *_, **__: result, CLEAN)
-
-
-def test_names() -> None:
-    assert maker_name(brighter) == "brighter"
-    assert maker_name(Scaled(2.0)) == "Scaled(2.0)"
-    assert maker_name(NoiseModel("P*")) == "NoiseModel('P*')"
 
 
 @pytest.fixture
@@ -161,12 +152,3 @@ def test_the_example_trains_on_it(demo_tree: Path) -> None:
     options = {"parameters": NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0), "ratio": 100.0, "range_dn": 15871.0}
     made = made_exposure(model, clip, **options, generator=np.random.default_rng(0))
     assert len(np.unique(made.reshape(3, -1), axis=0)) == 3  # each frame of a clip has noise of its own
-
-
-def test_a_maker_of_a_module_goes_to_workers() -> None:
-    dataset = pickle.loads(pickle.dumps(pairs(brighter)))
-    assert torch.equal(dataset[0]["input"], pairs(brighter)[0]["input"])
-    parameters = NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0)
-    generator = np.random.default_rng(0)
-    options = {"parameters": parameters, "ratio": 1.0, "range_dn": 1.0, "generator": generator}
-    assert made_exposure(brighter, CLEAN, **options).dtype == np.float32

@@ -102,15 +102,6 @@ def test_the_published_figures_of_the_sony() -> None:
     assert "Profile-1" in sony.source
 
 
-def test_the_nikon_has_two_calibrations() -> None:
-    first, second = CameraProfile.load("NikonD850"), CameraProfile.load("NikonD850-2")
-    assert first.source.endswith("Profile-1")
-    assert second.source.endswith("Profile-2")
-    assert first.rows == second.rows
-    assert first.gain_range_dn_per_e == second.gain_range_dn_per_e
-    assert all(getattr(first, fit) != getattr(second, fit) for fit in ("tukey_lambda_fit", "row_fit"))
-
-
 @pytest.mark.parametrize("name", ["Leica", "", "sonya7s2", "SonyA7S2 "])
 def test_an_unknown_name_lists_the_known_ones(name: str) -> None:
     with pytest.raises(ProfileError) as caught:
@@ -131,14 +122,6 @@ def test_draws_of_shipped_profiles_are_frozen() -> None:
 
 
 # --- files ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", CAMERAS)
-def test_a_shipped_profile_saved_and_loaded(name: str, tmp_path: Path) -> None:
-    profile = CameraProfile.load(name)
-    profile.save(tmp_path / "copy.json")
-    assert CameraProfile.load(tmp_path / "copy.json") == profile
-    assert CameraProfile.load(str(tmp_path / "copy.json")) == profile
 
 
 @pytest.mark.parametrize(
@@ -211,73 +194,37 @@ def shown(keys: tuple[str | int, ...]) -> str:
     return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
 
 
-NOT_NUMBERS: tuple[object, ...] = (None, "1", True, [1], {}, math.nan, math.inf, -math.inf, MISSING)
-NUMBER_FIELDS: list[tuple[str | int, ...]] = [
-    *((fit, name) for fit in FITS for name in ("slope", "intercept", "sigma")),
-    ("rows", 1, "tukey_lambda"),
-]
-OPTIONAL_FIELDS: list[tuple[str | int, ...]] = [
-    ("black_level_dn",),
-    ("white_level_dn",),
-    ("quantisation_step_dn",),
-    *(
-        ("rows", 0, name)
-        for name in (
-            "iso",
-            "gain_dn_per_e",
-            "sigma_tl_dn",
-            "sigma_gauss_dn",
-            "sigma_row_dn",
-            "r_squared_tl",
-            "r_squared_gauss",
-        )
-    ),
-]
-
-
-def any_of(*values: object) -> tuple[object, ...]:
-    return values
-
-
+# What is no number, text or list at all is refused by base/fields.py, which has tests of its own: one of each here.
 WRONG: list[tuple[tuple[str | int, ...], object]] = [
-    *((keys, value) for keys in NUMBER_FIELDS for value in NOT_NUMBERS),
-    *((keys, value) for keys in OPTIONAL_FIELDS for value in NOT_NUMBERS if value is not MISSING and value is not None),
-    *(((name,), value) for name in ("camera", "source") for value in any_of(MISSING, None, "", 5, ["a"])),
-    *(((name,), value) for name in FITS for value in any_of(MISSING, None, 1.0, [1, 2, 3], "a")),
-    *(((name, "sigma"), value) for name in FITS for value in any_of(-1e-9, -1.0)),
+    *(((name,), MISSING) for name in ("schema", "camera", "source", "gain_range_dn_per_e", "rows", *FITS)),
+    *(((name,), 5) for name in ("schema", "camera", "source", "gain_range_dn_per_e", "iso_range", "rows", *FITS)),
+    *(((name,), "one text") for name in ("notes", "accepted")),
+    *(((name,), "1") for name in ("black_level_dn", "white_level_dn", "quantisation_step_dn")),
+    *(((name, part), math.nan) for name in FITS for part in ("slope", "intercept", "sigma")),
+    *(((name, "sigma"), -1e-9) for name in FITS),
     *(
         ((name,), value)
         for name in ("gain_range_dn_per_e", "iso_range")
-        for value in any_of([1.0], [1.0, 2.0, 3.0], 1.0, "1 2", {}, [2.0, 1.0], [0.0, 1.0], [-1.0, 1.0])
+        for value in ([1.0], [1.0, 2.0, 3.0], [2.0, 1.0], [0.0, 1.0])
     ),
-    *(((name, place), "a") for name in ("gain_range_dn_per_e", "iso_range") for place in (0, 1)),
-    *(((name, 1), math.nan) for name in ("gain_range_dn_per_e", "iso_range")),
-    (("gain_range_dn_per_e",), MISSING),
-    (("gain_range_dn_per_e",), None),
-    *((("rows",), value) for value in any_of(MISSING, None, [], {}, 5, "rows")),
-    *((("rows", 1), value) for value in any_of(None, [], 5, "row")),
-    *((("rows", 1, "colour_bias_dn"), value) for value in any_of(MISSING, None, 1.0, [1, 2, 3], [1, 2, 3, 4, 5])),
-    *((("rows", 0, "colour_bias_dn", place), value) for place in range(4) for value in any_of(None, "a", math.nan)),
-    *((("rows", 0, name), value) for name in ("iso", "gain_dn_per_e") for value in any_of(0, -1.0)),
-    *((("quantisation_step_dn",), value) for value in any_of(0, -4.0)),
-    *((("schema",), value) for value in any_of(MISSING, None, 0, 4, "1", [1])),
-    *(((name,), value) for name in ("notes", "accepted") for value in any_of(None, 5, "one text", {"a": 1})),
+    (("gain_range_dn_per_e", 1), math.nan),
+    (("rows",), []),
+    (("rows", 1), None),
+    *((("rows", 0, name), "1") for name in ("r_squared_tl", "r_squared_gauss")),
+    *((("rows", 0, name), 0) for name in ("iso", "gain_dn_per_e")),
+    *((("rows", 0, name), -1.0) for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")),
+    *((("rows", 0, "tukey_lambda"), value) for value in (MISSING, -0.5, 2.5)),
+    *((("rows", 1, "colour_bias_dn"), value) for value in (MISSING, [1, 2, 3])),
+    (("rows", 0, "colour_bias_dn", 3), math.nan),
+    *((("rows", 0, "frame_bias_dn"), value) for value in (1.0, [[1.0, 2.0, 3.0, 4.002]])),
+    (("rows", 0, "frame_bias_dn", 1), [1, 2, 3, 4, 5]),
+    (("rows", 0, "frame_bias_dn", 1, 2), "a"),
+    (("quantisation_step_dn",), 0),
+    (("schema",), 4),
     (("extra",), 1),
     (("gauss_fit", "extra"), 1),
     (("rows", 1, "extra"), 1),
-    *((("rows", 0, "frame_bias_dn"), value) for value in any_of(None, 1.0, {}, "all", [[1.0, 2.0, 3.0, 4.002]])),
-    *((("rows", 0, "frame_bias_dn", 1), value) for value in any_of(None, 2.0, [2.0, 2.5, 2.75], [1, 2, 3, 4, 5])),
-    *((("rows", 0, "frame_bias_dn", 1, 2), value) for value in any_of(None, "a", math.nan)),
-    # Whole numbers without an end.
-    (("gauss_fit", "slope"), 10**400),
-    # What no draw accepts.
-    *((("rows", 0, "tukey_lambda"), value) for value in any_of(-0.5, -3.0, 2.5)),
-    *((("rows", 0, name), -1.0) for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn")),
 ]
-
-
-def wrong_id(value: object) -> str:
-    return "missing" if value is MISSING else shown(value) if isinstance(value, tuple) else repr(value)[:20]
 
 
 @in_one_test("keys, value", WRONG)
@@ -294,24 +241,12 @@ def test_a_wrong_field_is_named(keys: tuple[str | int, ...], value: object, tmp_
         assert "found " in message
 
 
-@pytest.mark.parametrize("data", [None, [], [1], "profile", 5])
-def test_json_that_is_no_object(data: object, tmp_path: Path) -> None:
-    with pytest.raises(ProfileError, match=r"camera\.json: expected an object"):
-        load(data, tmp_path)
-
-
-@pytest.mark.parametrize("data", [b"", b"{", b"not JSON", b"\xff\xfe\x00", b"{'a': 1}", b"[" * 100_000])
-def test_what_is_not_json(data: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "camera.json"
-    path.write_bytes(data)
-    with pytest.raises(ProfileError, match=r"camera\.json: is not JSON"):
-        CameraProfile.load(path)
-
-
-def test_a_missing_file(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.json", str(tmp_path / "none.json"), "none.json", str(tmp_path / "none")):
-        with pytest.raises(ProfileError, match=r"none.*: cannot be read: No such file"):
-            CameraProfile.load(path)
+def test_what_is_no_file_of_an_object(tmp_path: Path) -> None:
+    for path, words in (("none.json", "No such file"), ("list.json", "an object"), ("text.json", "is not JSON")):
+        (tmp_path / "list.json").write_bytes(b"[1]")
+        (tmp_path / "text.json").write_bytes(b"{'a': 1}")
+        with pytest.raises(ProfileError, match=rf"{path}.*{words}"):
+            CameraProfile.load(str(tmp_path / path))
 
 
 # --- drawing --------------------------------------------------------------------------------------------------------
@@ -321,10 +256,21 @@ MEAN_ERROR = 1 / math.sqrt(COUNT)
 VARIANCE_ERROR = math.sqrt(2 / COUNT)
 
 
-@pytest.fixture(scope="module", params=CAMERAS)
+def numpy_generator(seed: int) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def torch_generator(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+BOTH = pytest.mark.parametrize("make", [numpy_generator, torch_generator])
+
+
+@pytest.fixture(scope="module", params=[("NikonD850-2", numpy_generator), ("SonyA7S2", torch_generator)])
 def drawn(request: pytest.FixtureRequest) -> tuple[CameraProfile, list[NoiseParameters]]:
-    profile = CameraProfile.load(request.param)
-    generator = np.random.default_rng(20)
+    name, make = request.param
+    profile, generator = CameraProfile.load(name), make(20)
     return profile, [profile.sample(generator) for _ in range(COUNT)]
 
 
@@ -350,24 +296,17 @@ def test_the_log_gain_is_uniform_between_the_cameras_own_limits(
     assert stats.kstest((gains - low) / (high - low), "uniform").pvalue > LEAST_P_VALUE
 
 
-@pytest.mark.parametrize("fit", FITS)
-def test_the_log_sigma_is_normal_around_its_line(fit: str, drawn: tuple[CameraProfile, list[NoiseParameters]]) -> None:
-    """4000 draws: Kolmogorov-Smirnov, mean and variance within 5 standard errors, no trend left over ln K."""
+def test_the_log_sigmas_are_normal_around_their_lines(drawn: tuple[CameraProfile, list[NoiseParameters]]) -> None:
+    """4000 draws: Kolmogorov-Smirnov; mean, variance and correlations within 5 standard errors, none left over ln K."""
     profile, draws = drawn
-    off = residuals(profile, draws, fit)
-    assert stats.kstest(off, "norm").pvalue > LEAST_P_VALUE
-    assert abs(off.mean()) < 5 * MEAN_ERROR
-    assert abs(off.var() - 1) < 5 * VARIANCE_ERROR
-    gains = log_gains(draws)
-    assert abs(np.corrcoef(off, gains)[0, 1]) < 5 * MEAN_ERROR
-    assert abs(np.corrcoef(off**2, gains)[0, 1]) < 5 * MEAN_ERROR
-
-
-def test_the_three_sigmas_residuals_are_independent(drawn: tuple[CameraProfile, list[NoiseParameters]]) -> None:
-    """4000 draws, correlations within 5 standard errors."""
-    profile, draws = drawn
-    correlation = np.corrcoef([residuals(profile, draws, fit) for fit in FITS])
-    assert np.abs(correlation[np.triu_indices(3, 1)]).max() < 5 * MEAN_ERROR
+    gains, off = log_gains(draws), [residuals(profile, draws, fit) for fit in FITS]
+    for one in off:
+        assert stats.kstest(one, "norm").pvalue > LEAST_P_VALUE
+        assert abs(one.mean()) < 5 * MEAN_ERROR
+        assert abs(one.var() - 1) < 5 * VARIANCE_ERROR
+        assert abs(np.corrcoef(one**2, gains)[0, 1]) < 5 * MEAN_ERROR
+    correlation = np.corrcoef([*off, gains])
+    assert np.abs(correlation[np.triu_indices(4, 1)]).max() < 5 * MEAN_ERROR
 
 
 def row_index(profile: CameraProfile) -> dict[tuple[float, tuple[float, ...]], list[int]]:
@@ -391,7 +330,7 @@ def test_lambda_and_colour_bias_come_from_one_row_and_every_row_alike(
     assert abs(np.corrcoef(rows, log_gains(draws))[0, 1]) < 5 * MEAN_ERROR
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("name", ["NikonD850", "SonyA7S2"])
 def test_nearest_gain_takes_only_the_rows_that_are_nearest(name: str) -> None:
     profile = CameraProfile.load(name)
     index = row_index(profile)
@@ -435,7 +374,7 @@ def test_rows_without_a_gain_are_near_to_nothing() -> None:
 
 
 @pytest.mark.parametrize("row", ["any", "nearest-gain"])
-@pytest.mark.parametrize("make", [np.random.default_rng, lambda seed: torch.Generator().manual_seed(seed)])
+@BOTH
 def test_a_frame_of_the_drawn_row_gives_the_colour_bias(make: Callable[[int], Generator], row: RowChoice) -> None:
     """3000 draws, chi-square over all frames of both rows; all else is drawn as without frames."""
     generator, same = make(23), make(23)
@@ -463,17 +402,6 @@ def test_draws_have_the_quantisation_step_of_the_camera() -> None:
         variance = noise_of_parameters(profile.measured(100), ratio=1.0, range_dn=1.0).offset
         assert variance == pytest.approx(2.5**2 + 0.5**2 + step**2 / 12)
     assert diagnose(coarse, coarse.sample(np.random.default_rng(1))).off == ()
-
-
-def numpy_generator(seed: int) -> np.random.Generator:
-    return np.random.default_rng(seed)
-
-
-def torch_generator(seed: int) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
-
-
-BOTH = pytest.mark.parametrize("make", [numpy_generator, torch_generator])
 
 
 @BOTH
@@ -516,33 +444,6 @@ def test_the_choice_of_the_row_leaves_the_other_draws_and_the_generator_as_they_
             assert getattr(first, name) == getattr(second, name)
 
 
-def test_torch_draws_have_the_same_distribution() -> None:
-    """4000 draws, Kolmogorov-Smirnov."""
-    sony = CameraProfile.load("SonyA7S2")
-    generator = torch_generator(23)
-    draws = [sony.sample(generator) for _ in range(COUNT)]
-    low, high = np.log(sony.gain_range_dn_per_e)
-    assert stats.kstest((log_gains(draws) - low) / (high - low), "uniform").pvalue > LEAST_P_VALUE
-    for fit in FITS:
-        assert stats.kstest(residuals(sony, draws, fit), "norm").pvalue > LEAST_P_VALUE
-
-
-def test_no_global_generator_is_touched() -> None:
-    before_torch = torch.get_rng_state()
-    before_numpy = pickle.dumps(np.random.get_state())  # noqa: NPY002 - it must not have moved
-    CameraProfile.load("SonyA7S2").sample(numpy_generator(0))
-    CameraProfile.load("SonyA7S2").sample(torch_generator(0))
-    assert torch.equal(torch.get_rng_state(), before_torch)
-    assert pickle.dumps(np.random.get_state()) == before_numpy  # noqa: NPY002
-
-
-def test_a_residual_deviation_of_0_gives_the_line() -> None:
-    generator = np.random.default_rng(0)
-    for _ in range(5):
-        draw = FULL.sample(generator)
-        assert draw.sigma_gauss_dn == pytest.approx(math.exp(1.25) * draw.gain_dn_per_e**-0.5, rel=1e-12)
-
-
 # --- ISO ------------------------------------------------------------------------------------------------------------
 
 
@@ -578,7 +479,7 @@ def test_the_gain_between_measured_isos_some_of_which_share_it(tmp_path: Path) -
             assert (drawn.gain_dn_per_e, drawn.iso) == (profile.gain_at_iso(iso), iso)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_gain_rises_wherever_the_measured_ones_do(seed: int) -> None:
     """Against numpy's interpolation, at every whole ISO; a third of the neighbours have one gain."""
     generator = np.random.default_rng(seed)
@@ -630,7 +531,7 @@ def test_the_iso_of_a_gain() -> None:
     assert dataclasses.replace(FULL, rows=FULL.rows[1:], iso_range=None).iso_at_gain(1.0) is None
 
 
-@pytest.mark.parametrize("iso", [99.0, 6401.0, 10000.0, 12800.0, 25600.0])
+@pytest.mark.parametrize("iso", [99.0, 6401.0, 12800.0])
 def test_an_iso_outside_of_the_range(iso: float) -> None:
     """Whether a row has it or not: beyond the range K has to be asked for."""
     sony = CameraProfile.load("SonyA7S2")
@@ -642,13 +543,6 @@ def test_an_iso_outside_of_the_range(iso: float) -> None:
     assert gain == pytest.approx(iso / 100 * sony.gain_range_dn_per_e[0], rel=1e-6)
     drawn = sony.sample(np.random.default_rng(0), iso=iso, row="nearest-gain", extrapolate=True)
     assert drawn.gain_dn_per_e == gain
-
-
-def test_beyond_a_single_iso_in_proportion() -> None:
-    profile = dataclasses.replace(FULL, rows=FULL.rows[1:], iso_range=(800.0, 800.0), gain_range_dn_per_e=(0.5, 0.5))
-    assert profile.gain_at_iso(1600, extrapolate=True) == pytest.approx(1.0)
-    with pytest.raises(ArgumentError, match="outside of the calibrated range 800 to 800"):
-        profile.gain_at_iso(1600)
 
 
 @pytest.mark.parametrize("iso", [0.0, -100.0, math.nan, math.inf])
@@ -745,12 +639,6 @@ def test_an_iso_of_a_profile_that_knows_none() -> None:
     profile = dataclasses.replace(FULL, rows=FULL.rows[1:], iso_range=None)
     with pytest.raises(ArgumentError, match=r"does not say which ISO its gains belong to; give a gain"):
         profile.sample(np.random.default_rng(0), iso=800)
-
-
-def test_a_profile_of_a_single_iso() -> None:
-    profile = dataclasses.replace(FULL, iso_range=(800.0, 800.0), gain_range_dn_per_e=(0.5, 0.5))
-    assert profile.sample(np.random.default_rng(0)).gain_dn_per_e == pytest.approx(0.5)
-    assert profile.gain_at_iso(800) == pytest.approx(0.5)
 
 
 # --- refusals -------------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import pytest
 from eldata.errors import ProfileError
 from eldata.noise import CameraProfile, read_published
 from eldata.noise.published import profiles_from_published
+from tests.cases import in_one_test
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "noise.md"
 
@@ -105,12 +106,6 @@ def test_rows_run_two_an_iso_and_a_note_says_so() -> None:
     assert any("inferred" in note for note in profile.notes)
 
 
-def test_the_imported_profile_is_what_is_loaded_again(tmp_path: Path) -> None:
-    (profile,) = profiles_from_published("Camera", published())
-    profile.save(tmp_path / "camera.json")
-    assert CameraProfile.load(tmp_path / "camera.json") == profile
-
-
 def test_a_shipped_camera_from_its_published_form(tmp_path: Path) -> None:
     shipped = CameraProfile.load("SonyA7S2")
 
@@ -140,54 +135,28 @@ def without(data: dict[str, Any], *keys: str) -> dict[str, Any]:
     return data
 
 
-@pytest.mark.parametrize(
-    "keys",
-    [
-        ("Kmin",),
-        ("Kmax",),
-        ("G_shape",),
-        ("color_bias",),
-        ("Profile-1",),
-        ("Profile-1", "G_scale"),
-        ("Profile-1", "g_scale"),
-        ("Profile-1", "R_scale"),
-        ("Profile-1", "R_scale", "slope"),
-        ("Profile-1", "g_scale", "bias"),
-        ("Profile-1", "G_scale", "sigma"),
-    ],
-    ids="/".join,
-)
+@in_one_test("keys", [("Kmin",), ("Profile-1",), ("Profile-1", "G_scale"), ("Profile-1", "R_scale", "slope")])
 def test_what_is_missing_is_named(keys: tuple[str, ...]) -> None:
     words = "and a Profile-1$" if keys == ("Profile-1",) else f"'{keys[-1]}' is missing$"
     with pytest.raises(ProfileError, match=rf"^Camera: expected .*{words}"):
         profiles_from_published("Camera", without(published(), *keys))
 
 
-@pytest.mark.parametrize(
+@in_one_test(
     "change",
     [
         {"Kmin": "much"},
-        {"Kmax": None},
         {"Kmin": [1, 2]},
         {"G_shape": 0.1},
         {"G_shape": ["a"] * ROWS},
         {"G_shape": [0.1]},
         {"G_shape": [], "color_bias": []},
-        {"color_bias": [0.1] * ROWS},
         {"color_bias": [[1, 2, 3]] * ROWS},
-        {"color_bias": None},
         {"Profile-1": None},
-        {"Profile-1": [1, 2]},
         {"Profile-1": {"G_scale": 1.0}},
         {"Profile-1": {"G_scale": {"slope": "steep", "bias": 0, "sigma": 0}}},
     ],
-    ids=str,
 )
 def test_another_kind_of_value(change: dict[str, Any]) -> None:
     with pytest.raises(ProfileError, match=r"^Camera: "):
         profiles_from_published("Camera", published() | change)
-
-
-def test_no_content_at_all() -> None:
-    with pytest.raises(ProfileError, match="'Kmin' is missing"):
-        profiles_from_published("Camera", {})

@@ -173,10 +173,7 @@ def test_what_does_not_go_together_is_refused() -> None:
     for given, words in (
         ({"parameters": replace(PARAMETERS, iso=None)}, "the parameters' ISO, and they do not state it"),
         ({"parameters": replace(PARAMETERS, iso=400.0)}, "was not measured at ISO 400"),
-        (
-            {"parameters": PARAMETERS, "place": (32, 0)},
-            r"region \(32, 0, 6, 6\) is not within the 36 x 36 packed pixels",
-        ),
+        ({"parameters": PARAMETERS, "place": (32, 0)}, "is not within the 36 x 36 packed pixels"),
     ):
         with pytest.raises(ArgumentError, match=words):
             model(clean, **given, **options)

@@ -16,7 +16,8 @@ from scipy import stats
 from eldata.datasets import Arrays, SyntheticPairs
 from eldata.datasets.draws import NoiseChoice
 from eldata.errors import ArgumentError
-from eldata.noise import LED_RANGES, CameraProfile, CameraRanges, FitRanges, VirtualCameras, shipped_profiles
+from eldata.noise import LED_RANGES, CameraProfile, FitRanges, VirtualCameras, shipped_profiles
+from tests.cases import in_one_test
 from tests.noise.test_profile import FITS
 
 if TYPE_CHECKING:
@@ -84,20 +85,20 @@ def test_a_grid_has_both_ends() -> None:
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_figures_are_uniform_over_their_ranges(strategy: Any) -> None:
-    """400 times 5 cameras, Kolmogorov-Smirnov; on a grid as often each of its five points."""
-    cameras = [camera for seed in range(400) for camera in VirtualCameras(5, strategy=strategy, seed=seed)]
+    """150 times 5 cameras, Kolmogorov-Smirnov; on a grid as often each of its five points."""
+    cameras = [camera for seed in range(150) for camera in VirtualCameras(5, strategy=strategy, seed=seed)]
     for name in FIGURES:
         low, high = LED_RANGES.named()[name]
         places = (np.array([figures(camera)[name] for camera in cameras]) - low) / (high - low)
         if strategy == "grid":
-            assert np.unique(np.rint(places * 4), return_counts=True)[1].tolist() == [400] * 5
+            assert np.unique(np.rint(places * 4), return_counts=True)[1].tolist() == [150] * 5
         else:
             assert stats.kstest(places, "uniform").pvalue > 1e-6, name
     together = np.corrcoef([[figures(camera)[name] for camera in cameras] for name in FIGURES])
     others = together[np.triu_indices(len(FIGURES), 1)]
     # Of the variance, 1 / 12, all but 1 / (12 * 25) is that of the share, which figures have in common.
     expected = {"coverage": 1 - 1 / 25, "grid": 1.0, "uniform": 0.0}[strategy]
-    assert np.abs(others - expected).max() < 5 * (1 - expected**2) / math.sqrt(2000) + 1e-9
+    assert np.abs(others - expected).max() < 5 * (1 - expected**2) / math.sqrt(750) + 1e-9
 
 
 def test_colour_biases_are_those_of_the_ranges() -> None:
@@ -165,39 +166,11 @@ def check_moments(ours: dict[str, Any], theirs: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("cameras", [2, 5])
 def test_draws_have_the_moments_of_leds(cameras: int) -> None:
-    """20,000 draws and 200,000 of LED's: 20 moments, false alarms at 1e-5 if the seeds were not fixed."""
+    """8,000 draws and 200,000 of LED's: 20 moments, false alarms at 1e-5 if the seeds were not fixed."""
     theirs = leds_recipe(200_000, cameras, np.random.default_rng(1))
-    check_moments(our_draws(20_000, VirtualCameras(cameras, strategy="grid")), theirs)
+    check_moments(our_draws(8_000, VirtualCameras(cameras, strategy="grid")), theirs)
     with pytest.raises(AssertionError):  # shares without the ends of the range are less wide, which is seen
-        check_moments(our_draws(20_000, VirtualCameras(cameras)), theirs)
-
-
-@pytest.mark.study
-def test_many_draws_have_the_moments_of_leds() -> None:
-    """The same holds of a million, which take 25 s."""
-    ours = our_draws(200_000, VirtualCameras(5, strategy="grid"))
-    check_moments(ours, leds_recipe(200_000, 5, np.random.default_rng(1)))
-
-
-@pytest.mark.study
-def test_many_cameras_cover_the_ranges() -> None:
-    """1,000 times 100 cameras: mean and variance of each figure those of the uniform law, and of the shares.
-
-    Within 100 shares the mean of the cameras has the variance (L / 100)^2 / 12 / 100; the variance is taken around the
-    middle of the range, whose fourth moment gives its error. 10,000 times, which take 75 s, pass too.
-    """
-    times = 1_000
-    one_row = dataclasses.replace(LED_RANGES, rows=1)
-    values = np.array(
-        [[list(figures(one).values()) for one in VirtualCameras(100, one_row, seed=seed)] for seed in range(times)]
-    )
-    for number, name in enumerate(figures(VirtualCameras(1)[0])):
-        low, high = LED_RANGES.named()[name]
-        places = (values[:, :, number] - low) / (high - low)
-        assert abs(places.mean() - 0.5) < 5 * math.sqrt(1 / 12 / 100**2 / (100 * times))
-        assert abs(((places - 0.5) ** 2).mean() - 1 / 12) < 5 * math.sqrt((1 / 80 - 1 / 144) / (100 * times))
-        each = places.mean(axis=0)
-        assert np.abs(each - (np.arange(100) + 0.5) / 100).max() < 5.5 * math.sqrt(1 / 12 / 100**2 / times)
+        check_moments(our_draws(8_000, VirtualCameras(cameras)), theirs)
 
 
 # --- as cameras -----------------------------------------------------------------------------------------------------
@@ -259,15 +232,14 @@ def test_ranges_of_ones_own() -> None:
 # --- refusals -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
+@in_one_test(
+    "options, words",
     [
         ({"n": 0}, "n must be 1 or more; found 0"),
-        ({"n": 2.5}, "n must be a whole number, 1 or more; found 2.5"),
         ({"n": 1, "strategy": "grid"}, "n must be 2 or more; found 1"),
-        ({"n": 5, "strategy": "all"}, "strategy must be one of 'coverage', 'grid', 'uniform'; found 'all'"),
+        ({"n": 5, "strategy": "all"}, "strategy must be one of .*; found 'all'"),
         ({"n": 5, "seed": -1}, "seed must be 0 or more"),
-        ({"n": 5, "ranges": {}}, r"ranges must be a CameraRanges, such as LED_RANGES; found \{\}"),
+        ({"n": 5, "ranges": {}}, "ranges must be a CameraRanges"),
     ],
 )
 def test_cameras_that_make_no_sense(options: Any, words: str) -> None:
@@ -275,22 +247,18 @@ def test_cameras_that_make_no_sense(options: Any, words: str) -> None:
         VirtualCameras(**options)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
+@in_one_test(
+    "change, words",
     [
-        ({"gain_dn_per_e": (0, 30)}, "gain_dn_per_e must be finite and above 0; found 0"),
-        ({"gain_dn_per_e": (30, 0.1)}, r"gain_dn_per_e must be the lowest, then the highest; found \(30, 0\.1\)"),
-        ({"tukey_lambda": (-0.6, 0.2)}, r"tukey_lambda must lie above -0\.5 and not above 2; found -0\.6"),
-        ({"tukey_lambda": 0.2}, "tukey_lambda must be the lowest and the highest; found 0.2"),
+        ({"gain_dn_per_e": (0, 30)}, "gain_dn_per_e must be finite and above 0"),
+        ({"gain_dn_per_e": (30, 0.1)}, "gain_dn_per_e must be the lowest, then the highest"),
+        ({"tukey_lambda": (-0.6, 0.2)}, "tukey_lambda must lie above"),
+        ({"tukey_lambda": 0.2}, "tukey_lambda must be the lowest and the highest"),
         ({"colour_bias_spread_dn": (-1, 1)}, "colour_bias_spread_dn must not be negative"),
-        ({"colour_bias_dn": (math.nan, 1)}, "colour_bias_dn must be finite; found nan"),
-        ({"row_fit": dataclasses.replace(LED_RANGES.row_fit, sigma=(-1, 1))}, r"row_fit\.sigma must not be negative"),
         ({"row_fit": FitRanges(("a", 1), (0, 0), (0, 0))}, r"row_fit\.slope must be one number"),  # type: ignore[arg-type]
-        ({"rows": 0}, "rows must be 1 or more; found 0"),
+        ({"rows": 0}, "rows must be 1 or more"),
     ],
 )
 def test_ranges_that_make_no_sense(change: Any, words: str) -> None:
     with pytest.raises(ArgumentError, match=words):
-        CameraRanges(
-            **{field.name: getattr(LED_RANGES, field.name) for field in dataclasses.fields(LED_RANGES)} | change
-        )
+        dataclasses.replace(LED_RANGES, **change)

@@ -12,8 +12,7 @@ from eldata.calibration.camera import joined
 from eldata.calibration.core.bias_figures import BiasSums
 from eldata.calibration.core.defects import BiasStack, fixed_pattern
 from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
-from eldata.calibration.core.row_noise import power_spectrum
-from eldata.calibration.core.single_frame import FlatFrames, single_frame_plot, spatial_photon_transfer
+from eldata.calibration.core.single_frame import FlatFrames, power_spectrum, single_frame_plot, spatial_photon_transfer
 from eldata.calibration.iso_results import IsoCalibration
 from eldata.records import Sensor
 from tests.calibration.simulation import Body, Camera

@@ -22,7 +22,15 @@ from tqdm import tqdm
 
 from eldata.base.numbers import checked_whole, counted
 from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Workers
-from eldata.calibration.acceptance.pairs import PairScale, dark_pair, flat_pair, level_names, mean_of, smoothed
+from eldata.calibration.acceptance.pairs import (
+    HeldOutFrames,
+    PairScale,
+    dark_pair,
+    flat_pair,
+    level_names,
+    mean_of,
+    smoothed,
+)
 from eldata.calibration.acceptance.reproduction import compared_place
 from eldata.calibration.acceptance.results import (
     Acceptance,
@@ -33,14 +41,7 @@ from eldata.calibration.acceptance.results import (
     frame_statistics,
 )
 from eldata.calibration.acceptance.theory import sample_parameters
-from eldata.calibration.audit.frames import (
-    FrameFigures,
-    FrameReader,
-    FramesError,
-    clipped_black,
-    sorted_frames,
-    work_elsewhere,
-)
+from eldata.calibration.audit.frames import FramesError, sorted_frames, work_elsewhere
 from eldata.calibration.core._frames import by_pixel, channels_of, pattern_of
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError, DatasetError
@@ -55,15 +56,13 @@ if TYPE_CHECKING:
     from fractions import Fraction
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from eldata.calibration.acceptance.pairs import PairFigures
     from eldata.calibration.audit.frames import IsoFrames
     from eldata.calibration.core._frames import Mosaic, Plane
     from eldata.datasets.calibration_frames import FlatPair
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.parameters import NoiseParameters
-    from eldata.records import FrameRecord, Sensor
+    from eldata.records import Sensor
 
 
 PAIRS = 32
@@ -350,42 +349,10 @@ def _seconds(exposure_s: Fraction | None) -> float | None:
     return None if exposure_s is None else float(exposure_s)
 
 
-# --- frames of both sides ---------------------------------------------------------------------------------------------
+# --- the model's frames ---------------------------------------------------------------------------------------------
 
 _UNITS_APART = 64.0  # a model whose noise is so many times too strong or weak is taken to be in other units
 _CLIPPED = 0.01  # of the values
-
-
-class HeldOutFrames(FrameReader):
-    """Reads the frames of one ISO, a pair at a time and no copies, and collects what is wrong with them."""
-
-    def _mosaics(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, Mosaic]]:
-        for record, frame in self.read(records):
-            if self.copies.original(record, frame.mosaic) is None:
-                yield record, frame.mosaic
-            del frame  # before the next one is decoded
-
-    def bias_pairs(self, records: Sequence[FrameRecord]) -> Iterator[tuple[Mosaic, Mosaic]]:
-        """Yield pairs of pieces of bias frames that share no frame."""
-        first: Mosaic | None = None
-        for record, mosaic in self._mosaics(records):
-            self.problems += clipped_black(record, mosaic)
-            self.figures.append(FrameFigures.of(record, mosaic))
-            piece = self.cut(mosaic)
-            if first is None:
-                first = piece
-            else:
-                yield first, piece
-                first = None
-
-    def flats(self, pair: FlatPair) -> tuple[Mosaic, Mosaic] | None:
-        """Return a pair of whole flats."""
-        found = [mosaic for _, mosaic in self._mosaics((pair.first, pair.second))]
-        return (found[0], found[1]) if len(found) == 2 else None
-
-    def cut(self, mosaic: NDArray[np.generic]) -> Mosaic:
-        """Return a copy of the piece that is compared."""
-        return mosaic[compared_place(mosaic.shape, len(self.sensor.cfa))].copy()  # type: ignore[return-value]
 
 
 @dataclass(frozen=True, slots=True)

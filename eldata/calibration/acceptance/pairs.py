@@ -16,13 +16,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from eldata.calibration.acceptance.reproduction import compared_place
 from eldata.calibration.acceptance.verdicts import CHANNELS
+from eldata.calibration.audit.frames import FrameFigures, FrameReader, clipped_black
 from eldata.calibration.core._frames import by_pixel, channels_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
 
     from eldata.calibration.core._frames import Counts, Mosaic, Plane, Values
+    from eldata.datasets.calibration_frames import FlatPair
+    from eldata.records import FrameRecord
 
 
 Name = tuple[str, str, str]
@@ -228,18 +234,14 @@ def smoothed(plane: Plane, sigma_dn: float, pattern: Counts) -> Plane:
     return result
 
 
-def same_sizes(first: Plane, second: Plane) -> float:
-    """Return the covariance of the sizes that a pixel's differences have in two pairs, over the squared mean size.
+def shared_energy(first: Plane, second: Plane) -> float:
+    """Return the mean product of two planes: of the means of two sets of frames, the energy that they share, DN^2.
 
-    Where all pixels have the same noise it is 0, whatever the noise's distribution; otherwise the squared coefficient
-    of variation of the pixels' noise: pixels that jump between two levels, or noise that differs from pixel to pixel.
+    Of the sizes of a pixel's differences in two pairs it is their covariance over the squared mean size. Where all
+    pixels have the same noise that is 0, whatever the noise's distribution; otherwise the squared coefficient of
+    variation of the pixels' noise: pixels that jump between two levels, or noise that differs from pixel to pixel.
     """
     return _mean(first * second)
-
-
-def same_pattern(mean_dn: Plane, pattern_dn: Plane) -> float:
-    """Return the energy, DN^2, that a pair's mean shares with a mean of other frames."""
-    return _mean(mean_dn * pattern_dn)
 
 
 def distance(counts: Counts, reference: Values) -> float:
@@ -263,6 +265,41 @@ def tail_threshold(shares: Values, wanted: float, side: int) -> int:
     beyond = np.cumsum(np.asarray(folded)[::-1])[::-1]
     few = np.flatnonzero(beyond <= wanted)
     return int(few[0]) if few.size else middle
+
+
+# --- the camera's ---------------------------------------------------------------------------------------------------
+
+
+class HeldOutFrames(FrameReader):
+    """Reads the frames of one ISO, a pair at a time and no copies, and collects what is wrong with them."""
+
+    def _mosaics(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, Mosaic]]:
+        for record, frame in self.read(records):
+            if self.copies.original(record, frame.mosaic) is None:
+                yield record, frame.mosaic
+            del frame  # before the next one is decoded
+
+    def bias_pairs(self, records: Sequence[FrameRecord]) -> Iterator[tuple[Mosaic, Mosaic]]:
+        """Yield pairs of pieces of bias frames that share no frame."""
+        first: Mosaic | None = None
+        for record, mosaic in self._mosaics(records):
+            self.problems += clipped_black(record, mosaic)
+            self.figures.append(FrameFigures.of(record, mosaic))
+            piece = self.cut(mosaic)
+            if first is None:
+                first = piece
+            else:
+                yield first, piece
+                first = None
+
+    def flats(self, pair: FlatPair) -> tuple[Mosaic, Mosaic] | None:
+        """Return a pair of whole flats."""
+        found = [mosaic for _, mosaic in self._mosaics((pair.first, pair.second))]
+        return (found[0], found[1]) if len(found) == 2 else None
+
+    def cut(self, mosaic: NDArray[np.generic]) -> Mosaic:
+        """Return a copy of the piece that is compared."""
+        return mosaic[compared_place(mosaic.shape, len(self.sensor.cfa))].copy()  # type: ignore[return-value]
 
 
 # --- parts --------------------------------------------------------------------------------------------------------

@@ -17,8 +17,7 @@ from eldata.calibration.acceptance.pairs import (
     KS,
     SAME_PATTERN,
     distance,
-    same_pattern,
-    same_sizes,
+    shared_energy,
     tail_share,
     tail_threshold,
 )
@@ -243,11 +242,11 @@ class PairNumbers:
     def add(self, pair: PairFigures, pattern_dn: Plane | None = None) -> None:
         """Add a pair, whose planes are let go of. ``pattern_dn`` is the reference's mean."""
         if pattern_dn is not None and SAME_PATTERN in pair.numbers:
-            pair.numbers[SAME_PATTERN] = same_pattern(pair.mean_dn, pattern_dn)
+            pair.numbers[SAME_PATTERN] = shared_energy(pair.mean_dn, pattern_dn)
         if self._odd is None:
             self._odd = pair.sizes_dn
         else:
-            self.fours.append(same_sizes(self._odd, pair.sizes_dn))
+            self.fours.append(shared_energy(self._odd, pair.sizes_dn))
             self._odd = None
         nothing = np.zeros((0, 0), np.float32)
         self.pairs.append(replace(pair, mean_dn=nothing, sizes_dn=nothing))

@@ -17,7 +17,8 @@ import numpy as np
 
 from eldata.calibration.audit.neighbours import UNITS, Neighbours
 from eldata.calibration.core._frames import channels_of, checked_mosaic
-from eldata.calibration.core.row_noise import TILE, check_same_frames
+from eldata.calibration.core.row_noise import check_same_frames
+from eldata.calibration.core.single_frame import TILE
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.core._frames import Counts, Mosaic, Plane, Values
+    from eldata.calibration.core._frames import Counts, Mosaic, Values
     from eldata.calibration.core.defects import FixedPattern
 
     LineSums: TypeAlias = tuple[Counts, Counts, Counts]
@@ -410,46 +410,8 @@ def normal_nodes(sigma: float) -> tuple[Values, Values]:
 
 # --- spectra ----------------------------------------------------------------------------------------------------------
 
-TILE = 256
-_MOST_TILES = 64
 _FREQUENCIES = 80
 _FREQUENCIES_TOGETHER = 4  # at least: a single one scatters by all of itself
-
-
-def power_spectrum(mosaic: Mosaic, fixed: FixedPattern) -> Plane:
-    """Return the centred power spectrum of a bias frame less its channels' means, DN^2 per pixel.
-
-    The average over tiles of 256 x 256 pixels (up to 64 of them, evenly spread): white noise of variance s^2 gives s^2
-    throughout. Noise that a row shares lies on the column of horizontal frequency 0, that of a column on the row of
-    vertical frequency 0. Defects count as their channel's mean; fixed patterns stay in.
-
-    Raises
-    ------
-    DatasetError
-        If the frame is smaller than a tile.
-    """
-    height, width = mosaic.shape
-    if height < TILE or width < TILE:
-        raise DatasetError(f"the spectrum needs a frame of {TILE} x {TILE} pixels or more; found {height} x {width}")
-    period = len(fixed.pattern)
-    down, across = height // TILE, width // TILE
-    step = max(1, round((down * across / _MOST_TILES) ** 0.5))
-    power = np.zeros((TILE, TILE))
-    tiles = 0
-    for y in range(0, down, step):
-        for x in range(0, across, step):
-            place = slice(y * TILE, (y + 1) * TILE), slice(x * TILE, (x + 1) * TILE)
-            tile = mosaic[place].astype(np.float64)
-            tile[fixed.defects[place]] = np.nan
-            for row in range(period):
-                for column in range(period):
-                    # By site, not by channel: the two greens of Bayer may differ.
-                    site = tile[row::period, column::period]
-                    site -= np.nanmean(site)
-            power += np.abs(np.fft.fft2(np.nan_to_num(tile))) ** 2
-            tiles += 1
-    spectrum: Plane = np.fft.fftshift(power / (tiles * TILE * TILE)).astype(np.float32)
-    return spectrum
 
 
 def smoothed_power(frequency: Values, power: Values, period: int) -> tuple[Values, Values]:

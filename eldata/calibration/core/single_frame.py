@@ -1,9 +1,10 @@
-"""What the paper takes from single frames, for comparison: its probability plots, and K from a flat's own variance.
+"""What the paper takes from single frames: probability plots, K from a flat's own variance, the power spectrum.
 
 The estimate takes each pixel's own mean off first (:mod:`eldata.calibration.core.read_noise`), so its R^2 is another
 number: non-uniformity, which is not noise, takes part in the published one. Both follow the extreme tails, since a
 probability plot weighs a residual by its square; defects are left out of both, or a handful of hot pixels would be all
-they show. Likewise the pairs of flats (:mod:`eldata.calibration.core.photon_transfer`) free K of what stays.
+they show. Likewise the pairs of flats (:mod:`eldata.calibration.core.photon_transfer`) free K of what stays. So both
+are there for comparison.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.core._frames import Mosaic
+    from eldata.calibration.core._frames import Mosaic, Plane
     from eldata.calibration.core.defects import FixedPattern
 
 _UNITS = 256  # of a DN: rows' means are rounded to them
@@ -152,3 +153,45 @@ def _plain_line(points: Sequence[tuple[float, float]], channel: int) -> PhotonTr
         variance_dn2=variance,
         variance_error_dn2=np.full(len(signal), math.sqrt(scatter)),
     )
+
+
+# --- spectrum ---------------------------------------------------------------------------------------------------------
+
+TILE = 256
+_MOST_TILES = 64
+
+
+def power_spectrum(mosaic: Mosaic, fixed: FixedPattern) -> Plane:
+    """Return the centred power spectrum of a bias frame less its channels' means, DN^2 per pixel.
+
+    The average over tiles of 256 x 256 pixels (up to 64 of them, evenly spread): white noise of variance s^2 gives s^2
+    throughout. Noise that a row shares lies on the column of horizontal frequency 0, that of a column on the row of
+    vertical frequency 0. Defects count as their channel's mean; fixed patterns stay in.
+
+    Raises
+    ------
+    DatasetError
+        If the frame is smaller than a tile.
+    """
+    height, width = mosaic.shape
+    if height < TILE or width < TILE:
+        raise DatasetError(f"the spectrum needs a frame of {TILE} x {TILE} pixels or more; found {height} x {width}")
+    period = len(fixed.pattern)
+    down, across = height // TILE, width // TILE
+    step = max(1, round((down * across / _MOST_TILES) ** 0.5))
+    power = np.zeros((TILE, TILE))
+    tiles = 0
+    for y in range(0, down, step):
+        for x in range(0, across, step):
+            place = slice(y * TILE, (y + 1) * TILE), slice(x * TILE, (x + 1) * TILE)
+            tile = mosaic[place].astype(np.float64)
+            tile[fixed.defects[place]] = np.nan
+            for row in range(period):
+                for column in range(period):
+                    # By site, not by channel: the two greens of Bayer may differ.
+                    site = tile[row::period, column::period]
+                    site -= np.nanmean(site)
+            power += np.abs(np.fft.fft2(np.nan_to_num(tile))) ** 2
+            tiles += 1
+    spectrum: Plane = np.fft.fftshift(power / (tiles * TILE * TILE)).astype(np.float32)
+    return spectrum

@@ -90,16 +90,6 @@ def test_a_crop_of_a_tile_is_a_part_of_the_frame(which: str, eld: Path, fuji: Pa
     assert (np.ptp(spread, axis=0) >= 8).all()
 
 
-def test_an_item_does_not_depend_on_who_reads_it(tiles: Path) -> None:
-    every = Counter(identities(StreamedPairs(str(tiles), crop=10, crops_per_frame=2, seed=1)))
-    for count in (2, 5):
-        together: Counter[str] = Counter()
-        for dataset in ranks(tiles, count, crop=10, crops_per_frame=2, seed=1):
-            together.update(identities(dataset))
-        assert together == every
-    assert Counter(identities(StreamedPairs(str(tiles), crop=10, crops_per_frame=2, seed=2))) != every
-
-
 # --- each exactly once --------------------------------------------------------------------------------------------
 
 
@@ -127,12 +117,6 @@ def test_a_loader_of_ones_own_gives_each_item_once(workers: int, tiles: Path) ->
         for dataset in ranks(tiles, count):
             got.update(unbatched(DataLoader(dataset, batch_size=7, num_workers=workers, **options)))
         assert got == wanted
-
-
-def test_more_readers_than_samples(frames: Path) -> None:
-    parts = [identities(dataset) for dataset in ranks(frames, 50)]
-    assert Counter(one for part in parts for one in part) == Counter(identities(StreamedPairs(str(frames))))
-    assert max(map(len, parts)) == 1
 
 
 @pytest.mark.parametrize("count", [2, 5, 7])
@@ -348,9 +332,3 @@ def test_a_copy_in_a_worker_knows_its_rank(tiles: Path) -> None:
     other = pickle.loads(pickle.dumps(StreamedPairs(str(tiles), rank=Rank(2, 3))))
     assert other.rank == Rank(2, 3)
     assert identity(next(iter(other))) in set(identities(StreamedPairs(str(tiles))))
-
-
-def test_many_processes_without_torch_distributed(tiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("WORLD_SIZE", "4")
-    with pytest.raises(ArgumentError, match="WORLD_SIZE is '4', but"):
-        next(iter(StreamedPairs(str(tiles))))

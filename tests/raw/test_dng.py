@@ -43,15 +43,9 @@ def check_round_trip(
 
 
 @in_one_test("name", CFAS)
-@in_one_test("compression", COMPRESSIONS)
-def test_every_field_comes_back(name: str, compression: Compression, tmp_path: Path) -> None:
+def test_every_field_comes_back(name: str, tmp_path: Path) -> None:
     height, width = 47 + len(name) % 3, 53 + len(name) % 2
-    check_round_trip(
-        tmp_path / "a.dng",
-        random_mosaic(height, width),
-        make_sensor(CFAS[name], height, width),
-        compression=compression,
-    )
+    check_round_trip(tmp_path / "a.dng", random_mosaic(height, width), make_sensor(CFAS[name], height, width))
 
 
 @in_one_test("compression", COMPRESSIONS)

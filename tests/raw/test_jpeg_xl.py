@@ -241,10 +241,10 @@ def test_an_absurd_size_takes_no_memory(tmp_path: Path) -> None:
     """One that a stream has, and one that the directory has."""
     import tracemalloc
 
-    flat = encoded(np.zeros((6000, 6000), np.uint16))
+    flat = encoded(np.zeros((3000, 3000), np.uint16))
     tracemalloc.start()
     write_jpeg_xl(tmp_path / "a.dng", random_mosaic(64, 96), change=lambda _: flat)
-    with pytest.raises(RawFileError, match=r"it holds \(6000, 6000\) pixels; expected 32 x 48"):
+    with pytest.raises(RawFileError, match=r"it holds \(3000, 3000\) pixels; expected 32 x 48"):
         read_raw(tmp_path / "a.dng")
     write_jpeg_xl(tmp_path / "a.dng", random_mosaic(64, 96), tile=None)
     with tifffile.TiffFile(tmp_path / "a.dng", mode="r+") as tiff:
@@ -257,7 +257,7 @@ def test_an_absurd_size_takes_no_memory(tmp_path: Path) -> None:
 
 
 def test_whatever_bytes_are_changed_nothing_but_a_raw_file_error_comes(tmp_path: Path) -> None:
-    """200 files with some bytes of their streams changed, in their headers half of the time."""
+    """100 files with some bytes of their streams changed, in their headers half of the time."""
     generator = np.random.default_rng(0)
 
     def change(content: bytes) -> bytes:
@@ -268,13 +268,13 @@ def test_whatever_bytes_are_changed_nothing_but_a_raw_file_error_comes(tmp_path:
         return bytes(changed)
 
     refused = 0
-    for _ in range(200):
+    for _ in range(100):
         write_jpeg_xl(tmp_path / "a.dng", random_mosaic(64, 96), change=change)
         try:
             read_raw(tmp_path / "a.dng")
         except RawFileError:
             refused += 1
-    assert refused > 190
+    assert refused > 95
 
 
 def test_more_samples_than_one_are_named(tmp_path: Path) -> None:

@@ -93,8 +93,7 @@ def test_a_crop_of_a_tile_is_a_part_of_the_frame(which: str, eld: Path, fuji: Pa
 # --- each exactly once --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("workers", [0, 2, 3])
-@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize(("count", "workers"), [(1, 2), (3, 0), (3, 3)])
 def test_all_ranks_and_workers_together_give_each_item_once(count: int, workers: int, frames: Path) -> None:
     """Shards of 7, 7, 7 and 3 samples; 9 readers where 3 ranks have 3 workers: more than shards."""
     wanted = Counter(identities(StreamedPairs(str(frames))))
@@ -108,7 +107,7 @@ def test_all_ranks_and_workers_together_give_each_item_once(count: int, workers:
     assert set(got.values()) == {1}
 
 
-@pytest.mark.parametrize("workers", [0, 2, 3])
+@pytest.mark.parametrize("workers", [0, 3])
 def test_a_loader_of_ones_own_gives_each_item_once(workers: int, tiles: Path) -> None:
     options: dict[str, Any] = {"multiprocessing_context": loading._context("forkserver")} if workers else {}
     wanted = Counter(identities(StreamedPairs(str(tiles))))
@@ -119,17 +118,15 @@ def test_a_loader_of_ones_own_gives_each_item_once(workers: int, tiles: Path) ->
         assert got == wanted
 
 
-@pytest.mark.parametrize("count", [2, 5, 7])
-def test_training_gives_every_rank_as_many_batches(count: int, frames: Path) -> None:
+def test_training_gives_every_rank_as_many_batches(frames: Path) -> None:
     """24 samples, 3 crops each: 72 items on 5 ranks are 14 each, 3 batches of 4, and 2 items dropped."""
     whole = Counter(identities(StreamedPairs(str(frames), crop=8, crops_per_frame=3)))
     got: Counter[str] = Counter()
-    for number in range(count):
+    for number in range(5):
         dataset = StreamedPairs(str(frames), crop=8, crops_per_frame=3)
-        loader = training_loader(dataset, 4, workers=0, rank=Rank(number, count))
+        loader = training_loader(dataset, 4, workers=0, rank=Rank(number, 5))
         part = unbatched(loader)
-        assert len(part) == 72 // count // 4 * 4
-        assert len(loader) == len(part) // 4
+        assert (len(part), len(loader)) == (12, 3)
         got.update(part)
     assert not got - whole  # none twice, none else
 
@@ -165,7 +162,7 @@ def test_epochs_differ_and_a_restart_goes_on(tiles: Path) -> None:
     assert unbatched(again) == epochs[2]
 
 
-@pytest.mark.parametrize("workers", [0, 2, 3])
+@pytest.mark.parametrize("workers", [0, 3])
 def test_an_epoch_goes_on_in_its_middle(workers: int, tiles: Path) -> None:
     """Whatever was given out before: 96 items of a rank in 13 batches of 7, of workers 6 and 7, or 4, 4 and 5."""
 

@@ -55,8 +55,7 @@ def test_a_store_is_on_the_disk_before_it_gets_its_name(
 # --- what it holds ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-@pytest.mark.parametrize("jobs", [1, 3])
+@pytest.mark.parametrize(("compression", "jobs"), [("none", 1), ("lz4", 3), ("zstd", 1)])
 def test_a_store_holds_every_file_once_as_decoded(compression: Any, jobs: int, tree: Tree, tmp_path: Path) -> None:
     packed = pack_tree(tree, tmp_path / "store.h5", compression=compression, workers=jobs)
     store = open_store(packed.store)
@@ -233,7 +232,7 @@ def failing(error: BaseException) -> Callable[[int, memoryview, int], None]:
     return fail
 
 
-@pytest.mark.parametrize("number", [1, 2, 5, 9, 14, 25, 33, 40])
+@pytest.mark.parametrize("number", [1, 5, 14, 40])
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), KeyboardInterrupt()], ids=repr)
 def test_a_full_disk_or_ctrl_c_keeps_the_finished_part(
     error: BaseException, number: int, clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -242,7 +241,7 @@ def test_a_full_disk_or_ctrl_c_keeps_the_finished_part(
     with monkeypatch.context() as patch:
         patch.setattr(journal, "_write_all", at_write(number, failing(error)))
         with pytest.raises((EldataError, KeyboardInterrupt), match=r"cannot write .*store.h5.part: No space|^$"):
-            build_store(clean.source, store, workers=2)
+            build_store(clean.source, store)
     assert not store.exists()
     assert part.exists()
     build_store(clean.source, store)

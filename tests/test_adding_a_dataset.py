@@ -94,18 +94,6 @@ def test_the_page_has_what_is_tested() -> None:
         assert all(bool(block.path) != (block.kind == "sh") for block in found), "a block is a file or commands"
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"), [("a\nb\nc\n", "a\nb\nnew\nc\n"), ("b\nb\nc\n", "b\nb\nnew\nc\n"), ("a\n", None)]
-)
-def test_changes_are_applied_where_they_fit(text: str, expected: str | None) -> None:
-    change = " b\n+new\n c\n"
-    if expected is None:
-        with pytest.raises(AssertionError, match="0 places fit"):
-            apply_change(text, change)
-    else:
-        assert apply_change(text, change) == expected
-
-
 # --- a set of one's own -----------------------------------------------------------------------------------------------
 
 

@@ -7,8 +7,6 @@ import importlib
 import re
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
 ROWS = 90
@@ -57,22 +55,3 @@ def problems(page: str) -> list[str]:
 def test_the_page_is_true() -> None:
     assert problems(PAGE) == []
     assert len(re.findall("::test_", PAGE)) == len(re.findall(r"`tests/[^`:]+::test_\w+`", PAGE)) > 90
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "found"),
-    [
-        ("| 4.6 | ST-RRED |", "| 4.6 | |", "a cell is empty"),
-        ("| 4.6 | ST-RRED |", "4.6 | ST-RRED |", "89 rows"),
-        ("| ST-RRED | same |", "| ST-RRED | much the same |", "status much the same"),
-        ("`tests/metrics/test_st_rred.py::test_scores_are_those_of_scikit_video`", "it is so", "no test of ST-RRED"),
-        ("::test_scores_are_those_of_scikit_video", "::test_scores", "test_st_rred.py::test_scores is not there"),
-        ("tests/metrics/test_st_rred.py::", "tests/metrics/test_strred.py::", "test_strred.py::"),
-        ("(../manifests/published/drv-raw.csv)", "(../manifests/drv-raw.csv)", "../manifests/drv-raw.csv is not there"),
-        ("`eldata.metrics.st_rred`", "`eldata.metrics.strred`", "eldata.metrics.strred is not public"),
-    ],
-)
-def test_what_is_not_so_is_found(old: str, new: str, found: str) -> None:
-    assert PAGE.count(old) == 1
-    (problem,) = problems(PAGE.replace(old, new))
-    assert found in problem

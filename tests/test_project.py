@@ -69,11 +69,6 @@ def test_the_paper_is_cited_as_its_dataset_card_has_it() -> None:
 # --- forms --------------------------------------------------------------------------------------------------------
 
 
-def test_the_forms_are_found() -> None:
-    assert [path.stem for path in FORMS] == ["bug", "dataset-request", "numbers-do-not-match"]
-    assert parsed(FORMS[0].with_name("config.yml")) == {"blank_issues_enabled": True}
-
-
 @pytest.mark.parametrize("path", FORMS, ids=lambda path: path.stem)
 def test_a_form_is_well_formed(path: Path) -> None:
     """By the rules for issue forms: a form that breaks one is not offered, without a word to anyone."""
@@ -104,10 +99,6 @@ def test_numbers_that_do_not_match_come_with_what_explains_them() -> None:
 
 def steps(workflow: Any) -> list[dict[str, Any]]:
     return [step for job in workflow["jobs"].values() for step in job["steps"]]
-
-
-def test_the_workflows_are_found() -> None:
-    assert [path.stem for path in WORKFLOWS] == ["release", "tests"]
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
@@ -187,13 +178,6 @@ def test_notes_are_the_section_of_the_version() -> None:
 def test_a_release_needs_what_it_says_to_agree(tag: str, changelog: str, citation: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         script("release").notes(tag, "0.2.0", changelog, citation)
-
-
-def test_a_release_reads_the_version_of_this_package() -> None:
-    release = script("release")
-    assert release.version_of((ROOT / "eldata" / "__init__.py").read_text(encoding="utf-8")) == eldata.__version__
-    with pytest.raises(ValueError, match="expected a line such as"):
-        release.version_of("version = 1")
 
 
 def test_a_tag_that_does_not_fit_ends_the_release() -> None:

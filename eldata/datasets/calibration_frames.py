@@ -115,7 +115,7 @@ class CalibrationFrames:
                 for record in expand(loaded.records, self.root)
                 if record.role in _ROLES and not {LONGER_DARK, WARM_SENSOR} & {*record.flags}
             )
-            self.camera = _chosen_camera(camera, {record.camera for record in found}, str(loaded.path))
+            self.camera = chosen_camera(camera, {record.camera for record in found}, str(loaded.path))
             stated = FrameFiles.of(self.root, loaded.card, found)
             found = tuple(record for record in found if record.camera == self.camera)
             for record in found:
@@ -252,7 +252,8 @@ def flat_pairs(flats: Collection[FrameRecord]) -> tuple[tuple[FlatPair, ...], tu
 # --- finding --------------------------------------------------------------------------------------------------
 
 
-def _chosen_camera(wanted: str | None, found: Collection[str], where: str) -> str:
+def chosen_camera(wanted: str | None, found: Collection[str], where: str) -> str:
+    """Return the camera that is wanted, or the only one of those found; raises a DatasetError that lists them."""
     listed = ", ".join(sorted(found))
     if not found:
         raise DatasetError(f"{where}: holds no calibration frames (rows of role bias or flat)")
@@ -276,7 +277,7 @@ def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecor
         cameras = [path.name for path in sorted(root.iterdir()) if any((path / role).is_dir() for role in _ROLES)]
         if not cameras:
             raise DatasetError(f"{root}: holds no folder bias or flat, nor a camera's with them; expected {layout}")
-        name = _chosen_camera(camera, cameras, str(root))
+        name = chosen_camera(camera, cameras, str(root))
         prefix = f"{name}/"
     records: list[FrameRecord] = []
     skipped: list[str] = []

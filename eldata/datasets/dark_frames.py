@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from eldata.datasets.batches import Field, new_arrays
-from eldata.datasets.calibration_frames import CalibrationFrames
+from eldata.datasets.calibration_frames import CalibrationFrames, chosen_camera
 from eldata.datasets.clean import CleanFrames
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, check_choice
@@ -305,18 +305,12 @@ def _of_camera(source: StoreFrames, camera: str | None) -> dict[str, Fraction]:
         place = calibration_place(frame.path)
         if place is not None and place.role == _BIAS:
             found.setdefault(place.camera or source.store.dataset, {})[frame.path] = Fraction(place.iso)
-    listed = ", ".join(sorted(found))
     if not found:
         raise DatasetError(
             f"{source.path}: holds no bias frames; eldata pack makes such a store of the folder that holds "
             "bias/ISO<iso>/... of a camera"
         )
-    if camera is None and len(found) > 1:
-        raise DatasetError(f"{source.path}: holds frames of {len(found)} cameras; choose one: {listed}")
-    chosen = next(iter(found)) if camera is None else camera
-    if chosen not in found:
-        raise DatasetError(f"{source.path}: has no camera {camera!r}; there is {listed}")
-    return found[chosen]
+    return found[chosen_camera(camera, found, str(source.path))]
 
 
 def _numbered(isos: Iterable[Fraction | None]) -> dict[float, list[int]]:

@@ -122,15 +122,15 @@ def check_sizes(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) 
 def check_libraw_decodes(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> None:
     """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
     for main in stated_images(raw, directories)[:1]:
-        found = "floating-point or interleaved pixels" if main.is_float or main.interleaved != (1, 1) else ""
+        found = ""
         if main.is_jpeg_xl:
-            todo = "pack it and use eldata.isp.Rendering"
-            raise UnusableRawError(path, "has pixels in JPEG XL, which LibRaw does not decode", todo)
-        if any(len(set(main.values.get(tag, ()))) > 1 for tag in BLACK_DELTAS):
-            found = "black levels by row or column"
+            found = "pixels in JPEG XL, which LibRaw does not decode"
+        elif any(len(set(main.values.get(tag, ()))) > 1 for tag in BLACK_DELTAS):
+            found = "black levels by row or column, of which LibRaw makes a wrong picture"
+        elif main.is_float or main.interleaved != (1, 1):
+            found = "floating-point or interleaved pixels, of which LibRaw makes a wrong picture"
         if found:
-            todo = "pack it and use eldata.isp.Rendering"
-            raise UnusableRawError(path, f"has {found}, of which LibRaw makes a wrong picture", todo)
+            raise UnusableRawError(path, f"has {found}", "pack it and use eldata.isp.Rendering")
 
 
 # --- images -----------------------------------------------------------------------------------------------------------

@@ -38,15 +38,6 @@ def test_wide_texts_are_broken_where_lines_have_an_end() -> None:
     assert wide == text_table(("name", "n", "text"), rows, left=(0, 2))
 
 
-def test_a_table_without_rows_is_its_header() -> None:
-    assert text_table(("name", "n"), []) == "name  n\n----  -"
-
-
-def test_rows_of_another_length_are_a_mistake() -> None:
-    with pytest.raises(ValueError, match="shorter"):
-        text_table(("a", "b"), [("1",)])
-
-
 # --- Markdown -----------------------------------------------------------------------------------------------------
 
 HOSTILE = "a_b*c|d`e`<img src=x>[f](javascript:g)~h~ \\ $i$ &amp; \n# {j}"

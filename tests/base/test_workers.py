@@ -54,11 +54,6 @@ def test_results_come_in_the_units_order(jobs: int) -> None:
     assert list(Workers(jobs).run(abs, list(range(-30, 0)))) == list(range(30, 0, -1))
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_no_units(jobs: int) -> None:
-    assert list(Workers(jobs).run(abs, [])) == []
-
-
 def test_one_job_stays_in_this_process() -> None:
     """No pickling, no start of a process: a lambda works, and a debugger does."""
     assert list(Workers().run(lambda unit: (unit, os.getpid()), [1, 2])) == [(1, os.getpid()), (2, os.getpid())]
@@ -124,15 +119,6 @@ def test_our_errors_keep_their_fields(tmp_path: Path, jobs: int) -> None:
 def test_there_must_be_a_job(jobs: int) -> None:
     with pytest.raises(ArgumentError, match=f"workers must be 1 or more; found {jobs}"):
         list(Workers(jobs).run(abs, [1]))
-
-
-@pytest.mark.kill
-@pytest.mark.parametrize("count", [2, 40], ids=["all waiting", "more to come"])
-def test_a_unit_that_kills_every_worker_is_an_error_with_advice(count: int) -> None:
-    """What the kernel does to a worker when memory runs out."""
-    with pytest.raises(EldataError, match=r"^9: a worker process died at it twice") as raised:
-        list(Workers(2).run(signal.raise_signal, [int(signal.SIGKILL)] * count))
-    assert "--jobs" in str(raised.value)
 
 
 @pytest.mark.kill
@@ -213,11 +199,6 @@ def test_a_script_without_the_guard(tmp_path: Path) -> None:
     assert "work.py again from its first line" in done.stderr
     assert 'under if __name__ == "__main__":' in done.stderr
 
-
-def test_leaving_early_ends_the_workers() -> None:
-    results = Workers(2).run(time.sleep, [0.0] * 200)
-    next(results)
-    results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
     # no_process_is_left looks
 
 
@@ -330,12 +311,6 @@ def test_leaving_early_ends_the_threads() -> None:
     results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
     assert reader_threads() == []
     assert len(done) <= 4
-
-
-@pytest.mark.parametrize("threads", [0, -1])
-def test_there_must_be_a_thread(threads: int) -> None:
-    with pytest.raises(ArgumentError, match=f"workers must be 1 or more; found {threads}"):
-        list(Workers(threads).read_ahead(abs, [1]))
 
 
 INTERRUPTED = """

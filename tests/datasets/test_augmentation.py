@@ -12,7 +12,7 @@ from eldata.errors import ArgumentError
 from eldata.raw.cfa import XTRANS_CFA, pack
 from eldata.raw.levels import packed_black_level_dn
 from tests.cases import in_one_test
-from tests.raw.helpers import BAYER, NONA, QUAD, SOME_CFAS, XTRANS, Cfa, colours_of
+from tests.raw.helpers import BAYER, NONA, QUAD, SOME_CFAS, XTRANS, Cfa
 
 # Of nona those where a period may begin: 36 phases of it would take longer than all else.
 ALL_CFAS: dict[str, Cfa] = {
@@ -93,14 +93,6 @@ def test_it_is_a_view(cfa: Cfa, orientation: Orientation) -> None:
 
 
 @EACH
-@in_one_test("cfa", SOME_CFAS.values())
-def test_packed_channels_hold_their_own_colour(cfa: Cfa, orientation: Orientation) -> None:
-    packed = pack(oriented(colours(cfa, 36, 48), cfa, orientation), cfa)
-    for channel, letter in zip(packed, colours_of(cfa), strict=True):
-        assert (channel == "RGB".index(letter)).all()
-
-
-@EACH
 @in_one_test("cfa", BAYER.values())
 def test_the_first_green_is_the_one_in_reds_rows(cfa: Cfa, orientation: Orientation) -> None:
     """In the packed form R and G1 come from the same rows of the view, whatever they were before the turn."""
@@ -143,12 +135,6 @@ def test_a_copy_is_the_view(cfa: Cfa, orientation: Orientation) -> None:
                 np.testing.assert_array_equal(copy, view[:height, :width])
             with pytest.raises(ArgumentError, match="does not fill"):
                 copy_oriented(mosaic, cfa, orientation, np.empty((view.shape[0] + 1, 1), np.uint16))
-
-
-def test_the_identity_loses_nothing() -> None:
-    for cfa in ALL_CFAS.values():
-        mosaic = np.arange(12 * 24).reshape(12, 24)
-        np.testing.assert_array_equal(oriented(mosaic, cfa, Orientation()), mosaic)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import pickle
 import shutil
 import subprocess
 import sys
@@ -199,10 +198,8 @@ def linked_folder(tree: FrameTree) -> Path:
         (empty_root, ["holds no folder bias or flat", "<camera>/flat/ISO100/"]),
         (no_raw_files, ["holds no raw file", ".arw", ".dng"]),
         (misnamed("iso100"), ["iso100/IMG_0001.dng: lies in no folder that names its ISO", "bias/ISO100/IMG_0001.dng"]),
-        (misnamed("ISO 100"), ["ISO 100/IMG_0001.dng: lies in no folder that names its ISO"]),
         (misnamed("ISO0100"), ["lies in no folder that names its ISO"]),
         (misnamed("ISO100-again"), ["lies in no folder that names its ISO"]),
-        (misnamed("100"), ["lies in no folder that names its ISO"]),
         (outside_an_iso_folder, ["flat/IMG_0001.dng: lies in no folder that names its ISO", "flat/ISO100/IMG_0001"]),
         (linked_folder, ["flat/ISO100: is a link to a folder"]),
     ],
@@ -322,13 +319,6 @@ def test_workers_and_the_default_collate(pristine: FrameTree, method: str) -> No
         assert batch["exposure_s"].tolist() == [sample["exposure_s"] for sample in part]
 
 
-def test_pickle_round_trip(pristine: FrameTree) -> None:
-    frames = CalibrationFrames(pristine.root, isos=[100])
-    again = pickle.loads(pickle.dumps(frames))
-    assert repr(again) == repr(frames)
-    assert again.records == frames.records
-
-
 def test_a_link_that_leads_outside_is_refused_when_it_is_read(tree: FrameTree) -> None:
     path = tree.files("bias", 100)[1]
     outside = tree.folder / "outside.dng"
@@ -338,14 +328,6 @@ def test_a_link_that_leads_outside_is_refused_when_it_is_read(tree: FrameTree) -
     frames[0]
     with pytest.raises(ManifestError, match="leads outside"):
         frames[1]
-
-
-def test_a_link_inside_of_the_root_is_fine(tree: FrameTree) -> None:
-    first, second = tree.files("bias", 100)[:2]
-    second.unlink()
-    second.symlink_to(first)
-    frames = CalibrationFrames(tree.root)
-    np.testing.assert_array_equal(frames[0]["mosaic"], frames[1]["mosaic"])
 
 
 # --- nothing early --------------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import pickle
 import re
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -20,9 +20,11 @@ from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, unpack
 from eldata.raw.levels import CLIP_RANGES, normalise
-from eldata.sources.frames import Frame
 from eldata.sources.store import build_store, source_of_folder
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
+
+if TYPE_CHECKING:
+    from eldata.sources.frames import Frame
 
 CFAS = [BAYER["RGGB"], BAYER["GBRG"], XTRANS["xtrans-00"], XTRANS["xtrans-42"]]
 
@@ -91,11 +93,6 @@ def test_each_frame_is_the_file(levels: Any, white: float, folder: Path) -> None
         assert "mosaic" not in repr(frame)
 
 
-def test_the_metadata_levels_are_the_default(folder: Path) -> None:
-    assert CleanFrames(folder).levels == "metadata"
-    assert CleanFrames(folder).frame(0).white_level_dn == 15871.0
-
-
 def test_files_keep_their_order(folder: Path) -> None:
     paths: list[Path | str] = [folder / "deep" / "c.dng", str(folder / "a.dng")]
     source = CleanFrames(paths)
@@ -139,10 +136,7 @@ def test_the_frames_last_used_are_kept(folder: Path, decoded: list[str]) -> None
 @pytest.mark.parametrize(
     ("names", "said"),
     [
-        (
-            ["IMG_1.JPG", "IMG_2.jpg", "x.txt"],
-            "holds no camera raw file, but 2 pictures (.jpg), which the",
-        ),
+        (["IMG_1.JPG", "IMG_2.jpg", "x.txt"], "holds no camera raw file, but 2 pictures (.jpg), which the"),
         (["a/b/IMG_1.HEIC"], "but 1 picture (.heic)"),
         (["a.npy", "b.npy"], "holds no camera raw file, but 2 .npy"),
         ([], "holds no camera raw file, and nothing else"),
@@ -162,22 +156,14 @@ def test_a_file_in_place_of_a_folder(tmp_path: Path) -> None:
         CleanFrames(tmp_path / "IMG_1.JPG")
 
 
-@pytest.mark.parametrize("keep", [-1, -5])
-def test_a_negative_number_of_frames_to_keep(keep: int, folder: Path) -> None:
+def test_a_negative_number_of_frames_to_keep(folder: Path) -> None:
     with pytest.raises(ArgumentError, match="keep"):
-        CleanFrames(folder, keep=keep).frame(0)
+        CleanFrames(folder, keep=-1)
 
 
-def test_a_folder_without_raw_files(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("no raw")
-    with pytest.raises(DatasetError, match="holds no camera raw file") as caught:
-        CleanFrames(tmp_path)
-    assert str(tmp_path) in str(caught.value)
+def test_no_files_at_all(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="none: there is no such folder"):
         CleanFrames(tmp_path / "none")
-
-
-def test_no_files_at_all() -> None:
     with pytest.raises(DatasetError, match="no raw file was given"):
         CleanFrames([])
 
@@ -261,10 +247,9 @@ def test_no_arrays_at_all() -> None:
             arrays_of(arrays, range_dn=1.0)
 
 
-@pytest.mark.parametrize("range_dn", [0.0, -1.0, float("nan")])
-def test_a_range_that_makes_no_sense(range_dn: float) -> None:
+def test_a_range_that_makes_no_sense() -> None:
     with pytest.raises(ArgumentError, match="range_dn must be finite and above 0; found"):
-        arrays_of(np.zeros((1, 4, 2, 2)), range_dn=range_dn)
+        arrays_of(np.zeros((1, 4, 2, 2)), range_dn=0.0)
 
 
 def test_an_array_that_does_not_fit_its_cfa() -> None:
@@ -278,11 +263,6 @@ def test_arrays_show_themselves() -> None:
     assert repr(arrays_of(np.zeros((3, 4, 5, 6)), range_dn=15871.0)) == (
         "Arrays(3 frames of shape (4, 5, 6), range_dn=15871)"
     )
-
-
-def test_the_range_is_white_minus_the_mean_black_level() -> None:
-    frame = Frame(np.zeros((2, 2)), BAYER["RGGB"], (10.0, 20.0, 30.0, 40.0), 1025.0, "x")
-    assert frame.range_dn == 1000.0
 
 
 @pytest.mark.parametrize("cfa", [*BAYER.values(), XTRANS["xtrans-42"]], ids=str)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import re
 import shutil
 from fractions import Fraction
@@ -11,20 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import rawpy
-import torch
-from torch.utils.data import DataLoader
 
 from eldata.datasets import ELDDataset
 from eldata.demo.camera import CAMERAS
-from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileError
-from eldata.manifest.catalogue import load_manifest
+from eldata.errors import DatasetError, ManifestError, RawFileError
 from eldata.records import Exposure
-from tests.datasets.methods import METHODS
-from tests.trees import ALPHA, Tree, frame, retake, scale_exposure, swap
-from tests.waiting import PATIENCE_S
+from tests.datasets.comparing import same_bits
+from tests.trees import Tree, frame, retake, scale_exposure
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -65,12 +59,6 @@ def plain_sample(
     return np.clip(noisy * np.float32(record.ratio), np.float32(low), np.float32(high)), target
 
 
-def same_bits(tensor: torch.Tensor, expected: NDArray[np.float32]) -> None:
-    assert tensor.dtype == torch.float32
-    assert tensor.shape == expected.shape
-    np.testing.assert_array_equal(tensor.numpy().view(np.uint32), expected.view(np.uint32))
-
-
 @pytest.mark.parametrize("levels", ["published", "metadata"])
 @pytest.mark.parametrize("clip", ["both", "upper", "none"])
 def test_samples_equal_a_plain_route_bit_for_bit(pristine: Tree, levels: Any, clip: Any) -> None:
@@ -92,32 +80,6 @@ def test_the_defaults_are_the_published_input(pristine: Tree) -> None:
         amplified, target = plain_sample(pristine, record, 16383.0, 0, 1)
         same_bits(sample["input"], amplified)
         same_bits(sample["target"], target)
-
-
-def test_the_white_level_matters_where_the_cameras_is_lower(pristine: Tree) -> None:
-    """DemoBeta saturates at 15303: its brightest pixels reach 1 with its own level alone."""
-    own = demo(pristine, cameras=["DemoBeta"], levels="metadata", clip="none")[0]
-    published = demo(pristine, cameras=["DemoBeta"], levels="published", clip="none")[0]
-    assert torch.all(own["target"][published["target"] > 0] > published["target"][published["target"] > 0])
-    assert published["target"].max() <= (15303 - 2047) / (16383 - 2049)
-
-
-def test_clip_upper_keeps_the_negative_half_of_the_noise(pristine: Tree) -> None:
-    both, upper, unclipped = (demo(pristine, clip=clip)[1]["input"] for clip in ("both", "upper", "none"))
-    assert both.min() == 0
-    assert upper.min() < -0.01
-    assert torch.equal(upper[upper > 0], both[upper > 0])
-    assert upper.max() <= 1
-    assert unclipped.min() == upper.min()
-
-
-def test_each_item_is_an_array_of_its_own(pristine: Tree) -> None:
-    """Changing one sample in place must not change the next read of it."""
-    dataset = demo(pristine)
-    first = dataset[0]["input"]
-    kept = first.clone()
-    first.zero_()
-    assert torch.equal(dataset[0]["input"], kept)
 
 
 # --- fields -------------------------------------------------------------------------------------------------------
@@ -150,30 +112,6 @@ def test_flags_are_joined(tree: Tree) -> None:
     assert demo(tree)[0]["flags"] == "misaligned;dim"
 
 
-def test_records_and_frame_come_from_the_manifest_alone(tree: Tree) -> None:
-    for path in tree.data.rglob("*.dng"):
-        path.write_bytes(b"")
-    dataset = demo(tree)
-    assert [record.path for record in dataset.records] == sorted(record.path for record in dataset.records)
-    table = dataset.frame
-    assert len(table) == len(dataset) == 12
-    assert set(table["ratio"]) == {100.0, 200.0}
-    assert table["ratio"].dtype == table["iso"].dtype == table["exposure_s"].dtype == np.float64
-    assert list(table["path"]) == [record.path for record in dataset.records]
-    assert list(table.groupby("camera").size()) == [6, 6]
-
-
-def test_indexing(pristine: Tree) -> None:
-    dataset = demo(pristine)
-    assert dataset[-1]["path"] == dataset.records[-1].path
-    assert dataset[-12]["path"] == dataset.records[0].path
-    for index in (12, -13):
-        with pytest.raises(IndexError):
-            dataset[index]
-    assert [sample["path"] for sample in dataset] == [record.path for record in dataset.records]
-    assert len(list(dataset)) == len(list(dataset)) == 12, "it can be iterated twice"
-
-
 def test_repr_says_what_is_in_it(pristine: Tree) -> None:
     text = repr(demo(pristine, cameras=["DemoBeta"], clip="upper"))
     for part in ("ELDDataset", str(pristine.data), "6 pairs", "DemoBeta", "100", "200", "800", "published", "upper"):
@@ -181,70 +119,18 @@ def test_repr_says_what_is_in_it(pristine: Tree) -> None:
     assert "DemoAlpha" not in text
 
 
-def test_pickle_round_trip(pristine: Tree) -> None:
-    dataset = demo(pristine, clip="upper", levels="metadata")
-    again = pickle.loads(pickle.dumps(dataset))
-    assert repr(again) == repr(dataset)
-    assert again.records == dataset.records
-    assert torch.equal(again[3]["input"], dataset[3]["input"])
-
-
-# --- workers ------------------------------------------------------------------------------------------------------
-
-
-def same_samples(found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-    assert list(found) == list(expected)
-    for name, value in expected.items():
-        if isinstance(value, torch.Tensor):
-            assert torch.equal(found[name], value), name
-        else:
-            assert found[name] == value, name
-
-
-@pytest.mark.parametrize("method", METHODS)
-# Newer Pythons warn of any fork of a process with threads; that this one is safe is what the test is about.
-@pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
-def test_workers_give_what_indexing_gives(pristine: Tree, method: str) -> None:
-    dataset = demo(pristine)
-    expected = list(dataset)  # reads in the parent first, so that whatever a fork could trip over is there
-    loader = DataLoader(dataset, batch_size=None, num_workers=2, multiprocessing_context=method, timeout=PATIENCE_S)
-    loaded = list(loader)
-    assert len(loaded) == 12
-    for found, sample in zip(loaded, expected, strict=True):
-        same_samples(found, sample)
-
-
-def test_default_collate(pristine: Tree) -> None:
-    dataset = demo(pristine)
-    batches = list(DataLoader(dataset, batch_size=2))
-    assert len(batches) == 6
-    for number, batch in enumerate(batches):
-        first, second = dataset[2 * number], dataset[2 * number + 1]
-        assert torch.equal(batch["input"], torch.stack([first["input"], second["input"]]))
-        assert torch.equal(batch["target"], torch.stack([first["target"], second["target"]]))
-        assert batch["ratio"].tolist() == [first["ratio"], second["ratio"]]
-        assert batch["path"] == [first["path"], second["path"]]
-
-
 # --- wrong files --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("factor", [Fraction(2), Fraction(1, 2), Fraction(5, 4)])
-def test_a_wrong_ratio_names_the_file(tree: Tree, factor: Fraction) -> None:
-    scale_exposure(tree.file(4), factor)
+def test_a_wrong_ratio_names_the_file(tree: Tree) -> None:
+    scale_exposure(tree.file(4), Fraction(5, 4))
     dataset = demo(tree, cameras=["DemoAlpha"])
     with pytest.raises(DatasetError, match="expected an exposure ratio of 100") as raised:
         dataset[0]
     assert str(tree.file(4)) in str(raised.value)
-    assert f"{float(100 / factor):g}" in str(raised.value)
+    assert "80" in str(raised.value)
     assert "eldata verify" in str(raised.value)
     dataset[1]  # its neighbour is fine
-
-
-def test_swapped_files_are_not_silently_read(tree: Tree) -> None:
-    swap(tree.file(5), tree.file(6))
-    with pytest.raises(DatasetError, match="exposure ratio"):
-        demo(tree, cameras=["DemoAlpha"], isos=[800], ratios=[200])[0]
 
 
 def test_sizes_that_differ(tree: Tree, tmp_path: Path) -> None:
@@ -293,13 +179,6 @@ def test_a_link_that_leads_outside_is_not_followed(tree: Tree) -> None:
 # --- wrong arguments ----------------------------------------------------------------------------------------------
 
 
-def test_a_missing_root_says_where_to_get_the_data(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError) as raised:
-        ELDDataset(tmp_path / "ELD")
-    for part in (str(tmp_path / "ELD"), "SonyA7S2", "https://github.com/Vandermode/ELD"):
-        assert part in str(raised.value)
-
-
 def test_the_default_root(tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ELDATA_ROOT", str(tree.root))
     assert ELDDataset(manifest=tree.csv).root == tree.data
@@ -324,36 +203,6 @@ def test_the_folder_above_is_not_taken_for_the_dataset(tree: Tree) -> None:
         ELDDataset(tree.root, manifest=tree.csv)
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"cameras": ["SonyA7S2"]}, "no pair has camera SonyA7S2; known are DemoAlpha, DemoBeta"),
-        ({"cameras": "DemoAlpha"}, "as a list"),
-        ({"scenes": [2]}, "no pair has scene scene-2; known are scene-1"),
-        ({"isos": [400]}, "no pair has ISO 400; known are 800, 1600, 3200"),
-        ({"ratios": [300]}, "no pair has ratio 300; known are 1, 10, 100, 200"),
-        ({"levels": "file"}, "levels must be one of .*'published'.*; found 'file'"),
-        ({"clip": "lower"}, "clip must be one of 'both', 'upper', 'none'; found 'lower'"),
-        ({"clip": True}, "clip must be one of"),
-    ],
-)
-def test_unknown_values_list_the_known(pristine: Tree, options: dict[str, Any], said: str) -> None:
-    with pytest.raises(ArgumentError, match=said):
-        demo(pristine, **options)
-
-
 def test_an_unknown_manifest_lists_the_known(pristine: Tree) -> None:
     with pytest.raises(ManifestError, match=r"'sid2'; known are .*eld"):
         ELDDataset(pristine.data, manifest="sid2")
-
-
-def test_filters_choose_pairs(pristine: Tree) -> None:
-    dataset = demo(pristine, cameras=["DemoBeta"], scenes=[1], isos=[1600], ratios=[1, 10])
-    assert [record.path for record in dataset.records] == [f"DemoBeta/scene-1/IMG_{n:04d}.dng" for n in (7, 8)]
-    assert {record.scene for record in dataset.records} == {ALPHA.split("/")[1]}
-
-
-def test_the_manifest_on_disk_is_the_one_used(tree: Tree) -> None:
-    assert [r.path for r in demo(tree, ratios=None).records] == [
-        r.path for r in load_manifest(tree.csv).records if r.role == "noisy"
-    ]

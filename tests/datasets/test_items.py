@@ -21,11 +21,12 @@ from eldata.raw import pack, read_raw, write_dng
 from eldata.raw.levels import packed_black_level_dn
 from eldata.sources.frames import Frame, FrameSource
 from eldata.sources.shards import write_shards
+from tests.datasets.comparing import same
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 from tests.sources.store.helpers import pack_tree
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
     from pathlib import Path
 
     from eldata.records import FrameRecord
@@ -54,12 +55,6 @@ class Memory:
     def frame(self, path: str) -> Frame:
         raw = self.raws[path]
         return Frame.of_raw(raw.mosaic, raw.sensor, path, raw.exposure)
-
-
-def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
-    assert list(first) == list(second)
-    for key, value in first.items():
-        assert torch.equal(value, second[key]) if isinstance(value, torch.Tensor) else value == second[key], key
 
 
 def test_crops_of_files_stores_and_other_sources_are_the_same(pristine: Tree, store: Path) -> None:
@@ -242,15 +237,3 @@ def test_clips_take_the_choices_of_pairs(drv: SmallDrv, tmp_path: Path) -> None:
     write_raw_clip(tmp_path, "0007", 5)
     with pytest.raises(ArgumentError, match="the manifest states no ratio, so amplification must be 'metadata'"):
         DRVDataset(tmp_path, form="raw", amplification="nominal")[0]
-
-
-def test_a_part_of_a_frame_is_read_by_slices() -> None:
-    mosaic = np.arange(24, dtype=np.uint16).reshape(4, 6)
-    planes = np.stack([mosaic] * 3)
-    for pixels, frame in (
-        (mosaic, Frame(mosaic, ((0, 1), (3, 2)), (0.0,) * 4, 1.0, "")),
-        (planes, Frame.of_rgb(planes, "")),
-    ):
-        assert frame.shape == (4, 6)
-        np.testing.assert_array_equal(frame.read(slice(1, 3), slice(2, 6)), pixels[..., 1:3, 2:6])
-        assert frame.without_pixels().shape == (4, 6)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import subprocess
 import sys
 from collections import Counter
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -16,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.utils.data import ConcatDataset, DataLoader, Dataset, IterableDataset, Subset
 
-import eldata.errors
 from eldata import PackedStore
 from eldata.datasets import loading, ranks
 from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
@@ -24,10 +21,10 @@ from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank, loader_wo
 from eldata.errors import ArgumentError
 from tests.datasets.drawing import Drawing
 from tests.sources.store.helpers import pack_tree
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from tests.trees import Tree
 
@@ -96,7 +93,7 @@ def test_order_differs_between_epochs_and_seeds() -> None:
     assert len(orders) == 9
 
 
-@pytest.mark.parametrize("workers", [0, 2, 3])
+@pytest.mark.parametrize("workers", [0, 2])
 def test_batches_do_not_depend_on_workers(workers: int, store: Path) -> None:
     """A running loader, told of the next epoch, gives what a fresh one of that epoch gives, and the dataset itself."""
     loader = training_loader(pairs(store), 5, workers=workers, seed=1)
@@ -153,44 +150,6 @@ def test_the_epoch_reaches_what_is_wrapped(store: Path) -> None:
     assert (first.epoch, second.epoch, third.epoch) == (7, 7, 7)
     with pytest.raises(ArgumentError, match="epoch must be 0 or more; found -1"):
         set_epoch(loader, -1)
-
-
-# --- processes that developed a raw file before -------------------------------------------------------------------
-
-SCRIPT = """
-import sys
-import rawpy
-import torch
-from eldata.datasets import PairDataset
-from eldata.datasets.loading import evaluation_loader
-
-def main():
-    data, csv, raw = sys.argv[1:]
-    with rawpy.imread(raw) as opened:
-        opened.postprocess()                       # starts OpenMP's threads
-    torch.rand(500, 500) @ torch.rand(500, 500)    # and torch's
-    dataset = PairDataset(data, csv, cameras=["DemoAlpha"])
-    got = [batch for batch in evaluation_loader(dataset, workers=2)]
-    assert [batch["path"][0] for batch in got] == [record.path for record in dataset.records]
-    for number in (0, 11):
-        assert torch.equal(got[number]["input"][0], dataset[number]["input"])
-    print("all equal")
-
-if __name__ == "__main__":
-    main()
-"""
-
-
-def test_raw_files_after_the_parent_used_threads(pristine: Tree, tmp_path: Path) -> None:
-    (tmp_path / "script.py").write_text(SCRIPT)
-    done = subprocess.run(
-        [sys.executable, str(tmp_path / "script.py"), pristine.data, pristine.csv, pristine.file(1)],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        env={**os.environ, "PYTHONPATH": str(Path(eldata.errors.__file__).parents[1]), "OMP_NUM_THREADS": "4"},
-    )
-    assert (done.stdout.strip(), done.returncode) == ("all equal", 0), done.stderr
 
 
 # --- settings -----------------------------------------------------------------------------------------------------
@@ -263,12 +222,7 @@ def test_the_description_says_what_the_loader_does(machine: Any, store: Path) ->
     assert loader.num_workers == 2
     for words in (
         *("training: 24 items in 4 batches of 5", "4 left over in the last batch dropped", "ranks: number 1 of 2"),
-        *(
-            "workers: 2 (6 CPUs usable by 2 ranks",
-            "start method: forkserver (workers come from a clean process",
-            "persistent",
-        ),
-        "at most 1 items left out",
+        *("workers: 2 (6 CPUs usable by 2 ranks", "start method: forkserver", "persistent", "at most 1 items left out"),
     ):
         assert words in text
     asked = evaluation_loader(pairs(store), 5, workers=0)
@@ -282,7 +236,7 @@ def test_the_description_says_what_the_loader_does(machine: Any, store: Path) ->
 
 @pytest.mark.parametrize(
     ("cuda", "device", "pinned"),
-    [(False, None, False), (True, None, True), (True, "cuda:0", True), (True, "cpu", False), (False, "cpu", False)],
+    [(False, None, False), (True, None, True), (True, "cpu", False)],
 )
 def test_memory_is_pinned_for_cuda_alone(
     cuda: bool, device: str | None, pinned: bool, store: Path, monkeypatch: pytest.MonkeyPatch

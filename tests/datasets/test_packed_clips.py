@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import os
-import pickle
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -25,6 +23,7 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.dng import write_dng
 from eldata.sources.frames import Frame
 from eldata.sources.store import build_store, source_of_dataset
+from tests.datasets.comparing import same
 from tests.datasets.methods import METHODS
 from tests.drv_tree import NOISY, REFERENCE, RGB_SIZE, SENSOR, SmallDrv, mosaic_of, small_drv, write_raw, write_raw_clip
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
@@ -70,16 +69,6 @@ def raw(raw_files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return store
 
 
-def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> None:
-    assert list(first) == list(second)
-    for key, value in first.items():
-        if isinstance(value, torch.Tensor):
-            assert (value.dtype, value.shape) == (second[key].dtype, second[key].shape)
-            assert torch.equal(value, second[key]), key
-        else:
-            assert value == second[key] or (math.isnan(value) and math.isnan(second[key])), key
-
-
 # --- the files ----------------------------------------------------------------------------------------------------
 
 
@@ -101,8 +90,7 @@ def test_whole_windows_without_a_reference_are_those_of_the_files(rgb: Path, drv
         assert set(mine) == set(UnpairedClipSample.__annotations__)
 
 
-@pytest.mark.parametrize("clip", ["both", "upper", "none"])
-@pytest.mark.parametrize("levels", ["metadata", "published"])
+@pytest.mark.parametrize(("levels", "clip"), [("metadata", "both"), ("published", "upper"), ("metadata", "none")])
 def test_whole_raw_windows_are_those_of_the_files(levels: Any, clip: Any, raw: Path, raw_files: Path) -> None:
     options: dict[str, Any] = {"levels": levels, "clip": clip, "window": 3}
     folder = raw_files / "DRV"
@@ -208,28 +196,6 @@ def items_of(batch: Mapping[str, Any]) -> list[dict[str, Any]]:
         }
         for place in range(len(batch["path"]))
     ]
-
-
-def test_an_item_depends_on_seed_epoch_and_index_alone(raw: Path) -> None:
-    dataset = PackedClips(raw, dynamic=True, crop=8, crops_per_window=4, window=2)
-    reference = list(dataset)
-    copy = pickle.loads(pickle.dumps(dataset))
-    for index in [*np.random.default_rng(0).permutation(len(dataset)).tolist(), 1, 1, -1]:
-        same(copy[index], reference[index])
-    dataset.set_epoch(1)
-    assert dataset.epoch == 1
-    assert not torch.equal(dataset[0]["input"], reference[0]["input"])
-    same(PackedClips(raw, dynamic=True, crop=8, crops_per_window=4, window=2)[2], reference[2])
-    for index in (len(dataset), -len(dataset) - 1):
-        with pytest.raises(IndexError, match=f"index {index} is outside of {len(dataset)} items"):
-            dataset[index]
-
-
-def test_clips_that_make_no_batch_together_are_torchs_error(raw: Path) -> None:
-    with pytest.raises(RuntimeError, match="stack expects each tensor to be equal size"):
-        next(iter(DataLoader(PackedClips(raw, crop=6), batch_size=2)))
-    (one, other) = DataLoader(PackedClips(raw, crop=6, window=7), batch_size=1)
-    assert (one["input"].shape, other["input"].shape) == ((1, 7, 4, 6, 6), (1, 7, 9, 6, 6))
 
 
 # --- choices and refusals -----------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import Dataset
 
 from eldata.baselines import Training, UNet
 from eldata.datasets.base import PairDataset
@@ -30,7 +30,6 @@ from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.isp.rendering import Gamma, Rendering, render_pair_for_scoring
 from eldata.isp.response import ResponseCurve
 from eldata.raw import read_raw, write_dng
-from tests.datasets.methods import METHODS
 from tests.raw.helpers import make_sensor
 from tests.sources.store.helpers import pack_folder, pack_tree
 from tests.trees import BETA, Tree, copy_tree, frame
@@ -184,17 +183,6 @@ def test_arrays_need_a_sensor_from_the_caller() -> None:
 
 
 # --- workers ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-def test_workers_change_nothing(method: str, balanced: Tree) -> None:
-    staged = rgb2rgb(pairs_of(balanced))
-    loader = DataLoader(staged, batch_size=2, num_workers=2, multiprocessing_context=method)
-    batches = list(loader)
-    rendered = torch.cat([batch["input"] for batch in batches])
-    assert torch.equal(rendered, torch.stack([sample["input"] for sample in staged]))
-    assert [path for batch in batches for path in batch["path"]] == [sample["path"] for sample in staged]
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------

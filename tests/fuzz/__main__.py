@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import random
 import sys
@@ -13,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base.tables import text_table
-from tests.fuzz.outcomes import FAILURES, OUTCOMES, READ, REFUSED
-from tests.fuzz.running import Fuzzing, Limits
+from tests.fuzz.outcomes import OUTCOMES
+from tests.fuzz.running import Fuzzing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -39,9 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     counts = {kind: getattr(options, kind) for kind in ROUND}
     seed = random.SystemRandom().randrange(1 << 32) if options.seed is None else options.seed
     with tempfile.TemporaryDirectory(prefix="eldata-fuzz-") as work:
-        run = Fuzzing(seed, options.failures.resolve(), Path(work), options.jobs, Limits(), options.also)
-        if options.again is not None:
-            return _again(run, options.again.resolve())
+        run = Fuzzing(seed, options.failures.resolve(), Path(work), options.jobs)
         print(f"seed {seed}, {options.jobs} processes at a time", flush=True)
         if options.minutes is None:
             for kind, count in counts.items():
@@ -51,8 +48,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             while time.monotonic() < end:
                 run.run(ROUND)
         print(summary(run.tallies, seed, options.failures))
-        if options.json is not None:
-            options.json.write_text(json.dumps(_as_dict(run), indent=1) + "\n", encoding="utf-8")
     return 1 if any(tally.failures for tally in run.tallies.values()) else 0
 
 
@@ -69,25 +64,13 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--jobs", type=int, default=len(os.sched_getaffinity(0)), metavar="J", help="processes at a time"
     )
-    parser.add_argument("--also", type=Path, metavar="FOLDER", help="change these raw files too")
-    parser.add_argument("--again", type=Path, metavar="FOLDER", help="run a trial that was kept once more")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write what is shown there too")
     parser.add_argument(
         "--failures", type=Path, default=Path("fuzz-failures"), metavar="FOLDER", help="where failing files are kept"
     )
     options = parser.parse_args(arguments)
-    if options.minutes is None and options.again is None and not any(getattr(options, kind) for kind in ROUND):
+    if options.minutes is None and not any(getattr(options, kind) for kind in ROUND):
         parser.error("say how many trials (--raws 1000), or for how long (--minutes 10)")
     return options
-
-
-def _again(run: Fuzzing, folder: Path) -> int:
-    run.failures = run.work / "failures"
-    outcome = run.again(folder)
-    print(f"{outcome.word}: {outcome.sort}" if outcome.sort else outcome.word)
-    for what in run.failures.glob("*/what.txt"):
-        print(what.read_text(encoding="utf-8").partition("\n\n")[2].partition("\n\n")[2])
-    return 1 if outcome.word in FAILURES else 0
 
 
 def summary(tallies: Mapping[str, Tally], seed: int, failures: Path) -> str:
@@ -106,24 +89,6 @@ def summary(tallies: Mapping[str, Tally], seed: int, failures: Path) -> str:
             example = failures / f"{kind}-{word}-{seed}-{tally.first[word, sort]}"
             lines.append(f"{kind}: {word} x {count}: {sort}\n    {example}")
     return "\n".join(lines)
-
-
-def _as_dict(run: Fuzzing) -> dict[str, object]:
-    return {
-        "seed": run.seed,
-        "kinds": {
-            kind: {
-                "trials": tally.trials,
-                READ: tally.words[READ],
-                REFUSED: tally.words[REFUSED],
-                **{word: tally.words[word] for word in FAILURES},
-                "cpu_s": round(tally.seconds, 1),
-                "largest_bytes": tally.peak,
-                "sorts": [[word, sort, count] for (word, sort), count in tally.sorts.most_common()],
-            }
-            for kind, tally in run.tallies.items()
-        },
-    }
 
 
 if __name__ == "__main__":

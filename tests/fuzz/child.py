@@ -44,8 +44,7 @@ _OUTSIDE = (Path("/etc/outside"), Path("/outside"))
 class Task:
     """What a child process is told, as JSON in its one argument.
 
-    ``work`` is a folder of its own; ``last`` is the number after its last trial. Of ``again`` the one trial's file is
-    read in place of made ones.
+    ``work`` is a folder of its own; ``last`` is the number after its last trial.
     """
 
     kind: str
@@ -56,7 +55,6 @@ class Task:
     work: str
     failures: str
     most_bytes: int
-    again: str | None = None
 
 
 def main(argument: str) -> None:
@@ -120,7 +118,7 @@ def _empty(work: Path) -> Path:
 
 def _run(task: Task, seeds: list[Seed], number: int) -> dict[str, Any]:
     """Run one trial and say what came of it."""
-    made = trial(task.kind, seeds, task.seed, number) if task.again is None else _again(Path(task.again), seeds)
+    made = trial(task.kind, seeds, task.seed, number)
     work = Path(task.work)
     folder = _empty(work)
     path = folder / f"input{Path(made.seed.name).suffix}"
@@ -186,17 +184,8 @@ def description(task: Task, number: int, made: Trial) -> dict[str, Any]:
     }
 
 
-def _again(folder: Path, seeds: list[Seed]) -> Trial:
-    """The trial that was kept in a folder."""
-    held = json.loads((folder / "trial.json").read_text(encoding="utf-8"))
-    seed = next(seed for seed in seeds if seed.name == held["file"])
-    files = [path for path in folder.iterdir() if path.name.startswith("input")]
-    content = files[0].read_bytes() if files else b""
-    return Trial(seed, content, tuple(held["changes"]), held["place"], held["detectable"])
-
-
 def keep(failures: Path, work: Path, outcome: Outcome, number: int) -> None:
-    """Keep a failing trial's file, what was done to it, and how to run it again."""
+    """Keep a failing trial's file, what was done to it, and what was said."""
     held = json.loads((work / "trial.json").read_text(encoding="utf-8"))
     folder = failures / f"{held['kind']}-{outcome.word}-{held['seed']}-{number}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -204,7 +193,7 @@ def keep(failures: Path, work: Path, outcome: Outcome, number: int) -> None:
         if path.is_file() and not path.is_symlink():
             shutil.copy(path, folder / path.name)
     (folder / "trial.json").write_text(json.dumps(held, indent=1) + "\n", encoding="utf-8")
-    text = f"{outcome.word}: {outcome.sort}\n\nAgain: python -m tests.fuzz --again {folder}\n\n{outcome.text}\n"
+    text = f"{outcome.word}: {outcome.sort}\n\n{outcome.text}\n"
     (folder / "what.txt").write_text(text, encoding="utf-8", errors="backslashreplace")
 
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from tests.fuzz.child import DEFECT, READY, Task, keep
 from tests.fuzz.outcomes import FAILURES, Outcome, of_dump
 from tests.fuzz.targets import KINDS
-from tests.fuzz.trials import given_raws, save_seeds
+from tests.fuzz.trials import save_seeds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -77,7 +77,6 @@ class Fuzzing:
     work: Path
     jobs: int = 2
     limits: Limits = field(default_factory=Limits)
-    raws: Path | None = None
     tallies: dict[str, Tally] = field(default_factory=dict)
 
     def run(self, counts: Mapping[str, int]) -> None:
@@ -87,8 +86,7 @@ class Fuzzing:
             tally = self.tallies.setdefault(kind, Tally())
             seeds = self.work / "seeds" / kind
             if not seeds.exists():
-                extra = given_raws(self.raws) if kind == "raws" and self.raws is not None else []
-                save_seeds(seeds, [*KINDS[kind].seeds(), *extra])
+                save_seeds(seeds, KINDS[kind].seeds())
             for first in range(tally.trials, tally.trials + count, _TRIALS_OF_ONE_PROCESS):
                 last = min(first + _TRIALS_OF_ONE_PROCESS, tally.trials + count)
                 task = Task(kind, self.seed, first, last, str(seeds), "", str(self.failures), self.limits.most_bytes)
@@ -97,26 +95,6 @@ class Fuzzing:
             for kind, answers in pool.map(self._chunk, chunks):
                 for number, outcome, seconds, peak in answers:
                     self.tallies[kind].add(number, outcome, seconds, peak)
-
-    def again(self, folder: Path) -> Outcome:
-        """Run one kept trial by itself."""
-        held = json.loads((folder / "trial.json").read_text(encoding="utf-8"))
-        seeds = self.work / "seeds" / held["kind"]
-        if not seeds.exists():
-            save_seeds(seeds, KINDS[held["kind"]].seeds())
-        task = Task(
-            kind=held["kind"],
-            seed=held["seed"],
-            first=held["number"],
-            last=held["number"] + 1,
-            seeds=str(seeds),
-            work="",
-            failures=str(self.failures),
-            most_bytes=self.limits.most_bytes,
-            again=str(folder),
-        )
-        _, ((_, outcome, _, _),) = self._chunk(task)
-        return outcome
 
     def _chunk(self, task: Task) -> tuple[str, list[tuple[int, Outcome, float, int]]]:
         found: list[tuple[int, Outcome, float, int]] = []

@@ -70,13 +70,6 @@ def test_every_failure_is_seen_and_its_file_is_kept(drill: Fuzzing) -> None:
     assert "exit code 0" in text
 
 
-@pytest.mark.kill
-def test_a_kept_file_fails_again_by_itself(drill: Fuzzing, tmp_path: Path) -> None:
-    again = replace(drill, work=tmp_path, failures=tmp_path / "failures", tallies={})
-    for folder in drill.failures.iterdir():
-        assert again.again(folder).word == folder.name.split("-")[1]
-
-
 def test_pixels_that_changed_without_a_word_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a reader that takes zeros for pixels."""
 

@@ -112,12 +112,3 @@ def load_seeds(folder: Path) -> list[Seed]:
         )
         for entry in index
     ]
-
-
-def given_raws(folder: Path) -> list[Seed]:
-    """Return a folder's files as further raws, each no more than its first 256 kB."""
-    found = []
-    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        with path.open("rb") as file:
-            found.append(Seed(path.name, "raw", file.read(1 << 18)))
-    return found

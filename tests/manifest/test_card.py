@@ -11,7 +11,7 @@ import pytest
 
 from eldata.errors import ManifestError
 from eldata.manifest.card import CFA_WORDS, CameraCard, Card, Download, cfa_word, load_card, save_card
-from eldata.manifest.catalogue import find_manifests, load_manifest, shipped_manifest
+from eldata.manifest.catalogue import find_manifests, load_manifest
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ CARD = Card(
     downloads=(Download("https://example.org/a.zip", 123, "part 1"), Download("https://example.org/b.zip")),
     known_defects=("frame 7 is blurred",),
     sources=("the paper's table 1",),
+    scenes_shared=False,
 )
 
 
@@ -65,11 +66,6 @@ def test_round_trip(path: Path) -> None:
     assert "“quotes”" in path.read_text(encoding="utf-8"), "people read this file: text is not escaped"
 
 
-def test_scenes_of_one_name_may_be_each_cameras_own(path: Path) -> None:
-    save_card(path, replace(CARD, scenes_shared=False))
-    assert not load_card(path).scenes_shared
-
-
 def test_optional_fields_may_be_left_out(path: Path) -> None:
     least = data()
     del least["downloads"], least["known_defects"], least["sources"]
@@ -81,11 +77,6 @@ def test_optional_fields_may_be_left_out(path: Path) -> None:
     assert load_card(path).protocol == "raw", "a set of one's own"
     path.write_text(json.dumps(least | {"protocol": "eld"}), encoding="utf-8")
     assert load_card(path).protocol == "eld"
-
-
-def test_the_data_below_is_fine_before_it_is_spoilt(path: Path) -> None:
-    path.write_text(json.dumps(data()), encoding="utf-8")
-    assert load_card(path).cameras == {"Cam": CameraCard(("CAM-1",))}
 
 
 def spoilt(where: tuple[str | int, ...], value: Any) -> dict[str, Any]:
@@ -207,8 +198,3 @@ def test_a_lost_row_is_noticed(tree: Tree) -> None:
 def test_a_folder_without_manifests(tmp_path: Path) -> None:
     with pytest.raises(ManifestError, match="holds no manifest"):
         find_manifests(tmp_path)
-
-
-def test_an_unknown_name_lists_the_known(tmp_path: Path) -> None:
-    with pytest.raises(ManifestError, match=r"no dataset is called 'elf'; known are .*eld"):
-        shipped_manifest("elf")

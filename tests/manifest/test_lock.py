@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.errors import EldataError, ManifestError
+from eldata.errors import ManifestError
 from eldata.manifest.lock import lock
 from eldata.manifest.table import load_records, save_records
 from eldata.manifest.verify import verify
@@ -44,15 +44,6 @@ def test_sizes_and_hashes_are_filled_in(tree: Tree) -> None:
     assert full.datasets[0].files_hashed == 32
 
 
-def test_the_locked_manifest_does_not_depend_on_the_number_of_jobs(tree: Tree) -> None:
-    unlocked = tree.csv.read_bytes()
-    lock(tree.csv, tree.root, workers=2)
-    parallel = tree.csv.read_bytes()
-    tree.csv.write_bytes(unlocked)
-    lock(tree.csv, tree.root)
-    assert tree.csv.read_bytes() == parallel != unlocked
-
-
 def test_locking_again_changes_nothing(tree: Tree) -> None:
     lock(tree.csv, tree.root)
     before = contents(tree)
@@ -60,37 +51,19 @@ def test_locking_again_changes_nothing(tree: Tree) -> None:
     assert contents(tree) == before
 
 
-def remove(tree: Tree) -> None:
-    tree.file(4).unlink()
-
-
 def cut(tree: Tree) -> None:
     tree.file(4).write_bytes(tree.file(4).read_bytes()[:3000])
-
-
-def empty(tree: Tree) -> None:
-    tree.file(4).write_bytes(b"")
 
 
 def expose(tree: Tree) -> None:
     scale_exposure(tree.file(4), Fraction(2))
 
 
-def add(tree: Tree) -> None:
-    shutil.copy(tree.file(16), tree.file(17))
-
-
-def link(tree: Tree) -> None:
-    outside = tree.root.parent / "outside.dng"
-    tree.file(4).rename(outside)
-    tree.file(4).symlink_to(outside)
-
-
 def lose(tree: Tree) -> None:
     shutil.rmtree(tree.data)
 
 
-@pytest.mark.parametrize("harm", [remove, cut, empty, expose, add, link, lose])
+@pytest.mark.parametrize("harm", [cut, expose, lose])
 def test_a_copy_with_a_problem_is_not_locked(tree: Tree, harm: Callable[[Tree], None]) -> None:
     """A hash of a damaged file would make the damage official."""
     before = contents(tree)
@@ -145,38 +118,25 @@ def test_an_unknown_camera(tree: Tree) -> None:
     assert contents(tree) == before
 
 
-def test_a_manifest_that_cannot_be_written(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = contents(tree)
-
-    def full_disk(handle: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.fsync", full_disk)
-    with pytest.raises(EldataError, match="No space left on device"):
-        lock(tree.csv, tree.root)
-    assert contents(tree) == before
-
-
 KILLED = """
 import os, sys
 
 def kill(*arguments, **options):
     os.kill(os.getpid(), 9)
 
-setattr(os, sys.argv[1], kill)
+os.replace = kill
 
 from eldata.manifest.lock import lock
 
-lock(sys.argv[2], sys.argv[3])
+lock(sys.argv[1], sys.argv[2])
 """
 
 
 @pytest.mark.kill
-@pytest.mark.parametrize("moment", ["fsync", "replace"])
-def test_a_kill_while_writing_leaves_the_manifest(tree: Tree, moment: str) -> None:
-    """Before the data are safe on disk, and just before the new file takes the old one's name."""
+def test_a_kill_while_writing_leaves_the_manifest(tree: Tree) -> None:
+    """Just before the new file takes the old one's name."""
     before = tree.csv.read_bytes()
-    command = [sys.executable, "-c", KILLED, moment, str(tree.csv), str(tree.root)]
+    command = [sys.executable, "-c", KILLED, str(tree.csv), str(tree.root)]
     done = subprocess.run(command, capture_output=True, timeout=PATIENCE_S)
     assert done.returncode == -signal.SIGKILL, done.stderr.decode()
     assert tree.csv.read_bytes() == before

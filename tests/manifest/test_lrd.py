@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.errors import ManifestError
-from eldata.manifest.card import save_card
 from eldata.manifest.catalogue import shipped_folder, shipped_manifest
 from eldata.manifest.pairs import select_pairs
-from eldata.manifest.table import save_records
 from eldata.manifest.verify import verify
 from eldata.manifest.writing import save_manifest
-from manifests.published_lrd import LrdScene, load_lrd_scenes, lrd_scenes_from_lists, published_lrd, save_lrd_scenes
+from manifests.published_lrd import LrdScene, load_lrd_scenes, lrd_scenes_from_lists
 from tests.lrd_tree import write_frames
 from tests.trees import swap
 
@@ -88,16 +86,6 @@ def test_subsets_are_one_bias_of_the_test_scenes() -> None:
         assert {pair.path.split("_")[1] for pair in pairs} == {f"{bias:02d}"}
         assert {pair.split for pair in pairs} == {"test"}
     assert manifest.card.subsets[0].name == "test-3ev", "the published code's default"
-
-
-def test_committed_files_are_what_the_generator_writes(tmp_path: Path) -> None:
-    card, records = published_lrd(load_lrd_scenes(FACTS))
-    save_records(tmp_path / "lrd.csv", records)
-    save_card(tmp_path / "lrd.json", card)
-    save_lrd_scenes(tmp_path / "facts.csv", load_lrd_scenes(FACTS))
-    for name in ("lrd.csv", "lrd.json"):
-        assert (tmp_path / name).read_bytes() == (shipped_folder() / name).read_bytes(), f"run make manifests ({name})"
-    assert (tmp_path / "facts.csv").read_bytes() == FACTS.read_bytes()
 
 
 # --- the lists --------------------------------------------------------------------------------------------------------

@@ -90,7 +90,7 @@ def as_dng(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-def test_mosaics_are_read_scored_packed_and_denoised_as_raws_are(kind: str, as_dng: Path, tmp_path: Path) -> None:
+def test_mosaics_are_read_as_raws_are(kind: str, as_dng: Path, tmp_path: Path) -> None:
     facts = replace(FACTS, shape=SHAPE, bits=12, packing="le16") if kind == "bin" else FACTS
     path = own_set(tmp_path, kind, facts)
     root = tmp_path / "data"
@@ -102,9 +102,13 @@ def test_mosaics_are_read_scored_packed_and_denoised_as_raws_are(kind: str, as_d
         np.testing.assert_array_equal(raw["input"], mosaic["input"])
         np.testing.assert_array_equal(raw["target"], mosaic["target"])
         assert (raw["ratio"], raw["iso"], raw["exposure_s"]) == (mosaic["ratio"], mosaic["iso"], mosaic["exposure_s"])
+
+
+def test_mosaics_are_scored_packed_and_denoised_as_raws_are(as_dng: Path, tmp_path: Path) -> None:
+    path = own_set(tmp_path, "npy", FACTS)
     expected_scores = scored(as_dng)
     assert scored(path) == expected_scores
-    common = ["--manifest", str(path), "--root", str(root)]
+    common = ["--manifest", str(path), "--root", str(tmp_path / "data"), "--jobs", "1"]
     predictions = str(tmp_path / "preds")
     assert main(["baseline", "gaussian", *common, "-o", predictions]) == 0
     assert main(["evaluate", predictions, *common]) == 0

@@ -53,8 +53,9 @@ def test_a_set_in_elds_layout_is_what_its_own_manifest_says(demo_tree: Path) -> 
 
 
 def test_sid_by_patterns(tmp_path: Path) -> None:
-    """Its scenes lie across two folders, and its shutters round: 1/30 s for a factor of 300."""
+    """Its scenes lie across two folders, and its shutters round: 1/30 s for a factor of 300. A fifth of the scenes."""
     shipped = shipped_manifest("sid-sony")
+    shipped = replace(shipped, records=tuple(one for one in shipped.records if one.scene.endswith(("3", "7"))))
     build_sid_tree(shipped, tmp_path)
     found = sort_own_set(tmp_path, "mine", reference="Sony/long/*", scene="Sony/*/{scene}_*", workers=2)
     assert not found.problems
@@ -62,7 +63,7 @@ def test_sid_by_patterns(tmp_path: Path) -> None:
     assert {one.path for one in found.records} == set(listed)
     assert all(one.role == listed[one.path].role and one.scene == listed[one.path].scene for one in found.records)
     certain = [one for one in found.records if one.role == "noisy" and not listed[one.path].flags]
-    assert len(certain) > 2000
+    assert len(certain) > 400
     assert {(one.ratio, listed[one.path].ratio) for one in certain} <= {(r, r) for r in (100, 250, 300)}
     assert all(one.reference == listed[one.path].reference for one in certain)
 

@@ -33,7 +33,7 @@ def test_all_pairs_in_the_manifests_order() -> None:
     [
         ({"cameras": ["SonyA7S2"]}, "camera", {"SonyA7S2"}, 120),
         ({"cameras": ("NikonD850", "CanonEOS70D")}, "camera", {"NikonD850", "CanonEOS70D"}, 240),
-        ({"scenes": [3]}, "scene", {"scene-3"}, 48),
+        ({"scenes": [1]}, "scene", {"scene-1"}, 48),  # and not scene-10
         ({"scenes": ["scene-3", 10]}, "scene", {"scene-3", "scene-10"}, 96),
         ({"isos": [1600]}, "iso", {Fraction(1600)}, 160),
         ({"isos": {800, 3200}}, "iso", {Fraction(800), Fraction(3200)}, 320),
@@ -55,19 +55,12 @@ def test_filters_together() -> None:
     assert pairs[0].exposure_s == Fraction(1, 500)
 
 
-def test_scene_1_is_not_scene_10() -> None:
-    assert values(select_pairs(RECORDS, scenes=[1]), "scene") == {"scene-1"}
-
-
 @pytest.mark.parametrize(
     ("filters", "said"),
     [
-        ({"cameras": ["sonya7s2"]}, "no pair has camera sonya7s2; known are CanonEOS700D, CanonEOS70D, NikonD850"),
         ({"cameras": ["SonyA7S2", "CanonEOS5D4"]}, "no pair has camera CanonEOS5D4; known are .*SonyA7S2"),
         ({"scenes": [11]}, "no pair has scene scene-11; known are scene-1, scene-10, scene-2"),
-        ({"scenes": ["3"]}, "no pair has scene 3; known are scene-1"),
         ({"isos": [100]}, "no pair has ISO 100; known are 800, 1600, 3200"),
-        ({"ratios": [250]}, "no pair has ratio 250; known are 1, 10, 100, 200"),
         ({"ratios": [213.3]}, "no pair has ratio 213.3; known are 1, 10, 100, 200"),
     ],
 )
@@ -82,12 +75,6 @@ def test_a_string_in_place_of_a_list_is_refused(name: str) -> None:
     filters: Any = {name: "SonyA7S2"}
     with pytest.raises(ArgumentError, match=r"as a list"):
         select_pairs(RECORDS, **filters)
-
-
-def test_an_unknown_keyword_is_refused() -> None:
-    unknown: Any = {"camera": ["SonyA7S2"]}
-    with pytest.raises(TypeError, match="unexpected keyword argument 'camera'; known are cameras, scenes"):
-        select_pairs(RECORDS, **unknown)
 
 
 def test_a_combination_that_does_not_occur() -> None:

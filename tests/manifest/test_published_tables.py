@@ -12,7 +12,6 @@ from eldata.evaluation.published import (
     COLUMNS,
     NOISY_INPUT,
     PublishedRow,
-    load_published,
     published_rows,
     shipped_published,
 )
@@ -22,7 +21,7 @@ from eldata.protocols import PROTOCOLS
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from eldata.records import PairRecord
 
 ROWS = shipped_published().rows
 CAMERAS = {
@@ -45,6 +44,12 @@ CLIPS = {"drv-raw", "eld-dynamic"}
 @cache
 def manifest_of(dataset: str) -> Manifest:
     return shipped_manifest(dataset)
+
+
+@cache
+def chosen_pairs(dataset: str, subset: str | None, camera: str, ratios: tuple[float, ...]) -> tuple[PairRecord, ...]:
+    manifest = manifest_of(dataset)
+    return select_pairs(manifest.records, manifest.card.subsets, subset=subset, cameras=[camera], ratios=ratios)
 
 
 def only(rows: tuple[PublishedRow, ...], **wanted: object) -> PublishedRow:
@@ -226,13 +231,10 @@ def test_each_row_is_of_what_eldata_knows(row: PublishedRow) -> None:
 @in_one_test("row", [row for row in ROWS if row.protocols and row.dataset in shipped_names()])
 def test_pairs_are_as_many_as_the_protocol_and_the_subset_give(row: PublishedRow) -> None:
     """The count that a result's has to equal, from the manifest."""
-    manifest = manifest_of(row.dataset)
     for name in row.protocols:
         protocol = PROTOCOLS[name]
         assert protocol.subset in (None, row.subset), "or no result of this protocol would ever match"
-        chosen = select_pairs(
-            manifest.records, manifest.card.subsets, subset=row.subset, cameras=[row.camera], ratios=protocol.ratios
-        )
+        chosen = chosen_pairs(row.dataset, row.subset, row.camera, protocol.ratios)
         pairs = [
             pair
             for pair in chosen
@@ -350,12 +352,3 @@ def test_rows_by_what_they_are_of() -> None:
     assert [row.method for row in published_rows("sid-sony", subset="test-first")] == ["LED", "SID"]
     assert published_rows("sid-fuji", "sid-tpami") == ()
     assert published_rows("nowhere") == ()
-
-
-def test_the_wheel_has_them_where_they_are_looked_for(tmp_path: Path) -> None:
-    """A copy elsewhere reads the same: nothing depends on the checkout."""
-    folder = tmp_path / "published"
-    folder.mkdir()
-    for path in (shipped_folder() / "published").iterdir():
-        (folder / path.name).write_bytes(path.read_bytes())
-    assert load_published(folder) == shipped_published()

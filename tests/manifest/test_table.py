@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from eldata.base.fields import TextFile
 from eldata.base.files import sha256_of
 from eldata.base.tables import cell_of_text, text_of_cell
-from eldata.errors import EldataError, ManifestError
+from eldata.errors import ManifestError
 from eldata.manifest.table import (
     COLUMNS,
     ROLES,
@@ -115,13 +115,6 @@ def round_trip(records: list[FrameRecord]) -> tuple[FrameRecord, ...]:
         return load_records(path)
 
 
-@pytest.mark.parametrize("power", [1, 10, 17, 18, 19, 20, 24, 31])
-def test_every_exif_fraction_can_be_stored(power: int) -> None:
-    """Some cameras write times as n / 2**k. Each is an EXIF fraction, so a manifest must be able to hold it."""
-    exposed = replace(NOISY, exposure_s=Fraction(1, 2**power))
-    assert round_trip([REFERENCE, exposed]) == (REFERENCE, exposed)
-
-
 # --- round trip ---------------------------------------------------------------------------------------------------
 
 
@@ -190,11 +183,6 @@ def as_csv(table: Rows) -> str:
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "set.csv"
-
-
-def test_the_rows_below_are_fine_before_they_are_spoilt(path: Path) -> None:
-    path.write_text(as_csv(rows()), encoding="utf-8")
-    assert [record.role for record in load_records(path)] == ["reference", "noisy"]
 
 
 @in_one_test(
@@ -339,41 +327,10 @@ def test_what_spreadsheets_make_of_a_table_is_accepted(path: Path, name: str) ->
 # --- by columns and by rows -------------------------------------------------------------------------------------------
 
 CELLS = (
-    *(
-        "",
-        "0",
-        "-1",
-        "+1",
-        "1/3",
-        "1/0",
-        "0.50",
-        "1e3",
-        "9" * 19,
-        "9" * 30,
-        "nan",
-        " 1",
-        "=1+1",
-        "'=1+1",
-        "''=1+1",
-        "'",
-        "@x",
-    ),
-    *("reference", "noisy", "bias", "Noisy", "a", "a;b", "a;", "-x", "x y", "é", "\u202e", "a\x1b", "a\nb", '"', "a,b"),
-    *(
-        "Cam/a.ARW",
-        "cam/A.arw",
-        "/Cam/a",
-        "Cam//a",
-        "../a",
-        ".a",
-        "Cam/.a",
-        "C:a",
-        "a\\b",
-        "é/ß.ARW",
-        "é/SS.ARW",
-        "x" * 256,
-    ),
-    *(HASH, HASH.upper(), HASH[:-1]),
+    *("", "0", "-1", "+1", "1/3", "1/0", "0.50", "1e3", "9" * 19, "9" * 30, "nan", " 1", "=1+1", "'=1+1", "''=1+1"),
+    *("'", "@x", "reference", "noisy", "bias", "Noisy", "a", "a;b", "a;", "-x", "x y", "é", "\u202e", "a\x1b"),
+    *("a\nb", '"', "a,b", "Cam/a.ARW", "cam/A.arw", "/Cam/a", "Cam//a", "../a", ".a", "Cam/.a", "C:a", "a\\b"),
+    *("é/ß.ARW", "é/SS.ARW", "x" * 256, HASH, HASH.upper(), HASH[:-1]),
 )
 
 
@@ -436,9 +393,9 @@ def by_columns_alone(file: TextFile) -> list[FrameRecord]:
     return records
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_reading_by_columns_finds_what_reading_by_rows_finds(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On 2,000 tables, of which about half are wrong somewhere: the same records, or the same message."""
+    """On 1,000 tables, of which about half are wrong somewhere: the same records, or the same message."""
     rng = random.Random(seed)  # noqa: S311 # to be repeated
     right = 0
     monkeypatch.setattr("eldata.base.fields._ROWS_AT_ONCE", 4)  # so that what is wrong is not always in the first ones
@@ -495,17 +452,6 @@ def test_a_manifest_with_names_that_look_like_formulas(path: Path) -> None:
     assert load_records(path) == (reference, noisy)
 
 
-def test_a_manifest_of_before_cells_were_quoted(path: Path) -> None:
-    """As version 0.1 wrote it."""
-    table = rows()
-    table[0] |= {"path": "=a/x.ARW", "scene": "-1"}
-    table[1] |= {"path": "'b/x.ARW", "reference": "=a/x.ARW", "split": "+x"}
-    path.write_text(as_csv(table), encoding="utf-8")
-    first, second = load_records(path)
-    assert (first.path, second.path, second.reference) == ("'b/x.ARW", "=a/x.ARW", None)
-    assert (first.reference, first.split, second.scene) == ("=a/x.ARW", "+x", "-1")
-
-
 # --- saving -------------------------------------------------------------------------------------------------------
 
 
@@ -552,20 +498,6 @@ def test_what_load_would_refuse_is_not_saved(path: Path, records: list[FrameReco
     with pytest.raises(ManifestError) as raised:
         save_records(path, records)
     assert str(path) in str(raised.value)
-    assert path.read_bytes() == before
-    assert list(path.parent.iterdir()) == [path]
-
-
-def test_a_failed_save_leaves_the_old_manifest(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    save_records(path, [REFERENCE, NOISY])
-    before = path.read_bytes()
-
-    def full_disk(handle: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.fsync", full_disk)
-    with pytest.raises(EldataError, match="No space left on device"):
-        save_records(path, [REFERENCE])
     assert path.read_bytes() == before
     assert list(path.parent.iterdir()) == [path]
 

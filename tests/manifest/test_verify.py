@@ -31,7 +31,6 @@ from tests.trees import (
     ALPHA,
     BETA,
     Tree,
-    build_tree,
     copy_tree,
     flip_compressed_byte,
     frame,
@@ -41,7 +40,7 @@ from tests.trees import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
 REAL_CR3 = Path(__file__).parents[1] / "raw" / "real" / "canon-eos-r6.cr3"
 GOLDEN = Path(__file__).parent / "golden"
@@ -132,38 +131,22 @@ def listing(folder: Path) -> dict[str, tuple[int, int, int]]:
     }
 
 
-@pytest.mark.parametrize("damaged", [False, True])
-def test_verify_never_writes(tree: Tree, damaged: bool) -> None:
-    if damaged:
-        tree.file(2).unlink()
-        scale_exposure(tree.file(4), Fraction(2))
+def test_verify_never_writes(tree: Tree) -> None:
+    tree.file(2).unlink()
+    scale_exposure(tree.file(4), Fraction(2))
     base = tree.root.parent
     before = listing(base)
     for level in LEVELS:
-        assert check(tree, level).ok is not damaged
+        assert not check(tree, level).ok
     assert listing(base) == before
-
-
-def test_a_read_only_copy_can_be_verified(tree: Tree) -> None:
-    folders = [path for path in [tree.root, *tree.root.rglob("*")] if path.is_dir()]
-    for path in tree.root.rglob("*.dng"):
-        path.chmod(0o444)
-    for folder in folders:
-        folder.chmod(0o555)
-    try:
-        assert check(tree, "full").ok
-    finally:
-        for folder in folders:
-            folder.chmod(0o755)
 
 
 # --- presence -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_a_missing_file(tree: Tree, level: Level) -> None:
+def test_a_missing_file(tree: Tree) -> None:
     tree.file(4).unlink()
-    problem = only(check(tree, level))
+    problem = only(check(tree, "full"))
     assert problem == Problem("eld-demo", frame(4), "file", "a file", "nothing", "copy or download it again")
 
 
@@ -200,15 +183,6 @@ def test_an_absent_dataset_beside_a_good_one(pristine: Tree) -> None:
     assert [dataset.absent for dataset in report.datasets] == [True, False]
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_an_empty_file(tree: Tree, level: Level) -> None:
-    """What a download that never started leaves behind."""
-    tree.file(4).write_bytes(b"")
-    problem = only(check(tree, level))
-    assert (problem.path, problem.field) == (frame(4), "size_bytes")
-    assert (problem.expected, problem.found) == ("more than 0 bytes", "0 bytes")
-
-
 def test_a_wrong_size(tree: Tree) -> None:
     records = tree.manifest.records
     sizes = {record.path: (tree.data / record.path).stat().st_size for record in records}
@@ -222,37 +196,18 @@ def test_a_wrong_size(tree: Tree) -> None:
     assert (problem.expected, problem.found) == (f"{size} bytes", f"{size + 1} bytes")
 
 
-@pytest.mark.parametrize("extra", [1, 2])
-def test_unlisted_raw_files(tree: Tree, extra: int) -> None:
-    """The first public ELD archive held 17 and 18 raw files in two scenes, numbered through: scores were absurd."""
-    for number in range(17, 17 + extra):
-        shutil.copy(tree.file(16), tree.file(number))
-    report = check(tree, "quick")
-    assert found(report) == [(frame(number), "file") for number in range(17, 17 + extra)]
-    for problem in report.problems:
-        assert problem.expected == "the 16 listed raw files in this folder"
-        assert problem.found == f"{16 + extra} raw files, this one unlisted"
-        assert "renumbered" in problem.advice
+def test_unlisted_raw_files_of_any_kind(tree: Tree) -> None:
+    names = ["IMG_0001 (1).dng", "IMG_0020.ARW", "IMG_0020.cr2", "extra.NEF"]
+    for name in names:
+        shutil.copy(tree.file(1), tree.data / ALPHA / name)
+    assert found(check(tree, "quick")) == [(f"{ALPHA}/{name}", "file") for name in names]
 
 
-@pytest.mark.parametrize("name", ["IMG_0020.ARW", "IMG_0020.cr2", "extra.NEF", "IMG_0001 (1).dng"])
-def test_unlisted_raw_files_of_any_kind(tree: Tree, name: str) -> None:
-    shutil.copy(tree.file(1), tree.data / ALPHA / name)
-    assert found(check(tree, "quick")) == [(f"{ALPHA}/{name}", "file")]
-
-
-@pytest.mark.parametrize("name", ["IMG_0001.jpg", "IMG_0001.JPG", "IMG_0001.png", "Thumbs.db", "notes.txt", "dng"])
-def test_files_that_are_no_raws_are_ignored(tree: Tree, name: str) -> None:
+def test_files_that_are_no_raws_are_ignored(tree: Tree) -> None:
     """Some published scenes also hold RGB renderings."""
-    (tree.data / ALPHA / name).write_bytes(b"\xff\xd8\xff")
+    for name in ("IMG_0001.jpg", "IMG_0001.JPG", "IMG_0001.png", "Thumbs.db", "notes.txt", "dng"):
+        (tree.data / ALPHA / name).write_bytes(b"\xff\xd8\xff")
     assert check(tree).ok
-
-
-def test_an_extension_in_another_case(tree: Tree) -> None:
-    tree.file(4).rename(tree.file(4).with_suffix(".DNG"))
-    problem = only(check(tree, "quick"))
-    assert (problem.path, problem.found) == (frame(4), "only IMG_0004.DNG")
-    assert problem.advice == "rename it to IMG_0004.dng"
 
 
 def test_an_extension_in_both_cases(tree: Tree) -> None:
@@ -261,12 +216,11 @@ def test_an_extension_in_both_cases(tree: Tree) -> None:
     assert [path for path, _ in found(check(tree, "quick"))] == [frame(4).replace(".dng", ".DNG")]
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_a_folder_where_a_file_should_be(tree: Tree, level: Level) -> None:
+def test_a_folder_where_a_file_should_be(tree: Tree) -> None:
     """Some unpackers make a folder of each archive's name."""
     tree.file(4).unlink()
     tree.file(4).mkdir()
-    assert [path for path, _ in found(check(tree, level))] == [frame(4)]
+    assert [path for path, _ in found(check(tree, "full"))] == [frame(4)]
 
 
 def test_a_file_where_a_folder_should_be(tree: Tree) -> None:
@@ -300,15 +254,10 @@ def test_a_linked_folder_that_leads_outside(tree: Tree) -> None:
     assert len(check(tree, "quick").problems) == 16
 
 
-def test_a_dangling_link(tree: Tree) -> None:
+@pytest.mark.parametrize("target", [4, 40], ids=["to itself", "to nothing"])
+def test_a_link_that_leads_nowhere(tree: Tree, target: int) -> None:
     tree.file(4).unlink()
-    tree.file(4).symlink_to(tree.file(40))
-    assert found(check(tree)) == [(frame(4), "file")]
-
-
-def test_a_link_to_itself(tree: Tree) -> None:
-    tree.file(4).unlink()
-    tree.file(4).symlink_to(tree.file(4))
+    tree.file(4).symlink_to(tree.file(target))
     assert [path for path, _ in found(check(tree))] == [frame(4)]
 
 
@@ -325,10 +274,9 @@ def test_links_within_the_dataset_and_a_linked_root_are_fine(tree: Tree) -> None
 # --- content ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("keep", [0.02, 0.5, 0.9])
-def test_a_truncated_file(tree: Tree, keep: float) -> None:
+def test_a_truncated_file(tree: Tree) -> None:
     content = tree.file(4).read_bytes()
-    tree.file(4).write_bytes(content[: int(len(content) * keep)])
+    tree.file(4).write_bytes(content[: len(content) * 9 // 10])
     assert check(tree, "quick").ok, "no size is recorded: only the content tells"
     problem = only(check(tree, "metadata"))
     assert (problem.path, problem.field) == (frame(4), "content")
@@ -344,18 +292,10 @@ def test_a_picture_in_place_of_a_raw_file(tree: Tree) -> None:
     )
 
 
-@pytest.mark.parametrize("content", [b"<html>Quota exceeded</html>", b"\0" * 5000, b"II*\0garbage"])
-def test_a_file_that_is_no_raw(tree: Tree, content: bytes) -> None:
+def test_a_file_that_is_no_raw(tree: Tree) -> None:
     """Drive answers with a web page when its quota is used up."""
-    tree.file(4).write_bytes(content)
+    tree.file(4).write_bytes(b"<html>Quota exceeded</html>")
     assert found(check(tree)) == [(frame(4), "content")]
-
-
-def test_a_wrong_camera(tree: Tree) -> None:
-    retake(tree.file(4), model="Demo Beta")
-    problem = only(check(tree))
-    assert (problem.path, problem.field) == (frame(4), "camera")
-    assert (problem.expected, problem.found) == ("Demo Alpha", "Demo Beta")
 
 
 def test_a_camera_may_have_several_names_in_any_case(tree: Tree) -> None:
@@ -448,7 +388,7 @@ def forget_exposures(tree: Tree) -> None:
 
 
 @BOTH_KINDS
-@pytest.mark.parametrize(("reference", "noisy"), [(6, 5), (6, 7), (1, 2), (16, 15)])
+@pytest.mark.parametrize(("reference", "noisy"), [(6, 5), (1, 2)])
 def test_a_reference_and_a_noisy_frame_swapped(tree: Tree, known: bool, reference: int, noisy: int) -> None:
     if not known:
         forget_exposures(tree)
@@ -467,14 +407,13 @@ def test_two_references_swapped_are_alike(tree: Tree) -> None:
 
 
 @BOTH_KINDS
-@pytest.mark.parametrize("by", [1, -1])
-def test_shifted_numbering(tree: Tree, known: bool, by: int) -> None:
-    """All frames of a scene numbered one higher or lower, the odd one put at the other end."""
+def test_shifted_numbering(tree: Tree, known: bool) -> None:
+    """All frames of a scene numbered one higher, the last one put at the other end."""
     if not known:
         forget_exposures(tree)
     files = {number: tree.file(number).read_bytes() for number in range(1, 17)}
     for number, content in files.items():
-        tree.file((number - 1 + by) % 16 + 1).write_bytes(content)
+        tree.file(number % 16 + 1).write_bytes(content)
     assert check(tree, "quick").ok, "names and number of files are right"
     report = check(tree)
     named = {problem.path for problem in report.problems}
@@ -500,14 +439,8 @@ def test_numbering_from_two(tree: Tree) -> None:
         (5, 200, Fraction(2201, 10), False),
         (5, 200, Fraction(180), True),
         (5, 200, Fraction(1799, 10), False),
-        (5, 200, Fraction(400), False),
-        (5, 200, Fraction(100), False),
         (2, 1, Fraction(15, 16), True),  # the published Nikon frame
-        (2, 1, Fraction(2), False),
-        (2, 1, Fraction(1, 2), False),
-        (4, 100, Fraction(200), False),
         (4, 100, Fraction(79), False),  # a third of a stop
-        (3, 10, Fraction(10), True),
     ],
 )
 def test_the_ratio_may_be_a_tenth_off(tree: Tree, number: int, nominal: int, measured: Fraction, passes: bool) -> None:
@@ -629,26 +562,11 @@ def damage(tree: Tree) -> None:
     shutil.rmtree(tree.data / "DemoBeta")
 
 
-def nothing(tree: Tree) -> None:
-    pass
-
-
-def forget_everything(tree: Tree) -> None:
-    shutil.rmtree(tree.data)
-
-
-@pytest.mark.parametrize(
-    ("name", "harm", "level"),
-    [
-        ("clean-quick", nothing, "quick"),
-        ("clean-full", nothing, "full"),
-        ("damaged", damage, "metadata"),
-        ("absent", forget_everything, "quick"),
-    ],
-)
-def test_the_text_of_a_report(tree: Tree, name: str, harm: Callable[[Tree], None], level: Level) -> None:
+@pytest.mark.parametrize(("name", "level"), [("clean-full", "full"), ("damaged", "metadata")])
+def test_the_text_of_a_report(tree: Tree, name: str, level: Level) -> None:
     """Word for word, as a person reads it. ELDATA_UPDATE_GOLDEN=1 rewrites the files in golden/: read the diff."""
-    harm(tree)
+    if name == "damaged":
+        damage(tree)
     text = check(tree, level).format_text().replace(str(tree.root), "ROOT") + "\n"
     golden = GOLDEN / f"{name}.txt"
     if os.environ.get(UPDATE_VARIABLE) == "1":
@@ -670,14 +588,6 @@ def test_a_report_as_json_says_the_same(tree: Tree) -> None:
 def test_problems_read_as_sentences(tree: Tree) -> None:
     tree.file(4).unlink()
     assert str(only(check(tree))) == f"{frame(4)}: file: expected a file, found nothing; copy or download it again"
-
-
-def test_a_tree_is_the_same_when_made_again(pristine: Tree, tmp_path: Path) -> None:
-    """The golden texts and the copies above rest on it."""
-    again = build_tree(tmp_path)
-    assert load_manifest(again.csv).records == pristine.manifest.records
-    for record in pristine.manifest.records:
-        assert (again.data / record.path).read_bytes() == (pristine.data / record.path).read_bytes()
 
 
 def test_one_of_two_datasets_that_share_a_folder(tmp_path: Path) -> None:

@@ -4,18 +4,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-import rawpy
 from skimage.color import rgb2xyz
 from skimage.color.colorconv import xyz_from_rgb
 
 from eldata.errors import ArgumentError
 from eldata.raw.colour import SRGB_TO_XYZ, camera_to_srgb
-from eldata.raw.dng import write_dng
-from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from eldata.records import Matrix3
 
 # ColorMatrix (D65) of a Sony A7S II, a Nikon D850 and a Fujifilm X-T2 as LibRaw's table has them.
@@ -32,16 +27,6 @@ CAMERAS: dict[str, tuple[str, Matrix3]] = {
 def test_srgb_primaries_are_those_of_scikit_image() -> None:
     np.testing.assert_allclose(SRGB_TO_XYZ, xyz_from_rgb, atol=1e-4)
     np.testing.assert_allclose(SRGB_TO_XYZ.sum(axis=1), rgb2xyz(np.ones((1, 1, 3)))[0, 0], atol=1e-4)
-
-
-@pytest.mark.parametrize("model", CAMERAS)
-def test_the_cameras_matrices_are_those_of_libraws_table(model: str, tmp_path: Path) -> None:
-    make, matrix = CAMERAS[model]
-    path = tmp_path / "frame.dng"
-    sensor = make_sensor(BAYER["RGGB"], make=make, model=model, xyz_to_camera=None)
-    write_dng(path, random_mosaic(60, 64), sensor, EXPOSURE)
-    with rawpy.imread(str(path)) as raw:
-        np.testing.assert_allclose(raw.rgb_xyz_matrix[:3], matrix, atol=1e-6)
 
 
 @pytest.mark.parametrize("model", CAMERAS)

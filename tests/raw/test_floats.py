@@ -14,7 +14,6 @@ import tifffile
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import normalise, pack, pack_normalised, read_raw, write_dng
 from eldata.raw.levels import packed_frame
-from eldata.raw.tiff import read_directories
 from tests.raw.helpers import BAYER, EXPOSURE, active_area, black_levels, make_sensor, write_plain_dng
 
 if TYPE_CHECKING:
@@ -230,11 +229,6 @@ def test_whole_dn_are_asked_for_by_name() -> None:
     assert whole.whole_dn("a store") is whole.mosaic
 
 
-def test_what_needs_whole_dn_asks_the_frame_for_them() -> None:
-    with pytest.raises(RawFileError, match=r"float32-hot-1\.5\.dng: its pixels are no whole DN.*the check of a set"):
-        read_raw(FIELD / "float32-hot-1.5.dng").whole_dn("the check of a set")
-
-
 @pytest.mark.parametrize(
     ("options", "changed", "words"),
     [
@@ -276,8 +270,8 @@ def test_damaged_strips_are_found(change: Any, words: str, tmp_path: Path) -> No
 
 
 def test_a_bomb_takes_no_memory(tmp_path: Path) -> None:
-    """One strip that would inflate to 512 MB, in a file that declares 10 kB of pixels."""
-    bomb = zlib.compress(bytes(1 << 29))
+    """One strip that would inflate to 128 MB, in a file that declares 10 kB of pixels."""
+    bomb = zlib.compress(bytes(1 << 27))
     write_float_dng(tmp_path / "a.dng", floats(), compression=DEFLATE, rows=48, change=lambda _: bomb)
     import tracemalloc
 
@@ -321,9 +315,3 @@ def test_pixels_that_are_no_numbers_are_named(bad: float, tmp_path: Path) -> Non
     write_float_dng(tmp_path / "a.dng", values)
     with pytest.raises(RawFileError, match="2 of its pixels are not finite numbers, the first in row 7, column 9"):
         read_raw(tmp_path / "a.dng")
-
-
-def test_the_walk_says_which_order_a_file_has(tmp_path: Path) -> None:
-    for order in ("<", ">"):
-        write_float_dng(tmp_path / "a.dng", floats(), order=order)
-        assert {one.order for one in read_directories(tmp_path / "a.dng")} == {order}

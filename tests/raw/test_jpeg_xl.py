@@ -13,7 +13,6 @@ import tifffile
 from eldata.errors import RawFileError, UnusableRawError
 from eldata.isp import render_libraw
 from eldata.raw import jpeg_xl, read_header, read_raw
-from eldata.raw.files import raw_facts
 from eldata.raw.sensor_facts import lossy_compression
 from tests.raw.helpers import active_area, add_tags, black_levels, random_mosaic, write_plain_dng
 
@@ -101,14 +100,14 @@ LAYOUTS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
-@pytest.mark.parametrize("name", TAGS)
-def test_a_mosaic_is_what_libraw_reads_of_it_uncompressed(
-    name: str, layout: dict[str, Any], order: Any, tmp_path: Path
-) -> None:
+# Every tag in tiles, and every layout, in both orders.
+WAYS = [*((name, "tiles", "<") for name in TAGS), *(("black", layout, order) for layout in LAYOUTS for order in "<>")]
+
+
+@pytest.mark.parametrize(("name", "layout", "order"), WAYS)
+def test_a_mosaic_is_what_libraw_reads_of_it_uncompressed(name: str, layout: str, order: Any, tmp_path: Path) -> None:
     mosaic = random_mosaic(64, 92, low=100, high=6000)
-    write_jpeg_xl(tmp_path / "a.dng", mosaic, *TAGS[name], byteorder=order, **layout)
+    write_jpeg_xl(tmp_path / "a.dng", mosaic, *TAGS[name], byteorder=order, **LAYOUTS[layout])
     write_plain_dng(tmp_path / "plain.dng", mosaic, ("RG", "GB"), *TAGS[name], byteorder=order)
     frame, plain = read_raw(tmp_path / "a.dng"), read_raw(tmp_path / "plain.dng")
     assert frame.mosaic.dtype == plain.mosaic.dtype
@@ -242,10 +241,10 @@ def test_an_absurd_size_takes_no_memory(tmp_path: Path) -> None:
     """One that a stream has, and one that the directory has."""
     import tracemalloc
 
-    flat = encoded(np.zeros((6000, 6000), np.uint16))
+    flat = encoded(np.zeros((3000, 3000), np.uint16))
     tracemalloc.start()
     write_jpeg_xl(tmp_path / "a.dng", random_mosaic(64, 96), change=lambda _: flat)
-    with pytest.raises(RawFileError, match=r"it holds \(6000, 6000\) pixels; expected 32 x 48"):
+    with pytest.raises(RawFileError, match=r"it holds \(3000, 3000\) pixels; expected 32 x 48"):
         read_raw(tmp_path / "a.dng")
     write_jpeg_xl(tmp_path / "a.dng", random_mosaic(64, 96), tile=None)
     with tifffile.TiffFile(tmp_path / "a.dng", mode="r+") as tiff:
@@ -258,7 +257,7 @@ def test_an_absurd_size_takes_no_memory(tmp_path: Path) -> None:
 
 
 def test_whatever_bytes_are_changed_nothing_but_a_raw_file_error_comes(tmp_path: Path) -> None:
-    """200 files with some bytes of their streams changed, in their headers half of the time."""
+    """100 files with some bytes of their streams changed, in their headers half of the time."""
     generator = np.random.default_rng(0)
 
     def change(content: bytes) -> bytes:
@@ -269,13 +268,13 @@ def test_whatever_bytes_are_changed_nothing_but_a_raw_file_error_comes(tmp_path:
         return bytes(changed)
 
     refused = 0
-    for _ in range(200):
+    for _ in range(100):
         write_jpeg_xl(tmp_path / "a.dng", random_mosaic(64, 96), change=change)
         try:
             read_raw(tmp_path / "a.dng")
         except RawFileError:
             refused += 1
-    assert refused > 190
+    assert refused > 95
 
 
 def test_more_samples_than_one_are_named(tmp_path: Path) -> None:
@@ -334,16 +333,6 @@ def test_a_decoder_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.setattr("eldata.raw.strips.can_decode", lambda: False)
     with pytest.raises(UnusableRawError, match=r"which this imagecodecs was built without; install imagecodecs"):
         read_header(tmp_path / "a.dng")
-
-
-def test_facts_of_a_file_are_found_without_its_pixels(tmp_path: Path) -> None:
-    write_jpeg_xl(tmp_path / "a.dng", random_mosaic(64, 96), *BLACK)
-    header, nothing = raw_facts(tmp_path / "a.dng", decode=False)
-    _, sensor = raw_facts(tmp_path / "a.dng", decode=True)
-    frame = read_raw(tmp_path / "a.dng")
-    assert nothing is None
-    assert header.exposure == frame.exposure
-    assert sensor == frame.sensor
 
 
 @pytest.mark.parametrize("container", [False, True])

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eldata.errors import ArgumentError
-from eldata.raw import denormalise, normalise, pack, pack_normalised, packed_shape, unpack
+from eldata.raw import denormalise, normalise, pack, pack_normalised, packed_shape
 from eldata.raw.levels import (
     FRAME_LEVELS,
     FrameLevels,
@@ -135,17 +135,6 @@ def test_normalise_after_pack_is_pack_normalised(name: str, clip: Clip) -> None:
     assert same_bits(apart, pack_normalised(mosaic, cfa, black_of(cfa), 15871.0, clip=clip))
 
 
-@in_one_test("name", CFAS)
-def test_black_becomes_zero_and_white_one_in_every_channel(name: str) -> None:
-    cfa = CFAS[name]
-    black = (512.0, 509.0, 511.0, 514.0)[: levels_of(cfa)]
-    tiled = np.tile(np.array(cfa), (12, 12))[:24, :24]
-    mosaic = np.take(np.array(black, np.uint16), tiled)
-    assert not pack_normalised(mosaic, cfa, black, 15871.0, clip="none").any()
-    white = pack_normalised(np.full((24, 24), 15871, np.uint16), cfa, black, 15871.0, clip="none")
-    assert (white == 1).all()
-
-
 def every_dn(cfa: Cfa) -> NDArray[np.uint16]:
     """A packed array in which each channel has every DN from 0 to 65535."""
     channels = layout_of(cfa)[0]
@@ -163,12 +152,6 @@ def test_denormalise_inverts_normalise_for_every_dn(name: str, white: float) -> 
     clipped = denormalise(normalise(packed, cfa, black_of(cfa), white), cfa, black_of(cfa), white)
     black = np.rint(packed_black_level_dn(cfa, black_of(cfa)))[:, None, None]
     np.testing.assert_array_equal(clipped, np.clip(packed, black, white))
-
-
-def test_the_round_trip_through_mosaic_dn() -> None:
-    cfa, mosaic = xtrans_at(0, 0), random_mosaic(36, 36)
-    normalised = pack_normalised(mosaic, cfa, XTRANS_BLACK, 16383.0, clip="none")
-    np.testing.assert_array_equal(unpack(denormalise(normalised, cfa, XTRANS_BLACK, 16383.0), cfa), mosaic)
 
 
 def test_denormalise_rounds_to_the_nearest_and_stays_in_16_bits() -> None:
@@ -208,6 +191,9 @@ def test_as_many_black_levels_as_the_cfa_has_channels(name: str, count: int) -> 
         ((512.0, -np.inf, 512.0, 512.0), 16000.0),
         ((512.0,) * 4, np.inf),
         ((512.0,) * 4, np.nan),
+        # Regression: as float64 above black, and in float32, in which it divides, equal to it.
+        ((512.0,) * 4, 512.0000001),
+        ((512.0,) * 4, np.float64(512.0000001)),
     ],
 )
 def test_white_must_lie_above_every_black(black: tuple[float, ...], white: float) -> None:
@@ -218,25 +204,10 @@ def test_white_must_lie_above_every_black(black: tuple[float, ...], white: float
         normalise(pack(mosaic, BAYER["RGGB"]), BAYER["RGGB"], black, white)
 
 
-# Regression: a numpy float64 white is compared with black in float64, above it, and then divides by a
-# float32 zero; the same number as a Python float is refused.
-@pytest.mark.parametrize("kind", [float, np.float64])
-def test_white_that_equals_black_in_float32_is_refused(kind: type[float]) -> None:
-    with pytest.raises(ArgumentError, match="must lie above every black level"):
-        pack_normalised(random_mosaic(8, 8), BAYER["RGGB"], (512.0,) * 4, kind(512.0000001))
-
-
-@pytest.mark.parametrize("gain", [-1.0, -1e-9, np.nan, np.inf])
+@pytest.mark.parametrize("gain", [-1.0, -1e-9, np.nan, np.inf, 1e39])
 def test_a_gain_is_finite_and_not_negative(gain: float) -> None:
-    with pytest.raises(ArgumentError, match="gain must be finite and not negative"):
-        pack_normalised(random_mosaic(8, 8), BAYER["RGGB"], BAYER_BLACK, 16000.0, gain=gain)
-
-
-# Regression: finite in float64 but infinite in the float32 that it is cast to: numpy warns of an overflow,
-# and infinity times the zeros of the first clip gives NaN.
-def test_a_gain_beyond_float32_is_refused() -> None:
     with pytest.raises(ArgumentError, match="gain"):
-        pack_normalised(random_mosaic(8, 8, low=0, high=600), BAYER["RGGB"], BAYER_BLACK, 16000.0, gain=1e39)
+        pack_normalised(random_mosaic(8, 8), BAYER["RGGB"], BAYER_BLACK, 16000.0, gain=gain)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int32", "float32", ">u2"])
@@ -273,11 +244,6 @@ def test_an_unfit_out_is_refused() -> None:
 def test_unfit_mosaics_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ArgumentError):
         pack_normalised(np.zeros(shape, np.uint16), BAYER["RGGB"], BAYER_BLACK, 16000.0)
-
-
-def test_an_unsupported_cfa_is_refused() -> None:
-    with pytest.raises(ArgumentError, match="unsupported CFA"):
-        pack_normalised(random_mosaic(8, 8), ((0, 1), (1, 2)), BAYER_BLACK, 16000.0)
 
 
 # --- which levels -------------------------------------------------------------------------------------------------

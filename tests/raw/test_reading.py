@@ -102,14 +102,6 @@ def test_quad_and_nona_are_those_of_the_tags_at_the_visible_area(
     assert frame.mosaic.shape == (frame.sensor.height, frame.sensor.width)
 
 
-def test_what_libraw_says_of_quad_is_not_taken(tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), letters(QUAD["quad-00"]))
-    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
-        assert raw.raw_pattern is not None
-        assert ["".join("RGBG"[index] for index in row) for row in raw.raw_pattern] == ["RR", "GG"]  # the trap is set
-    assert read_raw(tmp_path / "a.dng").sensor.cfa == QUAD["quad-00"]
-
-
 @pytest.mark.parametrize("name", ["quad-21", "nona-34"])
 def test_quad_and_nona_in_tiles_and_in_lossless_jpeg(name: str, tmp_path: Path) -> None:
     cfa, whole = {**QUAD, **NONA}[name], random_mosaic(128, 192)
@@ -138,33 +130,6 @@ def test_the_pattern_may_be_bytes_of_any_kind(kind: str, tmp_path: Path) -> None
         content[entry + 2 : entry + 4] = struct.pack("<H", 7)
         path.write_bytes(content)
     assert read_raw(path).sensor.cfa == QUAD["quad-00"]
-
-
-@pytest.mark.parametrize("name", BAYER)
-def test_black_per_channel_is_ordered_by_colour_and_not_by_place(name: str, tmp_path: Path) -> None:
-    path, cfa = tmp_path / "a.dng", BAYER[name]
-    of_channel = (100, 101, 102, 103)  # R, G1, B, G2
-    levels = [[of_channel[channel] for channel in row] for row in cfa]
-    write_plain_dng(path, random_mosaic(64, 66), letters(cfa), *black_levels(levels))
-    sensor = read_raw(path).sensor
-    assert sensor.cfa == cfa
-    assert sensor.black_level_dn == (100.0, 101.0, 102.0, 103.0)
-
-
-# Regression: LibRaw widens an odd margin by one and does not move BlackLevel's pattern along, so that
-# channels swap their levels: R reads the black of another colour.
-@pytest.mark.parametrize("margins", MARGINS)
-def test_black_per_channel_with_margins(margins: tuple[int, int], tmp_path: Path) -> None:
-    path = tmp_path / "a.dng"
-    levels = [[100, 101], [103, 102]]  # R G1 / G2 B from the active area's corner
-    write_plain_dng(
-        path,
-        random_mosaic(64, 66),
-        letters(BAYER["RGGB"]),
-        active_area(*margins, 64, 66),
-        *black_levels(levels),
-    )
-    assert read_raw(path).sensor.black_level_dn == (100.0, 101.0, 102.0, 103.0)
 
 
 def test_one_black_level_counts_for_every_channel(tmp_path: Path) -> None:
@@ -239,18 +204,6 @@ def test_the_exposure_ratio_is_exact(tmp_path: Path) -> None:
     assert exposure_ratio(headers["long"], headers["short"]) == 300
     assert exposure_ratio(read_raw(tmp_path / "short.dng"), headers["long"]) == Fraction(1, 300)
     assert exposure_ratio(headers["long"], headers["odd"]) == Fraction(7000, 307200)
-
-
-def test_read_header_says_what_read_raw_says(tmp_path: Path) -> None:
-    path = tmp_path / "a.dng"
-    write_dng(path, random_mosaic(60, 64), make_sensor(), EXPOSURE)
-    header, frame = read_header(str(path)), read_raw(str(path))
-    assert header.path == frame.path == path
-    assert (header.make, header.model, header.exposure) == (
-        frame.sensor.make,
-        frame.sensor.model,
-        frame.exposure,
-    )
 
 
 A = ((0.9, -0.2, -0.1), (-0.4, 1.2, 0.2), (-0.1, 0.3, 0.5))

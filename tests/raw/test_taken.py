@@ -36,8 +36,3 @@ def test_unknown_if_the_file_does_not_say(tmp_path: Path) -> None:
 def test_a_clock_that_was_never_set_is_unknown(text: str, tmp_path: Path) -> None:
     write_plain_dng(tmp_path / "a.dng", MOSAIC, ("RG", "GB"), (36867, "s", 0, text, True))
     assert read_header(tmp_path / "a.dng").taken is None
-
-
-def test_a_time_in_the_first_directory_counts(tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", MOSAIC, ("RG", "GB"), (36867, "s", 0, "2026:11:21 10:00:01", True))
-    assert read_header(tmp_path / "a.dng").taken == datetime(2026, 11, 21, 10, 0, 1)  # noqa: DTZ001

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from eldata.base.workers import UnseenFileError
-from eldata.calibration.audit.frames import FramesError
 from eldata.calibration.camera import calibrate
 from eldata.datasets.drv import DRVDataset
 from eldata.datasets.synthesis import Recipe, synthesize
@@ -44,15 +43,6 @@ def tree(demo_tree: Path) -> Tree:
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
     return made_tree(tmp_path_factory.mktemp("frames") / "demo")
-
-
-def test_verify(tree: Tree, executor: Executor, tmp_path: Path) -> None:
-    own = tree.copy(tmp_path / "own")
-    broken, whole = sorted(own.files.glob("*/*/*.dng"))[:2]
-    broken.write_bytes(whole.read_bytes())
-    alone = verify(own.manifest, own.root, level="full")
-    assert not alone.ok
-    assert verify(own.manifest, own.root, level="full", workers=executor) == alone
 
 
 def test_lock(executor: Executor, tmp_path: Path) -> None:
@@ -91,19 +81,6 @@ def test_calibrate(frames: FrameTree, executor: Executor, tmp_path: Path) -> Non
         found.profile.save(tmp_path / f"{number}.json")
     assert (tmp_path / "0.json").read_bytes() == (tmp_path / "1.json").read_bytes()
     assert json.dumps(there.as_dict()) == json.dumps(alone.as_dict())
-
-
-def test_calibrate_lists_the_problems_of_every_iso(frames: FrameTree, executor: Executor, tmp_path: Path) -> None:
-    own = frames.copy(tmp_path / "own")
-    for iso in (100, 1600):
-        path = own.files("flat", iso)[0]
-        path.write_bytes(path.read_bytes()[:-2000])
-    found = [calibrate(own.frames(), workers=workers) for workers in (1, executor)]
-    assert [one.iso for one in found[0].failed] == [100, 1600]
-    assert found[1].as_dict() == found[0].as_dict()
-    with pytest.raises(FramesError) as raised:
-        calibrate(own.frames(isos=[100, 1600]), workers=executor)
-    assert raised.value.problems == found[0].problems
 
 
 def test_pack_and_its_check(tree: Tree, executor: Executor, tmp_path: Path) -> None:
@@ -166,16 +143,6 @@ def test_verify_names_the_files_that_workers_do_not_see(tree: Tree, dask: Execut
     report = verify(own.manifest, own.root, level="full", workers=Vanishing(dask, gone))
     (problem,) = (one for one in report.problems if one.field == "check")
     assert (problem.path, problem.found) == (gone.relative_to(own.files).as_posix(), unseen(gone))
-
-
-@pytest.mark.dask
-def test_calibrate_names_the_iso_whose_files_workers_do_not_see(
-    frames: FrameTree, dask: Executor, tmp_path: Path
-) -> None:
-    own = frames.copy(tmp_path / "own")
-    gone = own.files("bias", 400)[2]
-    (problem,) = calibrate(own.frames(), workers=Vanishing(dask, gone)).problems
-    assert (problem.path, problem.found) == ("DemoGamma, ISO 400", unseen(gone))
 
 
 @pytest.mark.dask

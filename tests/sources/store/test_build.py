@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -56,8 +55,7 @@ def test_a_store_is_on_the_disk_before_it_gets_its_name(
 # --- what it holds ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-@pytest.mark.parametrize("jobs", [1, 3])
+@pytest.mark.parametrize(("compression", "jobs"), [("none", 1), ("lz4", 3), ("zstd", 1)])
 def test_a_store_holds_every_file_once_as_decoded(compression: Any, jobs: int, tree: Tree, tmp_path: Path) -> None:
     packed = pack_tree(tree, tmp_path / "store.h5", compression=compression, workers=jobs)
     store = open_store(packed.store)
@@ -89,17 +87,6 @@ def test_a_store_of_clean_frames_holds_no_manifest(clean: Packed) -> None:
     store = open_store(clean.store)
     assert (store.manifest, store.dataset) == (None, "raws")
     assert [(frame.path, frame.role) for frame in store.frames] == [(f"{n}.dng", "reference") for n in range(4)]
-
-
-def test_exposures_stay_exact(tree: Tree, tmp_path: Path) -> None:
-    frames = open_store(pack_tree(tree, tmp_path / "store.h5").store).frames
-    assert Fraction(28, 5) in {frame.exposure.f_number for frame in frames}
-    assert any(frame.exposure.exposure_s and frame.exposure.exposure_s.denominator > 1 for frame in frames)
-
-
-def test_the_number_of_threads_changes_nothing(clean: Packed, tmp_path: Path) -> None:
-    build_store(clean.source, tmp_path / "other.h5", workers=4)
-    assert contents(tmp_path / "other.h5") == contents(clean.store)
 
 
 def test_a_part_of_a_dataset(tree: Tree) -> None:
@@ -245,15 +232,15 @@ def failing(error: BaseException) -> Callable[[int, memoryview, int], None]:
     return fail
 
 
-@pytest.mark.parametrize("number", [1, 2, 5, 9, 13, 20, 26, 33, 40])
-def test_a_full_disk_is_an_error_and_the_finished_part_stays(
-    number: int, clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("number", [1, 5, 14, 40])
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), KeyboardInterrupt()], ids=repr)
+def test_a_full_disk_or_ctrl_c_keeps_the_finished_part(
+    error: BaseException, number: int, clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, part = tmp_path / "store.h5", tmp_path / "store.h5.part"
-    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with monkeypatch.context() as patch:
-        patch.setattr(journal, "_write_all", at_write(number, failing(full)))
-        with pytest.raises(EldataError, match=r"cannot write .*store.h5.part: No space left on device"):
+        patch.setattr(journal, "_write_all", at_write(number, failing(error)))
+        with pytest.raises((EldataError, KeyboardInterrupt), match=r"cannot write .*store.h5.part: No space|^$"):
             build_store(clean.source, store)
     assert not store.exists()
     assert part.exists()
@@ -271,20 +258,6 @@ def test_a_file_that_cannot_be_read_is_named_and_not_the_store(
     monkeypatch.setattr("hashlib.file_digest", failing_disk)
     with pytest.raises(OSError, match=f"Input/output error: '.*{clean.source.files[0][0]}'"):
         build_store(clean.source, tmp_path / "store.h5")
-
-
-@pytest.mark.kill
-@pytest.mark.parametrize("number", [3, 14, 25, 36])
-def test_ctrl_c_keeps_the_finished_part(
-    number: int, clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store = tmp_path / "store.h5"
-    with monkeypatch.context() as patch:
-        patch.setattr(journal, "_write_all", at_write(number, failing(KeyboardInterrupt())))
-        with pytest.raises(KeyboardInterrupt):
-            build_store(clean.source, store, workers=2)
-    build_store(clean.source, store)
-    assert contents(store) == contents(clean.store)
 
 
 def test_a_file_that_cannot_be_decoded_keeps_those_before_it(clean: Packed, tmp_path: Path) -> None:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -19,10 +15,10 @@ from eldata.manifest.drv import scan_raw
 from eldata.raw import read_raw
 from eldata.sources.store import build_store, open_store, source_of_dataset, verify_store
 from eldata.sources.store.build import pixels_digest
-from eldata.sources.store.format import PackedFile, StoredRgb, StoreError
+from eldata.sources.store.format import PackedFile, StoredRgb
 from eldata.sources.store.read import PixelReader
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
-from tests.sources.store.helpers import contents, pack_tree, start_packing
+from tests.sources.store.helpers import pack_tree
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -134,27 +130,3 @@ def test_a_clip_without_its_reference_is_found(drv: SmallDrv, tmp_path: Path) ->
     build_store(lone, tmp_path / "lone.h5")
     found = [(problem.path, problem.field, problem.found) for problem in verify_store(tmp_path / "lone.h5").problems]
     assert found == [(f"VBM4D_rawRGB/0007/{number:04d}.png", "reference", "nothing") for number in range(1, FRAMES + 1)]
-
-
-def test_a_truncated_store_of_clips(packed: Path, tmp_path: Path) -> None:
-    own = tmp_path / "own.h5"
-    own.write_bytes(packed.read_bytes())
-    os.truncate(own, int(own.stat().st_size * 0.9))
-    with pytest.raises(StoreError, match="is truncated"):
-        open_store(own)
-
-
-@pytest.mark.kill
-def test_packing_clips_is_killed_and_resumed(drv: SmallDrv, packed: Path, tmp_path: Path) -> None:
-    store = tmp_path / "store.h5"
-    files = source_of_dataset("drv", root=drv.root, manifest=drv.csv).files
-    command = ["pack", "drv", "--manifest", str(drv.csv), "--root", str(drv.root), "-o", str(store)]
-    command += ["--compression", "lz4", "--jobs", "1"]
-    for number in (0, 9):
-        process = start_packing(command, stop_at=files[number][0], folder=tmp_path)
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
-    done = subprocess.run([sys.executable, "-m", "eldata.cli.main", *command], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "23 frames packed (9 of them before)" in done.stdout
-    assert contents(store) == contents(packed)

@@ -41,8 +41,7 @@ def own(clean: Packed, tmp_path: Path) -> Path:
     return Path(shutil.copy(clean.store, tmp_path / "store.h5"))
 
 
-@pytest.mark.parametrize("mode", ["r", "r+"])
-@pytest.mark.parametrize("options", [{}, {"locking": True}, {"locking": False}, {"libver": "latest"}], ids=str)
+@pytest.mark.parametrize(("mode", "options"), [("r", {}), ("r+", {"locking": True}), ("r+", {"libver": "latest"})])
 def test_a_store_that_the_callers_h5py_holds_open(mode: str, options: dict[str, Any], own: Path) -> None:
     whole = open_store(own)
     with h5py.File(own, mode, **options):
@@ -73,7 +72,7 @@ def test_a_missing_store(tmp_path: Path) -> None:
     refused(tmp_path / "pipe.h5", "is a named pipe, not a file")
 
 
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.999])
+@pytest.mark.parametrize("share", [0.02, 0.999])
 def test_a_truncated_store(share: float, own: Path) -> None:
     os.truncate(own, int(own.stat().st_size * share))
     refused(own, "is truncated .*; copy or pack it again")
@@ -120,14 +119,7 @@ def test_a_damaged_store(spoil: Any, reason: str, own: Path) -> None:
 
 @pytest.mark.parametrize(
     ("place", "value"),
-    [
-        (0, None),
-        (3, ["1"]),
-        (4, 3),
-        (4, {"sensor": {}, "more": {}, "whites": None}),
-        (5, -1),
-        (4, [4]),
-    ],
+    [(0, None), (3, ["1"]), (4, 3), (4, {"sensor": {}, "more": {}, "whites": None}), (5, -1), (4, [4])],
 )
 def test_facts_that_are_no_frames(place: int, value: object, own: Path) -> None:
     """One bit is found by the checksum; what is wrong with lines whose checksum fits is found as they are read."""
@@ -149,10 +141,9 @@ def test_facts_that_are_no_frames(place: int, value: object, own: Path) -> None:
 # --- verification -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("jobs", [1, 3])
-def test_a_whole_store_is_all_well(jobs: int, clean: Packed) -> None:
+def test_a_whole_store_is_all_well(clean: Packed) -> None:
     for level, hashed in (("quick", 0), ("full", 4)):
-        report = verify_store(clean.store, level=level, workers=jobs)  # type: ignore[arg-type]
+        report = verify_store(clean.store, level=level, workers=2)  # type: ignore[arg-type]
         assert report.ok
         assert (report.datasets[0].files_checked, report.datasets[0].files_hashed) == (4, hashed)
         assert report.format_text() == f"raws: 4 of 4 files checked ({level}) in {clean.store}: all well"

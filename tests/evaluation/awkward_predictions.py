@@ -1,11 +1,14 @@
 """Legal predictions in forms that tempt a reader to copy them more often than needed.
 
-Run as a program it loads one of them, and prints by how much that raised the peak of the process's memory.
+Run as a program it loads each of them, and prints by how much that raised the peak of the process's memory.
 """
 
 from __future__ import annotations
 
+import json
+import multiprocessing
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,14 +71,21 @@ AWKWARD: dict[str, Callable[[Path], None]] = {
 }
 
 
-def main(path: Path, small: Path) -> None:
-    """Load a small prediction of the same format, which loads libraries, and then the large one."""
+def times_of_array(folder: Path, small: Path, name: str) -> float:
+    """Load a small prediction, which loads libraries, and then the large one; return how often the peak held it."""
     with_size = Sensor("Maker", "Model", SENSOR.cfa, SENSOR.black_level_dn, 16383.0, 64, 96, None, None)
-    load_prediction(small, with_size, "metadata")
+    load_prediction(small / name, with_size, "metadata")
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts again from what is in use now
     before = peak_kib()
-    loaded = load_prediction(path, SENSOR, "metadata")
-    print((peak_kib() - before) * 1024 / loaded.nbytes)
+    loaded = load_prediction(folder / name, SENSOR, "metadata")
+    return (peak_kib() - before) * 1024 / loaded.nbytes
+
+
+def main(folder: Path, small: Path) -> None:
+    """Each in a process of its own, where no other has left memory that is used again."""
+    with multiprocessing.get_context("fork").Pool(1, maxtasksperchild=1) as pool:
+        found = pool.map(partial(times_of_array, folder, small), AWKWARD, chunksize=1)
+    print(json.dumps(dict(zip(AWKWARD, found, strict=True))))
 
 
 if __name__ == "__main__":

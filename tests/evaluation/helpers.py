@@ -12,8 +12,6 @@ import numpy as np
 from eldata.demo.tree import make_tree
 from eldata.evaluation.planning import plan_scoring
 from eldata.evaluation.request import make_request
-from eldata.raw.dng import write_dng
-from eldata.raw.reading import read_raw
 from eldata.records import PairRecord
 from tests.evaluation import oracle
 
@@ -65,15 +63,6 @@ def scored_pairs(dataset: str, protocol: str | Protocol, **options: Unpack[Evalu
 def small_tree(folder: Path, scenes: int = 1) -> Tree:
     make_tree(folder, scenes=scenes, size=SIZE)
     return Tree(folder)
-
-
-def spread(path: Path, rows: slice, columns: slice) -> None:
-    """Write a raw file anew with a block at 16383, the published white level, and one below the black level."""
-    frame = read_raw(path)
-    mosaic = frame.mosaic.copy()
-    mosaic[rows, columns] = 16383
-    mosaic[rows, :12] = 300
-    write_dng(path, mosaic, frame.sensor, frame.exposure)
 
 
 def perturbed(target: NDArray[np.float64], name: str) -> NDArray[np.float64]:

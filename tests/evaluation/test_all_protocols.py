@@ -8,12 +8,10 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-import rawpy
-from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata.base.workers import Workers
 from eldata.cli.main import main
@@ -37,8 +35,6 @@ from tests.sid_tree import SENSORS, exposure_of, frames_of, mosaic_of
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from tests.evaluation.helpers import Tree
 
@@ -74,11 +70,6 @@ def test_all_equals_single_runs(own: OwnSet, preds: Path) -> None:
         assert result == evaluate(preds, manifest=own.manifest, root=own.root, protocol=result.protocol.name)
     assert len({image.psnr_db for result in combined.results for image in result.images}) == 24
     assert combined.scored == 4
-
-
-def test_all_does_not_depend_on_jobs(own: OwnSet, preds: Path) -> None:
-    one, two = (evaluate_all(preds, manifest=own.manifest, root=own.root, workers=jobs) for jobs in (1, 2))
-    assert one == two
 
 
 def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -173,15 +164,6 @@ def test_problems_are_told_once(own: OwnSet, tmp_path: Path) -> None:
     assert [problem.path for problem in partly.problems] == [str(tmp_path / "s1/x50.npy")]
     assert partly.scored == 2
     assert "INCOMPLETE: 2 pairs are not in the means of raw," in partly.format_text()
-
-
-def test_all_on_the_demos_set(tree: Tree, predictions: Path) -> None:
-    """One protocol for each way to score: pmn-eld scores as eld does, and the pairs are the set's own."""
-    combined = evaluate_all(predictions, manifest=tree.manifest, root=tree.root)
-    names = [result.protocol.name for result in combined.results]
-    assert names == ["eld", "eld-uncorrected", "led-eld", "lrd-eld", "eld-srgb"]
-    assert combined.results[0] == evaluate(predictions, manifest=tree.manifest, root=tree.root)
-    assert evaluate(predictions, manifest=tree.manifest, root=tree.root, protocol="led") == combined.results[2]
 
 
 def test_evaluate_takes_one_protocol(own: OwnSet, preds: Path) -> None:
@@ -331,43 +313,6 @@ def ten_bits(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
     return own
 
 
-def scores_by_hand(own: OwnSet, ratio: int, prediction: NDArray[np.float64] | None = None) -> tuple[float, float]:
-    """PSNR and SSIM by scikit-image, from the mosaics and the white level that the files were written with."""
-
-    def light(name: str) -> NDArray[np.float64]:
-        with rawpy.imread(str(own.files / "s0" / name)) as raw:
-            mosaic, letters = raw.raw_image_visible.astype(np.float64), raw.raw_pattern
-        corners = [np.argwhere(letters == colour)[0] for colour in range(4)]
-        packed = np.stack([mosaic[top::2, left::2] for top, left in corners])
-        return np.clip((packed - 64) / (1023 - 64), 0, 1)
-
-    clean = light("clean.dng")
-    shown = np.clip(light(f"x{ratio}.dng") * ratio if prediction is None else prediction, 0, 1)
-    free = clean != 1
-    shown = np.clip(shown * ((shown * clean)[free].sum() / (shown * shown)[free].sum()), 0, 1)
-    psnr_db = peak_signal_noise_ratio(clean, shown, data_range=1)  # type: ignore[no-untyped-call]
-    return psnr_db, structural_similarity(clean, shown, data_range=1, channel_axis=0)  # type: ignore[no-untyped-call]
-
-
-def test_a_set_of_ones_own_is_scored_by_its_own_white_level(ten_bits: OwnSet, tmp_path: Path) -> None:
-    """Where its card names no protocol, the input as the predictions."""
-    place: Any = {"manifest": ten_bits.manifest, "root": ten_bits.root}
-    generator = np.random.default_rng(1)
-    written = {ratio: generator.uniform(0, 1, (4, 30, 42)) for ratio in (50, 100)}
-    for ratio, prediction in written.items():
-        save_prediction(tmp_path / "p", f"s0/x{ratio}.dng", prediction.astype(np.float32))
-    for result, given in (
-        (evaluate(None, baseline="input", **place), {50: None, 100: None}),
-        (evaluate(tmp_path / "p", **place), written),
-    ):
-        assert result.protocol == PROTOCOLS["raw"]
-        assert not [note for note in result.notes if "saturate" in note]
-        for image in result.images:
-            psnr_db, ssim = scores_by_hand(ten_bits, int(image.ratio or 0), given[int(image.ratio or 0)])
-            assert image.psnr_db == pytest.approx(psnr_db, abs=1e-4)  # the input and predictions are float32
-            assert image.ssim == pytest.approx(ssim, abs=1e-5)
-
-
 def test_another_white_level_than_the_files_is_said(
     ten_bits: OwnSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -468,16 +413,15 @@ def spoil_pixels(path: Path) -> None:
     path.write_bytes(content.replace(row, bytes(len(row))))
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_reference_that_cannot_be_decoded_is_the_problem_of_its_pairs(jobs: int, tmp_path: Path) -> None:
+def test_a_reference_that_cannot_be_decoded_is_the_problem_of_its_pairs(tmp_path: Path) -> None:
     own = build_own_set(tmp_path, scenes=2)
     predict(own, tmp_path / "p", scenes=2)
     spoil_pixels(own.files / "s0/clean.dng")
-    found = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, workers=jobs)
+    found = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root)
     assert [problem.path for problem in found.problems] == ["s0/x100.dng", "s0/x50.dng"]
     assert "its reference s0/clean.dng cannot be used: damaged: its last row" in str(found.problems[0])
     assert found.scored == 0
-    rest = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, workers=jobs, allow_missing=True)
+    rest = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, allow_missing=True)
     assert [image.scene for image in rest.images] == ["s1", "s1"]
     assert rest.problems == found.problems
 
@@ -505,8 +449,7 @@ def test_an_executor_of_the_callers(own: OwnSet, preds: Path) -> None:
 # --- errors of our own ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Path, jobs: int, tmp_path: Path) -> None:
+def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Path, tmp_path: Path) -> None:
     """It is not a problem of the data, of images and clips alike, whatever is allowed to be missing."""
     drv = small_drv(tmp_path / "drv", ("0007",), 12)
     broken = replace(PROTOCOLS["eld"], name="broken"), replace(PROTOCOLS["drv-rgb"], name="broken")
@@ -516,7 +459,7 @@ def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Pa
     clips = make_request(None, "", None, {"manifest": drv.csv, "root": drv.root, "ids": ["0007"], "baseline": "input"})
     for request, protocol, unit in zip((images, clips), broken, ("s0/clean.dng", "long/0007/"), strict=True):
         with pytest.raises(TypeError) as caught:
-            perform(replace(request, protocols=(protocol,), workers=Workers(jobs)))
+            perform(replace(request, protocols=(protocol,), workers=Workers(2)))
         assert any(
             note.startswith(f"while the predictions for the reference {unit}") for note in caught.value.__notes__
         )

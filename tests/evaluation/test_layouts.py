@@ -122,19 +122,25 @@ LAYOUTS: dict[str, tuple[Callable[[str], str], str, str]] = {
 }
 
 
-@pytest.mark.parametrize("allow_missing", [False, True])
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_another_layout_is_one_message(
-    layout: str, allow_missing: bool, tree: Tree, moved: Callable[[Callable[[str], str]], Path]
-) -> None:
+def test_another_layout_is_one_message(layout: str, tree: Tree) -> None:
     rename, found, nearest = LAYOUTS[layout]
+    places, folder = [pair.path for pair in tree.pairs], Path("preds")
+    names = sorted({rename(str(PurePosixPath(place).with_suffix(".npy"))) for place in places})
+    said = layout_in_words(folder, names, Expected(places, {}, {}))
+    assert said.startswith(f"found {found}, none of them ")
+    assert f"the prediction of {FIRST}.dng is {FIRST}.npy" in said, "what was expected"
+    assert nearest.replace("{folder}", str(folder)) in said
+
+
+@pytest.mark.parametrize("allow_missing", [False, True])
+def test_it_is_the_one_problem(allow_missing: bool, tree: Tree, moved: Callable[[Callable[[str], str]], Path]) -> None:
+    rename, _, nearest = LAYOUTS["flat"]
     folder = moved(rename)
     result = run(folder, tree, allow_missing=allow_missing)
     (problem,) = result.problems
     assert problem.path == str(folder)
-    assert problem.reason.startswith(f"found {found}, none of them ")
-    assert f"the prediction of {FIRST}.dng is {FIRST}.npy" in problem.reason, "what was expected"
-    assert nearest.replace("{folder}", str(folder)) in problem.reason
+    assert nearest in problem.reason
     assert not result.scores
     assert len(result.missing) == 12
     assert result.format_text() == f"{problem}\nnothing was scored: 1 problem"

@@ -1,31 +1,25 @@
-"""`evaluate` on SID: the published subsets on trees with the published names, against an independent computation."""
+"""`evaluate` on SID: the published subsets on trees with the published names, which pairs, and the table."""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
-import zlib
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-import rawpy
 
 from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.evaluation import EvaluationResult, evaluate, save_prediction
-from eldata.manifest.catalogue import shipped_card, shipped_manifest
+from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs
-from eldata.protocols import PROTOCOLS, default_protocol
-from tests.evaluation import oracle
-from tests.raw.helpers import sid_pack
+from eldata.raw import packed_shape, read_raw
 from tests.sid_tree import frames_of, write_frames
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from tests.evaluation.helpers import Tree
 
@@ -43,35 +37,15 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def reference(path: Path) -> NDArray[np.float64]:
-    """Packed, black subtracted, divided by 16383 - black, clipped to [0, 1]."""
-    if path.suffix == ".ARW":
-        return oracle.reference(path)
-    with rawpy.imread(str(path)) as raw:
-        dn = raw.raw_image_visible.astype(np.float64)
-        black = raw.black_level_per_channel[0]
-    packed = sid_pack(dn[: dn.shape[0] // 6 * 6, : dn.shape[1] // 6 * 6])
-    return np.clip((packed - black) / (16383 - black), 0, 1)
-
-
-def prediction_of(target: NDArray[np.float64], name: str) -> NDArray[np.float32]:
-    """Too bright, a little noisy, in places saturated, beyond, or negative."""
-    generator = np.random.default_rng(zlib.crc32(name.encode()))
-    result = 1.15 * target + generator.normal(0.0, 0.02, target.shape)
-    result[:, 5:7, 8:12] = 1.0
-    result[:, 9, 2:4] = 1.25
-    result[:, 12:14, 3:9] -= 0.1
-    return result.astype(np.float32)
-
-
 @pytest.fixture(scope="module")
 def predictions(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("predictions")
+    folder, generator = tmp_path_factory.mktemp("predictions"), np.random.default_rng(2)
     for name, subset in SUBSETS.items():
         manifest = shipped_manifest(name)
         for pair in select_pairs(manifest.records, manifest.card.subsets, subset=subset):
-            target = reference(root / "SID" / pair.reference)
-            save_prediction(folder / name, pair.path, prediction_of(target, pair.path))
+            sensor = read_raw(root / "SID" / pair.reference).sensor
+            shape = packed_shape((sensor.height, sensor.width), sensor.cfa)
+            save_prediction(folder / name, pair.path, generator.random(shape, np.float32))
     return folder
 
 
@@ -81,29 +55,22 @@ def results(root: Path, predictions: Path) -> dict[str, EvaluationResult]:
 
 
 @pytest.mark.parametrize(("name", "counts"), [("sid-sony", (40, 40, 49)), ("sid-fuji", (41, 27, 26))])
-def test_scores_and_table_equal_the_independent_computation(
-    name: str, counts: tuple[int, ...], root: Path, results: dict[str, EvaluationResult]
+def test_the_table_has_the_means_of_each_factor(
+    name: str, counts: tuple[int, ...], results: dict[str, EvaluationResult]
 ) -> None:
+    """Each score is held against the published code in ``test_every_protocol``."""
     result = results[name]
     assert (result.protocol.name, result.provenance["subset"]) == ("sid", SUBSETS[name])
     assert len(result.images) == len(result.pairs) == sum(counts)
-    expected: dict[float, list[oracle.Score]] = {}
-    for pair, image in zip(result.pairs, result.images, strict=True):
-        target = reference(root / "SID" / pair.reference)
-        other = oracle.score(prediction_of(target, pair.path), target, corrected=True)
-        expected.setdefault(float(pair.ratio), []).append(other)
-        assert image.psnr_db == pytest.approx(other.psnr_db, abs=1e-6, rel=0)
-        assert image.ssim == pytest.approx(other.ssim, abs=1e-7, rel=0)
-        assert image.rescale == pytest.approx(other.alpha, abs=1e-6, rel=0)
+    factors = (100, 250, 300)
     assert [(row.ratio, row.pairs) for row in result.table] == [
-        *zip((100, 250, 300), counts, strict=True),
+        *zip(factors, counts, strict=True),
         (None, sum(counts)),
     ]
-    for row in result.table[:-1]:
-        assert row.ratio is not None
-        psnr_db, ssim = oracle.mean(expected[row.ratio])
-        assert row.psnr_db == pytest.approx(psnr_db, abs=1e-6, rel=0)
-        assert row.ssim == pytest.approx(ssim, abs=1e-7, rel=0)
+    for row in result.table:
+        members = [image for image in result.images if row.ratio in (None, image.ratio)]
+        for value in ("psnr_db", "ssim"):
+            assert row.values[value] == pytest.approx(np.mean([one.values[value] for one in members]), rel=1e-12)
 
 
 def test_the_table_has_a_column_for_each_factor(results: dict[str, EvaluationResult]) -> None:
@@ -175,15 +142,6 @@ def test_unknown_names(
 def test_a_set_without_subsets_has_none(tree: Tree, predictions: Path) -> None:
     with pytest.raises(ArgumentError, match="known are none"):
         evaluate(predictions, manifest=tree.manifest, root=tree.root, subset="all")
-
-
-@pytest.mark.parametrize(
-    ("dataset", "protocol"), [("eld", "eld"), ("sid-sony", "sid"), ("sid-fuji", "sid"), ("drv", "drv-rgb")]
-)
-def test_each_dataset_has_its_protocol(dataset: str, protocol: str) -> None:
-    assert default_protocol(shipped_card(dataset)) is PROTOCOLS[protocol]
-    assert not PROTOCOLS["eld"].covers("elder")
-    assert not PROTOCOLS["sid"].covers("eld")
 
 
 # --- one folder for both cameras ----------------------------------------------------------------------------------

@@ -63,16 +63,6 @@ def test_intervals_hold_the_truth_as_often_as_they_say(scenes: int) -> None:
     assert share == pytest.approx(0.95, abs=four_errors(0.95, TRIALS))
 
 
-def test_taking_images_for_independent_would_hold_the_truth_far_less_often() -> None:
-    """Why scenes are drawn: the level of a scene adds 9 to a variance of 1 / 6 of 1, so that intervals over images are
-    sqrt((9 + 1) / 6 / (9 + 1/6)) = 0.43 as wide as they should be, and hold the truth in about 60 % of cases."""
-    generator = np.random.default_rng(5)
-    every = (scores(generator, 40)[0] for _ in range(TRIALS))
-    share = held((interval_of_mean(values, range(len(values))) for values in every), 40.0)
-    expected = 2 * float(scipy.stats.norm.cdf(1.96 * math.sqrt(10 / 6 / (9 + 1 / 6)))) - 1
-    assert share == pytest.approx(expected, abs=four_errors(expected, TRIALS) + 0.02)
-
-
 def test_paired_intervals_hold_the_difference_and_are_narrower() -> None:
     """Two methods on the same scenes, 0.3 dB apart: the scenes' levels cancel."""
     generator = np.random.default_rng(6)
@@ -131,7 +121,7 @@ def differences(generator: np.random.Generator, shared: float) -> NDArray[np.flo
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("shared", [0.0, 0.3, 0.6, 0.9])
+@pytest.mark.parametrize("shared", [0.0, 0.9])
 @pytest.mark.parametrize("each", [[4] * 10, [1, 2, 3, 4, 1, 2, 3, 4, 1, 2]])  # how many cameras photographed a scene
 def test_intervals_over_cameras_hold_the_truth_and_equal_methods_are_seldom_called_different(
     shared: float, each: list[int]
@@ -159,16 +149,6 @@ def test_intervals_over_cameras_hold_the_truth_and_equal_methods_are_seldom_call
         assert 0.04 <= share <= 0.065
 
 
-def test_cameras_taken_for_independent_hold_the_truth_far_less_often() -> None:
-    """Why scenes are shared: of a share of 0.9, the mean over 40 (camera, scene) varies (0.9 + 0.1 / 4) / 10 in place
-    of 1 / 40, so that intervals of 40 hold the truth in 2 Phi(t / sqrt(3.7)) - 1 = 0.71 of cases."""
-    generator = np.random.default_rng(15)
-    every = (of_cameras(differences(generator, 0.9)) for _ in range(TRIALS))
-    share = held((interval_of_scores(one, "psnr_db", scenes_shared=False) for one in every), 0.0)
-    expected = 2 * float(scipy.stats.norm.cdf(scipy.stats.t.ppf(0.975, 39) / math.sqrt(3.7))) - 1
-    assert share == pytest.approx(expected, abs=four_errors(expected, TRIALS))
-
-
 def test_what_counts_as_one_scene() -> None:
     values = differences(np.random.default_rng(16), 0.5)
     same, own = of_cameras(values), of_cameras(values, named_apart=True)
@@ -180,13 +160,6 @@ def test_what_counts_as_one_scene() -> None:
     assert named == apart, "scenes of other names are other scenes, whatever the card says"
     theirs = scipy.stats.ttest_1samp(values.mean(axis=(0, 2)), 0).confidence_interval(0.95)
     assert (together.low, together.high) == pytest.approx((theirs.low, theirs.high), rel=1e-9)
-
-
-def test_a_scene_that_some_cameras_lack_counts_once() -> None:
-    scores = of_cameras(differences(np.random.default_rng(17), 0.5))
-    some = [one for one in scores if one.camera == "camera-0" or one.scene in ("scene-0", "scene-1")]
-    found = interval_of_scores(some, "psnr_db", scenes_shared=True)
-    assert (found.images, found.scenes) == ((SCENES + 3 * 2) * IMAGES, SCENES)
 
 
 # --- against scipy ------------------------------------------------------------------------------------------------
@@ -260,23 +233,6 @@ def test_pieces_of_memory_do_not_change_the_kind_of_result(monkeypatch: pytest.M
     whole = sign_flip_p_value(values - 40.2, scenes)
     monkeypatch.setattr(statistics, "_ENTRIES_AT_ONCE", 64)
     assert sign_flip_p_value(values - 40.2, scenes) == whole  # the same draws in the same order
-
-
-def test_order_of_images_within_a_scene_does_not_matter() -> None:
-    values, scenes = scores(np.random.default_rng(1), 8)
-    turned = interval_of_mean(values.reshape(8, IMAGES)[:, ::-1].ravel(), scenes)
-    straight = interval_of_mean(values, scenes)
-    assert turned.low == pytest.approx(straight.low, rel=1e-13)
-    assert turned.high == pytest.approx(straight.high, rel=1e-13)
-
-
-def test_mean_is_over_images_not_over_scenes() -> None:
-    values = [1.0] * 10 + [2.0, 3.0, 4.0, 5.0, 6.0]
-    scenes = ["a"] * 10 + list("bcdef")
-    found = interval_of_mean(values, scenes)
-    assert found.mean == pytest.approx(2.0)
-    assert (found.images, found.scenes) == (15, 6)
-    assert found.low < 2.0 < found.high
 
 
 def test_few_scenes_have_no_interval() -> None:

@@ -144,10 +144,6 @@ def test_raw_scores_are_those_of_the_published_code(phases: tuple[str, str], tmp
     assert mosaics.videos == result.videos
 
 
-def test_scores_do_not_depend_on_jobs(drv: SmallDrv, predictions: Path, result: EvaluationResult) -> None:
-    assert score(drv, predictions, workers=2).videos == result.videos
-
-
 def test_a_task_of_a_clip_is_the_mean_over_its_frames(drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
     values: list[float] = []
 

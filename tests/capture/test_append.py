@@ -11,15 +11,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from capture.calibration import plan_calibration
 from capture.cli import main
 from capture.plan import Plan, make_plan
 from eldata.base.files import sha256_of
 from eldata.manifest import load_manifest, verify
 from tests.capture import simulated
 from tests.capture.simulated import CAMERA, Taken, plan_of, shoot, whole_plan
-from tests.capture.test_checklist import written
-from tests.capture.test_progress import ticked
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -61,18 +58,6 @@ def night(folder: Path, taken: list[Taken], monkeypatch: pytest.MonkeyPatch, day
     monkeypatch.setattr(simulated, "START", start)
     files[0].unlink()
     return files[1:]
-
-
-def test_a_backup_card_is_no_retake(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = plan_of("4", "1")
-    shoot(nights.folder / "card", whole_plan(plan))
-    shutil.copytree(nights.folder / "card", nights.folder / "backup")
-    assert nights.add(plan, nights.folder / "card", nights.folder / "backup", options=()) == 0
-    output = capsys.readouterr().out
-    assert "32 of 32 shots have a file; 64 files were given" in output
-    assert "card/DSC0001.dng; not used again, nor are 31 other copies" in output
-    assert "repeated" not in output
-    assert nights.problems() == []
 
 
 def test_frames_of_equal_settings_that_differ_are_retakes(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
@@ -122,27 +107,6 @@ def test_a_scene_on_two_cards(nights: Nights, capsys: pytest.CaptureFixture[str]
     assert (nights.csv.read_bytes(), card.read_bytes()) == before
 
 
-def test_a_second_night_with_the_first_still_on_the_card(
-    nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    plan = plan_of("4", "4", "4")
-    night(nights.folder / "card", whole_plan(plan.only(["scene-1"])), monkeypatch, 0)
-    nothing = ticked(plan)
-    for scene in nothing["scenes"][1:]:
-        for shot in scene["shots"]:
-            shot["taken_at"] = None
-    progress = written(nothing, nights.folder)
-    assert nights.add(plan, nights.folder / "card", options=("--progress", str(progress), "--yes")) == 0
-    capsys.readouterr()
-    night(nights.folder / "card" / "101", whole_plan(plan.only(["scene-2", "scene-3"])), monkeypatch, 1)
-    assert nights.add(plan, nights.folder / "card") == 0
-    output = capsys.readouterr().out
-    assert "AcmeNocturne/scene-1/IMG_0001.dng; not used again, nor are 15 other copies" in output
-    assert "32 of 32 shots have a file; 48 files were given" in output
-    assert len(nights.paths()) == 48
-    assert nights.problems() == []
-
-
 def test_a_second_plan_and_another_camera(
     nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -180,35 +144,6 @@ def test_a_second_plan_and_another_camera(
     assert remark in capsys.readouterr().err
     assert nights.csv.read_bytes() == before
     assert nights.problems() == []
-
-
-def test_calibration_frames_join_later(nights: Nights, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = plan_of("4", factors=(100,))
-    night(nights.folder / "scenes", whole_plan(plan), monkeypatch, 0)
-    assert nights.add(plan, nights.folder / "scenes", options=()) == 0
-    plan = replace(plan, calibration=plan_calibration(CAMERA, 100, (100,), Fraction(1, 2), bias_frames=4))
-    night(nights.folder / "frames", whole_plan(replace(plan, scenes=())), monkeypatch, 1)
-    assert nights.add(plan, nights.folder / "frames") == 0
-    assert load_manifest(nights.csv).card.title == "1 scene and calibration frames taken with AcmeNocturne"
-    assert nights.problems() == []
-
-
-@pytest.mark.parametrize("stage", ["card", "copies"])
-def test_after_a_kill_the_same_command_goes_on(nights: Nights, stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The card is written before the manifest, the copies before both."""
-    plan = plan_of("4", "1", factors=(100,))
-    night(nights.folder / "one", whole_plan(plan.only(["scene-1"])), monkeypatch, 0)
-    night(nights.folder / "two", whole_plan(plan.only(["scene-2"])), monkeypatch, 1)
-    assert nights.add(plan, nights.folder / "one", options=("--only", "scene-1")) == 0
-    card = nights.csv.with_suffix(".json")
-    begun, begun_card = nights.csv.read_bytes(), card.read_bytes()
-    assert nights.add(plan, nights.folder / "two") == 0
-    whole, whole_card = nights.csv.read_bytes(), card.read_bytes()
-    nights.csv.write_bytes(begun)
-    if stage == "copies":
-        card.write_bytes(begun_card)
-    assert nights.add(plan, nights.folder / "two") == 0
-    assert (nights.csv.read_bytes(), card.read_bytes()) == (whole, whole_card)
 
 
 def test_what_cannot_be_joined(

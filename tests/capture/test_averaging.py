@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import tempfile
 from dataclasses import replace
 from datetime import timedelta
@@ -19,7 +20,6 @@ from capture.check import average_references, check
 from capture.cli import main
 from capture.plan import make_plan
 from capture.protocol import CaptureProtocol
-from eldata.datasets import PairDataset
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.errors import ArgumentError
@@ -66,6 +66,19 @@ def photographed(folder: Path, moved_px: Mapping[int, float] = {}) -> Nights:
     return nights
 
 
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory: pytest.TempPathFactory) -> Nights:
+    """Not to be changed: copy it."""
+    return photographed(tmp_path_factory.mktemp("taken"))
+
+
+@pytest.fixture
+def nights(taken: Nights, tmp_path: Path) -> Nights:
+    for name in ("data", "manifests"):
+        shutil.copytree(taken.folder / name, tmp_path / name)
+    return Nights(tmp_path)
+
+
 def average(nights: Nights, *options: str) -> int:
     return main(["average", str(nights.csv), "--root", str(nights.folder / "data"), "--jobs", "1", *options])
 
@@ -79,8 +92,9 @@ def values(path: Path) -> NDArray[np.float64]:
         return raw.raw_image_visible.astype(np.float64)
 
 
-def test_means_are_those_of_libraw_and_numpy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    nights = photographed(tmp_path)
+def test_means_are_those_of_libraw_and_numpy(
+    nights: Nights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     scene = nights.data / "DemoAlpha" / "scene-1"
     assert average(nights, "--json", str(tmp_path / "means.json")) == 0
     output = capsys.readouterr().out
@@ -114,75 +128,34 @@ def test_means_are_those_of_libraw_and_numpy(tmp_path: Path, capsys: pytest.Capt
     assert [group.verdict for group in check(nights.csv, tmp_path / "data").groups] == ["keep"]
 
 
-def test_a_mean_has_a_quarter_of_the_variance_of_one_frame(tmp_path: Path) -> None:
-    """By the difference of the two blocks, whose expectations are equal: twice the variance of either."""
-    nights = photographed(tmp_path)
-    assert average(nights) == 0
-    scene = nights.data / "DemoAlpha" / "scene-1"
-    single = values(scene / "IMG_0001.dng") - values(scene / "IMG_0007.dng")
-    mean = values(scene / "IMG_0001-0004.dng") - values(scene / "IMG_0007-0010.dng")
-    dark = values(scene / "IMG_0001-0004.dng") < 8000  # far from saturation
-    # The frames' own rounding is in their variance; the mean's adds 1/12 DN² to each of the two.
-    expected = single[dark].var() / 4 + 2 / 12
-    # Variances of n pixels, whose own variances differ by the light: relative error sqrt(m4 / m2² - 1) / sqrt(n) each,
-    # of both added, five times.
-    spread = [np.sqrt(np.mean(one[dark] ** 4) / np.mean(one[dark] ** 2) ** 2 - 1) for one in (single, mean)]
-    tolerance = 5 * np.hypot(*spread) / np.sqrt(dark.sum())
-    assert dark.sum() > 100_000
-    assert mean[dark].var() == pytest.approx(expected, rel=tolerance)
-
-
-def test_datasets_take_the_mean_as_target(tmp_path: Path) -> None:
-    nights = photographed(tmp_path)
-    before = PairDataset(nights.data, nights.csv)[0]
-    assert average(nights) == 0
-    after = PairDataset(nights.data, nights.csv)[0]
-    assert after["ratio"] == before["ratio"]
-    np.testing.assert_array_equal(after["input"], before["input"])
-    assert 0 < float((after["target"] - before["target"]).abs().mean()) < 0.01
-
-
-def test_again_and_after_a_kill_it_comes_to_the_same(tmp_path: Path) -> None:
-    nights = photographed(tmp_path)
-    listed = nights.csv.read_bytes(), nights.csv.with_suffix(".json").read_bytes()
+def test_again_and_after_a_kill_it_comes_to_the_same(nights: Nights, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And nothing is left beside the frames, nor where temporary files go."""
+    monkeypatch.setattr(tempfile, "tempdir", str(nights.folder / "nowhere"))  # no scratch can be made
+    card = nights.csv.with_suffix(".json")
+    listed = nights.csv.read_bytes(), card.read_bytes()
     assert average(nights) == 0
     scene = nights.data / "DemoAlpha" / "scene-1"
 
     def content() -> dict[str, bytes]:
-        files = [nights.csv, nights.csv.with_suffix(".json"), *sorted(scene.iterdir())]
-        return {path.name: path.read_bytes() for path in files}
+        return {path.name: path.read_bytes() for path in [nights.csv, card, *sorted(scene.iterdir())]}
 
     whole = content()
     assert average(nights) == 0
     assert content() == whole
-    # Killed after the first mean, and again between card and manifest.
+    # Killed after the first mean, when that had its name and still the other one, and between card and manifest.
     (scene / "IMG_0007-0010.dng").unlink()
-    nights.csv.write_bytes(listed[0])
-    assert average(nights) == 0
-    assert content() == whole
-    nights.csv.write_bytes(listed[0])
-    nights.csv.with_suffix(".json").write_bytes(listed[1])
-    assert average(nights) == 0
-    assert content() == whole
-
-
-def test_nothing_is_left_beside_the_frames_or_where_temporary_files_go(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of a run that was killed when the mean had its name, and still the other one, too: the next one removes it."""
-    nights = photographed(tmp_path)
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))  # no scratch can be made
-    assert average(nights) == 0
-    scene = nights.data / "DemoAlpha" / "scene-1"
-    there = sorted(path.name for path in scene.iterdir())
     (scene / ".IMG_0001-0004.dng.eldata.part").hardlink_to(scene / "IMG_0001-0004.dng")
+    nights.csv.write_bytes(listed[0])
     assert average(nights) == 0
-    assert sorted(path.name for path in scene.iterdir()) == there
+    assert content() == whole
+    nights.csv.write_bytes(listed[0])
+    card.write_bytes(listed[1])
+    assert average(nights) == 0
+    assert content() == whole
 
 
-def test_what_was_measured_against_a_single_one_is_removed(tmp_path: Path) -> None:
-    nights = photographed(tmp_path)
-    checked = ["check", str(nights.csv), "--root", str(tmp_path / "data"), "--jobs", "1", "--write"]
+def test_what_was_measured_against_a_single_one_is_removed(nights: Nights) -> None:
+    checked = ["check", str(nights.csv), "--root", str(nights.folder / "data"), "--jobs", "1", "--write"]
     assert main(checked) == 0
     assert rows(nights)["IMG_0005.dng"].measured_ratio is not None
     assert average(nights) == 0
@@ -228,12 +201,11 @@ def test_a_set_that_grows_says_that_its_means_are_to_be_made_anew(
     assert nights.problems() == []
 
 
-def test_what_cannot_be_averaged(tmp_path: Path) -> None:
+def test_what_cannot_be_averaged(nights: Nights, tmp_path: Path) -> None:
     one = write_scenes(tmp_path / "one", ids=(1, 2, 6), size=(64, 96))
     with pytest.raises(ArgumentError, match="has no scene in which two references IMG_<nnnn> follow each other"):
         average_references(one.path, tmp_path / "one" / "data")
 
-    nights = photographed(tmp_path)
     scene = nights.data / "DemoAlpha" / "scene-1"
     listed = nights.csv.read_bytes()
     (scene / "IMG_0007-0010.dng").write_bytes(b"mine")

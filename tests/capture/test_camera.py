@@ -34,34 +34,17 @@ def test_names_lie_near_what_the_camera_gives(step: Fraction) -> None:
     assert [time.true_exact for time in times] == sorted((time.true_exact for time in times), key=float)
 
 
-@pytest.mark.parametrize(
-    ("step", "dial", "exact"),
+@in_one_test(
+    "step, dial, exponent",
     [
-        (THIRD, "1/60", Fraction(1, 64)),
-        (THIRD, "1/4000", Fraction(1, 4096)),
-        (THIRD, "15", Fraction(16)),
-        (THIRD, "30", Fraction(32)),
-        (HALF, "1/60", Fraction(1, 64)),
-        (FULL, "1/125", Fraction(1, 128)),
-        (FULL, "1/8", Fraction(1, 8)),
-    ],
-)
-def test_full_stops_are_fractions(step: Fraction, dial: str, exact: Fraction) -> None:
-    assert ladder(step)[Fraction(dial)].true_exact == as_exact(exact)
-
-
-@pytest.mark.parametrize(
-    ("step", "dial", "exponent"),
-    [
-        (THIRD, "0.3", Fraction(-5, 3)),
-        (THIRD, "1/50", Fraction(-17, 3)),
-        (THIRD, "10", Fraction(10, 3)),
-        (HALF, "10", Fraction(7, 2)),
-        (HALF, "0.3", Fraction(-3, 2)),
+        *((THIRD, "1/60", Fraction(-6)), (THIRD, "1/4000", Fraction(-12)), (THIRD, "15", Fraction(4))),
+        *((THIRD, "30", Fraction(5)), (HALF, "1/60", Fraction(-6)), (FULL, "1/125", Fraction(-7))),
+        *((FULL, "1/8", Fraction(-3)), (THIRD, "0.3", Fraction(-5, 3)), (THIRD, "1/50", Fraction(-17, 3))),
+        *((THIRD, "10", Fraction(10, 3)), (HALF, "10", Fraction(7, 2)), (HALF, "0.3", Fraction(-3, 2))),
         (HALF, "1/45", Fraction(-11, 2)),
     ],
 )
-def test_steps_between_are_powers_of_two(step: Fraction, dial: str, exponent: Fraction) -> None:
+def test_times_are_powers_of_two(step: Fraction, dial: str, exponent: Fraction) -> None:
     assert ladder(step)[Fraction(dial)].true_exact == ExactNumber(Fraction(1), exponent)
 
 
@@ -136,16 +119,14 @@ def test_listed_times_that_are_given_as_named() -> None:
     assert single.nearest(Fraction(1, 130)) is single.nearest(Fraction(1, 70)) is None
 
 
-@pytest.mark.parametrize(("observed", "stops"), [("1/60", 0), ("1/64", 0), ("1/62", 0.0458), ("1/50", 0.263)])
-def test_exif_may_state_the_name_or_what_is_given(observed: str, stops: float) -> None:
-    assert ladder(THIRD)[Fraction(1, 60)].stops_off(Fraction(observed)) == pytest.approx(stops, abs=0.001)
+def test_exif_may_state_the_name_or_what_is_given() -> None:
+    for observed, stops in (("1/60", 0), ("1/64", 0), ("1/62", 0.0458), ("1/50", 0.263)):
+        assert ladder(THIRD)[Fraction(1, 60)].stops_off(Fraction(observed)) == pytest.approx(stops, abs=0.001)
 
 
-@pytest.mark.parametrize(
+@in_one_test(
     "shutter",
     [
-        EXAMPLE.shutter,
-        Shutter.between("1/4000", "30", HALF),
         Shutter.between("1/4000", "30", THIRD, "as-named"),
         Shutter(("1/1000", "1/90", "0.25"), true_times="as-named"),
         Shutter(("1/1000", "1/125", "4"), FULL),
@@ -159,15 +140,6 @@ def test_round_trip(shutter: Shutter, tmp_path: Path) -> None:
     assert CameraDescription.load(tmp_path / "cam.json") == description
 
 
-def test_example_is_the_released_sets_camera(tmp_path: Path) -> None:
-    EXAMPLE.save(tmp_path / "cam.json")
-    content = json.loads((tmp_path / "cam.json").read_text())
-    assert content["shutter"] == {
-        "step": "1/3", "true_times": "powers-of-two", "fastest": "1/8000", "slowest": "30",
-    }  # fmt: skip
-    assert CameraDescription.load(tmp_path / "cam.json") == EXAMPLE
-
-
 GOOD: dict[str, Any] = {
     "schema": 1,
     "name": "Acme",
@@ -179,50 +151,24 @@ GOOD: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("field", sorted(GOOD))
-def test_each_field_is_needed(field: str, tmp_path: Path) -> None:
-    path = tmp_path / "cam.json"
-    path.write_text(json.dumps({key: value for key, value in GOOD.items() if key != field}))
-    with pytest.raises(CameraError) as caught:
-        CameraDescription.load(path)
-    assert str(caught.value).startswith(f"{path}, field {field}: expected ")
-    assert str(caught.value).endswith(", found nothing")
-
-
 @in_one_test(
     "change, words",
     [
         ({"schema": 2}, "field schema: expected 1 (a newer file needs a newer capture), found 2"),
-        ({"schema": True}, "field schema"),
         ({"colour": 1}, "field colour: is unknown; known are schema, name"),
-        ({"name": ""}, "field name: expected a text, found ''"),
-        ({"name": None}, "field name: expected a text, found null"),
         ({"name": "a/b"}, "camera name: expected letters, digits"),
-        ({"name": ".."}, "camera name: expected letters, digits"),
-        ({"models": "A7"}, "field models: expected a list of texts, found 'A7'"),
         ({"models": []}, "models of Acme: expected the camera's name as EXIF has it"),
-        ({"models": [1]}, "field models[0]: expected a text, found 1"),
         ({"raw_extension": "ARW"}, "raw_extension of Acme: expected a raw file's, with the dot"),
-        ({"raw_extension": ".jpg"}, "raw_extension of Acme"),
-        ({"isos": []}, "field isos: expected a list of at least one whole number"),
-        ({"isos": [100, "800"]}, "field isos[1]: expected a whole number of 1 or more, found '800'"),
         ({"isos": [100, 100]}, "field isos[1]: expected each value once, found 100"),
         ({"isos": [800, 100]}, "isos of Acme: expected one or more, rising"),
         ({"base_iso": 200}, "base_iso of Acme: expected one of its ISOs, 100, 800; found 200"),
-        ({"base_iso": 100.0}, "field base_iso: expected a whole number of 1 or more, found 100.0"),
         ({"cfa": "foveon"}, "field cfa: expected one of 'bayer', 'xtrans', found 'foveon'"),
-        ({"shutter": None}, "field shutter: expected an object, found null"),
         (
             {"shutter": {"step": "1/4", "fastest": "1/8000", "slowest": "30"}},
             'shutter.step: expected "1/3", "1/2" or "1"',
         ),
         ({"shutter": {"step": 0.5, "fastest": "1/8000", "slowest": "30"}}, "shutter.step: expected seconds as text"),
-        ({"shutter": {"step": "1/3", "slowest": "30"}}, "field shutter.fastest: expected a text, found nothing"),
         ({"shutter": {"fastest": "1/8000", "slowest": "30"}}, "field shutter.step: expected seconds as text, such as"),
-        (
-            {"shutter": {"step": "1/3", "fastest": "1/8000", "slowest": 30}},
-            "shutter.slowest: expected a text, found 30",
-        ),
         (
             {"shutter": {"step": "1/3", "fastest": "1/7000", "slowest": "30"}},
             "1/7000 s is not a standard time in steps of 1/3 stop; the nearest is 1/6400 s",
@@ -237,11 +183,6 @@ def test_each_field_is_needed(field: str, tmp_path: Path) -> None:
             {"shutter": {"times": ["1/2"], "true_times": "roughly"}},
             "true_times: expected one of 'powers-of-two', 'as-named'",
         ),
-        ({"shutter": {"times": ["1/2"], "speed": 1}}, "field shutter.speed"),
-        (
-            {"shutter": {"times": ["1/2"], "bulb_s": "60"}},
-            "field shutter.bulb_s: expected a whole number from 0 to 3600",
-        ),
     ],
 )
 def test_malformed_descriptions(change: dict[str, Any], words: str, tmp_path: Path) -> None:
@@ -252,14 +193,6 @@ def test_malformed_descriptions(change: dict[str, Any], words: str, tmp_path: Pa
     assert str(caught.value).startswith(str(path))
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("content", [b"", b"[]", b"{", b"\xff\xfe", b'{"schema": NaN}', b"[" * 100000])
-def test_what_is_no_object_is_refused(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "cam.json"
-    path.write_bytes(content)
-    with pytest.raises(CameraError, match=r"cam\.json(: is not JSON|: expected an object|, field schema: .*found NaN)"):
-        CameraDescription.load(tmp_path / "cam.json")
 
 
 def test_true_isos(tmp_path: Path) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -15,24 +13,20 @@ import pytest
 from capture.check import CheckedGroup, CheckReport, Measure, check, write_sheet
 from capture.check.measures import Estimate, MeasureKind
 from capture.cli import main
-from eldata.errors import ArgumentError, ManifestError
 from eldata.records import Exposure
 from tests.capture.simulated_scenes import (
     ALPHA,
-    BETA,
     SIZE,
     Shot,
     radiance,
     write_scenes,
 )
 from tests.reports.pages import checked as checked_page
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from eldata.demo.camera import SimulatedCamera
     from eldata.records import FrameRecord
 
 FEW = (1, 4, 5, 6, 14, 15, 16)  # references, and noisy frames at x100 and x200 of ISO 800 and 3200
@@ -57,35 +51,10 @@ def value(group: CheckedGroup, name: str, number: int) -> Measure:
     return found
 
 
-# --- clean --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.study
-@pytest.mark.parametrize(("camera", "seed"), [(ALPHA, 1), (BETA, 2)])
-def test_nothing_is_found_on_ten_clean_scenes(tmp_path: Path, camera: SimulatedCamera, seed: int) -> None:
-    """Ten scenes of all sixteen frames: ISO 800 to 3200, ratios 1 to 200."""
-    manifest = write_scenes(tmp_path, scenes=range(1, 11), camera=camera, seed=seed)
-    report = check(manifest, tmp_path / "data", workers=2)
-    assert [str(reason) for group in report.groups for reason in group.reasons] == []
-    assert [group.verdict for group in report.groups] == ["keep"] * 10
-    assert report.ok
-    # And the ratios are right: 120 of them, each within its own standard error as often as normal errors are.
-    off = [
-        (one.value - one.kind.expected) / one.standard_error
-        for group in report.groups
-        for one in group.measures
-        if one.name == "ratio"
-    ]
-    assert len(off) == 120
-    # Of 120, 95.4 % within two: 114.5 +- 2.3; four standard deviations below are 105.
-    assert np.count_nonzero(np.abs(off) < 2) >= 105
-    assert max(np.abs(off)) < 5
-
-
 # --- references ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("percent", "verdict"), [(1, "look"), (2, "shoot again"), (5, "shoot again")])
+@pytest.mark.parametrize(("percent", "verdict"), [(1, "look"), (2, "shoot again")])
 def test_a_drifting_lamp(tmp_path: Path, percent: float, verdict: str) -> None:
     """The lamp drifts evenly over the sixteen frames."""
 
@@ -100,10 +69,7 @@ def test_a_drifting_lamp(tmp_path: Path, percent: float, verdict: str) -> None:
     assert value(group, "drift", 6).value == pytest.approx(percent / 3, abs=0.1)
 
 
-@pytest.mark.parametrize(
-    ("pixels", "verdict", "scene"),
-    [(0.3, "look", 1), (0.3, "look", 2), (1.0, "shoot again", 2), (5.0, "shoot again", 1)],
-)
+@pytest.mark.parametrize(("pixels", "verdict", "scene"), [(0.3, "look", 1), (5.0, "shoot again", 2)])
 def test_a_moved_tripod(tmp_path: Path, pixels: float, verdict: str, scene: int) -> None:
     """Between the second reference and the rest."""
     group = checked(tmp_path, dict.fromkeys((14, 15, 16), lambda shot: shot.moved(pixels * 0.6, -pixels * 0.8)), scene)
@@ -112,7 +78,7 @@ def test_a_moved_tripod(tmp_path: Path, pixels: float, verdict: str, scene: int)
     assert value(group, "shift", 16).value == pytest.approx(pixels, abs=0.1)
 
 
-@pytest.mark.parametrize(("sigma", "verdict", "scene"), [(0.6, "look", 1), (0.6, "look", 2), (1.5, "shoot again", 2)])
+@pytest.mark.parametrize(("sigma", "verdict", "scene"), [(0.6, "look", 1), (1.5, "shoot again", 2)])
 def test_a_change_of_focus(tmp_path: Path, sigma: float, verdict: str, scene: int) -> None:
     group = checked(tmp_path, dict.fromkeys((14, 15, 16), lambda shot: shot.blurred(sigma)), scene)
     assert named(group) == {("focus", 16)}
@@ -188,29 +154,20 @@ def test_exif_that_is_wrong(tmp_path: Path) -> None:
     assert value(group, "EXIF ratio", 5).kind.expected == 50
 
 
-def test_a_shutter_a_third_of_a_stop_off(tmp_path: Path) -> None:
-    """With EXIF as planned; the planned time rounds to 1/500 s in the camera."""
-    group = checked(tmp_path, {5: lambda shot: replace(shot, exposure_s=Fraction(1, 508))})
-    assert named(group) == {("ratio", 5), ("EXIF ratio", 5)}
-    found = value(group, "ratio", 5)
-    assert found.value == pytest.approx(254, abs=4 * found.standard_error)
-
-
 def test_the_ratio_of_a_frame_with_noise_only(tmp_path: Path) -> None:
     group = checked(tmp_path, {15: lambda shot: shot.lit(0)})
     assert group.verdict == "shoot again"
     assert named(group) == {("signal", 15)}
 
 
-@pytest.mark.parametrize("number", [4, 5])
-def test_flicker_of_a_noisy_frame(tmp_path: Path, number: int) -> None:
+def test_flicker_of_a_noisy_frame(tmp_path: Path) -> None:
     """Five per cent at 5.3 bands a frame, as of a lamp on 100 Hz and a slow readout."""
     bands = 1 + 0.05 * np.sin(2 * np.pi * 5.3 * np.arange(SIZE[0]) / SIZE[0])[:, None]
-    group = checked(tmp_path, {number: lambda shot: shot.lit(bands)}, scene=2)
-    assert named(group) == {("flicker", number)}
+    group = checked(tmp_path, {5: lambda shot: shot.lit(bands)}, scene=2)
+    assert named(group) == {("flicker", 5)}
     assert group.verdict == "shoot again"
-    assert value(group, "flicker", number).value == pytest.approx(5, abs=1)
-    assert "5.25 per frame" in value(group, "flicker", number).text
+    assert value(group, "flicker", 5).value == pytest.approx(5, abs=1)
+    assert "5.25 per frame" in value(group, "flicker", 5).text
 
 
 def test_weak_flicker_of_a_reference(tmp_path: Path) -> None:
@@ -348,12 +305,6 @@ def test_ratios_that_are_off_alike_are_one_line_and_a_count() -> None:
     assert sum(len(group["reasons"]) for group in report.as_dict()["groups"]) == 80
 
 
-def test_one_scene_that_is_well_exits_with_0(two_scenes: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(two_scenes, "--scene", "1") == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "my: 1 keep"
-    assert run(two_scenes, "--scene", "scene-1", "--camera", ALPHA.name) == 0
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -375,17 +326,8 @@ def test_wrong_usage_is_one_line(
 
 def test_the_result_does_not_depend_on_the_number_of_jobs(two_scenes: Path) -> None:
     csv, data = two_scenes / "manifests" / "my.csv", two_scenes / "data"
-    assert check(csv, data, workers=1) == check(csv, data, workers=4)
-
-
-def test_jobs_must_be_positive(two_scenes: Path) -> None:
-    with pytest.raises(ArgumentError, match="workers"):
-        check(two_scenes / "manifests" / "my.csv", two_scenes / "data", workers=0)
-
-
-def test_an_absent_folder_is_an_error(two_scenes: Path, tmp_path: Path) -> None:
-    with pytest.raises(ManifestError, match="no folder"):
-        check(two_scenes / "manifests" / "my.csv", tmp_path)
+    assert check(csv, data, workers=1) == check(csv, data, workers=2)
+    assert run(two_scenes, "--scene", "scene-1", "--camera", ALPHA.name) == run(two_scenes, "--scene", "1") == 0
 
 
 def test_the_sheet_escapes_names(tmp_path: Path) -> None:
@@ -393,12 +335,3 @@ def test_the_sheet_escapes_names(tmp_path: Path) -> None:
 
     write_sheet(tmp_path / "sheet.html", CheckReport("<script>", ()))
     assert "<script>" not in (tmp_path / "sheet.html").read_text()
-
-
-def test_help_loads_neither_torch_nor_rawpy() -> None:
-    code = (
-        "import sys; from capture.cli import main; main(['check', '--help']); import capture.check; "
-        "print([name for name in ('torch', 'rawpy', 'matplotlib') if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"

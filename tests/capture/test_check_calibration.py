@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ import pytest
 from capture.check import CheckedGroup, Measure, check
 from capture.cli import main
 from eldata.demo.calibration_frames import make_calibration_frames
+from eldata.manifest import load_manifest
 from eldata.raw import read_raw, write_dng
 
 if TYPE_CHECKING:
@@ -45,10 +47,21 @@ class Set:
         return bias, flat
 
 
+def made(folder: Path, seed: int = 4, isos: tuple[int, ...] = (1600,)) -> Manifest:
+    return make_calibration_frames(folder, isos=isos, bias_frames=6, flat_levels=3, size=SIZE, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("frames")
+    made(folder)
+    return folder
+
+
 @pytest.fixture
-def frames(tmp_path: Path) -> Set:
-    manifest = make_calibration_frames(tmp_path, isos=(1600,), bias_frames=6, flat_levels=3, size=SIZE, seed=4)
-    return Set(tmp_path, manifest)
+def frames(pristine: Path, tmp_path: Path) -> Set:
+    shutil.copytree(pristine, tmp_path, dirs_exist_ok=True)
+    return Set(tmp_path, load_manifest(tmp_path / "manifests" / "calibration-demo.csv"))
 
 
 def named(group: CheckedGroup) -> set[tuple[str, int]]:
@@ -56,11 +69,9 @@ def named(group: CheckedGroup) -> set[tuple[str, int]]:
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("seed", range(2))
-def test_nothing_is_found_on_clean_frames(tmp_path: Path, seed: int) -> None:
-    """Fixed pattern, hot pixels, shading and vignetting of the demo's camera included; five ISOs each."""
-    isos = (100, 400, 1600, 6400, 25600)
-    manifest = make_calibration_frames(tmp_path, isos=isos, bias_frames=6, flat_levels=3, size=SIZE, seed=seed)
+def test_nothing_is_found_on_clean_frames(tmp_path: Path) -> None:
+    """Fixed pattern, hot pixels, shading and vignetting of the demo's camera included; five ISOs."""
+    manifest = made(tmp_path, seed=0, isos=(100, 400, 1600, 6400, 25600))
     report = check(manifest, tmp_path / "data")
     assert [str(reason) for group in report.groups for reason in group.reasons] == []
     assert [group.verdict for group in report.groups] == ["keep"] * 10
@@ -89,8 +100,7 @@ BANDS = 0.04 * np.sin(2 * np.pi * 3 * np.arange(SIZE[0]) / SIZE[0])[:, None]
         pytest.param(
             range(7, 13), lambda dn: 512 + (dn - 512) * np.linspace(0.3, 1, SIZE[1]), "evenness", "look", id="uneven"
         ),
-        pytest.param((10,), lambda dn: 512 + (dn - 512) * 1.02, "pair", "look", id="an unequal pair"),
-        pytest.param((10,), lambda dn: 512 + (dn - 512) * 1.08, "pair", "shoot again", id="a more unequal pair"),
+        pytest.param((10,), lambda dn: 512 + (dn - 512) * 1.08, "pair", "shoot again", id="an unequal pair"),
         pytest.param(
             (12,), lambda dn: 512 + (dn - 512) * (1 + BANDS), "flicker", "shoot again", id="a flickering flat"
         ),
@@ -110,7 +120,7 @@ def test_what_is_found(
     assert named(group) == {(name, number) for number in numbers}
     assert group.verdict == verdict
     for pair in (one for one in group.measures if one.name == name == "pair" and one.path.endswith("0010.dng")):
-        assert pair.value == pytest.approx(2 if verdict == "look" else 8, abs=0.5)
+        assert pair.value == pytest.approx(8, abs=0.5)
 
 
 def test_a_leak_in_all_bias_frames_shows_as_shading(frames: Set) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from capture.check.calibration import PATCHES, patch_levels, unevenness
 from capture.check.cells import Cells, luminance, reduce_to_cells, saturation_dn
 from capture.check.flicker import flicker_of_contrast, flicker_of_level
-from capture.check.measures import Measure, MeasureKind, worst
+from capture.check.measures import Measure, MeasureKind
 from capture.check.ratio import RatioFit, brightness_ratios, fit_ratio
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
 from eldata.raw.cfa import XTRANS_CFA, bayer_cfa, pack
@@ -89,7 +90,7 @@ def test_saturation_below_the_recorded_white_level_is_seen() -> None:
     assert cells_of(clipped, BETA).clipped_share == pytest.approx(true_share, rel=0.05)
 
 
-@pytest.mark.parametrize("scene", range(1, 9))
+@pytest.mark.parametrize("scene", [1, 2])
 def test_frames_without_saturation_show_none(scene: int) -> None:
     for camera in (ALPHA, BETA):
         mosaic = photographed(radiance(scene), 1, camera=camera)
@@ -99,11 +100,11 @@ def test_frames_without_saturation_show_none(scene: int) -> None:
 # --- drift --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("camera", [ALPHA, BETA], ids=lambda camera: camera.name)
-def test_drift_to_a_tenth_of_a_percent(camera: SimulatedCamera) -> None:
+def test_drift_to_a_tenth_of_a_percent() -> None:
     """Ten scenes, four channels, drifts of -5 to 5 %: accurate, and within the standard errors as normal errors are."""
     off = []
     for scene, percent in zip(range(1, 11), (-5, -3, -2, -1, -0.5, 0.5, 1, 2, 3, 5), strict=True):
+        camera = (ALPHA, BETA)[scene % 2]
         first = cells_of(photographed(radiance(scene), 1, camera=camera), camera)
         light = radiance(scene) * np.float32(1 + percent / 100)
         second = cells_of(photographed(light, 2, camera=camera), camera)
@@ -133,7 +134,7 @@ def test_too_dark_frames_have_no_drift() -> None:
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(("camera", "scene"), [(ALPHA, 1), (BETA, 2), (BETA, 3), (ALPHA, 4)])
+@pytest.mark.parametrize(("camera", "scene"), [(ALPHA, 1), (BETA, 2)])
 def test_shift_to_a_tenth_of_a_pixel(camera: SimulatedCamera, scene: int) -> None:
     light = radiance(scene)
     tiles = make_tiles(grey_of(photographed(light, 1, camera=camera), camera))
@@ -174,7 +175,7 @@ def test_a_picture_without_detail_has_no_shift() -> None:
     assert make_tiles(np.zeros((20, 20), dtype=np.float32)) is None
 
 
-@pytest.mark.parametrize(("sigma", "least", "most"), [(0.5, 0.90, 0.99), (1.0, 0.75, 0.93), (2.0, 0.3, 0.8)])
+@pytest.mark.parametrize(("sigma", "least", "most"), [(0.5, 0.90, 0.99), (2.0, 0.3, 0.8)])
 def test_focus_falls_with_blur_and_noise_does_not_matter(sigma: float, least: float, most: float) -> None:
     from scipy import ndimage
 
@@ -210,11 +211,10 @@ def fits(camera: SimulatedCamera, iso: int, ratio: int, frames: int) -> list[Rat
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(("iso", "ratio"), [(800, 1), (800, 100), (3200, 10), (3200, 200)])
-def test_the_ratio_is_within_its_standard_error(iso: int, ratio: int) -> None:
+def test_the_ratio_is_within_its_standard_error() -> None:
     off = []
-    for camera in (ALPHA, BETA):
-        for fit in fits(camera, iso, ratio, 20):
+    for camera, (iso, ratio) in product((ALPHA, BETA), ((800, 1), (800, 100), (3200, 10), (3200, 200))):
+        for fit in fits(camera, iso, ratio, 5):
             off.append((fit.slope.value * ratio - 1) / (fit.slope.standard_error * ratio))
             assert fit.match.value == pytest.approx(1, abs=max(0.001, 5 * fit.match.standard_error))
     # Of 40 values 68 % within one, 95 % within two; less four standard deviations of the shares.
@@ -257,7 +257,7 @@ def test_black_that_is_clipped_has_no_ratio() -> None:
 # --- flicker ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("amplitude", "cycles"), [(0.02, 2.4), (0.05, 7.0), (0.05, 16.3)])
+@pytest.mark.parametrize(("amplitude", "cycles"), [(0.02, 2.4), (0.05, 16.3)])
 def test_flicker_has_the_amplitude_that_was_put_in(amplitude: float, cycles: float) -> None:
     bands = 1 + amplitude * np.sin(2 * np.pi * cycles * np.arange(SIZE[0]) / SIZE[0] + 1)[:, None]
     reference = cells_of(photographed(radiance(2), 1))
@@ -319,11 +319,6 @@ def test_unevenness_of_a_ramp() -> None:
 def test_a_value_is_beyond_a_limit_if_it_cannot_be_chance(value: float, error: float, verdict: str) -> None:
     measure = Measure(MeasureKind("drift", "%", 1.0, 2.0, "test", "advice"), "a.dng", "text", value, error)
     assert measure.verdict == verdict
-
-
-def test_the_worst_verdict() -> None:
-    assert worst([]) == "keep"
-    assert worst(["look", "keep", "shoot again"]) == "shoot again"
 
 
 def test_a_measure_says_value_error_limits_and_advice() -> None:

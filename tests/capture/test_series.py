@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from datetime import timedelta
 from fractions import Fraction
@@ -343,12 +342,3 @@ def test_dark_frames_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureF
         other = [str(tmp_path / "other.json") if part == str(file) else part for part in new]
         assert main([*other, *wrong]) == 2
         assert words in capsys.readouterr().err
-
-
-def test_series_survive_the_plans_file(tmp_path: Path) -> None:
-    plan = with_series(lrid("4")).set_aperture("scene-1", Fraction("5.6"))
-    plan.save(tmp_path / "plan.json")
-    assert Plan.load(tmp_path / "plan.json") == plan
-    content = json.loads((tmp_path / "plan.json").read_text())
-    assert content["protocol"]["repeats"] == 3
-    assert content["calibration"]["dark"]["settings"][0] == {"iso": 800, "nominal_s": "1/2"}

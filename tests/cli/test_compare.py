@@ -122,11 +122,6 @@ def test_scenes_of_all_cameras_count_once_where_they_are_shared(
     assert ("0.008" in outcome.out) == ("0.008" in page.read_text(encoding="utf-8")) == apart
 
 
-def test_names(compare: Callable[..., Outcome], files: list[Path]) -> None:
-    outcome = compare(*files[:2], "--name", "A", "--name", "B")
-    assert "B minus A" in outcome.out
-
-
 def test_only_common_images_count_and_that_is_said(compare: Callable[..., Outcome], files: list[Path]) -> None:
     def drop(data: dict[str, Any]) -> None:
         data["coverage"] |= {"scored": 90, "missing": [image["path"] for image in data["images"][:6]]}

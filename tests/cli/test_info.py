@@ -8,6 +8,7 @@ import pytest
 from eldata.manifest import catalogue
 from eldata.manifest.card import Download
 from eldata.manifest.catalogue import carded_names, shipped_card, shipped_manifest, shipped_names
+from tests.cases import in_one_test
 from tests.cli.test_usage import assert_one_line
 from tests.download.helpers import contents, file_names, make_shelf
 
@@ -101,7 +102,7 @@ def test_the_next_command_is_to_verify_what_is_there(eldata: Cli, small: Path) -
     assert file_names()[0] in verified.out
 
 
-@pytest.mark.parametrize("name", carded_names())
+@in_one_test("name", carded_names())
 def test_every_dataset_has_its_page(name: str, eldata: Cli) -> None:
     outcome = eldata("info", name)
     assert (outcome.code, outcome.err) == (0, "")
@@ -153,8 +154,3 @@ def test_json(eldata: Cli, small: Path, tmp_path: Path) -> None:
     assert dataset["places"][0] | {"direct": True, "part": "Sony"} == dataset["places"][0]
     eldata("info", "small", "--json", tmp_path / "y.json")
     assert json.loads((tmp_path / "y.json").read_text()) == {"datasets": [dataset]}
-
-
-def test_wrong_usage(eldata: Cli) -> None:
-    assert_one_line(eldata("info", "led"), "'led'", "eld", "sid-sony")
-    assert_one_line(eldata("info", "eld", "more"), "more")

@@ -34,17 +34,9 @@ def command(tree: Tree, store: Path, *more: str) -> list[str]:
     return ["pack", "eld-demo", "--manifest", str(tree.manifest), "--root", str(tree.root), "-o", str(store), *more]
 
 
-def test_help_names_every_option(eldata: Cli) -> None:
-    outcome = eldata("pack", "--help")
-    assert (outcome.code, outcome.err) == (0, "")
-    for word in ("DATASET", "STORE", "--root", "--manifest", "--split", "--subset", "--clip", "--camera", "lz4"):
-        assert word in outcome.out
-
-
-@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_pack_then_verify_then_read(compression: str, eldata: Cli, tree: Tree, tmp_path: Path) -> None:
+def test_pack_then_verify_then_read(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
     store = tmp_path / "store.h5"
-    outcome = eldata(*command(tree, store, "--compression", compression, "--jobs", "2"))
+    outcome = eldata(*command(tree, store, "--compression", "lz4", "--jobs", "2"))
     assert (outcome.code, outcome.err) == (0, "")
     assert outcome.out.startswith(f"32 frames packed: {store}, ")
     assert f"to check: eldata verify {store} --level full\n" in outcome.out
@@ -54,11 +46,8 @@ def test_pack_then_verify_then_read(compression: str, eldata: Cli, tree: Tree, t
         assert checked.out == f"eld-demo: 32 of 32 files checked ({level}) in {store}: all well\n"
         assert json.loads((tmp_path / "report.json").read_text())["ok"] is True
     assert len(PackedStore(store, crop=8)) == 24
-
-
-def test_a_part_by_camera_and_split(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
-    more = ("--camera", "DemoBeta", "--split", "test")
-    assert eldata(*command(tree, tmp_path / "store.h5", *more)).out.startswith("16 frames packed: ")
+    part = ("--camera", "DemoBeta", "--split", "test")
+    assert eldata(*command(tree, tmp_path / "part.h5", *part)).out.startswith("16 frames packed: ")
 
 
 def test_a_folder_of_clean_raws(eldata: Cli, tree: Tree, tmp_path: Path) -> None:

@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -17,7 +12,6 @@ from eldata import StreamedPairs
 from eldata.sources.shards import verify_shards
 from tests.cli.conftest import Outcome
 from tests.cli.test_usage import assert_one_line
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,14 +46,6 @@ def test_shards_of_a_store(sharded: Shard, store: Path, tmp_path: Path) -> None:
     assert len(StreamedPairs(str(tmp_path / "whole"))) == 12
 
 
-def test_help_names_every_option(sharded: Shard) -> None:
-    outcome = sharded("--help")
-    assert (outcome.code, outcome.err) == (0, "")
-    options = ("--output", "--tile", "--overlap", "--samples-per-shard", "--seed", "--split", "--subset", "--camera")
-    for word in ("STORE", *options, "whole", "kill -9"):
-        assert word in outcome.out
-
-
 def test_what_is_wrong_is_one_line(sharded: Shard, store: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
     assert_one_line(sharded(store), "--output")
@@ -82,36 +68,3 @@ def test_shards_are_verified(eldata: Cli, sharded: Shard, store: Path, tmp_path:
     assert "shard-000001.tar" in broken.out
     assert json.loads((tmp_path / "found.json").read_text())["problems"] == broken.out.splitlines()
     assert_one_line(eldata("verify", out / "index.json", "--root", tmp_path), "shards are checked whole")
-
-
-@pytest.mark.kill
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_an_ended_command_goes_on(number: signal.Signals, sharded: Shard, store: Path, tmp_path: Path) -> None:
-    """Ended as soon as the third shard is there; a run that was faster than that is begun again."""
-    reference, out = tmp_path / "reference", tmp_path / "shards"
-    options = ["--tile", "8", "--samples-per-shard", "2"]
-    assert sharded(store, "-o", reference, *options).code == 0
-    for _ in range(20):
-        process = subprocess.Popen(
-            [sys.executable, "-m", "eldata.cli.main", "shard", str(store), "-o", str(out), *options],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        while not (out / "shard-000002.tar").exists() and process.poll() is None:
-            time.sleep(0.0005)  # shorter than a shard takes
-        os.kill(process.pid, number)
-        _, err = process.communicate(timeout=PATIENCE_S)
-        if not (out / "index.json").exists():
-            break
-        for path in out.iterdir():
-            path.unlink()
-    if number == signal.SIGINT:
-        assert process.returncode == 130
-        assert (
-            err == f"eldata shard: interrupted; the finished shards are kept in {out}, and the same command goes on\n"
-        )
-    again = sharded(store, "-o", out, *options)
-    assert (again.code, again.err) == (0, "")
-    assert "of them before" in again.out
-    assert {p.name: p.read_bytes() for p in out.iterdir()} == {p.name: p.read_bytes() for p in reference.iterdir()}

@@ -7,13 +7,14 @@ import pytest
 from eldata.download.installing import Relocation, count_listed, find_relocation
 from eldata.errors import ArchiveError
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
+from tests.cases import in_one_test
 
 ARCHIVE = Path("set.zip")
 LISTED = ["Sony/long/00001_00_10s.ARW", "Sony/short/00001_00_0.1s.ARW", "Sony/short/00001_01_0.1s.ARW"]
 
 
-@pytest.mark.parametrize("above", ["", "SID/", "home/me/SID/"])
-@pytest.mark.parametrize("name", shipped_names())
+@in_one_test("above", ["", "home/me/SID/"])
+@in_one_test("name", shipped_names())
 def test_every_shipped_manifest_recognises_its_own_files(name: str, above: str) -> None:
     listed = [record.path for record in shipped_manifest(name).records]
     names = [above + path.replace("*", "_1") for path in listed]

@@ -48,16 +48,9 @@ def test_members_are_on_the_disk_before_they_get_their_names(tmp_path: Path, mon
     assert disk.named == {name.rpartition("/")[2]: True for name in NAMES}
 
 
-def test_members_go_where_they_are_told(tmp_path: Path) -> None:
-    archive = archive_of(tmp_path, zipped({"x/a": b"a", "x/b": b"b"}))
-    assert unpack_archive(archive, {"x/a": "y/z/a"}, tmp_path / "SID").written == ("y/z/a",)
-    assert tree(tmp_path / "SID") == {"y/z/a": b"a"}
-
-
-@pytest.mark.parametrize("name", ["zip", "7z"])
 @pytest.mark.parametrize("change", ["content", "size", "folder", "link"])
-def test_what_differs_is_left_alone(name: str, change: str, tmp_path: Path) -> None:
-    archive = archive_of(tmp_path, PACKERS[name](FILES))
+def test_what_differs_is_left_alone(change: str, tmp_path: Path) -> None:
+    archive = archive_of(tmp_path, zipped(FILES))
     place = tmp_path / "SID" / NAMES[2]
     place.parent.mkdir(parents=True)
     if change == "folder":
@@ -204,8 +197,7 @@ def start_and_stop_halfway(archive: Archive, folder: Path, sent: signal.Signals)
 
 
 @pytest.mark.kill
-@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT])
-@pytest.mark.parametrize("name", ["zip", "7z"])
+@pytest.mark.parametrize(("sent", "name"), [(signal.SIGKILL, "7z"), (signal.SIGINT, "zip")])
 def test_a_killed_run_is_gone_on_with(sent: signal.Signals, name: str, tmp_path: Path) -> None:
     archive = archive_of(tmp_path, PACKERS[name](FILES))
     folder = tmp_path / "SID"

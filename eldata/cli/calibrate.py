@@ -36,7 +36,10 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument(
         "frames",
         metavar="FRAMES",
-        help="folder with CAMERA/{bias,flat}/ISO100/... in it, the camera's own folder, or a manifest (.csv)",
+        help=(
+            "folder with CAMERA/{bias,flat}/ISO100/... in it, the camera's own folder, a manifest (.csv) or the name "
+            "of a set"
+        ),
     )
     add_output(parser, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)")
     add_output(parser, "--html", kind=page_kind("calibration"), help="write a report with plots to FILE")
@@ -127,12 +130,13 @@ def run(arguments: console.Arguments) -> int:
     from eldata.calibration.camera import calibrate, stated_gains
     from eldata.calibration.shading_fit import dark_shading
     from eldata.datasets.calibration_frames import CalibrationFrames
-    from eldata.manifest.catalogue import load_manifest
+    from eldata.manifest.catalogue import find_manifests, known_names
     from eldata.noise.profile import CameraProfile
 
-    if arguments.frames.endswith(".csv"):
-        folder = load_manifest(arguments.frames).folder(arguments.root)
-        frames = CalibrationFrames(folder, arguments.camera, manifest=arguments.frames, isos=arguments.isos)
+    if arguments.frames.endswith(".csv") or arguments.frames in known_names():
+        (manifest,) = find_manifests(arguments.frames, arguments.root)
+        folder = manifest.folder(arguments.root)
+        frames = CalibrationFrames(folder, arguments.camera, manifest=manifest.path, isos=arguments.isos)
     else:
         if arguments.root:
             raise ArgumentError("--root says where a manifest's files lie; with a folder of frames, leave it out")

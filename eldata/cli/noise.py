@@ -64,7 +64,7 @@ def add_components(parser: argparse.ArgumentParser, *, dark_frames: str, dark_sh
     parser.add_argument(
         "--dark-frames",
         metavar="FOLDER|STORE",
-        help=f"of component D, as in 'P*+D': {dark_frames}; or eldata pack's store",
+        help=f"of component D, as in 'P*+D': {dark_frames}; or eldata pack's store, or a manifest (.csv)",
     )
     parser.add_argument(
         "--dark-shading",

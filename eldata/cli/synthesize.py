@@ -1,8 +1,8 @@
 """`eldata synthesize`: make noisy raw files from clean ones, with a manifest.
 
-Make noisy exposures of folders of clean raw files with a camera's calibrated noise. OUT gets the clean and noisy
-frames, a manifest that eldata verify and the datasets read, and every parameter drawn. Work that was interrupted, even
-by kill -9, goes on if the command is repeated.
+Make noisy exposures of folders of clean raw files, or of the references that a manifest lists, with a camera's
+calibrated noise. OUT gets the clean and noisy frames, a manifest that eldata verify and the datasets read, and every
+parameter drawn. Work that was interrupted, even by kill -9, goes on if the command is repeated.
 
     eldata synthesize data/SID/Sony/long -o noisy --camera SonyA7S2 --ratio 100:300 --seed 1
 """
@@ -23,7 +23,7 @@ _OF_RECIPE = (
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
-    parser.add_argument("clean", metavar="CLEAN", nargs="+", help="folder of clean raw files, or several")
+    parser.add_argument("clean", metavar="CLEAN", nargs="+", help="folder of clean raw files, a manifest, or several")
     parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a new folder")
     parser.add_argument("--camera", metavar="NAME", required=True, help="a shipped profile (SonyA7S2) or a JSON file")
     add_components(

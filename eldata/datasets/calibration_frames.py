@@ -18,7 +18,7 @@ from eldata.errors import ArgumentError, DatasetError, did_you_mean
 from eldata.manifest.catalogue import FrameFiles, data_root, is_name, known_manifest, load_manifest
 from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
 from eldata.manifest.patterns import expand
-from eldata.raw.files import RAW_EXTENSIONS
+from eldata.raw.files import RAW_EXTENSIONS, of_arrays
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.plots.axes import Drawing
+    from eldata.raw.stated import StatedFile
     from eldata.records import RawFrame, RawHeader, Role
 
 _ROLES: tuple[Role, ...] = ("bias", "flat")
@@ -146,11 +147,15 @@ class CalibrationFrames:
         """
         return inside(self.root, record.path)
 
+    def file(self, record: FrameRecord) -> Path | StatedFile:
+        """Return a frame's file, of a mosaic with what its card states; raises like :meth:`path`."""
+        return replace(self._files, folder=self.root).at(record.path)
+
     def header(self, record: FrameRecord) -> RawHeader:
         """Return what one frame's file states of itself; raises like :meth:`read`."""
         from eldata.raw.reading import read_header
 
-        return read_header(replace(self._files, folder=self.root).at(record.path))
+        return read_header(self.file(record))
 
     def read(self, record: FrameRecord) -> RawFrame:
         """Decode one frame.
@@ -162,7 +167,7 @@ class CalibrationFrames:
         """
         from eldata.raw.reading import read_raw
 
-        frame = read_raw(replace(self._files, folder=self.root).at(record.path))
+        frame = read_raw(self.file(record))
         frame.whole_dn("calibration")
         return frame
 
@@ -301,6 +306,7 @@ def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecor
             records.append(FrameRecord(path=relative, role=role, camera=name, iso=Fraction(named[1])))
     if not records:
         others = f", but {len(skipped)} other file(s) such as {in_line(skipped[0])}" if skipped else ""
+        others += next(filter(None, (of_arrays(Path(name).suffix) for name in skipped)), "")
         raise DatasetError(
             f"{root / prefix}: holds no raw file ({', '.join(sorted(RAW_EXTENSIONS))}) in {layout}{others}"
         )

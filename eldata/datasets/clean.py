@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeGuard
 
 import numpy as np
 
 from eldata.base.memory import scratch
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError, DatasetError, check_choice
+from eldata.manifest.catalogue import FrameFiles, find_manifests, known_names
 from eldata.manifest.clips import moment_name
-from eldata.manifest.patterns import sequence_of
+from eldata.manifest.patterns import expand, sequence_of
 from eldata.noise.exposures import check_normalised
 from eldata.raw._kernels import scatter_bayer
 from eldata.raw.cfa import packing_sites, unpack
 from eldata.raw.files import RAW_EXTENSIONS, no_raws, raws_below
 from eldata.raw.levels import LEVELS, Levels, check_in_dn
+from eldata.raw.stated import StatedFile
 from eldata.sources.frames import Files, Frame, FrameSource
 from eldata.sources.store.format import SUFFIXES
 from eldata.sources.store.read import StoreFrames
@@ -67,7 +69,9 @@ class CleanFrames:
     ----------
     source
         A folder, searched through for camera raws; or a store (``eldata pack``): the frames of a packed folder, or the
-        references of packed pairs. Or several of these and of files, one after the other.
+        references of packed pairs; or a manifest (``.csv``, or a known set's name that is no folder's): the references
+        that it lists below ``$ELDATA_ROOT`` or ``./data``, be they raws or mosaics whose levels its card states. Or
+        several of these and of files, one after the other.
     names
         Of a :class:`~eldata.sources.frames.FrameSource` given as ``source``: its frames, in this order.
     levels
@@ -78,7 +82,9 @@ class CleanFrames:
     Raises
     ------
     DatasetError
-        If there is not a raw file, a store holds no clean frames, or two of several places hold the same file.
+        If there is not a raw file, a store or manifest has no clean frames, or two of several places hold one file.
+    ManifestError
+        If a manifest is malformed.
     StoreError
         If the store is truncated, not complete, or of another version.
     ArgumentError
@@ -93,7 +99,7 @@ class CleanFrames:
 
     def __init__(
         self,
-        source: Path | str | Iterable[Path | str] | FrameSource,
+        source: Path | str | Iterable[Path | str | StatedFile] | FrameSource,
         *,
         names: Iterable[str] = (),
         levels: Levels = "metadata",
@@ -145,29 +151,58 @@ class CleanFrames:
         return f"CleanFrames({len(self)} frames, {first}levels={self.levels!r}, keep={self.keep})"
 
 
-def clean_files(source: Path | str | Iterable[Path | str]) -> tuple[Path, ...]:
-    """Return the raw files of a folder, or those that are given.
+def clean_files(source: Path | str | Iterable[Path | str | StatedFile]) -> tuple[Path | StatedFile, ...]:
+    """Return the raw files of a folder, the references of a manifest, or the files that are given.
 
     Raises
     ------
     DatasetError
         If there is none.
+    ManifestError
+        If the manifest is malformed.
     """
-    files = raws_below(Path(source)) if isinstance(source, (str, Path)) else [Path(path) for path in source]
+    files: Sequence[Path | StatedFile]
+    if not isinstance(source, (str, Path)):
+        files = [place if isinstance(place, StatedFile) else Path(place) for place in source]
+    elif _is_manifest(source):
+        files = _references(str(source))
+    else:
+        files = raws_below(Path(source))
     if not files:
         raise DatasetError("no raw file was given")
     return tuple(files)
 
 
-def _found(source: Path | str | Iterable[Path | str]) -> tuple[FrameSource, tuple[str, ...]]:
+def _references(manifest: str) -> list[Path | StatedFile]:
+    (loaded,) = find_manifests(manifest)
+    folder = loaded.folder()
+    rows = [row for row in expand(loaded.records, folder) if row.role == "reference"]
+    if not rows:
+        raise DatasetError(f"{manifest}: lists no reference below {folder}, and references are its clean frames")
+    files = FrameFiles.of(folder, loaded.card, rows)
+    return [files.at(row.path) for row in rows]
+
+
+def _is_manifest(place: Path | str) -> bool:
+    suffix = Path(place).suffix.lower()
+    return suffix == ".csv" or (not suffix and str(place) in known_names() and not Path(place).exists())
+
+
+def _path_of(file: Path | StatedFile) -> Path:
+    return file.path if isinstance(file, StatedFile) else file
+
+
+def _found(source: Path | str | Iterable[Path | str | StatedFile]) -> tuple[FrameSource, tuple[str, ...]]:
     """Return where frames are read, and which they are."""
     if not isinstance(source, (str, Path)):
-        source = places = [Path(place) for place in source]
-        if any(place.is_dir() or _is_store(place) for place in places):
+        source = places = list(source)
+        if any(map(_holds_frames, places)):
             several = _Several(places)
             return several, several.names
     if not (isinstance(source, (str, Path)) and _is_store(source)):
-        return Files(), tuple(map(str, clean_files(source)))
+        files = clean_files(source)
+        stated = {str(file.path): file for file in files if isinstance(file, StatedFile)}
+        return Files(stated), tuple(str(_path_of(file)) for file in files)
     store = StoreFrames(source)
     clean = sorted(frame.path for frame in store.store.frames if frame.role == "reference")
     if not clean:
@@ -180,8 +215,8 @@ class _Several:
 
     records: tuple[FrameRecord, ...] = ()
 
-    def __init__(self, places: Iterable[Path]) -> None:
-        parts = [_found(place if place.is_dir() or _is_store(place) else (place,)) for place in places]
+    def __init__(self, places: Iterable[Path | str | StatedFile]) -> None:
+        parts = [_found(place) if _holds_frames(place) else _found((place,)) for place in places]
         each = [(origin, name) for origin, names in parts for name in names]
         self.names = tuple(
             str(origin.path / name) if isinstance(origin, StoreFrames) else name for origin, name in each
@@ -201,6 +236,10 @@ def check_once(names: Sequence[object]) -> None:
     if len(set(names)) < len(names):
         twice = next(name for place, name in enumerate(names) if name in names[:place])
         raise DatasetError(f"{twice}: lies in two of the folders or stores that were given; give each once")
+
+
+def _holds_frames(place: Path | str | StatedFile) -> TypeGuard[Path | str]:
+    return isinstance(place, (str, Path)) and (Path(place).is_dir() or _is_store(place) or _is_manifest(place))
 
 
 def _is_store(source: Path | str) -> bool:
@@ -293,8 +332,8 @@ class CleanClips:
     ----------
     source
         A folder, or a store of it (``eldata pack FOLDER``): each folder at any depth below it that holds camera raws is
-        a clip, in the order of the numbers in their names. Or clips one by one: such folders, or
-        :class:`CleanFrames`, :class:`Arrays` and the like in the order of time.
+        a clip, in the order of the numbers in their names; of a manifest each folder that holds references. Or clips
+        one by one: such folders, or :class:`CleanFrames`, :class:`Arrays` and the like in the order of time.
     levels
         Of folders and stores, as in :class:`CleanFrames`.
 
@@ -326,7 +365,7 @@ class CleanClips:
         elif _is_store(source):
             clips = list(_clips_of(StoreFrames(source), levels))
         else:
-            clips = [CleanFrames(files, levels=levels) for files in clip_files(Path(source))]
+            clips = [CleanFrames(files, levels=levels) for files in clip_files(source)]
         if not clips:
             raise DatasetError("no clip was given")
         self._clips: tuple[CleanSource, ...] = tuple(clips)
@@ -350,15 +389,26 @@ class CleanScene(NamedTuple):
     """
 
     number: int
-    path: Path
+    file: Path | StatedFile
     scene: str
     drawn_for: int
     first: int
     moment: int = 0
 
+    @property
+    def path(self) -> Path:
+        """Where the file lies."""
+        return _path_of(self.file)
+
+    def below(self, folder: Path) -> Path | StatedFile:
+        """Return the file, whose path starts in a folder."""
+        return replace(self.file, path=folder / self.path) if isinstance(self.file, StatedFile) else folder / self.file
+
 
 def clean_scenes(clean: Sequence[Path], clips: bool | None) -> list[CleanScene]:
-    """Return the raw files of folders in order: frames of clips, or each a scene; ``None``: scenes, if that is sure.
+    """Return the clean files of folders and manifests in order: frames of clips, or each a scene.
+
+    ``None``: scenes, if that is sure.
 
     Raises
     ------
@@ -366,18 +416,18 @@ def clean_scenes(clean: Sequence[Path], clips: bool | None) -> list[CleanScene]:
         If there is no raw file, the names of a clip do not follow one numbering, two folders hold the same file, or a
         folder below may be a clip or not.
     """
-    groups = [[path] for folder in clean for path in clean_files(folder)]
+    groups: list[Sequence[Path | StatedFile]] = [[file] for folder in clean for file in clean_files(folder)]
     if clips:
         groups = [files for folder in clean for files in clip_files(folder)]
-    check_once([path for files in groups for path in files])
+    check_once([_path_of(file) for files in groups for file in files])
     found: list[CleanScene] = []
     folders: dict[Path, list[str]] = {}
     for number, files in enumerate(groups):
         first = len(found)
-        for moment, path in enumerate(files, 1):
+        for moment, file in enumerate(files, 1):
             scene = moment_name(f"clip-{number + 1}", moment) if clips else f"scene-{number + 1}"
-            found.append(CleanScene(len(found), path, scene, number, first, moment if clips else 0))
-            folders.setdefault(path.parent, []).append(path.name)
+            found.append(CleanScene(len(found), file, scene, number, first, moment if clips else 0))
+            folders.setdefault(found[-1].path.parent, []).append(found[-1].path.name)
     for folder, names in folders.items() if clips is None else ():
         # A clip's frames differ in their numbers; one stray name among them makes it no stills.
         if folder not in clean and len(names) > 1 and 3 * len(sequence_of(names).odd) < len(names):
@@ -389,15 +439,20 @@ def clean_scenes(clean: Sequence[Path], clips: bool | None) -> list[CleanScene]:
     return found
 
 
-def clip_files(source: Path) -> list[list[Path]]:
-    """Return the clips of a folder, each a folder at any depth that holds raws: its files in the order of numbers.
+def clip_files(source: Path | str) -> list[Sequence[Path | StatedFile]]:
+    """Return the clips of a folder or manifest, each a folder at any depth that holds frames, in the order of numbers.
 
     Raises
     ------
     DatasetError
         If there is no raw file, or the names of a clip do not follow one numbering.
     """
-    return [_frames_of(folder) for folder in sorted({path.parent for path in raws_below(source)})]
+    if _is_manifest(source):
+        folders: dict[Path, dict[str, Path | StatedFile]] = {}
+        for file in clean_files(source):
+            folders.setdefault(_path_of(file).parent, {})[_path_of(file).name] = file
+        return [[files[name] for name in _in_order(folder, files)] for folder, files in sorted(folders.items())]
+    return [_frames_of(folder) for folder in sorted({path.parent for path in raws_below(Path(source))})]
 
 
 def _frames_of(folder: Path) -> list[Path]:

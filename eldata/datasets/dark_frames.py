@@ -58,8 +58,8 @@ class DarkFrames:
     ----------
     frames
         The folder of a camera's bias frames, ``<camera>/bias`` with ``ISO<iso>/...`` in it, or the camera's folder, or
-        the one that holds it; a store of them (``eldata pack``), from which only crops are read; or
-        :class:`~eldata.datasets.CalibrationFrames`.
+        the one that holds it; a store of them (``eldata pack``), from which only crops are read; a manifest (``.csv``)
+        that lists them below ``$ELDATA_ROOT`` or ``./data``; or :class:`~eldata.datasets.CalibrationFrames`.
     camera
         Which, if the folder holds several.
     isos
@@ -288,13 +288,15 @@ def _found(
         found = _of_camera(source, camera)
         names = (f"{source.path.as_posix()}/{path}" for path in found)
         return str(frames), CleanFrames(source, names=names, levels=levels, keep=keep), _numbered(found.values())
-    if not isinstance(frames, CalibrationFrames):
+    if not isinstance(frames, CalibrationFrames) and Path(frames).suffix.lower() == ".csv":
+        frames = CalibrationFrames(camera=camera, manifest=frames)
+    elif not isinstance(frames, CalibrationFrames):
         folder = Path(frames)
         frames = CalibrationFrames(folder.parent if folder.name == _BIAS else folder, camera)
     bias = [record for record in frames.records if record.role == _BIAS and record.iso is not None]
     if not bias:
         raise DatasetError(f"{frames.root}: holds no bias frames of {frames.camera}")
-    files = CleanFrames([frames.path(record) for record in bias], levels=levels, keep=keep)
+    files = CleanFrames([frames.file(record) for record in bias], levels=levels, keep=keep)
     return str(frames.root), files, _numbered(record.iso for record in bias)
 
 

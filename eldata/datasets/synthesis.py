@@ -39,6 +39,7 @@ from eldata.raw.cfa import cfa_from, packed_area, packed_shape, packing_sites, u
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import pack_normalised, packed_black_level_dn
 from eldata.raw.reading import read_raw
+from eldata.raw.stated import StatedFile
 from eldata.records import Exposure, FrameRecord, RawFrame, exact_fraction
 from eldata.sources.frames import Frame
 
@@ -152,7 +153,7 @@ class Recipe:
 
 
 def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, workers: AnyWorkers = 1) -> Manifest:
-    """Write a noisy tree for a folder of clean raw files; return its manifest.
+    """Write a noisy tree for clean files; return its manifest.
 
     Whatever ends the work (an error, a full disk, Ctrl-C, kill -9) leaves whole files, and the same call goes on:
     scenes whose files still have the hashes that they were written with are kept. The manifest comes last.
@@ -160,7 +161,8 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
     Parameters
     ----------
     clean
-        Folder, or several, searched through for camera raws; each must state its ISO and exposure time.
+        Folder, searched through for camera raws, or a manifest, whose references are taken, be they raws or mosaics
+        with a card (:class:`~eldata.datasets.CleanFrames`); or several. Each frame must state ISO and exposure time.
     out
         A new or empty folder, or one in which the same work was begun.
     recipe
@@ -185,12 +187,11 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
     folders = [Path(clean)] if isinstance(clean, (str, Path)) else list(map(Path, clean))
     sources, dark = clean_scenes(folders, recipe.clips), recipe.dark()
     splits = draw_splits(recipe.seed, recipe.split, sources[-1].drawn_for + 1)
-    paths = [source.path for source in sources]
     name = re.sub(r"[^\w.+-]", "-", out.resolve().name) or "synthetic"
     data = out / "data" / name
     if out.exists() and not out.is_dir():
         raise DatasetError(f"{out}: is not a folder; give a new one")
-    begun = _begun(recipe, paths, dark)
+    begun = _begun(recipe, sources, dark)
     with opened_journal(out, begun) as journal:
         try:
             for folder in (out / "manifests", data):
@@ -215,7 +216,7 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
     return manifest
 
 
-def _begun(recipe: Recipe, paths: Sequence[Path], dark: DarkFrames | None) -> dict[str, object]:
+def _begun(recipe: Recipe, sources: Sequence[CleanScene], dark: DarkFrames | None) -> dict[str, object]:
     """Return what decides the content of every file, as plain types."""
     options = asdict(recipe) | {"ratio": list(recipe.ratio), "profile": recipe.profile.camera}
     options["split"] = recipe.split and list(recipe.split)
@@ -227,14 +228,15 @@ def _begun(recipe: Recipe, paths: Sequence[Path], dark: DarkFrames | None) -> di
         options["digest_of_the_dark_frames"] = _digest([*names, *_stamps(files)])
     if recipe.dark_shading is not None:
         options["dark_shading"] = dark_shading_in(recipe.dark_shading).digest
+    stated = [repr((file.facts, file.exposure)) for one in sources if isinstance(file := one.file, StatedFile)]
     return options | {
         "written_by": f"eldata {__version__}",
         "digest_of_the_profile": _digest(recipe.profile.as_dict()),
-        "digest_of_the_clean_files": _digest(_stamps(paths)),
+        "digest_of_the_clean_files": _digest(_stamps([source.path for source in sources]) + stated),
     }
 
 
-def _stamps(paths: Sequence[Path]) -> list[tuple[str, int, int]]:
+def _stamps(paths: Sequence[Path]) -> list[object]:
     return [(str(path), status.st_size, status.st_mtime_ns) for path in paths for status in [path.stat()]]
 
 
@@ -319,7 +321,7 @@ def _write_tables(
         licence="that of the clean frames",
         homepage="made by eldata synthesize",
         cfa=cfa_word(scene.clean.cfa for scene in scenes),
-        cameras={recipe.profile.camera: CameraCard(tuple(sorted({scene.clean.model for scene in scenes})))},
+        cameras={recipe.profile.camera: CameraCard(tuple(sorted({scene.clean.model for scene in scenes} - {""})))},
         counts={role: roles.count(role) for role in sorted(set(roles))},
         protocol="sequences" if recipe.clips else OWN_PROTOCOL,
         sources=tuple(origins),
@@ -377,7 +379,7 @@ def _synthesize_file(
     if before is not None and all(_has(place / name, sha256) for name, sha256 in before.sha256.items()):
         return before
     require_files(start / path)
-    raw = read_raw(start / path)
+    raw = read_raw(source.below(start))
     raw.whole_dn("synthesis")
     frame = _cropped(raw)
     iso, exposure_s = frame.exposure.iso, frame.exposure.exposure_s

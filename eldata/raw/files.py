@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from eldata.base.files import folder_problem
 from eldata.base.isolation import guarded_file
 from eldata.errors import DatasetError, RawFileError
+from eldata.raw.stated import ARRAY_EXTENSIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -58,7 +59,17 @@ def no_raws(folder: Path, names: Iterable[str]) -> DatasetError:
             "longer linear: use the raw files that it writes beside them (DNG, ARW, CR3, NEF and the like)"
         )
     others = f", but {count} {suffix or 'without extension'}" if count else ", and nothing else"
-    return DatasetError(f"{folder}: holds no camera raw file{others}")
+    return DatasetError(f"{folder}: holds no camera raw file{others}{of_arrays(suffix)}")
+
+
+def of_arrays(suffix: str) -> str:
+    """Return what to do with files of this extension, if they hold arrays; empty of others."""
+    if suffix.lower() not in ARRAY_EXTENSIONS:
+        return ""
+    return (
+        "; arrays state no levels: give a manifest (.csv) of them, whose card states those in mosaics "
+        "(docs/adding-a-dataset.md)"
+    )
 
 
 def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:

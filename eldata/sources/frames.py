@@ -24,7 +24,7 @@ from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
 from eldata.records import Exposure, RawHeader
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from fractions import Fraction
 
     from numpy.typing import NDArray
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from eldata.protocols.protocol import Amplification
     from eldata.raw.cfa import CfaRows
     from eldata.raw.levels import FrameLevels
+    from eldata.raw.stated import StatedFile
     from eldata.records import FrameRecord, PairRecord, Sensor
 
 RGB_WHITE = 65535.0
@@ -242,15 +243,20 @@ class Files:
     Parameters
     ----------
     files
-        Where they lie; a folder alone: nothing is stated of them; ``None``: they are paths by themselves.
+        Where they lie; a folder alone: nothing is stated of them; ``None``: they are paths by themselves, and so with
+        what is stated of some of these paths.
     records
         Rows of the manifest that lists the files.
     """
 
     reads_parts = False
 
-    def __init__(self, files: FrameFiles | Path | None = None, records: Sequence[FrameRecord] = ()) -> None:
-        self._files = FrameFiles(files) if isinstance(files, Path) else files
+    def __init__(
+        self,
+        files: FrameFiles | Path | Mapping[str, StatedFile] | None = None,
+        records: Sequence[FrameRecord] = (),
+    ) -> None:
+        self._files = FrameFiles(files) if isinstance(files, Path) else files or {}
         self.records = tuple(records)
 
     def frame(self, path: str) -> Frame:
@@ -263,7 +269,7 @@ class Files:
         """
         from eldata.raw.reading import read_raw
 
-        file = Path(path) if self._files is None else self._files.at(path)
+        file = self._files.at(path) if isinstance(self._files, FrameFiles) else self._files.get(path, Path(path))
         if is_png(path) and isinstance(file, Path):
             return Frame.of_rgb(read_rgb16(file).transpose(2, 0, 1), str(file))
         raw = read_raw(file)

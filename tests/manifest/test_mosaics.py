@@ -15,12 +15,13 @@ import tifffile
 
 from eldata import evaluate
 from eldata.cli.main import main
-from eldata.datasets import CalibrationFrames, PairDataset
+from eldata.datasets import CalibrationFrames, CleanClips, CleanFrames, DarkFrames, PairDataset, SyntheticPairs
 from eldata.errors import DatasetError, ManifestError, RawFileError
 from eldata.manifest import load_manifest, verify
 from eldata.manifest.card import CameraCard, Card, load_card, save_card
 from eldata.manifest.catalogue import FrameFiles
 from eldata.manifest.writing import save_manifest
+from eldata.noise import DarkShading
 from eldata.raw import bayer_cfa, read_raw, write_dng
 from eldata.raw.stated import MosaicFacts, StatedFile
 from eldata.records import Exposure, FrameRecord, Sensor
@@ -114,6 +115,39 @@ def test_mosaics_are_scored_packed_and_denoised_as_raws_are(as_dng: Path, tmp_pa
     assert main(["evaluate", predictions, *common]) == 0
     assert main(["pack", "own", *common, "-o", str(tmp_path / "own.h5")]) == 0
     assert scored(path, store=tmp_path / "own.h5") == expected_scores
+
+
+def test_references_are_clean_frames(as_dng: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a manifest alone and beside others, in memory and on disk: as the same mosaics in DNG files, to the bit."""
+    monkeypatch.setenv("ELDATA_ROOT", str(as_dng.parent / "data"))
+    raws = CleanFrames(as_dng)
+    on_disk = {"dng": synthesized(as_dng, tmp_path / "of-dng")}
+    monkeypatch.setenv("ELDATA_ROOT", str(tmp_path / "data"))
+    path = own_set(tmp_path, "tiff", FACTS)
+    arrays, several = CleanFrames(str(path)), CleanFrames([path, as_dng.parent / "data" / "own" / "a"])
+    assert (len(raws), len(arrays), len(several)) == (2, 2, 4)
+    np.testing.assert_array_equal(several.frame(1).whole(), raws.frame(1).whole())
+    of_raws, of_arrays = (SyntheticPairs(clean, "SonyA7S2", crop=16, seed=3) for clean in (raws, arrays))
+    np.testing.assert_array_equal(of_raws[1]["input"], of_arrays[1]["input"])
+    on_disk["tiff"] = synthesized(path, tmp_path / "of-tiff")
+    assert len(on_disk["tiff"]) == 4
+    for name, mosaic in on_disk["dng"].items():
+        np.testing.assert_array_equal(mosaic, on_disk["tiff"][name])
+    assert verify(tmp_path / "of-tiff" / "manifests", tmp_path / "of-tiff" / "data", level="metadata").problems == ()
+    assert len(CleanClips(path)) == 2
+    (tmp_path / "data" / "own" / "a" / "clean.tiff").unlink()
+    assert main(["synthesize", str(path), "-o", str(tmp_path / "none"), "--camera", "SonyA7S2"]) == 2
+
+
+def synthesized(manifest: Path, out: Path) -> dict[str, NDArray[Any]]:
+    assert main(["synthesize", str(manifest), "-o", str(out), "--camera", "SonyA7S2", "--no-clips"]) == 0
+    return {file.relative_to(out / "data" / out.name).as_posix(): read_raw(file).mosaic for file in out.rglob("*.dng")}
+
+
+def test_a_manifest_without_references_is_no_clean_source(tmp_path: Path) -> None:
+    path = bias_set(tmp_path)
+    with pytest.raises(DatasetError, match="lists no reference"):
+        CleanFrames(path)
 
 
 def test_floats_are_what_the_card_calls_white(tmp_path: Path) -> None:
@@ -210,18 +244,59 @@ def test_ratios_that_no_file_states_are_the_manifests(tmp_path: Path) -> None:
     assert scored(path)[0][2] == 100
 
 
-def test_bias_frames_in_arrays_calibrate_as_raws_do(tmp_path: Path) -> None:
+def bias_set(tmp_path: Path, kind: str = "npy", count: int = 3, shape: tuple[int, int] | None = None) -> Path:
+    """Write bias frames of a set, of the noise of :func:`mosaic_of` or of another shape; return its manifest."""
     rows = []
-    for number in range(3):
-        path = tmp_path / "data" / "own" / f"{number}.npy"
+    for number in range(count):
+        path = tmp_path / "data" / "own" / f"{number}.{kind}"
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.save(path, mosaic_of(NOISY, number))
+        mosaic = mosaic_of(NOISY, number)
+        if shape is not None:
+            fixed, noise = (np.random.default_rng(seed).normal(0, 2, shape) for seed in (9, number))
+            mosaic = np.rint(BLACK + fixed + noise).astype(np.uint16)
+        if kind == "dng":
+            sensor = Sensor("Maker", "Model", bayer_cfa(CFA), (BLACK,) * 4, WHITE, *mosaic.shape)
+            write_dng(path, mosaic, sensor, Exposure(Fraction(800), Fraction(1, 1000)))
+        else:
+            np.save(path, mosaic)
         rows.append(FrameRecord(path.name, "bias", "Cam", iso=Fraction(800), exposure_s=Fraction(1, 1000)))
-    card = Card("own", "Own", "1", "own", "", "", "", "bayer", {"Cam": CameraCard(())}, {"bias": 3}, mosaics=(FACTS,))
+    cameras, mosaics = {"Cam": CameraCard(())}, (replace(FACTS, paths="*.npy"),)
+    card = Card("own", "Own", "1", "own", "", "", "", "bayer", cameras, {"bias": count}, mosaics=mosaics)
     save_manifest(tmp_path / "own.csv", card, rows)
+    return tmp_path / "own.csv"
+
+
+def test_bias_frames_in_arrays_calibrate_as_raws_do(tmp_path: Path) -> None:
+    bias_set(tmp_path)
     frames = CalibrationFrames(tmp_path / "data" / "own", manifest=tmp_path / "own.csv")
     assert frames.header(frames.records[0]).exposure.iso == 800
     np.testing.assert_array_equal(frames[1]["mosaic"], mosaic_of(NOISY, 1))
     np.save(tmp_path / "data" / "own" / "0.npy", mosaic_of(NOISY, 0).astype(np.float32) + 0.5)
     with pytest.raises((DatasetError, RawFileError), match="whole DN"):
         frames.read(frames.records[0])
+
+
+def test_bias_frames_in_arrays_are_dark_frames_and_shading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the bit those of the same mosaics in DNG files."""
+    found = {}
+    for kind in ("npy", "dng"):
+        path = bias_set(tmp_path / kind, kind, 6, (256, 320))
+        monkeypatch.setenv("ELDATA_ROOT", str(tmp_path / kind / "data"))
+        assert main(["calibrate", str(path), "--dark-shading", str(tmp_path / f"{kind}.npz")]) == 0
+        dark, shading = DarkFrames(path), DarkShading.load(tmp_path / f"{kind}.npz")
+        drawn = dark.draw(800, 2, (4, 16, 16), np.random.default_rng(0))
+        corrected = DarkFrames(path, shading=shading).draw(800, 2, (4, 16, 16), np.random.default_rng(0))
+        assert corrected.shading_dn is not None
+        assert len(dark.names(800)) == 6
+        found[kind] = drawn.dn, drawn.black_level_dn, corrected.shading_dn, shading.at(800, slice(None), slice(None))
+    for arrays, raws in zip(found["npy"], found["dng"], strict=True):
+        np.testing.assert_array_equal(arrays, raws)
+
+
+def test_arrays_in_folders_ask_for_a_manifest(tmp_path: Path) -> None:
+    folder = tmp_path / "Cam" / "bias" / "ISO800"
+    folder.mkdir(parents=True)
+    np.save(folder / "0.npy", mosaic_of(NOISY, 0))
+    for wrong in (lambda: CalibrationFrames(tmp_path), lambda: DarkFrames(tmp_path), lambda: CleanFrames(folder)):
+        with pytest.raises(DatasetError, match="give a manifest"):
+            wrong()

@@ -20,7 +20,7 @@ from eldata.calibration.acceptance.theory import (
     tukey_lambda_kurtosis,
     tukey_lambda_quantile,
 )
-from eldata.calibration.acceptance.verdicts import SIGNALS_E, Diagnostics, TheoryCheck
+from eldata.calibration.acceptance.verdicts import SIGNALS_E, Diagnostics, TheoryCheck, parameter_rows
 from eldata.errors import ArgumentError
 from eldata.noise.components import PAPER_MODELS
 from eldata.noise.parameters import NoiseParameters
@@ -280,6 +280,12 @@ def test_cells(item: TheoryCheck, cells: tuple[str, ...]) -> None:
     assert item.cells() == cells
 
 
+def test_the_same_seed_gives_the_same_numbers(sony: CameraProfile, diagnostics: Diagnostics) -> None:
+    again = diagnose(sony, sample_parameters(sony, 0))
+    assert again.comparisons == diagnostics.comparisons
+    assert diagnose(sony, diagnostics.parameters, seed=1).mean != diagnostics.mean
+
+
 def test_as_dict_is_plain(diagnostics: Diagnostics) -> None:
     data = json.loads(json.dumps(diagnostics.as_dict(), allow_nan=False))
     assert data["ok"] is True
@@ -312,3 +318,9 @@ def test_a_gain_outside_of_the_range_is_refused(sony: CameraProfile, gain: float
 def test_a_negative_seed_is_refused(sony: CameraProfile) -> None:
     with pytest.raises(ArgumentError, match="seed"):
         sample_parameters(sony, -1)
+
+
+def test_parameter_rows_name_every_parameter() -> None:
+    rows = parameter_rows(PARAMETERS)
+    assert rows[0] == ("K", "1.7", "DN/e-")
+    assert [symbol for symbol, _, _ in rows][-4:] == ["bias R", "bias G1", "bias B", "bias G2"]

@@ -122,7 +122,7 @@ def test_the_modules_are_found() -> None:
     """Or every test below would pass on nothing."""
     assert len(trees()) > 200
     assert "capture.protocol" in trees()
-    assert defining("eldata.metrics.psnr") == "eldata.metrics.signal_to_noise"
+    assert defining("eldata.metrics.psnr") == "eldata.metrics.image_score"
     assert defining("eldata.verify") == "eldata.manifest.verify"
     assert Import("eldata.manifest.lock", "eldata.manifest.verify.verify", runtime=True) in imports()
 

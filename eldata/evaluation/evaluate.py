@@ -250,7 +250,7 @@ def _scored(
         return [[] for _ in requests]
     found = [_found(request, of) for request, of in zip(requests, plans, strict=True)]
     first = requests[0]
-    frames = require_pairs(first, {pair.path: pair for of in plans for plan in of for pair in plan.pairs}.values())
+    originals = require_pairs(first, {pair.path: pair for of in plans for plan in of for pair in plan.pairs}.values())
     contenders = [
         Contender(
             plan if request.allow_missing or not one.problems else replace(plan, pairs=()),
@@ -260,9 +260,9 @@ def _scored(
         for number, request in enumerate(requests)
         for plan, one in zip(plans[number], found[number], strict=True)
     ]
-    scored = iter(score_plans(first, frames.originals, contenders))
+    scored = iter(score_plans(first, originals, contenders))
     return [
-        _results(request, of, ones, list(islice(scored, len(of))), frames.store)
+        _results(request, of, ones, list(islice(scored, len(of))), originals.stated)
         for request, of, ones in zip(requests, plans, found, strict=True)
     ]
 

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from eldata.evaluation.pairs import Pair
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
-    from eldata.evaluation.statistics import Interval
     from eldata.manifest.catalogue import FrameFiles
     from eldata.plots.scores import Strip
     from eldata.protocols.kinds import Kind
@@ -39,34 +38,28 @@ if TYPE_CHECKING:
 Grouping = Literal["camera", "iso"]
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """Scores of one group at one factor."""
+def strips_of(
+    scores: Iterable[UnitScore], by: Grouping, name: str, *, scenes_shared: bool, mean: bool = True
+) -> list[Strip]:
+    """Return a value of each score to be drawn by camera or ISO, and by factor, with means and intervals if wanted.
 
-    group: str
-    ratio: float | None
-    scores: tuple[UnitScore, ...]
-    scenes_shared: bool
+    ISOs come in the order of their numbers, cameras as they come.
+    """
+    from eldata.plots.scores import Strip
 
-    def interval(self, name: str) -> Interval:
-        """Return the mean of a value with its interval over scenes."""
-        return interval_of_scores(self.scores, name, scenes_shared=self.scenes_shared)
-
-    def to_draw(self, name: str, *, mean: bool = True) -> Strip:
-        """Return a value of each score to be drawn, with its mean and interval, unless they are not wanted."""
-        from eldata.plots.scores import Strip
-
-        values = tuple(score.values[name] for score in self.scores)
-        return Strip(self.group, self.ratio, values, self.interval(name).ends if mean else None)
-
-
-def columns_of(scores: Iterable[UnitScore], by: Grouping, *, scenes_shared: bool) -> tuple[Column, ...]:
-    """Return scores by camera or ISO, and by factor; ISOs in the order of their numbers, cameras as they come."""
-    ordered = sorted(scores, key=lambda score: score.iso) if by == "iso" else list(scores)
+    ordered = sorted(scores, key=lambda score: score.iso) if by == "iso" else scores
     members: dict[tuple[str, float | None], list[UnitScore]] = defaultdict(list)
     for score in ordered:
         members[_group_of(score, by), score.ratio].append(score)
-    return tuple(Column(name, ratio, tuple(of), scenes_shared) for (name, ratio), of in members.items())
+    return [
+        Strip(
+            group,
+            ratio,
+            tuple(score.values[name] for score in of),
+            interval_of_scores(of, name, scenes_shared=scenes_shared).ends if mean else None,
+        )
+        for (group, ratio), of in members.items()
+    ]
 
 
 def _group_of(score: UnitScore, by: Grouping) -> str:
@@ -85,12 +78,6 @@ def scores_in_order(scores: Iterable[UnitScore], dataset: str) -> tuple[UnitScor
 def scenes_of(scores: Iterable[UnitScore]) -> list[str]:
     """Return the names of scenes once each, scene 2 before scene 10."""
     return sorted({score.scene for score in scores}, key=natural)
-
-
-def factors_of(scores: Iterable[UnitScore]) -> list[float | None]:
-    """Return the factors of scores, in order; ``None`` alone of clips."""
-    ratios = {score.ratio for score in scores}
-    return sorted(ratios, key=lambda ratio: -1.0 if ratio is None else ratio)
 
 
 def finite_scores(scores: Iterable[UnitScore], kind: Kind) -> tuple[UnitScore, ...]:

@@ -52,11 +52,14 @@ class Originals:
         The store that is read in place of its files, absolute; ``None``: the files are decoded.
     held
         What the store holds of the frames that are asked for, by their paths.
+    stated
+        What a result says of the store; empty of files.
     """
 
     files: FrameFiles
     store: Path | None = None
     held: Mapping[str, StoredFrame] = field(default_factory=dict)
+    stated: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def opened(cls, files: FrameFiles | Path, store: Path | None) -> Originals:
@@ -247,18 +250,7 @@ def rendered_reference(path: Path) -> NDArray[np.float32]:
 # --- is a store one of these files? -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedOriginals:
-    """Frames that were found to be those of a manifest.
-
-    ``store``: what a result says of the store that they come from; empty of files.
-    """
-
-    originals: Originals
-    store: dict[str, str] = field(default_factory=dict)
-
-
-def store_of(manifest: Manifest, folder: Path, store: Path, records: Sequence[FrameRecord]) -> CheckedOriginals:
+def store_of(manifest: Manifest, folder: Path, store: Path, records: Sequence[FrameRecord]) -> Originals:
     """Return a store in place of the raw files of these rows.
 
     What ``eldata verify --level metadata`` compares of files is compared of what the store kept of them: their size,
@@ -296,10 +288,8 @@ def store_of(manifest: Manifest, folder: Path, store: Path, records: Sequence[Fr
     findings += ratio_findings(tuple(wanted.values()), products)
     _refuse(store, (Problem.of(manifest.name, finding) for finding in findings))
     decoders = sorted({frame.file.decoder for frame in taken.values()})
-    return CheckedOriginals(
-        Originals(FrameFiles(folder.absolute()), store.absolute(), taken),
-        {"file": str(store), "digest": opened.digest, "decoded_by": ", ".join(decoders)},
-    )
+    stated = {"file": str(store), "digest": opened.digest, "decoded_by": ", ".join(decoders)}
+    return Originals(FrameFiles(folder.absolute()), store.absolute(), taken, stated)
 
 
 def _refuse(store: Path, problems: Iterable[Problem]) -> None:

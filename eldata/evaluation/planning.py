@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.numbers import counted
 from eldata.errors import ArgumentError, DatasetError
-from eldata.evaluation.originals import CheckedOriginals, Originals, store_of
+from eldata.evaluation.originals import Originals, store_of
 from eldata.evaluation.pairs import Pair, clip_place, files_of, iso_of
 from eldata.evaluation.request import OF_CLIPS
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
@@ -283,7 +283,7 @@ def require_folder(request: Request) -> None:
         )
 
 
-def require_pairs(request: Request, pairs: Iterable[Pair]) -> CheckedOriginals:
+def require_pairs(request: Request, pairs: Iterable[Pair]) -> Originals:
     """Return where the frames of these pairs come from; raise :class:`DatasetError` unless the manifest means them.
 
     Their files are held against the manifest; of a store, what it kept of the files that it was packed from.
@@ -296,7 +296,7 @@ def require_pairs(request: Request, pairs: Iterable[Pair]) -> CheckedOriginals:
     require_folder(request)
     listed = rows if request.kind is IMAGES else expand(rows, request.folder)
     check_rows(request, [row for row in listed if row.path in needed], "metadata")
-    return CheckedOriginals(Originals(request.files.absolute()))
+    return Originals(request.files.absolute())
 
 
 def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> None:

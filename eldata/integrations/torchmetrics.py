@@ -15,7 +15,7 @@ import torch
 from eldata.errors import ArgumentError, EldataError
 from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
 from eldata.metrics._images import check_data_range, check_threads
-from eldata.metrics.signal_to_noise import psnr
+from eldata.metrics.image_score import psnr
 from eldata.metrics.similarity import ssim
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ OF_FRAMES: Final = by_name(
             decimals=2,
             better="higher",
             needs=("a prediction", "its reference"),
-            computed_by="eldata.metrics.signal_to_noise:psnr",
+            computed_by="eldata.metrics.image_score:psnr",
         ),
         Figure(
             name="ssim",

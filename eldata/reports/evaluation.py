@@ -18,11 +18,10 @@ from eldata.errors import ArgumentError
 from eldata.evaluation.looking import (
     INTERVAL,
     TOO_FEW,
-    columns_of,
-    factors_of,
     finite_scores,
     interval_note,
     scores_in_order,
+    strips_of,
     worst_and_best_images,
 )
 from eldata.evaluation.scores import factor_text, short_digest
@@ -40,12 +39,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from eldata.base.numbers import Figure
-    from eldata.evaluation.looking import Column, Grouping
+    from eldata.evaluation.looking import Grouping
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Interval
     from eldata.manifest.catalogue import FrameFiles
     from eldata.plots.axes import Theme
+    from eldata.plots.scores import Strip
     from eldata.protocols.kinds import Kind
     from eldata.reports.figures import Plot
 
@@ -308,7 +308,7 @@ def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool, scen
     note = f" Not drawn: {left_out} without a finite score." if left_out else ""
     groupings: tuple[Grouping, ...] = ("camera", "iso") if any(score.iso for score in finite) else ("camera",)
     plots = [
-        _strips_plot(metric, columns_of(finite, by, scenes_shared=scenes_shared), by, kind, note)
+        _strips_plot(metric, strips_of(finite, by, metric.name, scenes_shared=scenes_shared), by, kind, note)
         for by in groupings
         for metric in kind.metrics
     ]
@@ -318,35 +318,34 @@ def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool, scen
     return tuple(plots)
 
 
-def _strips_plot(metric: Figure, columns: Sequence[Column], by: Grouping, kind: Kind, note: str) -> Plot:
+def _strips_plot(metric: Figure, drawn: Sequence[Strip], by: Grouping, kind: Kind, note: str) -> Plot:
     """Draw the values of each group in a column."""
-    scores = [score for column in columns for score in column.scores]
-    groups = list(dict.fromkeys(column.group for column in columns))
-    values = [score.values[metric.name] for score in scores]
+    groups = list(dict.fromkeys(strip.group for strip in drawn))
+    values = [value for strip in drawn for value in strip.values]
 
     def draw(axes: Axes, theme: Theme) -> None:
-        strips(axes, [column.to_draw(metric.name) for column in columns], theme)
+        strips(axes, drawn, theme)
         axes.set_ylabel(metric.heading)
 
     alt = (
-        f"{metric.heading} of {len(scores)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
+        f"{metric.heading} of {len(values)} {kind.units} in {len(groups)} groups ({', '.join(groups)}), from "
         f"{min(values):.4g} to {max(values):.4g}."
     )
     name = f"{re.sub(r'[^a-z0-9]+', '-', metric.label.lower())}-{by}"
-    by_what = f"{'ISO' if by == 'iso' else by}{'' if factors_of(scores) == [None] else ' and factor'}"
+    by_what = f"{'ISO' if by == 'iso' else by}{'' if {strip.ratio for strip in drawn} == {None} else ' and factor'}"
     words = {"metric": metric.label, "groups": by_what, "unit": kind.unit, "note": note}
     return draw_plot("evaluation", "by-group", alt, draw, name=name, words=words)
 
 
 def _rescaling_plots(scores: Sequence[UnitScore], kind: Kind, *, scenes_shared: bool) -> tuple[Plot, Plot]:
     """Draw the factors by camera, and the PSNR over them."""
-    columns = columns_of(scores, "camera", scenes_shared=scenes_shared)
+    drawn = strips_of(scores, "camera", "rescale", scenes_shared=scenes_shared, mean=False)
     factors = [score.rescale for score in scores]
     points = [(score.ratio, score.rescale, score.psnr_db) for score in scores]
 
     def draw_factors(axes: Axes, theme: Theme) -> None:
         _draw_exposure_band(axes, theme, horizontal=True)
-        strips(axes, [column.to_draw("rescale", mean=False) for column in columns], theme)
+        strips(axes, drawn, theme)
         _set_up_factors(axes, factors)
         axes.set_ylabel("rescaled by")
 

@@ -57,7 +57,7 @@ def psnr(image: NDArray[Any], clean: NDArray[Any]) -> float:
 
 
 @pytest.mark.parametrize("name", LINES)
-@pytest.mark.parametrize("number", [1, 2, 3, 4])
+@pytest.mark.parametrize("number", [1, 4])
 def test_what_knows_the_noise_is_better_than_the_input(number: int, name: str) -> None:
     """Errors of 24,576 values, alike within 8 x 8, are 384: a mean square scatters by 7 %, 0.31 dB, two by 0.44."""
     noisy, clean = noisy_and_clean(number, LINES[name])
@@ -218,8 +218,7 @@ DRAWS = 400_000
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.5, 20.0])
-@pytest.mark.parametrize("gain", [0.01, 1.0])
-@pytest.mark.parametrize("counts", [0.3, 2.0, 20.0, 190.0, 300.0])
+@pytest.mark.parametrize(("gain", "counts"), [(0.01, 0.3), (1.0, 2.0), (0.01, 20.0), (1.0, 190.0), (0.01, 300.0)])
 def test_the_mean_of_stabilised_values_leads_back(gain: float, sigma: float, counts: float) -> None:
     """400,000 values: their mean has a standard error of s / 632, which d y / d f = f / 2 turns into counts."""
     generator = np.random.default_rng(17)
@@ -231,15 +230,6 @@ def test_the_mean_of_stabilised_values_leads_back(gain: float, sigma: float, cou
     error = float(seen.std() / np.sqrt(DRAWS) * seen.mean() / 2)
     back = float(unstabilised(np.array([seen.mean()]), line)[0]) / gain
     assert abs(back - counts) < 4.5 * error + 2e-3
-
-
-def test_plain_inversion_would_be_too_dark() -> None:
-    """At 1 electron, the algebraic inverse of the mean is off by a quarter of an electron; this one is not."""
-    generator = np.random.default_rng(1)
-    line = SignalNoise(1.0, 0.25)
-    seen = stabilised(generator.poisson(1.0, DRAWS) + 0.5 * generator.standard_normal(DRAWS), line).mean()
-    assert (seen / 2) ** 2 - 3 / 8 - 0.25 < 0.85
-    assert unstabilised(np.array([seen]), line)[0] == pytest.approx(1.0, abs=0.01)
 
 
 def test_without_shot_noise_it_is_a_division() -> None:
@@ -277,7 +267,7 @@ def frames_of(camera: SimulatedCamera, number: int, factor: int) -> tuple[NDArra
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.name)
-@pytest.mark.parametrize(("number", "factor"), [(1, 100), (2, 200), (3, 100), (4, 200)])
+@pytest.mark.parametrize(("number", "factor"), [(1, 100), (4, 200)])
 def test_gains_more_than_3_db_over_the_amplified_input(camera: SimulatedCamera, number: int, factor: int) -> None:
     amplified, clean = frames_of(camera, number, factor)
     denoised = thresholded(amplified)
@@ -300,10 +290,3 @@ def test_constant_images_stay_as_they_are(values: tuple[float, ...], size: tuple
 def test_mean_brightness_is_kept() -> None:
     amplified, _ = frames_of(CAMERAS[0], 1, 100)
     assert thresholded(amplified).mean() == pytest.approx(amplified.mean(), rel=0.01)
-
-
-def test_input_is_not_changed() -> None:
-    amplified, _ = frames_of(CAMERAS[0], 2, 100)
-    before = amplified.copy()
-    thresholded(amplified)
-    assert np.array_equal(amplified, before)

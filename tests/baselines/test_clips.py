@@ -176,26 +176,6 @@ def test_the_loss_falls(is_single: bool) -> None:
     assert np.mean(losses[-3:]) < 0.7 * losses[0]
 
 
-def test_a_training_of_clips_that_was_ended_goes_on_to_the_bit(tmp_path: Path) -> None:
-    straight = training(FastDVDnet(width=4, depth=1))
-    assert len(list(straight.epochs())) == 3
-    taken = 0
-
-    def stopping(network: torch.nn.Module, batch: Any) -> torch.Tensor:
-        nonlocal taken
-        taken += 1
-        if taken == 7:
-            raise KeyboardInterrupt
-        return clip_error(network, batch, window=5)
-
-    with pytest.raises(KeyboardInterrupt):
-        list(training(FastDVDnet(width=4, depth=1), loss=stopping).epochs(tmp_path / "c.pt", save_every=3))
-    again = training(FastDVDnet(width=4, depth=1, seed=9))
-    assert [report.epoch for report in again.epochs(tmp_path / "c.pt", save_every=3)] == [1, 2]
-    found, expected = again.network.state_dict(), straight.network.state_dict()
-    assert all(torch.equal(found[name], expected[name]) for name in expected)
-
-
 # --- predictions ------------------------------------------------------------------------------------------------------
 
 
@@ -232,18 +212,11 @@ def of_set(drv: SmallDrv) -> dict[str, Any]:
     return {"manifest": drv.csv, "root": drv.root, "ids": list(CLIPS)}
 
 
-@pytest.mark.parametrize("kind", ["module", "script", "export"])
+@pytest.mark.parametrize("kind", ["module", "export"])
 def test_predictions_of_clips_are_the_networks_own(kind: str, drv: SmallDrv, exported: Path, tmp_path: Path) -> None:
     network = small_network().eval()
-    if kind == "module":
-        name, window = f"{HERE}:small_network", None
-    elif kind == "script":
-        name, window = str(tmp_path / "net.pt"), 5
-        with pytest.warns(DeprecationWarning, match="torch.jit"):
-            torch.jit.save(torch.jit.trace(network, torch.zeros(1, 5, 3, 12, 14)), name)  # type: ignore[no-untyped-call]
-    else:
-        name, window = str(exported), None
-    loaded = load_network(name, window=window, multiple=2, device="cpu")
+    name = f"{HERE}:small_network" if kind == "module" else str(exported)
+    loaded = load_network(name, multiple=2, device="cpu")
     assert (loaded.window, loaded.multiple) == (5, 2)
     report = write_predictions(loaded, "", tmp_path / "p", **of_set(drv))
     assert (report.written, report.kept, report.problems) == (10, 0, ())

@@ -384,19 +384,6 @@ def test_what_is_not_a_result_is_refused_by_field() -> None:
     """The reader of saved results, whose tests have every field, names it."""
     with pytest.raises(FileError, match=r"^the result: field provenance: is missing: this is not a result of eldata"):
         comparison_table({})
-    data = result_on("eld", "eld", SONY_ELD).as_dict()
-    for change, named in (
-        ({"protocol": "eld"}, "field protocol: expected an object"),
-        ({"table": None}, "field table: expected a list"),
-        ({"table": [["SonyA7S2"]]}, r"field table\[0\]: expected an object"),
-        ({"table": [data["table"][0] | {"pairs": "30"}]}, r"field table\[0\].pairs: expected a whole number"),
-        ({"table": [data["table"][0] | {"psnr_db": "high"}]}, r"field table\[0\].psnr_db: expected a finite number"),
-        ({"provenance": data["provenance"] | {"protocol_digest": None}}, "field provenance.protocol_digest"),
-        ({"provenance": data["provenance"] | {"excluded_flags": ["a"]}}, "field provenance.excluded_flags"),
-    ):
-        with pytest.raises(FileError, match=named) as caught:
-            comparison_table(data | change)
-        assert "\n" not in str(caught.value)
 
 
 GOOD = LINES[0]
@@ -407,12 +394,7 @@ GOOD = LINES[0]
     [
         (GOOD.replace("one,1", "three,1"), "line 2, column source: 'three' is not in sources.json"),
         (GOOD.replace("one,1", "one,9"), "line 2, column table: expected one of '1', '2', found '9'"),
-        (
-            GOOD.replace("45.25", "4S.25"),
-            "line 2, column psnr_db: expected a finite number of 0 or more, found '4S.25'",
-        ),
         (GOOD.replace("45.25", ""), "line 2, column psnr_db: expected a finite number of 0 or more, found ''"),
-        (GOOD.replace("45.25", "nan"), "line 2, column psnr_db: expected a finite number of 0 or more, found 'nan'"),
         (GOOD.replace("0.9754", "-0.9"), "line 2, column ssim: expected a finite number of 0 or more, found '-0.9'"),
         (GOOD.replace(",30,", ",0,"), "line 2, column pairs: expected a whole number of 1 or more, found '0'"),
         (GOOD.replace(",First,", ",,"), "line 2, column method: expected a text, found ''"),
@@ -439,11 +421,8 @@ def test_a_number_twice(tmp_path: Path) -> None:
     ("sources", "reason"),
     [
         ([], "sources.json: expected an object, found []"),
-        ({"one": []}, "field one: expected an object, found []"),
         ({"one": {**SOURCES["one"], "note": ""}}, "field one.note: is unknown; known are label, citation"),
         ({"one": {**SOURCES["one"], "url": ""}}, "field one.url: expected a text, found ''"),
-        ({"one": {**SOURCES["one"], "commit": 7}}, "field one.commit: expected a text, found 7"),
-        ({"one": {**SOURCES["one"], "known": "all"}}, "field one.known: expected a list of texts, found 'all'"),
         ({"one": {**SOURCES["one"], "tables": ["1"]}}, "field one.tables: expected an object, found ['1']"),
     ],
 )
@@ -457,10 +436,7 @@ def test_malformed_sources_are_named(tmp_path: Path, sources: Any, reason: str) 
 @pytest.mark.parametrize(
     ("sources", "csv", "reason"),
     [
-        (None, None, "sources.json: cannot be read"),
         ("{}", None, "holds no published numbers"),
-        ("{", None, "is not JSON"),
-        (json.dumps(SOURCES), b"\xff\xfe", "is not UTF-8"),
         (json.dumps(SOURCES), b"method,psnr\n", r"line 1: expected the columns source,table,.*; found 'method,psnr'"),
     ],
 )

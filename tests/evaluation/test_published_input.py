@@ -8,23 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import rawpy
-from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+from skimage.metrics import structural_similarity
 
-from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.published import _NEAR, NOISY_INPUT, comparison_table, published_rows
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import UnitScore
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.protocols import PROTOCOLS
-from tests.evaluation import oracle
-from tests.evaluation.own_set import build_own_set
-from tests.sid_tree import build_sid_tree, frames_of
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 PUBLISHED = {
@@ -186,54 +179,6 @@ def test_the_published_figures_are_those_of_the_tables() -> None:
 
 
 # --- how they are made --------------------------------------------------------------------------------------------
-
-
-def test_the_input_is_scored_as_the_logs_have_it(tmp_path: Path) -> None:
-    """PMN's evaluation step by step, in float32 on a range of 255: pack, levels, ratio, clip, scikit-image.
-
-    (raw2bayer with clip=False for the input and clip=True for the reference, the ratio, clamp(0, 1), tensor2im and
-    quality_assess of the PMN repository at d207d3e; black is the file's own here, since the files of this set are no
-    SonyA7S2's.)
-    """
-    own = build_own_set(tmp_path)
-    result = evaluate(None, manifest=own.manifest, root=own.root, protocol="eld-uncorrected", baseline="input")
-
-    def bayer(path: Path) -> NDArray[np.float32]:
-        with rawpy.imread(str(path)) as raw:
-            assert raw.raw_pattern is not None
-            packed = oracle.pack(raw.raw_image_visible.astype(np.float64), raw.raw_pattern.astype(np.int64))
-            black = np.array(raw.black_level_per_channel, np.float32)[:, None, None]
-        return ((packed.astype(np.float32) - black) / (np.float32(16383) - black)).astype(np.float32)
-
-    assert len(result.images) == 2
-    for pair, image in zip(result.pairs, result.images, strict=True):
-        noisy, reference = bayer(own.files / pair.path), np.clip(bayer(own.files / pair.reference), 0, 1)
-        x, y = (
-            (np.clip(one, 0, 1).transpose(1, 2, 0) * 255.0).astype(np.float32)
-            for one in (noisy * np.float32(pair.ratio), reference)
-        )
-        psnr_db = peak_signal_noise_ratio(y, x, data_range=255)  # type: ignore[no-untyped-call]
-        ssim = structural_similarity(y, x, data_range=255, channel_axis=-1)  # type: ignore[no-untyped-call]
-        assert image.psnr_db == pytest.approx(psnr_db, abs=1e-4)
-        assert image.ssim == pytest.approx(ssim, abs=3e-5)
-
-
-def test_the_command_on_files_that_are_not_those(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The whole way, over the 129 pairs under SID's names: small made-up frames, so every group differs."""
-    from eldata.cli.main import main
-
-    manifest = shipped_manifest("sid-sony")
-    chosen = select_pairs(manifest.records, manifest.card.subsets, ratios=(100, 250, 300), subset="eval-first")
-    records = frames_of(manifest, {pair.path for pair in chosen})
-    build_sid_tree(replace(manifest, records=tuple(records)), tmp_path / "SID")
-    arguments = ["--dataset", "sid-sony", "--root", str(tmp_path), "--jobs", "1", "--no-isolate", "--compare"]
-    assert main(["evaluate", "--baseline", "input", "--protocol", "sid-uncorrected", *arguments]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    start = lines.index("the noisy input, whose scores check files, levels, ratios and metric:")
-    assert [line.split(":")[0] for line in lines[start + 1 : start + 4]] == [
-        f"  SonyA7S2 x{ratio} DOES NOT AGREE" for ratio in (100, 250, 300)
-    ]
-    assert lines[start + 4].startswith("  so what all factors share is not as published:")
 
 
 # --- what is near -------------------------------------------------------------------------------------------------

@@ -165,17 +165,13 @@ def test_a_bad_field_is_named(data: object, words: list[str], tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", ["not JSON, or not whole", "line 1", "--json"]),
-        (json.dumps(result_data(scenes=1)).encode()[:-40], ["not JSON, or not whole"]),
+        (json.dumps(result_data(scenes=1)).encode()[:-40], ["not JSON, or not whole", "--json"]),
         (json.dumps(changed("images", 0, "ssim", to=math.nan)).encode(), ["NaN", "JSON does not have"]),
-        (json.dumps(changed("images", 0, "ssim", to=-math.inf)).encode(), ["-Infinity", "JSON does not have"]),
         (json.dumps(result_data(scenes=1)).replace('"iso": 800.0', '"iso": 1e999', 1).encode(), ["images[0].iso"]),
-        (b"\xff\xfe\x00", ["UTF-8"]),
-        (b"path,camera\na,b\n", ["not JSON, or not whole"]),
-        (b"[" * 100_000, ["nested too deeply"]),
     ],
 )
 def test_what_is_not_whole_json_is_one_line(content: bytes, words: list[str], tmp_path: Path) -> None:
+    """More of what is no JSON: the tests of ``TextFile``."""
     path = tmp_path / "bad.json"
     path.write_bytes(content)
     with pytest.raises(FileError) as caught:
@@ -183,10 +179,3 @@ def test_what_is_not_whole_json_is_one_line(content: bytes, words: list[str], tm
     assert "\n" not in str(caught.value)
     for word in words:
         assert word in str(caught.value)
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="cannot be read: No such file"):
-        load_results(tmp_path / "none.json")
-    with pytest.raises(FileError, match="cannot be read: Is a directory"):
-        load_results(tmp_path)

@@ -338,15 +338,9 @@ def test_a_window_of_another_length_is_refused(drv: SmallDrv, tmp_path: Path) ->
 # --- mistakes ---------------------------------------------------------------------------------------------------------
 
 
-def _gamma(frame: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.clip(frame, 0, None) ** np.float32(1 / 2.2)
-
-
 MISTAKES: dict[str, tuple[Callable[[NDArray[np.float32]], NDArray[np.float32]], str]] = {
     "the other order of colours": (lambda frame: frame[::-1], "as if in the order B, G, R"),
     "moved by a pixel": (lambda frame: np.roll(frame, 1, axis=2), "as if shifted by (0, 1) pixels (down, right)"),
-    "upside down": (lambda frame: frame[:, ::-1], "as if flipped upside down"),
-    "gamma": (_gamma, "as if encoded for a screen (gamma)"),
     "black": (np.zeros_like, "every value is 0"),
 }
 

@@ -10,7 +10,6 @@ import rawpy
 from eldata.demo.camera import CAMERAS
 from eldata.errors import ArgumentError
 from eldata.isp.preview import preview, srgb_encode
-from eldata.raw.colour import camera_to_srgb
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
@@ -51,12 +50,6 @@ def balanced(camera_rgb: tuple[float, float, float], sensor: Sensor, channels: i
 )
 def test_srgb_encode(linear: float, encoded: float) -> None:
     assert float(srgb_encode(np.array(linear))) == pytest.approx(encoded, abs=1e-7)
-
-
-def test_srgb_encode_is_continuous_and_rises() -> None:
-    values = srgb_encode(np.linspace(0, 1, 100001))
-    assert (np.diff(values) > 0).all()
-    assert np.diff(values).max() < 2e-4
 
 
 def test_srgb_encode_inverts_the_standards_decoding() -> None:
@@ -108,23 +101,6 @@ def test_greens_are_averaged() -> None:
     packed = np.zeros((4, 6, 8), np.float32)
     packed[1], packed[3] = 0.3, 0.7
     assert (preview(packed, sensor)[..., 1] == 188).all()
-
-
-def test_the_colour_matrix_is_applied_after_white_balance() -> None:
-    sensor = SENSORS["DemoAlpha"]
-    assert sensor.xyz_to_camera is not None
-    linear = camera_to_srgb(sensor.xyz_to_camera) @ np.array([0.4, 0.3, 0.2])
-    expected = 255 * srgb_encode(linear.clip(0, 1))
-    assert np.abs(preview(balanced((0.4, 0.3, 0.2), sensor), sensor) - expected).max() <= 0.51
-
-
-def test_pixels_keep_their_places() -> None:
-    packed = np.zeros((4, 6, 8), np.float32)
-    packed[:, 2, 5] = 1
-    image = preview(packed, SENSORS["DemoAlpha"])
-    assert image[2, 5].tolist() == [255, 255, 255]
-    image[2, 5] = 0
-    assert not image.any()
 
 
 def test_input_is_not_changed() -> None:

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 RESPONSES = CurveModel.of_curves(family(), 5)
 INVERSES = CurveModel.of_curves(family(), 5, inverse=True)
 TIMES_S = (1 / 60, 1 / 30, 1 / 15, 1 / 8, 1 / 4)
-ALL = range(len(family()))
 
 
 def in_model(model: CurveModel, number: int) -> ResponseCurve:
@@ -62,8 +61,7 @@ def largest_difference(found: ResponseCurve, wanted: ResponseCurve, channel: int
 # --- exposures ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [0, 2, 5, 8, 10, 15])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize(("number", "dtype"), [(0, np.uint8), (5, np.uint8), (15, np.uint8), (5, np.uint16)])
 def test_a_curve_comes_back_from_exposures(number: int, dtype: Any) -> None:
     """To half a code: the largest error of one reading; the fit rests on some 20000 pairs of readings."""
     truth = in_model(INVERSES, number)
@@ -143,7 +141,7 @@ def test_blocks_must_fit(block: int) -> None:
 # --- readings of known irradiance ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [0, 2, 5, 8, 10, 15])
+@pytest.mark.parametrize("number", [0, 5, 15])
 def test_a_curve_comes_back_from_a_chart(number: int) -> None:
     truth = in_model(RESPONSES, number)
     irradiance = np.exp2(np.random.default_rng(number).uniform(-7, 0, 200))

@@ -34,13 +34,6 @@ def images(*shape: int, seed: int = 0) -> tuple[npt.NDArray[np.float32], npt.NDA
     return prediction, reference
 
 
-def test_public_names() -> None:
-    stills = {"Score", "psnr", "rescale", "rescale_factor", "score", "ssim"}
-    names = set(vars(metrics)["__all__"])
-    assert names == stills | {"PEAK_8_BIT", "PEAK_ELD", "raw_to_grey", "st_rred"}
-    assert names <= set(dir(metrics))
-
-
 @pytest.mark.parametrize("metric", METRICS)
 @pytest.mark.parametrize("as_tensor", [False, True])
 def test_layout_does_not_matter(metric: Metric, as_tensor: bool) -> None:
@@ -101,7 +94,7 @@ def test_inputs_stay_as_they_are(metric: Metric) -> None:
 
 
 @pytest.mark.parametrize("metric", METRICS)
-@pytest.mark.parametrize("shape", [(4, 611, 331), (700, 300), (3, 260, 257)])
+@pytest.mark.parametrize("shape", [(4, 611, 331), (3, 260, 257)])
 def test_threads_do_not_change_a_bit(metric: Metric, shape: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     p, g = images(*shape)
     expected = metric(p, g)  # small images are done in this thread

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
@@ -96,32 +95,10 @@ def test_cancellation_and_drift(name: str) -> None:
     assert ssim(p, g) == pytest.approx(direct(p, g), abs=2e-12)
 
 
-def test_images_with_a_closed_form() -> None:
-    """Constants: only the luminance term. A quarter and a half: exact in rationals."""
-    x, y, c1 = Fraction(1, 4), Fraction(1, 2), Fraction(1, 10**4)
-    expected = (2 * x * y + c1) / (x * x + y * y + c1)
-    assert ssim(np.full((3, 300, 300), 0.25), np.full((3, 300, 300), 0.5)) == pytest.approx(float(expected), abs=1e-13)
-    assert ssim(np.zeros((9, 9)), np.ones((9, 9))) == pytest.approx(1e-4 / (1 + 1e-4), abs=1e-15)
-
-
 @pytest.mark.parametrize("level", [0.0, 0.3, 1.0])
 def test_identical_constants(level: float) -> None:
     image = np.full((2, 300, 20), level, np.float32)
     assert ssim(image, image) == 1.0
-
-
-def test_every_window_counts_alike() -> None:
-    """Brighten one pixel: the loss is the same wherever all 49 windows around it are inside."""
-    g = np.zeros((2, 540, 530))
-    losses = []
-    for row, column in ((6, 6), (255, 255), (256, 300), (261, 262), (266, 268), (533, 523)):
-        p = g.copy()
-        p[1, row, column] = 1.0
-        losses.append(1 - ssim(p, g))
-    assert losses == pytest.approx([losses[0]] * 6, rel=1e-9)
-    corner = g.copy()
-    corner[0, -1, -1] = 1.0  # one window of 49
-    assert (1 - ssim(corner, g)) * 49 == pytest.approx(losses[0], rel=1e-9)
 
 
 @settings(max_examples=80, deadline=None)

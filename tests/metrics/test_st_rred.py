@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tracemalloc
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +20,6 @@ from tests.metrics.golden.st_rred_clips import (
     CASES,
     Case,
     Clip,
-    blur,
     drop,
     flicker,
     noise,
@@ -29,9 +28,6 @@ from tests.metrics.golden.st_rred_clips import (
     still,
     uniform,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 GOLDEN: dict[str, Any] = json.loads((Path(__file__).parent / "golden" / "st_rred.json").read_text(encoding="utf-8"))
 
@@ -69,32 +65,12 @@ def test_every_golden_case_is_used() -> None:
 
 # What the numbers mean
 
-DISTORTIONS = [
-    pytest.param(lambda clip, strength: blur(clip, int(strength)), (1, 2, 4, 6), id="blur"),
-    pytest.param(noise, (0.02, 0.05, 0.1, 0.2, 0.4), id="noise"),
-    pytest.param(flicker, (0.005, 0.01, 0.02, 0.05, 0.1), id="flicker"),
-]
-
 
 @pytest.mark.parametrize("clip", [scene(4, 160, 176), still(4, 160, 176)], ids=["moving", "still"])
 def test_identical_clips_score_exactly_zero(clip: Clip) -> None:
     scores = st_rred(clip, clip.copy())
     assert scores == StRred((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
     assert scores.spatial == scores.temporal == scores.st_rred == scores.st_rred_single == 0
-
-
-@pytest.mark.parametrize(("distort", "strengths"), DISTORTIONS)
-@pytest.mark.parametrize("peak", [PEAK_8_BIT, PEAK_ELD])
-def test_more_distortion_scores_higher(
-    distort: Callable[[Clip, float], Clip], strengths: tuple[float, ...], peak: float
-) -> None:
-    clip = scene(4, 160, 176)
-    scores = [st_rred(distort(clip, strength), clip, peak=peak) for strength in strengths]
-    for part in ("spatial", "temporal", "st_rred"):
-        values = [getattr(score, part) for score in scores]
-        assert values == sorted(values)
-        assert values[0] > 0
-        assert values[-1] > 1.5 * values[0]
 
 
 def test_flicker_counts_though_psnr_hardly_sees_it() -> None:
@@ -113,14 +89,6 @@ def test_flicker_of_a_still_scene() -> None:
     clip = still(4, 160, 176)
     assert st_rred(clip * 0.98, clip).temporal == 0
     assert st_rred(flicker(clip, 0.001), clip).temporal > 1
-
-
-@pytest.mark.parametrize("first", [0, 1])
-def test_frozen_frames_count_as_temporal(first: int) -> None:
-    clip = scene(8, 160, 176)
-    frozen = np.concatenate([clip[:first], drop(clip[first:])])
-    noisy = noise(clip, 0.05)
-    assert st_rred(frozen, clip).temporal > 3 * st_rred(noisy, clip).temporal
 
 
 def test_frozen_second_frames_leave_the_product_at_zero() -> None:
@@ -156,27 +124,6 @@ def test_last_of_an_odd_number_of_frames_is_not_looked_at() -> None:
     p[4] = np.nan
     assert st_rred(p, g) == expected
     assert len(expected.spatial_pairs) == 2
-
-
-def test_offset_of_both_clips_does_not_matter() -> None:
-    clip = scene(4, 64, 80)
-    p = noise(clip, 0.1)
-    assert st_rred(p + 0.5, clip + 0.5).st_rred == pytest.approx(st_rred(p, clip).st_rred, rel=1e-8)
-
-
-def test_mirrored_clips_score_the_same() -> None:
-    # Where every halving keeps the last row and column, and no block is cut.
-    clip = scene(2, 89, 113)
-    p = noise(clip, 0.1)
-    expected = st_rred(p, clip).st_rred
-    assert st_rred(p[:, ::-1], clip[:, ::-1]).st_rred == pytest.approx(expected, rel=1e-9)
-    assert st_rred(p[:, :, ::-1], clip[:, :, ::-1]).st_rred == pytest.approx(expected, rel=1e-9)
-
-
-def test_orientation_matters() -> None:
-    clip = scene(2, 89, 89)
-    p = noise(clip, 0.1)
-    assert st_rred(p, clip).st_rred != pytest.approx(st_rred(p.swapaxes(1, 2), clip.swapaxes(1, 2)).st_rred, rel=0.01)
 
 
 def test_only_the_ratio_of_peak_and_data_range_counts() -> None:

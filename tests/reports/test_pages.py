@@ -148,7 +148,8 @@ def acceptance(accepted: Acceptance) -> str:
 
 
 CALIBRATIONS = ("page", "sparse", "xtrans", "structured")
-EVERY = pytest.mark.parametrize("which", [*CALIBRATIONS, "profile", "hostile_profile", "acceptance"])
+PAGES = (*CALIBRATIONS, "profile", "hostile_profile", "acceptance")
+EVERY = pytest.mark.parametrize("which", PAGES)
 
 
 # --- every page ---------------------------------------------------------------------------------------------------
@@ -403,8 +404,7 @@ def test_blocks_are_means() -> None:
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize("width", [390, 1280])
-@EVERY
+@pytest.mark.parametrize(("which", "width"), [*((which, 390) for which in PAGES), ("page", 1280), ("profile", 1280)])
 def test_in_a_browser(chromium: str, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     text = request.getfixturevalue(which).replace('<details class="iso">', '<details class="iso" open>')
     found = seen_in_browser(chromium, text, width, tmp_path)

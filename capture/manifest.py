@@ -116,8 +116,6 @@ def in_place(plan: Plan, match: Match) -> Dataset:
         If they share only the root of the file system.
     """
     files = {slot: Path(os.path.abspath(frame.path)) for slot, frame in match.frames.items()}  # noqa: PTH100 # links stay
-    if not files:
-        raise MappingError("no file was matched to a shot; nothing to list")
     # One folder above that of the files: eldata looks for unlisted files in the folders below a dataset's own.
     folder = Path(os.path.commonpath([path.parent.parent for path in files.values()]))
     if folder == folder.parent:

@@ -56,18 +56,20 @@ def add_another_camera(parser: argparse.ArgumentParser, what: str) -> None:
     )
 
 
-def add_choice(parser: argparse.ArgumentParser) -> None:
-    """Add what predictions are made of, where they go, and in which form."""
+def add_set(parser: argparse.ArgumentParser) -> None:
+    """Add which set, by name or manifest."""
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--dataset", metavar="N", help="name of a dataset that eldata knows, such as eld")
-    which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own")
-    parser.add_argument("-o", "--output", metavar="PREDS", required=True, help="a new folder for the predictions")
+    which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own, in a known layout")
+
+
+def add_pairs(parser: argparse.ArgumentParser) -> None:
+    """Add which of a set's pairs or clips."""
     parser.add_argument(
-        "--protocol",
-        metavar="P",
-        help="whose pairs, levels and amplification to take (default: the dataset's own, such as eld or sid)",
+        "--subset",
+        metavar="NAME",
+        help="which of the dataset's named choices of pairs or clips (default: the first on its card)",
     )
-    parser.add_argument("--subset", metavar="NAME", help="which of the dataset's named choices of pairs or clips")
     parser.add_argument(
         "--clip",
         action="append",
@@ -75,6 +77,18 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
         metavar="ID",
         help="only this clip, in place of a subset; may be repeated",
     )
+
+
+def add_choice(parser: argparse.ArgumentParser) -> None:
+    """Add what predictions are made of, where they go, and in which form."""
+    add_set(parser)
+    parser.add_argument("-o", "--output", metavar="PREDS", required=True, help="a new folder for the predictions")
+    parser.add_argument(
+        "--protocol",
+        metavar="P",
+        help="whose pairs, levels and amplification to take (default: the dataset's own, such as eld or sid)",
+    )
+    add_pairs(parser)
     parser.add_argument(
         "--dark-shading",
         metavar="FILE",

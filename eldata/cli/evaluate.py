@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, cast
 from eldata.base import console
 from eldata.base.outputs import RESULT, SCORES, add_output, page_kind
 from eldata.base.tables import FORMATS
+from eldata.cli.baseline import add_pairs, add_set
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -46,9 +47,7 @@ def add_options(parser: console.Parser) -> None:
         choices=("input",),
         help="in place of PREDS: score the noisy input itself, as the protocol has it",
     )
-    which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument("--dataset", metavar="N", help="name of a dataset that eldata knows, such as eld")
-    which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own, in a known layout")
+    add_set(parser)
     parser.add_argument(
         "--protocol",
         metavar="P",
@@ -58,18 +57,7 @@ def add_options(parser: console.Parser) -> None:
             "of your own). eldata protocols shows what each fixes"
         ),
     )
-    parser.add_argument(
-        "--subset",
-        metavar="NAME",
-        help="which of the dataset's named choices of pairs or clips (default: the first on its card)",
-    )
-    parser.add_argument(
-        "--clip",
-        action="append",
-        dest="ids",
-        metavar="ID",
-        help="only this clip, in place of a subset; may be repeated",
-    )
+    add_pairs(parser)
     parser.add_argument(
         "--exclude",
         action="append",

@@ -18,13 +18,12 @@ from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.demo.camera import BASE_ISO, METERED_SHARE, mosaic_light
 from eldata.demo.scenes import linear_light, scene_radiance
 from eldata.demo.sensor import BENCHMARK_SENSORS, Specimen
-from eldata.demo.tree import F_NUMBER, METERED_S, demo_card
+from eldata.demo.tree import METERED_S, demo_card, write_shot
 from eldata.errors import ArgumentError, EldataError
 from eldata.manifest.card import Subset
 from eldata.manifest.eld import NOISY_ISOS, EldCamera, eld_records
 from eldata.manifest.writing import save_manifest
-from eldata.raw.dng import write_dng
-from eldata.records import Exposure, FrameRecord
+from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -369,7 +368,7 @@ def _photograph(shots: _SceneShots) -> None:
         generator = np.random.default_rng([body.seed, _OF_SCENES, body.index, shots.scene.number, index])
         electrons = metered_e * float(exposure_s / shots.metered_s)
         mosaic = specimen.frame(electrons, float(exposure_s), int(iso), generator)
-        _write(shots.folder / record.path, mosaic, design, int(iso), exposure_s)
+        write_shot(shots.folder / record.path, mosaic, design.sensor, iso, exposure_s)
 
 
 def _calibration_frames(shots: _CalibrationShots) -> None:
@@ -388,13 +387,7 @@ def _calibration_frames(shots: _CalibrationShots) -> None:
         electrons = lamp * (float(share) * design.span_dn / design.gain_dn_per_e(iso))
         mosaic = specimen.frame(electrons, float(exposure_s), iso, generator)
         place = shots.folder / design.name / role / f"ISO{iso}" / f"IMG_{index + 1:04d}.dng"
-        _write(place, mosaic, design, iso, exposure_s)
-
-
-def _write(path: Path, mosaic: NDArray[np.uint16], design: SensorDesign, iso: int, exposure_s: Fraction) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    exposure = Exposure(Fraction(iso), exposure_s, F_NUMBER)
-    write_dng(path, mosaic, design.sensor, exposure, compression="lossless-jpeg")
+        write_shot(place, mosaic, design.sensor, Fraction(iso), exposure_s)
 
 
 def _truth(bodies: list[_Body], scenes: tuple[BenchmarkScene, ...]) -> dict[str, object]:

@@ -16,12 +16,12 @@ import numpy as np
 from eldata.base.files import write_json
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.demo.body import Body, FixedFeatures, KnownNoise
-from eldata.demo.tree import demo_card
+from eldata.demo.camera import CAMERAS
+from eldata.demo.tree import demo_card, write_shot
 from eldata.errors import ArgumentError
 from eldata.manifest.table import number_text
 from eldata.manifest.writing import save_manifest
-from eldata.raw.dng import write_dng
-from eldata.records import Exposure, FrameRecord, Sensor
+from eldata.records import FrameRecord, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -47,7 +47,6 @@ _BRIGHTEST_SHARE = 0.8
 _ROUNDING_OF_TIMES = 1.03
 # Four stops below it: 5 %.
 _RANGE_STEPS = 12
-_F_NUMBER = Fraction(28, 5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,17 +90,7 @@ _DEMO_GAMMA_GAIN_PER_ISO: Final = 0.095 / 100
 
 DEMO_GAMMA: Final = CalibrationCamera(
     name="DemoGamma",
-    sensor=Sensor(
-        make="eldata",
-        model="Demo Gamma",
-        cfa=((0, 1), (3, 2)),
-        black_level_dn=(512.0, 512.0, 512.0, 512.0),
-        white_level_dn=16383.0,
-        height=1024,
-        width=1536,
-        white_balance=(2.0, 1.0, 1.7, 1.0),
-        xyz_to_camera=((0.6640, -0.1847, -0.0503), (-0.5238, 1.3010, 0.2474), (-0.0993, 0.1673, 0.6527)),
-    ),
+    sensor=replace(CAMERAS[0].sensor, model="Demo Gamma", height=1024, width=1536, white_balance=(2.0, 1.0, 1.7, 1.0)),
     noise=tuple(
         KnownNoise(iso, _DEMO_GAMMA_GAIN_PER_ISO * iso, shape, sigma_tl_dn, sigma_row_dn, bias_dn)
         for iso, shape, sigma_tl_dn, sigma_row_dn, bias_dn in _DEMO_GAMMA
@@ -194,8 +183,7 @@ def make_calibration_frames(
 
     data, manifests = folder / "data" / _FOLDER, folder / "manifests"
     shots = tuple(_shots(data, plan))
-    for place in (manifests, *sorted({shot.path.parent for shot in shots})):
-        place.mkdir(parents=True, exist_ok=True)
+    manifests.mkdir(parents=True, exist_ok=True)
     try:
         for _ in workers.run(_take, shots, label="calibration frames", unit="frame"):
             pass
@@ -279,8 +267,7 @@ def _take(shot: _Shot) -> None:
         mosaic = body.bias_frame(shot.noise, generator)
     else:
         mosaic = body.flat_frame(shot.noise, shot.level_dn, generator)
-    exposure = Exposure(Fraction(shot.noise.iso), shot.exposure_s, _F_NUMBER)
-    write_dng(shot.path, mosaic, shot.sensor, exposure, compression="lossless-jpeg")
+    write_shot(shot.path, mosaic, shot.sensor, Fraction(shot.noise.iso), shot.exposure_s)
 
 
 def _record(shot: _Shot, data: Path, camera: str) -> FrameRecord:

@@ -23,13 +23,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from eldata.demo.camera import BASE_ISO
-from eldata.records import Sensor
+from eldata.demo.camera import BASE_ISO, CAMERAS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
+
+    from eldata.records import Sensor
 
     Plane = NDArray[np.float32]
 
@@ -217,20 +218,11 @@ _BETA_BLACK_DN: Final = {
     6400: (-2.0, -1.5, -2.4, -1.5),
 }  # fmt: skip
 
+# Filters, black levels and colours are those of the demo's two cameras.
 BENCHMARK_SENSORS: Final = (
     SensorDesign(
         name="BenchAlpha",
-        sensor=Sensor(
-            make="eldata",
-            model="Bench Alpha",
-            cfa=((0, 1), (3, 2)),
-            black_level_dn=(512.0, 512.0, 512.0, 512.0),
-            white_level_dn=16383.0,
-            height=384,
-            width=576,
-            white_balance=(2.1, 1.0, 1.6, 1.0),
-            xyz_to_camera=((0.6640, -0.1847, -0.0503), (-0.5238, 1.3010, 0.2474), (-0.0993, 0.1673, 0.6527)),
-        ),
+        sensor=replace(CAMERAS[0].sensor, model="Bench Alpha", height=384, width=576),
         base_gain_dn_per_e=0.095,
         high_gain_iso=2000,
         low=ConversionGain(read_e=2.9, row_e=0.45, pixel_offset_e=0.6, column_offset_e=0.25, trap_e=9.0),
@@ -247,17 +239,7 @@ BENCHMARK_SENSORS: Final = (
     ),
     SensorDesign(
         name="BenchBeta",
-        sensor=Sensor(
-            make="eldata",
-            model="Bench Beta",
-            cfa=((3, 2), (0, 1)),
-            black_level_dn=(2047.0, 2048.0, 2049.0, 2048.0),
-            white_level_dn=16383.0,
-            height=384,
-            width=576,
-            white_balance=(1.9, 1.0, 1.75, 1.0),
-            xyz_to_camera=((0.7034, -0.0804, -0.1014), (-0.4420, 1.2564, 0.2058), (-0.0851, 0.1994, 0.5758)),
-        ),
+        sensor=replace(CAMERAS[1].sensor, model="Bench Beta", white_level_dn=16383.0, height=384, width=576),
         base_gain_dn_per_e=0.16,
         high_gain_iso=640,
         low=ConversionGain(read_e=3.8, row_e=0.6, pixel_offset_e=0.9, column_offset_e=0.4, trap_e=10.0),

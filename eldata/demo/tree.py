@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from eldata.demo.camera import SimulatedCamera
     from eldata.manifest.catalogue import Manifest
     from eldata.records import FrameRecord, Sensor
@@ -61,6 +63,12 @@ def demo_card(
         protocol="eld",
         sources=(source,),
     )
+
+
+def write_shot(path: Path, mosaic: NDArray[np.uint16], sensor: Sensor, iso: Fraction, exposure_s: Fraction) -> None:
+    """Write a frame as a DNG, its folder made; all are taken at one aperture."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_dng(path, mosaic, sensor, Exposure(iso, exposure_s, F_NUMBER), compression="lossless-jpeg")
 
 
 def prepare_folder(folder: Path) -> None:
@@ -145,10 +153,7 @@ def make_tree(
             iso, exposure_s = cast("Fraction", record.iso), cast("Fraction", record.exposure_s)
             generator = np.random.default_rng([seed, camera_index, index])
             mosaic = camera.photograph(radiance[record.scene], exposure_s / metered, int(iso), generator)
-            path = data / record.path
-            path.parent.mkdir(parents=True, exist_ok=True)
-            exposure = Exposure(iso, exposure_s, F_NUMBER)
-            write_dng(path, mosaic, camera.sensor, exposure, compression="lossless-jpeg")
+            write_shot(data / record.path, mosaic, camera.sensor, iso, exposure_s)
     title, sources = "Simulated ELD-like set", "eldata.demo: procedural scenes, simulated cameras"
     sensors = {camera.name: camera.sensor for camera in cameras}
     card = demo_card("eld-demo", title, "ELD-demo", sensors, records, sources)

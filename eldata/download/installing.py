@@ -161,26 +161,24 @@ class _Ends:
     """The ends of listed paths, such as ``short/00001_00_0.1s.ARW``, and what lies above each."""
 
     def __init__(self, listed: Collection[str]) -> None:
-        # End of the folder: name or pattern of the file: what lies above.
-        self._above: dict[str, dict[str, set[str]]] = {}
+        # End of the folder: name of the file, or pattern: what lies above.
+        self._names: dict[str, dict[str, set[str]]] = {}
+        self._patterns: dict[str, dict[str, set[str]]] = {}
         for path in listed:
             *folders, file = path.split("/")
-            for start in range(len(folders) + 1):
-                if start == len(folders) and is_pattern(file):
-                    continue  # *.png without a folder says nothing
-                ends = self._above.setdefault("/".join(folders[start:]), {})
+            of_kind = self._patterns if is_pattern(file) else self._names
+            for start in range(len(folders) + (of_kind is self._names)):  # *.png without a folder says nothing
+                ends = of_kind.setdefault("/".join(folders[start:]), {})
                 ends.setdefault(file, set()).add("/".join(folders[:start]))
 
     def of(self, name: str) -> tuple[str, set[str]]:
         """Return what lies above a member in the archive, and what above its listed namesakes in the dataset."""
         *folders, file = name.split("/")
         for start in range(len(folders) + 1):  # the longest end that is listed says most
-            ends = self._above.get("/".join(folders[start:]))
-            if ends is None:
-                continue
-            above = ends.get(file) or next(
-                (found for listed, found in ends.items() if is_pattern(listed) and fnmatchcase(file, listed)), set()
-            )
-            if above or start < len(folders):  # an unlisted file of a listed folder is just that
+            folder = "/".join(folders[start:])
+            names, patterns = self._names.get(folder), self._patterns.get(folder, {})
+            fitting = (found for listed, found in patterns.items() if fnmatchcase(file, listed))
+            above = (names or {}).get(file) or next(fitting, set())
+            if above or (start < len(folders) and (names or patterns)):  # an unlisted file of a listed folder
                 return "/".join(folders[:start]), above
         return "", set()

@@ -18,6 +18,7 @@ from capture.noted import explain_metering
 from capture.observed import Observed, ObservedFrame
 from eldata.errors import ArgumentError
 from tests.capture.simulated import START, Taken, as_planned, plan_of
+from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -75,8 +76,8 @@ def again(press: Press, slot: Slot | None, pause_s: float = 3.0) -> Press:
 EXTRA = Press(Taken(200, Fraction(1, 30)), None)
 
 
-@pytest.mark.parametrize("times", [True, False])
-@pytest.mark.parametrize("metered", [("4",), ("4",) * 10, ("4", "1", "2", "1", "4", "8", "1.3", "0.8", "30", "5")])
+@in_one_test("times", [True, False])
+@in_one_test("metered", [("4",), ("4",) * 10, ("4", "1", "2", "1", "4", "8", "1.3", "0.8", "30", "5")])
 def test_nothing_false_on_a_clean_set(metered: tuple[str, ...], times: bool) -> None:
     plan = plan_of(*metered)
     observed, truth = develop(session(plan), times=times)
@@ -172,8 +173,8 @@ def test_scenes_in_any_order(order: list[str]) -> None:
     assert not found.doubtful
 
 
-@pytest.mark.parametrize("given_up_after", [2, 5, 9, 15])
-@pytest.mark.parametrize("metered", ["4 4 4", "4 1 2"])
+@in_one_test("given_up_after", [2, 5, 9, 15])
+@in_one_test("metered", ["4 4 4", "4 1 2"])
 def test_a_scene_begun_again(given_up_after: int, metered: str) -> None:
     """The lamp fell over: the second take counts, whole."""
     plan = plan_of(*metered.split())

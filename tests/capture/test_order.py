@@ -45,7 +45,7 @@ def test_equal_scenes_and_a_clock_that_was_put_back_are_a_question(
     digits: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Also where the names have five digits, of which the counter has four: DSC09999, then DSC00001."""
-    plan = plan_of("4", "4", "4")
+    plan = plan_of("4", "4", "4", factors=(1, 10))
     files = shoot(tmp_path / "card", clock_put_back(plan), digits=digits)
     count = len(plan.scenes[0].shots)
     place = ("--copy-to", str(tmp_path / "set"))

@@ -16,7 +16,7 @@ pytestmark = [
 
 @pytest.mark.parametrize("name", kills.CASES)
 def test_killed_and_run_again(name: str) -> None:
-    """Each kill, SIGTERM and Ctrl-C, and the undisturbed result to the bit after the command is run again."""
-    done = kills.in_a_process("--trials", "3", "--signal", "KILL", "TERM", "INT", "--", name)
+    """Each kill and Ctrl-C, and the undisturbed result to the bit after the command is run again."""
+    done = kills.in_a_process("--trials", "3", "--signal", "KILL", "INT", "--", name)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("3 times SIG") == 3
+    assert done.stdout.count("3 times SIG") == 2

@@ -23,6 +23,7 @@ from eldata.errors import EldataError
 from eldata.manifest.catalogue import shipped_folder
 from eldata.noise.profile import CameraProfile
 from tests.capture.simulated import plan_of, shoot, whole_plan
+from tests.cases import in_one_test
 from tests.cli.conftest import Cli, room_for
 
 if TYPE_CHECKING:
@@ -124,18 +125,16 @@ def test_no_file_that_is_there_is_replaced_unless_the_option_wrote_it(
     outputs = [(command, action) for command, action in options_of(parser) if isinstance(action, Output)]
     assert len(outputs) > 12
     accepted = set()
-    for command, action in outputs:
-        given = command.split()[1:] + needed(parser, command)
-        for name, path in files.items():
-            option = action.option_strings[-1]
-            if action.kind.problem(path) is None:
-                accepted.add((command, option, name))
-                continue
-            assert main([*given, option, str(path)]) == 2, (command, option, name)
-            out, err = capsys.readouterr()
-            assert (out, err.count("\n")) == ("", 1)
-            assert err.startswith(f"{command}: {option} {path}: is there already")
-            assert "Give another name, or move that file away" in err
+    for turn, (command, action) in enumerate(outputs):
+        option = action.option_strings[-1]
+        accepted |= {(command, option, name) for name, path in files.items() if action.kind.problem(path) is None}
+        refused = [path for name, path in files.items() if (command, option, name) not in accepted]
+        path = refused[turn % len(refused)]  # of each option the command is run with one of them, in turn
+        assert main([*command.split()[1:], *needed(parser, command), option, str(path)]) == 2, (command, option, path)
+        out, err = capsys.readouterr()
+        assert (out, err.count("\n")) == ("", 1)
+        assert err.startswith(f"{command}: {option} {path}: is there already")
+        assert "Give another name, or move that file away" in err
     assert {name: path.read_bytes() for name, path in files.items()} == before
     assert accepted == {one for one in SAME_KIND if one[0].startswith(program)}
     assert not any(Path.cwd().iterdir())
@@ -255,9 +254,10 @@ def test_a_place_to_write_to_is_tried_before_the_input_is_read(command: str, opt
     assert [path.name for path in Path.cwd().iterdir()] == ["folder"]
 
 
-@pytest.mark.parametrize("second", ["x.csv", "./x.csv", "folder/../x.csv", "link/x.csv", "{absolute}"])
+@in_one_test("second", ["x.csv", "folder/../x.csv", "link/x.csv", "{absolute}"])
 def test_one_file_is_not_written_twice(second: str, eldata: Cli) -> None:
-    Path("folder").mkdir()
+    Path("folder").mkdir(exist_ok=True)
+    Path("link").unlink(missing_ok=True)
     Path("link").symlink_to(Path.cwd())
     second = second.replace("{absolute}", str(Path("x.csv").absolute()))
     outcome = eldata("evaluate", "preds", "--dataset", "eld", "--csv", "x.csv", "--json", second)

@@ -3,57 +3,33 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.base.console import Parser, add_module, run
 from eldata.calibration.acceptance import theory as diagnostics
-from eldata.cli import profile as command
 from eldata.noise.profile import CameraProfile
 from eldata.noise.profile_files import shipped_profiles
+from tests.cases import in_one_test
 from tests.waiting import PATIENCE_S
 
-MADE = """
-import sys
-from eldata.cli import profile
-from eldata.base.console import run
-from eldata.base.console import Parser, add_module
-parser = Parser(prog="eldata")
-add_module(parser.add_subparsers(), profile)
-code = run(parser, sys.argv[1:])
-print("LOADED", *(name for name in ("torch", "rawpy", "matplotlib", "jinja2", "numba") if name in sys.modules))
-"""
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
+    from tests.cli.conftest import Cli, Outcome
 
-@dataclass(frozen=True)
-class Outcome:
-    code: int
-    out: str
-    err: str
-
-
-class Cli:
-    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
-        self._capsys = capsys
-
-    def __call__(self, *arguments: str | Path) -> Outcome:
-        parser = Parser(prog="eldata")
-        add_module(parser.add_subparsers(), command)
-        self._capsys.readouterr()
-        code = run(parser, ["profile", *(str(argument) for argument in arguments)])
-        captured = self._capsys.readouterr()
-        return Outcome(code, captured.out, captured.err)
+    Profile = Callable[..., Outcome]
 
 
 @pytest.fixture
-def profile(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Cli:
-    monkeypatch.chdir(tmp_path)
-    return Cli(capsys)
+def profile(eldata: Cli) -> Profile:
+    return partial(eldata, "profile")
 
 
-def test_show(profile: Cli) -> None:
+def test_show(profile: Profile) -> None:
     done = profile("show", "SonyA7S2")
     assert (done.code, done.err) == (0, "")
     lines = done.out.splitlines()
@@ -82,7 +58,7 @@ def test_show(profile: Cli) -> None:
     assert done.out == profile("show", "SonyA7S2").out
 
 
-def test_off_is_exit_code_1(profile: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_off_is_exit_code_1(profile: Profile, monkeypatch: pytest.MonkeyPatch) -> None:
     nikon = CameraProfile.load("NikonD850")
     other = diagnostics.sample_parameters(nikon, 0)
     made = diagnostics.diagnose
@@ -94,7 +70,7 @@ def test_off_is_exit_code_1(profile: Cli, monkeypatch: pytest.MonkeyPatch) -> No
     assert json.loads(Path("off.json").read_text(encoding="utf-8"))["ok"] is False
 
 
-def test_files(profile: Cli) -> None:
+def test_files(profile: Profile) -> None:
     done = profile("show", "NikonD850", "--iso", "800", "--seed", "3", "--html", "page.html", "--json", "data.json")
     assert done.code == 0
     assert sorted(path.name for path in Path().iterdir()) == ["data.json", "page.html"]
@@ -111,7 +87,7 @@ def test_files(profile: Cli) -> None:
     assert "Noise of NikonD850" in page
 
 
-def test_a_profile_of_ones_own(profile: Cli) -> None:
+def test_a_profile_of_ones_own(profile: Profile) -> None:
     mine = replace(
         CameraProfile.load("SonyA7S2"),
         camera="<script>\n Mine",
@@ -128,7 +104,7 @@ def test_a_profile_of_ones_own(profile: Cli) -> None:
     assert "model P*+G, seed 0" in done.out
 
 
-def test_a_profile_that_would_steer_the_terminal_is_refused(profile: Cli) -> None:
+def test_a_profile_that_would_steer_the_terminal_is_refused(profile: Profile) -> None:
     replace(CameraProfile.load("SonyA7S2"), camera="\x1b[31m Mine").save("mine.json")
     done = profile("show", "mine.json")
     assert done.code == 2
@@ -136,7 +112,7 @@ def test_a_profile_that_would_steer_the_terminal_is_refused(profile: Cli) -> Non
     assert "found '\\x1b[31m Mine'" in done.err
 
 
-def test_list(profile: Cli) -> None:
+def test_list(profile: Profile) -> None:
     done = profile("list", "--json", "list.json")
     assert done.code == 0
     lines = done.out.splitlines()
@@ -146,7 +122,7 @@ def test_list(profile: Cli) -> None:
     assert [item["profile"] for item in listed] == list(shipped_profiles())
 
 
-def test_show_beyond_the_calibrated_range(profile: Cli) -> None:
+def test_show_beyond_the_calibrated_range(profile: Profile) -> None:
     refused = profile("show", "SonyA7S2", "--iso", "12800")
     assert (refused.code, refused.out) == (2, "")
     assert "outside of the calibrated range 100 to 6400 of SonyA7S2" in refused.err
@@ -158,51 +134,43 @@ def test_show_beyond_the_calibrated_range(profile: Cli) -> None:
         assert "black   512 DN" in shown.out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
+@in_one_test(
+    "line, words",
     [
-        (["show", "Leica"], "no camera profile is called 'Leica'"),
-        (["show", "absent.json"], "absent.json: cannot be read"),
-        (["show", "SonyA7S2", "--iso", "99999999"], "outside of the calibrated range"),
-        (["show", "SonyA7S2", "--iso", "nan"], "an ISO is finite and above 0"),
-        (["show", "SonyA7S2", "--gain", "-1"], "outside of the calibrated range 0.09392 to 6.011 of SonyA7S2"),
-        (["show", "SonyA7S2", "--model", "Q"], "'Q' is not a component"),
-        (["show", "SonyA7S2", "--seed", "-1"], "expected a whole number of 0 or more"),
-        (["show", "SonyA7S2", "--iso", "100", "--gain", "1"], "not allowed with"),
-        (["show", "SonyA7S2", "--json", "absent/data.json"], "cannot write absent/data.json"),
-        (["show"], "CAMERA"),
-        (["estimate", "absent.dng"], "absent.dng: cannot be read"),
-        ([], "COMMAND"),
+        ("show Leica", "no camera profile is called 'Leica'"),
+        ("show absent.json", "absent.json: cannot be read"),
+        ("show SonyA7S2 --iso nan", "an ISO is finite and above 0"),
+        ("show SonyA7S2 --gain -1", "outside of the calibrated range 0.09392 to 6.011 of SonyA7S2"),
+        ("show SonyA7S2 --model Q", "'Q' is not a component"),
+        ("show SonyA7S2 --seed -1", "expected a whole number of 0 or more"),
+        ("show SonyA7S2 --iso 100 --gain 1", "not allowed with"),
+        ("estimate absent.dng", "absent.dng: cannot be read"),
+        ("", "COMMAND"),
     ],
 )
-def test_unusable_input_is_one_line_and_exit_code_2(profile: Cli, arguments: list[str], words: str) -> None:
-    done = profile(*arguments)
+def test_unusable_input_is_one_line_and_exit_code_2(profile: Profile, line: str, words: str) -> None:
+    done = profile(*line.split())
     assert done.code == 2
     assert words in done.err
     assert done.err.count("\n") == 1
     assert "unexpected" not in done.err
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["show", "--help"], ["list", "--help"], ["estimate", "--help"]])
-def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", MADE, "profile", *arguments], capture_output=True, text=True, timeout=PATIENCE_S
+def test_what_is_loaded() -> None:
+    """No help loads anything heavy, and what shows a profile without a page draws nothing."""
+    code = (
+        "import sys; from eldata.cli.main import main\n"
+        "for command in ('--help', 'show --help', 'list --help', 'estimate --help', 'show SonyA7S2 --model U'):\n"
+        "    main(['profile', *command.split()])\n"
+        "    heavy = ('torch', 'rawpy', 'matplotlib', 'jinja2', 'numba')\n"
+        "    print('LOADED', *(name for name in heavy if name in sys.modules))"
     )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "LOADED"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
+    loaded = [line for line in done.stdout.splitlines() if line.startswith("LOADED")]
+    assert loaded == ["LOADED"] * 4 + ["LOADED numba"], done.stderr
 
 
-def test_show_without_a_page_draws_nothing() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", MADE, "profile", "show", "SonyA7S2", "--model", "U"],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
-    assert done.stdout.splitlines()[-1] == "LOADED numba", done.stderr
-
-
-def test_import(profile: Cli) -> None:
+def test_import(profile: Profile) -> None:
     shipped = CameraProfile.load("NikonD850")
     fit = {"slope": 0.5, "bias": -0.25, "sigma": 0.125}
     lines = {"G_scale": fit, "g_scale": fit, "R_scale": fit}

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-import pytest
-
 from eldata.base.console import Parser, add_module, run
 from eldata.cli import protocols
 from eldata.protocols import PROTOCOLS
+from tests.cases import in_one_test
 from tests.cli.conftest import Cli, assert_golden, normalised
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import pytest
 
     from tests.evaluation.helpers import Tree
 
@@ -37,13 +38,6 @@ def test_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert_golden("protocols-show", normalised(shown))
     assert PROTOCOLS["led-eld"].digest in shown
     assert max(map(len, shown.splitlines())) <= 120
-
-
-def test_a_family_shows_its_protocols(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command("pmn") == 0
-    shown = capsys.readouterr().out
-    assert PROTOCOLS["pmn-sid"].digest in shown
-    assert PROTOCOLS["pmn-eld"].digest in shown
 
 
 def test_a_digest_shows_what_it_is_of(capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,8 +66,8 @@ def test_a_file_of_ones_own(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert captured.err == f"eldata protocols: {path}, field base: is missing; a protocol needs base, name and title\n"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
+@in_one_test(
+    "arguments, said",
     [
         (["elf"], "no protocol is called 'elf'; known are raw, eld, eld-uncorrected"),
         (["sha256:0000"], "no shipped protocol has the digest sha256:0000"),
@@ -121,8 +115,8 @@ def test_evaluate_under_a_file(eldata: Cli, tree: Tree, predictions: Path, tmp_p
     assert f"{path}, field name: 'eld' is the name of a shipped protocol" in outcome.err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
+@in_one_test(
+    "arguments, said",
     [
         (["--dataset", "eld"], "one of the arguments PREDS --baseline is required"),
         (["x", "--baseline", "input", "--dataset", "eld"], "--baseline: not allowed with argument PREDS"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import runpy
 import subprocess
 import sys
@@ -26,6 +25,8 @@ from eldata.evaluation import evaluate
 from eldata.manifest import verify
 from eldata.noise import CameraProfile, DarkShading
 from eldata.raw.reading import read_raw
+from tests.cases import in_one_test
+from tests.demo.test_tree import digests
 from tests.test_architecture import ROOT
 from tests.waiting import PATIENCE_S
 
@@ -42,14 +43,6 @@ SMALL = BenchmarkPlan(scenes=2, training_scenes=2, size=SIZE, bias_frames=2)
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Manifest]:
     folder = tmp_path_factory.mktemp("benchmark")
     return folder, make_benchmark(folder, SMALL)
-
-
-def digests(folder: Path) -> dict[str, str]:
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 def test_the_test_split_is_elds_and_is_what_is_scored(made: tuple[Path, Manifest]) -> None:
@@ -77,7 +70,7 @@ def test_without_scikit_image_there_are_still_lifes(monkeypatch: pytest.MonkeyPa
     assert len({scene.still_life for scene in scenes}) == 34
 
 
-@pytest.mark.parametrize("name", [*benchmark_frames.TEST_PICTURES, *benchmark_frames.TRAINING_PICTURES])
+@in_one_test("name", [*benchmark_frames.TEST_PICTURES, *benchmark_frames.TRAINING_PICTURES])
 def test_pictures_are_linear_and_fill_the_frame(name: str) -> None:
     light = benchmark_frames.picture_radiance(name, 96, 144)
     assert light.shape == (3, 96, 144)
@@ -138,9 +131,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_others(
     assert not other.items() & again.items()
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"scenes": 0}, {"scenes": 101}, {"training_scenes": 0}, {"bias_frames": 1}, {"seed": -1}]
-)
+@in_one_test("wrong", [{"scenes": 0}, {"scenes": 101}, {"training_scenes": 0}, {"bias_frames": 1}, {"seed": -1}])
 def test_numbers_out_of_range_are_refused(wrong: dict[str, int]) -> None:
     with pytest.raises(ArgumentError, match=next(iter(wrong))):
         BenchmarkPlan(**wrong)  # type: ignore[arg-type]

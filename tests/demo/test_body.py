@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.demo.body import Body, FixedFeatures, KnownNoise, temporal_noise_dn, tukey_lambda_values
+from eldata.demo.body import Body, FixedFeatures, KnownNoise, tukey_lambda_values
 from eldata.records import Sensor
 from tests.calibration.draws import BAYER_PHASES
 from tests.calibration.simulation import XTRANS
+from tests.cases import in_one_test
 
 BAYER = Sensor("eldata", "Test", BAYER_PHASES[0], (512.0, 513.0, 510.0, 512.0), 16383.0, height=512, width=768)
 FUJI = Sensor("eldata", "Test", XTRANS, (1024.0, 1024.0, 1024.0), 16383.0, height=510, width=768)
@@ -39,7 +40,7 @@ def noise_of(sensor: Sensor) -> KnownNoise:
 # --- read noise -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shape", [-0.24, -0.1, -1e-4, -1e-9, 0.0, 1e-12, 1e-4, 0.14, 0.2, 1.0])
+@in_one_test("shape", [-0.24, -0.1, -1e-4, -1e-9, 0.0, 1e-12, 1e-4, 0.14, 0.2, 1.0])
 def test_the_quantile_is_scipys(shape: float) -> None:
     u = np.array([1e-15, 1e-9, 1e-4, 0.2, 0.5, 0.7, 0.9999, 1 - 1e-9])
     np.testing.assert_allclose(
@@ -47,7 +48,7 @@ def test_the_quantile_is_scipys(shape: float) -> None:
     )
 
 
-@pytest.mark.parametrize("shape", [-0.2, 0.0, 0.2])
+@in_one_test("shape", [-0.2, 0.0, 0.2])
 def test_the_ends_of_the_generator_are_finite(shape: float) -> None:
     u = np.array([0.0, 1 - 2.0**-53])
     low, high = tukey_lambda_values(u, shape)
@@ -55,15 +56,7 @@ def test_the_ends_of_the_generator_are_finite(shape: float) -> None:
     assert u[0] == 0  # the argument is left alone
 
 
-@pytest.mark.parametrize("shape", [-0.24, 0.0, 0.14])
-def test_read_noise_is_tukey_lambda(shape: float) -> None:
-    """Kolmogorov-Smirnov, n = 20 000: beyond 1.95 / sqrt(n) by chance once in a thousand times."""
-    noise = replace(NOISE, tukey_lambda=shape, sigma_row_dn=0.0)
-    values = temporal_noise_dn(noise, (512, 768), rng(1)).ravel()[:20_000]
-    assert stats.kstest(values, stats.tukeylambda(shape, scale=2.0).cdf).statistic < 1.95 / math.sqrt(20_000)
-
-
-@pytest.mark.parametrize("shape", [-0.24, 0.0, 0.14])
+@in_one_test("shape", [-0.24, 0.0, 0.14])
 def test_whole_dn_and_tails_of_bias_frames(shape: float) -> None:
     """Four frames of 0.4 megapixels: the share up to each DN, to one in ten thousand, within 5 standard errors."""
     noise = replace(NOISE, tukey_lambda=shape, sigma_row_dn=0.0, colour_bias_dn=(0.25,) * 4)
@@ -103,7 +96,7 @@ def test_electrons_are_poisson() -> None:
 
 
 @pytest.mark.parametrize("sensor", [BAYER, FUJI], ids=["Bayer", "X-Trans"])
-@pytest.mark.parametrize(("gain", "level"), [(0.095, 800.0), (0.5, 9000.0), (6.0, 2000.0)])
+@pytest.mark.parametrize(("gain", "level"), [(0.095, 800.0), (6.0, 2000.0)])
 def test_mean_and_variance_of_flats(sensor: Sensor, gain: float, level: float) -> None:
     """mean = black + bias + level; variance = K level + sigma_read^2 + sigma_row^2 + 1/12, within 5 standard errors."""
     noise = replace(noise_of(sensor), gain_dn_per_e=gain)
@@ -121,7 +114,7 @@ def test_mean_and_variance_of_flats(sensor: Sensor, gain: float, level: float) -
         assert abs(values.var() - pixel - 0.25) < 5 * error < 0.1 * pixel
 
 
-@pytest.mark.parametrize("cfa", BAYER_PHASES)
+@in_one_test("cfa", BAYER_PHASES)
 def test_any_phase(cfa: tuple[tuple[int, ...], ...]) -> None:
     """Without noise a frame is the channels' levels, wherever the pattern puts them."""
     noise = replace(SILENT, colour_bias_dn=(10.0, 20.0, 30.0, 40.0))

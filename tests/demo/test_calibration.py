@@ -18,6 +18,7 @@ from eldata.demo.calibration import against_truth, run_calibration_demo
 from eldata.demo.calibration_frames import DEMO_FEATURES, make_calibration_frames
 from eldata.errors import EldataError
 from eldata.noise import CameraProfile
+from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -140,7 +141,7 @@ OFF = {
 }
 
 
-@pytest.mark.parametrize("without", [["shading"], ["hot-pixels"], ["fixed-pattern"], list(OFF)])
+@in_one_test("without", [["shading"], ["hot-pixels"], ["fixed-pattern"], list(OFF)])
 def test_without(without: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each option switches off what its name says, and no more."""
     asked: list[FixedFeatures] = []

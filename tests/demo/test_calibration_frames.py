@@ -77,9 +77,8 @@ def test_the_manifest(made: tuple[Path, Manifest]) -> None:
         assert (record.height, record.width) == SIZE
 
 
-@pytest.mark.parametrize("level", ["metadata", "full"])
-def test_it_verifies(level: str, made: tuple[Path, Manifest]) -> None:
-    report = verify([made[1]], made[0] / "data", level=level)  # type: ignore[arg-type]
+def test_it_verifies(made: tuple[Path, Manifest]) -> None:
+    report = verify([made[1]], made[0] / "data", level="full")
     assert report.ok
     assert report.datasets[0].files_checked == 18
 
@@ -91,7 +90,7 @@ def test_files_read_back_as_the_frames_that_were_taken(tmp_path: Path, monkeypat
         taken[path.name] = mosaic
         write_dng(path, mosaic, *rest, **options)
 
-    monkeypatch.setattr("eldata.demo.calibration_frames.write_dng", noted)
+    monkeypatch.setattr("eldata.demo.tree.write_dng", noted)
     manifest = make_calibration_frames(tmp_path, **SMALL)
     sensor = replace(DEMO_GAMMA.sensor, height=SIZE[0], width=SIZE[1])
     assert len({frame.tobytes() for frame in taken.values()}) == len(manifest.records) == 18
@@ -136,7 +135,7 @@ def test_times_are_thirds_of_stops() -> None:
         assert time == pytest.approx(2 ** (index / 3) / 8000, rel=0.09)
 
 
-@pytest.mark.parametrize("levels", [2, 5, 13])
+@pytest.mark.parametrize("levels", [2, 13])
 def test_levels_from_5_to_80_percent_under_one_lamp(levels: int, tmp_path: Path) -> None:
     """At every ISO that the camera knows; time x K in proportion to the level."""
     isos = tuple(noise.iso for noise in DEMO_GAMMA.noise)
@@ -266,22 +265,6 @@ def test_drawn_cameras(draw: Any, tmp_path: Path) -> None:
     span = camera.sensor.white_level_dn - max(camera.sensor.black_level_dn)
     for entry in truth["isos"]:
         assert 0.6 < entry["flats"][-1]["mean_level_dn"] / span < 0.83
-
-
-def test_draws_stay_in_the_shipped_ranges() -> None:
-    isos = (100, 400, 1600, 6400, 25600)
-    drawn = [noise for seed in range(50) for noise in draws.drawn_noise(np.random.default_rng(seed), isos)]
-    for name, (low, high) in {
-        "gain_dn_per_e": draws.GAIN_DN_PER_E,
-        "tukey_lambda": draws.TUKEY_LAMBDA,
-        "sigma_tl_dn": draws.SIGMA_TL_DN,
-        "sigma_row_dn": draws.SIGMA_ROW_DN,
-        "colour_bias_dn": draws.COLOUR_BIAS_DN,
-    }.items():
-        values = np.array([getattr(noise, name) for noise in drawn])
-        assert values.min() >= low * (1 - 1e-9) if low > 0 else values.min() >= low
-        assert values.max() <= high * (1 + 1e-9)
-        assert np.ptp(values) > 0.5 * (high - low)
 
 
 # --- arguments --------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from eldata.demo.camera import BASE_ISO, CAMERAS, SimulatedCamera
+from tests.cases import in_one_test
 
 SIZE = (600, 512)
 ALPHA, BETA = CAMERAS
@@ -39,8 +40,8 @@ def sites(camera: SimulatedCamera, channel: int) -> tuple[slice, slice]:
     return slice(row, None, 2), slice(column, None, 2)
 
 
-@pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.name)
-@pytest.mark.parametrize("name", COLOURS)
+@in_one_test("camera", CAMERAS)
+@in_one_test("name", COLOURS)
 def test_expected_electrons(camera: SimulatedCamera, name: str) -> None:
     electrons = camera.with_size(*SIZE).electrons(flat(COLOURS[name]), Fraction(1, 4))
     for channel in CHANNELS:
@@ -50,8 +51,7 @@ def test_expected_electrons(camera: SimulatedCamera, name: str) -> None:
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda camera: camera.name)
-@pytest.mark.parametrize("iso", [100, 800, 3200])
-@pytest.mark.parametrize("name", ["black", "dark", "grey", "skin"])
+@pytest.mark.parametrize(("iso", "name"), [(100, "skin"), (800, "grey"), (3200, "dark"), (3200, "black")])
 def test_mean_and_variance_are_those_of_the_noise_model(camera: SimulatedCamera, iso: int, name: str) -> None:
     """mean = black + K I + K bias; variance = K^2 I + sigma_read^2 + sigma_row^2 + 1/12 (rounding)."""
     sensor = camera.sensor

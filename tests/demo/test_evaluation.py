@@ -53,14 +53,12 @@ def test_the_whole_path(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     assert not list(folder.rglob("*.part"))
 
 
-@pytest.mark.parametrize("name", ["dct", "unet"])
-def test_denoisers_beat_the_amplified_input_everywhere(
-    name: str, demo: tuple[Path, dict[str, EvaluationResult]]
-) -> None:
+def test_denoisers_beat_the_amplified_input_everywhere(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     _, results = demo
-    for before, after in zip(results["amplified"].table, results[name].table, strict=True):
-        assert after.psnr_db > before.psnr_db + 3
-        assert after.ssim > before.ssim
+    for name in ("dct", "unet"):
+        for before, after in zip(results["amplified"].table, results[name].table, strict=True):
+            assert after.psnr_db > before.psnr_db + 3
+            assert after.ssim > before.ssim
 
 
 def test_contact_sheet_of_the_demo(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
@@ -79,13 +77,12 @@ def test_contact_sheet_of_the_demo(demo: tuple[Path, dict[str, EvaluationResult]
         assert np.abs(picture - reference).mean() < np.abs(amplified - reference).mean()
 
 
-@pytest.mark.parametrize("name", ["amplified", "dct", "unet"])
-def test_scores_on_disk(name: str, demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
+def test_scores_on_disk(demo: tuple[Path, dict[str, EvaluationResult]]) -> None:
     folder, results = demo
-    with (folder / f"{name}.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [float(row["psnr_db"]) for row in rows] == [image.psnr_db for image in results[name].images]
-    assert json.loads((folder / f"{name}.json").read_text()) == results[name].as_dict()
+    for name, result in results.items():
+        with (folder / f"{name}.csv").open(newline="") as file:
+            assert [float(row["psnr_db"]) for row in csv.DictReader(file)] == [one.psnr_db for one in result.images]
+        assert json.loads((folder / f"{name}.json").read_text()) == result.as_dict()
 
 
 @pytest.mark.usefixtures("small")
@@ -105,15 +102,13 @@ def test_what_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.mark.usefixtures("small")
 def test_running_again_over_an_earlier_demo(tmp_path: Path) -> None:
-    """From an empty folder: the same again, then a scene more, then a scene less."""
+    """From an empty folder: a scene more, then a scene less, the same as at first."""
     first = run_demo(tmp_path, scenes=1)
     assert (tmp_path / "contact-sheet.png").is_file()
     names = sorted(tmp_path.rglob("*"))
-    second = run_demo(tmp_path, scenes=1)
-    assert first["dct"].images == second["dct"].images
+    assert all(len(result.images) == 24 for result in run_demo(tmp_path, scenes=2).values())
+    assert run_demo(tmp_path, scenes=1)["dct"].images == first["dct"].images
     assert sorted(tmp_path.rglob("*")) == names
-    for scenes in (2, 1):
-        assert all(len(result.images) == 12 * scenes for result in run_demo(tmp_path, scenes=scenes).values())
 
 
 @pytest.mark.usefixtures("small")
@@ -132,12 +127,6 @@ def test_running_again_after_an_interruption(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.usefixtures("small")
-def test_another_seed_gives_other_scores(tmp_path: Path) -> None:
-    first, second = (run_demo(tmp_path / str(seed), scenes=1, seed=seed) for seed in (0, 1))
-    assert first["amplified"].images[0].psnr_db != second["amplified"].images[0].psnr_db
-
-
-@pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("kind", ["file-inside", "folder-inside", "is-a-file"])
 def test_a_foreign_folder_is_refused_and_left_alone(kind: str, tmp_path: Path) -> None:
     folder = tmp_path / "photos"
@@ -152,10 +141,9 @@ def test_a_foreign_folder_is_refused_and_left_alone(kind: str, tmp_path: Path) -
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("scenes", [0, -1])
-def test_scenes_must_be_positive(scenes: int, tmp_path: Path) -> None:
+def test_scenes_must_be_positive(tmp_path: Path) -> None:
     with pytest.raises(EldataError, match=r"scenes.*1 or more"):
-        run_demo(tmp_path / "x", scenes=scenes)
+        run_demo(tmp_path / "x", scenes=0)
     assert not (tmp_path / "x").exists()
 
 

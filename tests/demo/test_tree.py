@@ -60,9 +60,8 @@ def test_no_two_frames_share_their_noise(tree: tuple[Path, Manifest]) -> None:
     assert 1 < difference.std() < 100
 
 
-@pytest.mark.parametrize("level", ["quick", "metadata", "full"])
-def test_the_tree_verifies_at_every_level(level: str, tree: tuple[Path, Manifest]) -> None:
-    report = verify([tree[1]], tree[0] / "data", level=level)  # type: ignore[arg-type]
+def test_the_tree_verifies(tree: tuple[Path, Manifest]) -> None:
+    report = verify([tree[1]], tree[0] / "data", level="full")
     assert report.ok
     assert report.datasets[0].files_checked == 64
 

@@ -40,6 +40,13 @@ def test_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert max(map(len, shown.splitlines())) <= 120
 
 
+def test_a_family_shows_its_protocols(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("pmn") == 0
+    shown = capsys.readouterr().out
+    assert PROTOCOLS["pmn-sid"].digest in shown
+    assert PROTOCOLS["pmn-eld"].digest in shown
+
+
 def test_a_digest_shows_what_it_is_of(capsys: pytest.CaptureFixture[str]) -> None:
     assert command(PROTOCOLS["sid"].digest[:15]) == 0
     assert capsys.readouterr().out.startswith("name                sid\n")

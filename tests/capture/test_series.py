@@ -273,6 +273,7 @@ def test_cold_frames_on_one_card_and_warm_ones_on_another(
     assert "20 of 20 shots have a file" in capsys.readouterr().out
     assert nights.problems() == []
     assert len(CalibrationFrames(nights.data / CAMERA.name / "warm").of("bias", 800)) == 4
+    assert load_manifest(nights.csv).card.title == "1 scene and calibration frames taken with AcmeNocturne"
 
 
 def test_eldata_calibrate_takes_the_dark_frames(

@@ -106,9 +106,11 @@ def test_json_that_cannot_be_written(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"capture {__version__}\n"
+def test_version(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Arguments of the process are the default."""
+    monkeypatch.setattr(sys, "argv", ["capture", "--version"])
+    assert main(["--version"]) == main() == 0
+    assert capsys.readouterr().out == f"capture {__version__}\n" * 2
 
 
 def test_heavy_packages_stay_out() -> None:

@@ -273,6 +273,7 @@ def test_cold_frames_on_one_card_and_warm_ones_on_another(
     assert "20 of 20 shots have a file" in capsys.readouterr().out
     assert nights.problems() == []
     assert len(CalibrationFrames(nights.data / CAMERA.name / "warm").of("bias", 800)) == 4
+    assert load_manifest(nights.csv).card.title == "1 scene and calibration frames taken with AcmeNocturne"
 
 
 def test_eldata_calibrate_takes_the_dark_frames(
@@ -304,7 +305,9 @@ def test_eldata_calibrate_takes_the_dark_frames(
     shading = nights.folder / "shading.npz"
     dark = ["--dark-shading", str(shading), "--dark-current", str(folder / "dark-4s")]
     assert eldata_main(["calibrate", str(nights.csv), "--root", str(nights.folder / "data"), *dark, "--jobs", "1"]) == 0
-    assert "8 bias and 12 flat frames at 2 ISOs" in capsys.readouterr().out  # the dark ones are not among them
+    output = capsys.readouterr().out
+    assert "8 bias and 12 flat frames at 2 ISOs" in output  # the dark ones are not among them
+    assert "dark current from frames of 4 s; a frame's own time counts" in output
     found = DarkShading.load(shading)
     grown = found.at(800, exposure_s=4) - found.at(800, exposure_s=1 / 8000)
     well = ~found.hot

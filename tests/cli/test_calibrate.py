@@ -242,6 +242,17 @@ def test_flats_alone_give_k(eldata: Cli, pristine: FrameTree, tree: FrameTree, t
     assert not (tmp_path / "p.json").exists()
 
 
+def test_flats_alone_at_one_iso(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
+    for path in tree.files("bias", 400):
+        path.unlink()
+    outcome = eldata("calibrate", tree.root, "-o", tmp_path / "p.json", "--json", tmp_path / "d.json")
+    assert (outcome.code, outcome.err) == (0, "")
+    data = json.loads((tmp_path / "d.json").read_text())
+    assert [one["iso"] for one in data["isos"]] == [100, 1600]
+    assert [one["iso"] for one in data["gains"]] == [400]
+    assert [row.iso for row in CameraProfile.load(tmp_path / "p.json").rows] == [100, 1600]
+
+
 def test_without_a_gain_there_are_figures_and_no_profile(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
     for path in tree.camera.glob("flat/*/*"):
         path.unlink()

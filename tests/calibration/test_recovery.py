@@ -149,6 +149,7 @@ def test_a_body_without_fixed_pattern(shape: float, deviation: float, level: flo
     assert abs(row.sigma_dn - 0.1) < 4 * row.sigma_error_dn < 0.01
     assert read.chi2_per_dof < 3
     assert "shape of the read noise" not in findings(found)
+    assert "rounding moves black" in findings(found)
 
 
 DRAWS = 60

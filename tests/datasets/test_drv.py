@@ -15,7 +15,7 @@ import psutil
 import pytest
 import torch
 
-from eldata.datasets.drv import DRVDataset
+from eldata.datasets.published.drv import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.lock import lock

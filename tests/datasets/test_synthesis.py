@@ -16,13 +16,13 @@ import pytest
 
 from eldata.base.files import try_lock
 from eldata.cli.main import main
-from eldata.datasets import synthesis
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clips import ClipWindows
-from eldata.datasets.draws import draw_splits
 from eldata.datasets.packed import PackedStore
-from eldata.datasets.synthesis import Recipe, synthesize
-from eldata.datasets.synthesis_journal import NAME
+from eldata.datasets.synthetic import synthesis
+from eldata.datasets.synthetic.draws import draw_splits
+from eldata.datasets.synthetic.journal import NAME
+from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
 from eldata.manifest import load_manifest, verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters

@@ -14,8 +14,8 @@ import pytest
 
 from eldata.base.workers import UnseenFileError
 from eldata.calibration.camera import calibrate
-from eldata.datasets.drv import DRVDataset
-from eldata.datasets.synthesis import Recipe, synthesize
+from eldata.datasets.published.drv import DRVDataset
+from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import save_clip_prediction
 from eldata.manifest.lock import lock

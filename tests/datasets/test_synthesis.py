@@ -214,7 +214,7 @@ def test_a_finished_scene_that_is_not_whole_any_more_is_made_again(
     else:
         content = path.read_bytes()
         path.write_bytes(content[:-9] + bytes(9))
-    synthesize(clean, out, Recipe(SONY, per_image=2), workers=2 if damage == "gone" else 1)
+    synthesize(clean, out, Recipe(SONY, per_image=2))
     assert everything(out) == whole
 
 

@@ -15,7 +15,7 @@ from benchmarks import plain_noise
 from benchmarks.store_routes import CROP
 from eldata.datasets.batches import Field, new_batch
 from eldata.datasets.crops import Crop
-from eldata.datasets.draws import NoiseChoice
+from eldata.datasets.synthetic.draws import NoiseChoice
 from eldata.noise import CameraProfile, NoiseModel
 
 if TYPE_CHECKING:

@@ -92,7 +92,7 @@ def clip_error(
     batch
         ``input`` (N, F, C, h, w), F > T frames of which each has noise of its own; ``target`` (N, F, C, h, w), or
         (N, C, h, w) where one still is the target of all frames. Samples of
-        :class:`~eldata.datasets.synthetic.SyntheticClips` and :class:`~eldata.datasets.clips.ClipWindows` are so.
+        :class:`~eldata.datasets.synthetic.pairs.SyntheticClips` and :class:`~eldata.datasets.clips.ClipWindows` are so.
     window
         T, odd.
     weight

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import argparse
 
     from eldata.datasets.calibration_frames import CalibrationFrames
-    from eldata.datasets.dark_frames import DarkFrames
+    from eldata.datasets.synthetic.dark_frames import DarkFrames
     from eldata.noise.components import Components
 
 
@@ -128,7 +128,7 @@ def run_check(arguments: console.Arguments) -> int:
     from eldata.calibration.acceptance.comparison import check_noise
     from eldata.calibration.audit.frames import FramesError
     from eldata.datasets.calibration_frames import CalibrationFrames
-    from eldata.datasets.dark_frames import DarkFrames
+    from eldata.datasets.synthetic.dark_frames import DarkFrames
     from eldata.noise.dark_shading import DarkShading
     from eldata.noise.model import NoiseModel
     from eldata.noise.profile import CameraProfile

@@ -90,7 +90,7 @@ def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from pathlib import Path
 
-    from eldata.datasets.synthesis import Recipe, synthesize
+    from eldata.datasets.synthetic.synthesis import Recipe, synthesize
     from eldata.noise.profile import CameraProfile
 
     check_components(arguments.model, arguments.dark_frames, arguments.dark_shading)

@@ -37,7 +37,7 @@ _BAYER: CfaRows = ((0, 1), (3, 2))
 
 
 class CleanSource(Protocol):
-    """What :class:`~eldata.datasets.synthetic.SyntheticPairs` draws its clean crops from.
+    """What :class:`~eldata.datasets.synthetic.pairs.SyntheticPairs` draws its clean crops from.
 
     If it has an attribute ``reads_parts``, that says whether its frames read only the parts that are asked for
     (:class:`eldata.sources.frames.FrameSource`).
@@ -51,7 +51,7 @@ class CleanSource(Protocol):
 
 
 class ClipSource(Protocol):
-    """What :class:`~eldata.datasets.synthetic.SyntheticClips` draws from: for each clip, its frames in order."""
+    """What :class:`~eldata.datasets.synthetic.pairs.SyntheticClips` draws from: for each clip, its frames in order."""
 
     def __len__(self) -> int:
         """Return the number of clips."""
@@ -326,7 +326,7 @@ class _Unpacked:
 
 
 class CleanClips:
-    """Clean clips by their number, for :class:`~eldata.datasets.synthetic.SyntheticClips`.
+    """Clean clips by their number, for :class:`~eldata.datasets.synthetic.pairs.SyntheticClips`.
 
     Parameters
     ----------

@@ -90,8 +90,8 @@ class PackedClips(ClipWindows):
 
     The clips are those that have a reference, or with ``dynamic`` those that have none, such as DRV's dynamic ones.
     Each item is a window of consecutive frames and their one reference, all cut at the same random place and turned the
-    same way. The values are those of :class:`~eldata.datasets.drv.DRVDataset` on the files, bit for bit. Item i of
-    epoch e depends on (seed, e, i) alone, as in :class:`PackedStore`.
+    same way. The values are those of :class:`~eldata.datasets.published.drv.DRVDataset` on the files, bit for bit. Item
+    i of epoch e depends on (seed, e, i) alone, as in :class:`PackedStore`.
 
     Parameters
     ----------

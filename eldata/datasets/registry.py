@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 # A dataset's name is that of its manifest; the place of its class, for commands that read this need no torch; and the
 # options that tell manifests apart which one class reads.
 _ENTRIES: dict[str, tuple[str, dict[str, str]]] = {
-    "eld": ("eldata.datasets.eld:ELDDataset", {}),
-    "sid-sony": ("eldata.datasets.sid:SIDDataset", {"camera": "sony"}),
-    "sid-fuji": ("eldata.datasets.sid:SIDDataset", {"camera": "fuji"}),
-    "drv": ("eldata.datasets.drv:DRVDataset", {}),
-    "crvd": ("eldata.datasets.crvd:CRVDDataset", {}),
-    "lrd": ("eldata.datasets.lrd:LRDDataset", {}),
-    "lrid": ("eldata.datasets.lrid:LRIDDataset", {}),
-    "sidd": ("eldata.datasets.sidd:SIDDDataset", {}),
+    "eld": ("eldata.datasets.published.pairs:ELDDataset", {}),
+    "sid-sony": ("eldata.datasets.published.pairs:SIDDataset", {"camera": "sony"}),
+    "sid-fuji": ("eldata.datasets.published.pairs:SIDDataset", {"camera": "fuji"}),
+    "drv": ("eldata.datasets.published.drv:DRVDataset", {}),
+    "crvd": ("eldata.datasets.published.crvd:CRVDDataset", {}),
+    "lrd": ("eldata.datasets.published.pairs:LRDDataset", {}),
+    "lrid": ("eldata.datasets.published.pairs:LRIDDataset", {}),
+    "sidd": ("eldata.datasets.published.pairs:SIDDDataset", {}),
 }
 
 

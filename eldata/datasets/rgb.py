@@ -179,7 +179,7 @@ class StagedPairs(Dataset[dict[str, Any]]):
     ----------
     pairs
         A dataset of packed pairs: :class:`~eldata.datasets.base.PairDataset` (ELD, SID),
-        :class:`~eldata.datasets.packed.PackedStore`, :class:`~eldata.datasets.synthetic.SyntheticPairs`, or one
+        :class:`~eldata.datasets.packed.PackedStore`, :class:`~eldata.datasets.synthetic.pairs.SyntheticPairs`, or one
         of your own whose samples are dicts with ``input`` and ``target`` (C, h, w).
     stage_in, stage_out
         Functions of (image, :class:`PairSensors`) for input and target: :func:`keep_raw`, :class:`Rendered`, your own.

@@ -120,7 +120,8 @@ LED_RANGES = CameraRanges(
 class VirtualCameras(Sequence[CameraProfile]):
     """Camera profiles for training without a calibrated camera: a sequence, and the same one for the same arguments.
 
-    :class:`~eldata.datasets.synthetic.SyntheticPairs` takes it as its cameras; samples say which one by ``camera_id``.
+    :class:`~eldata.datasets.synthetic.pairs.SyntheticPairs` takes it as its cameras; samples say which one by
+    ``camera_id``.
 
     Parameters
     ----------

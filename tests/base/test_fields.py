@@ -11,7 +11,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eldata.base.fields import Fields, TextFile, names_of
@@ -224,6 +224,7 @@ READERS: tuple[Callable[[Fields], object], ...] = (
 )
 
 
+@settings(max_examples=50)
 @given(st.dictionaries(st.text() | st.just("a"), JSON) | JSON)
 def test_any_data_gives_values_or_our_error(data: Any) -> None:
     for read in READERS:

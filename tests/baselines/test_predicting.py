@@ -26,7 +26,7 @@ from eldata.baselines.predicting import BaselineDenoiser, PredictionReport, writ
 from eldata.baselines.told_noise import typical
 from eldata.cli.baseline import NAMES
 from eldata.cli.main import main
-from eldata.datasets.eld import ELDDataset
+from eldata.datasets.published.pairs import ELDDataset
 from eldata.demo.camera import CAMERAS
 from eldata.demo.evaluation import known_profile
 from eldata.errors import ArgumentError, EldataError, FileError

@@ -16,7 +16,7 @@ import numpy as np
 
 from eldata.base.tables import markdown_table
 from eldata.calibration import BiasStack, ShadingFit, fixed_pattern
-from eldata.datasets.dark_frames import DarkFrames
+from eldata.datasets.synthetic.dark_frames import DarkFrames
 from eldata.noise.model import NoiseModel
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure

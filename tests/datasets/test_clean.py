@@ -15,7 +15,7 @@ import eldata.raw.reading
 from eldata.datasets.augmentation import oriented
 from eldata.datasets.clean import Arrays, CleanFrames
 from eldata.datasets.crops import Crop
-from eldata.datasets.synthetic import SyntheticPairs
+from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, unpack

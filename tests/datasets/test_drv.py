@@ -14,8 +14,9 @@ import numpy as np
 import psutil
 import pytest
 import torch
+from torch.utils.data import DataLoader
 
-from eldata.datasets.drv import DRVDataset
+from eldata.datasets.published.drv import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.lock import lock
@@ -92,6 +93,8 @@ def test_items_are_the_files_pixels(drv: SmallDrv) -> None:
         assert all(math.isnan(sample[name]) for name in ("ratio", "iso", "exposure_s"))
         assert torch.equal(sample["target"].expand_as(sample["input"])[3], sample["target"])
         assert dataset.records[index].paths[0] == sample["path"]
+    (batch,) = DataLoader(dataset, batch_size=4)
+    assert torch.equal(batch["input"], torch.stack([sample["input"] for sample in dataset]))
 
 
 def test_windows_strides_and_ranges(drv: SmallDrv) -> None:

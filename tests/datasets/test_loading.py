@@ -114,17 +114,13 @@ def test_batches_do_not_depend_on_workers(workers: int, store: Path) -> None:
     assert loader.persistent_workers == (workers > 0)
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_evaluation_gives_each_item_once_in_order(workers: int, store: Path) -> None:
+def test_evaluation_gives_each_item_once_in_order(store: Path) -> None:
+    """Whatever workers and batches a rank has."""
     dataset = pairs(store, crop=None, augment=False, crops_per_frame=1)
     got: list[list[str]] = []
-    for number in range(3):
-        loader = evaluation_loader(dataset, 3, workers=workers, rank=Rank(number, 5))
+    for number, (workers, batch_size) in enumerate(((2, 3), (0, 3), (0, 3), (0, 1), (0, 1))):
+        loader = evaluation_loader(dataset, batch_size, workers=workers, rank=Rank(number, 5))
         got.append([path for batch in loader for path in batch["path"]])
-    got += [
-        [path for batch in evaluation_loader(dataset, rank=Rank(n, 5), workers=0) for path in batch["path"]]
-        for n in (3, 4)
-    ]
     assert Counter(path for part in got for path in part) == Counter(record.path for record in dataset.records)
     assert sorted(map(len, got)) == [4, 5, 5, 5, 5]
 

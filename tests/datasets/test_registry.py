@@ -27,7 +27,7 @@ from eldata.datasets import (
 from eldata.datasets.base import PairOptions
 from eldata.datasets.clips import WindowOptions
 from eldata.datasets.loading import LoaderOptions
-from eldata.datasets.noisy_items import NoiseOptions
+from eldata.datasets.synthetic.noisy_items import NoiseOptions
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import ENTRY_POINTS, Manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import select_pairs
@@ -178,7 +178,7 @@ def test_a_name_that_two_packages_register(tmp_path: Path, monkeypatch: pytest.M
     install(tmp_path, "mine", "eld = mine:Dataset")
     monkeypatch.syspath_prepend(tmp_path)
     assert Counter(dataset_names())["eld"] == 1
-    with pytest.raises(ArgumentError, match=r"2 datasets are called 'eld': eldata\.datasets\.eld:ELDDataset, mine:Dat"):
+    with pytest.raises(ArgumentError, match=r"2 datasets are called 'eld': eldata\.datasets\.published.*, mine:Data"):
         open_dataset("eld")
     assert dataset_class("drv")
 

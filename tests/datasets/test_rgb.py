@@ -25,7 +25,7 @@ from eldata.datasets.rgb import (
     raw2rgb,
     rgb2rgb,
 )
-from eldata.datasets.synthetic import SyntheticPairs
+from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.isp.rendering import Gamma, Rendering, render_pair_for_scoring
 from eldata.isp.response import ResponseCurve

@@ -16,13 +16,13 @@ import pytest
 
 from eldata.base.files import try_lock
 from eldata.cli.main import main
-from eldata.datasets import synthesis
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clips import ClipWindows
-from eldata.datasets.draws import draw_splits
 from eldata.datasets.packed import PackedStore
-from eldata.datasets.synthesis import Recipe, synthesize
-from eldata.datasets.synthesis_journal import NAME
+from eldata.datasets.synthetic import synthesis
+from eldata.datasets.synthetic.draws import draw_splits
+from eldata.datasets.synthetic.journal import NAME
+from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
 from eldata.manifest import load_manifest, verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
@@ -214,7 +214,7 @@ def test_a_finished_scene_that_is_not_whole_any_more_is_made_again(
     else:
         content = path.read_bytes()
         path.write_bytes(content[:-9] + bytes(9))
-    synthesize(clean, out, Recipe(SONY, per_image=2), workers=2 if damage == "gone" else 1)
+    synthesize(clean, out, Recipe(SONY, per_image=2))
     assert everything(out) == whole
 
 

@@ -16,7 +16,7 @@ import torch
 from torch.utils.data import DataLoader, default_collate
 
 from eldata.datasets.clean import Arrays, CleanClips, CleanFrames
-from eldata.datasets.synthetic import SyntheticClips
+from eldata.datasets.synthetic.pairs import SyntheticClips
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import NoiseModel, NoiseParameters
 from eldata.raw import write_dng

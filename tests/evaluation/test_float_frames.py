@@ -17,7 +17,7 @@ import tifffile
 from eldata import SyntheticPairs, verify
 from eldata.calibration.one_photograph.estimate import estimate_profile
 from eldata.datasets import CalibrationFrames, CleanFrames, DarkFrames, PairDataset
-from eldata.datasets.synthesis import Recipe, synthesize
+from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import EldataError
 from eldata.evaluation import evaluate
 from eldata.manifest.catalogue import load_manifest

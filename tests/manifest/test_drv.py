@@ -18,7 +18,7 @@ from eldata.download.card_downloads import archive_name, choose_parts
 from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
 from eldata.manifest import writing
 from eldata.manifest.catalogue import load_manifest, shipped_manifest
-from eldata.manifest.clips import FRAME_RANGES, Clip, clips_of, frame_range, windows
+from eldata.manifest.clips import FRAME_RANGES, Clip, choose_clips, clips_of, frame_range, windows
 from eldata.manifest.drv import UNUSED, scan_preprocessed, scan_raw
 from eldata.manifest.lock import lock
 from eldata.manifest.patterns import expand, matching, sequence_of
@@ -168,6 +168,17 @@ def test_named_frame_ranges() -> None:
 def test_windows_that_make_no_sense(length: int, stride: int) -> None:
     with pytest.raises(ArgumentError, match="must be 1 or more"):
         windows(clip_of([0, 1]), length=length, stride=stride, frames="all")
+
+
+def test_unknown_clips_and_splits_list_the_known() -> None:
+    records = shipped_manifest("drv").records
+    with pytest.raises(ArgumentError, match="no clip has split holidays; known are dynamic, test, train, val"):
+        choose_clips(records, (), split=["holidays"])
+    of_val = [record for record in records if record.split == "val"]
+    with pytest.raises(ArgumentError, match=r"no clip has scene 0001; known are 0004, 0018"):
+        choose_clips(of_val, (), ids=["0001"])
+    with pytest.raises(ArgumentError, match="give scene values as a list"):
+        choose_clips(of_val, (), ids="0004")
 
 
 # --- patterns ---------------------------------------------------------------------------------------------------------

@@ -264,3 +264,5 @@ def test_a_set_without_a_manifest_is_told_from_an_unknown_one(name: str, tmp_pat
             use()
     with pytest.raises(ManifestError, match="no dataset is called 'lrb'; known are aim25, crvd, drv"):
         shipped_card("lrb")
+    with pytest.raises(ManifestError, match="no dataset is called 'lrb'; known are crvd, drv"):
+        shipped_manifest("lrb")

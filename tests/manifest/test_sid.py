@@ -191,6 +191,14 @@ def test_a_subset_and_other_choices_together() -> None:
     assert {pair.scene for pair in subset_of(manifest, "indoor-15", scenes=[10185])} == {"10185"}
 
 
+def test_an_unknown_subset_lists_the_known() -> None:
+    known = shipped_manifest("sid-sony").card.subsets
+    with pytest.raises(ArgumentError, match="'first'; known are eval-first, test-first, indoor-15, all"):
+        find_subset(known, "first")
+    with pytest.raises(ArgumentError, match="known are none"):
+        find_subset((), "all")
+
+
 def test_a_subset_that_lost_pairs_is_refused() -> None:
     manifest = shipped_manifest("sid-sony")
     records = [record for record in manifest.records if record.path != "Sony/short/10185_00_0.1s.ARW"]

@@ -14,7 +14,7 @@ import torch
 from scipy import stats
 
 from eldata.datasets import Arrays, SyntheticPairs
-from eldata.datasets.draws import NoiseChoice
+from eldata.datasets.synthetic.draws import NoiseChoice
 from eldata.errors import ArgumentError
 from eldata.noise import LED_RANGES, CameraProfile, FitRanges, VirtualCameras, shipped_profiles
 from tests.cases import in_one_test

@@ -14,8 +14,8 @@ import pytest
 
 from eldata.base.workers import UnseenFileError
 from eldata.calibration.camera import calibrate
-from eldata.datasets.drv import DRVDataset
-from eldata.datasets.synthesis import Recipe, synthesize
+from eldata.datasets.published.drv import DRVDataset
+from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import save_clip_prediction
 from eldata.manifest.lock import lock
@@ -35,6 +35,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+# What threads share, tests/base/clusters/test_executors.py shows; here the work goes where nothing is shared.
+ELSEWHERE = pytest.mark.parametrize(
+    "executor", ["processes", pytest.param("dask", marks=pytest.mark.dask)], indirect=True
+)
+
+
 @pytest.fixture(scope="module")
 def tree(demo_tree: Path) -> Tree:
     return Tree(demo_tree)
@@ -42,9 +48,10 @@ def tree(demo_tree: Path) -> Tree:
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
-    return made_tree(tmp_path_factory.mktemp("frames") / "demo")
+    return made_tree(tmp_path_factory.mktemp("frames") / "demo", isos=(100, 1600))
 
 
+@ELSEWHERE
 def test_lock(executor: Executor, tmp_path: Path) -> None:
     made = trees.build_tree(tmp_path / "made")
     made.change_rows(sha256=None, size_bytes=None)
@@ -54,6 +61,7 @@ def test_lock(executor: Executor, tmp_path: Path) -> None:
     assert other.csv.read_bytes() == made.csv.read_bytes()
 
 
+@ELSEWHERE
 def test_evaluate(tree: Tree, executor: Executor, tmp_path: Path) -> None:
     place(tmp_path, tree)
     alone = evaluate(tmp_path, manifest=tree.manifest, root=tree.root)
@@ -63,6 +71,7 @@ def test_evaluate(tree: Tree, executor: Executor, tmp_path: Path) -> None:
     assert there.table == alone.table
 
 
+@ELSEWHERE
 def test_evaluate_clips(executor: Executor, tmp_path: Path) -> None:
     drv = small_drv(tmp_path / "drv", ("0007", "0013"), 12, size=(48, 56))
     for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
@@ -75,6 +84,7 @@ def test_evaluate_clips(executor: Executor, tmp_path: Path) -> None:
     assert there.videos == alone.videos
 
 
+@ELSEWHERE
 def test_calibrate(frames: FrameTree, executor: Executor, tmp_path: Path) -> None:
     alone, there = calibrate(frames.frames()), calibrate(frames.frames(), workers=executor)
     for number, found in enumerate((alone, there)):
@@ -83,6 +93,7 @@ def test_calibrate(frames: FrameTree, executor: Executor, tmp_path: Path) -> Non
     assert json.dumps(there.as_dict()) == json.dumps(alone.as_dict())
 
 
+@ELSEWHERE
 def test_pack_and_its_check(tree: Tree, executor: Executor, tmp_path: Path) -> None:
     source = source_of_dataset("eld-demo", root=tree.root, manifest=tree.manifest)
     build_store(source, tmp_path / "alone.h5")
@@ -99,6 +110,7 @@ def test_pack_and_its_check(tree: Tree, executor: Executor, tmp_path: Path) -> N
     assert verify_store(tmp_path / "there.h5", level="full", workers=executor) == alone
 
 
+@ELSEWHERE
 def test_synthesize(executor: Executor, tmp_path: Path) -> None:
     clean = write_clean(tmp_path / "clean", 3)
     recipe = Recipe(profile=CameraProfile.load("SonyA7S2"), seed=1)

@@ -232,7 +232,7 @@ def failing(error: BaseException) -> Callable[[int, memoryview, int], None]:
     return fail
 
 
-@pytest.mark.parametrize("number", [1, 5, 14, 40])
+@pytest.mark.parametrize("number", [1, 2, 5, 9, 14, 25, 33, 40])
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), KeyboardInterrupt()], ids=repr)
 def test_a_full_disk_or_ctrl_c_keeps_the_finished_part(
     error: BaseException, number: int, clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -241,7 +241,7 @@ def test_a_full_disk_or_ctrl_c_keeps_the_finished_part(
     with monkeypatch.context() as patch:
         patch.setattr(journal, "_write_all", at_write(number, failing(error)))
         with pytest.raises((EldataError, KeyboardInterrupt), match=r"cannot write .*store.h5.part: No space|^$"):
-            build_store(clean.source, store)
+            build_store(clean.source, store, workers=2)
     assert not store.exists()
     assert part.exists()
     build_store(clean.source, store)

@@ -25,10 +25,9 @@ from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import CleanScene, clean_scenes
 from eldata.datasets.crops import Crop
-from eldata.datasets.dark_frames import DarkFrames
-from eldata.datasets.draws import draw_splits
-from eldata.datasets.synthesis_journal import CleanFacts, WrittenScene, opened_journal
-from eldata.datasets.turns import Turns
+from eldata.datasets.synthetic.dark_frames import DarkFrames
+from eldata.datasets.synthetic.draws import Turns, draw_splits
+from eldata.datasets.synthetic.journal import CleanFacts, WrittenScene, opened_journal
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
 from eldata.manifest.writing import save_manifest

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Unpack
 from eldata.base.arguments import spell_keywords
 from eldata.datasets.base import SIDES
 from eldata.datasets.crops import Crop
-from eldata.datasets.draws import NoiseFacts
 from eldata.datasets.items import Part
-from eldata.datasets.noisy_items import NoiseOptions, NoisyItem, NoisyItems
+from eldata.datasets.synthetic.draws import NoiseFacts
+from eldata.datasets.synthetic.noisy_items import NoiseOptions, NoisyItem, NoisyItems
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import torch
 
     from eldata.datasets.clean import CleanSource, ClipSource
-    from eldata.datasets.draws import Cameras
+    from eldata.datasets.synthetic.draws import Cameras
     from eldata.sources.frames import Frame
 
 
@@ -56,9 +56,9 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
     crops_per_frame
         Items per clean frame: the length is this times the number of frames.
     options
-        What noise is made (:class:`~eldata.datasets.noisy_items.Noise`): ``model``, ``ratio``, ``iso``, ``row``; and
-        from which crops (:class:`~eldata.datasets.items.Cropping`): ``crop`` (default 512), ``augment`` (``True``),
-        ``crops`` (``"random"``), ``seed``.
+        What noise is made (:class:`~eldata.datasets.synthetic.noisy_items.Noise`): ``model``, ``ratio``, ``iso``,
+        ``row``; and from which crops (:class:`~eldata.datasets.items.Cropping`): ``crop`` (default 512), ``augment``
+        (``True``), ``crops`` (``"random"``), ``seed``.
 
     Raises
     ------
@@ -139,7 +139,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
 
     Camera, parameters and ratio are drawn once for a window, and so are its place, crop and orientation, which are the
     same for all of its frames. The noise is fresh in each frame. Item i of epoch e depends on (seed, e, i) alone, as in
-    :class:`~eldata.datasets.synthetic.SyntheticPairs`, whose parameters these are but for:
+    :class:`~eldata.datasets.synthetic.pairs.SyntheticPairs`, whose parameters these are but for:
 
     Parameters
     ----------

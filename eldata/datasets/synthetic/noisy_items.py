@@ -13,10 +13,9 @@ import torch
 from eldata.base.arguments import keywords
 from eldata.base.numbers import checked_number
 from eldata.datasets.batches import threads_here
-from eldata.datasets.dark_frames import GAIN_SPREAD, DarkFrames
-from eldata.datasets.draws import NoiseChoice
 from eldata.datasets.items import CroppedItems, Cropping
-from eldata.datasets.turns import Turns, fewest_members
+from eldata.datasets.synthetic.dark_frames import GAIN_SPREAD, DarkFrames
+from eldata.datasets.synthetic.draws import NoiseChoice, Turns, fewest_members
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.makers import check_noise_maker, made_exposure, maker_name
 from eldata.noise.model import NoiseModel
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.datasets.crops import Crop
-    from eldata.datasets.draws import Cameras, Isos, NoiseDraw
+    from eldata.datasets.synthetic.draws import Cameras, Isos, NoiseDraw
     from eldata.noise.dark_shading import DarkShading
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.profile import RowChoice

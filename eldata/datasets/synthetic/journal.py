@@ -1,4 +1,4 @@
-"""What a run of :func:`~eldata.datasets.synthesis.synthesize` has finished, so that the same call goes on after a kill.
+"""What a run of :func:`~eldata.datasets.synthetic.synthesis.synthesize` has finished, so that the same call goes on.
 
 ``OUT/.begun.jsonl`` is there from the first file to the last: its first line says what was begun, each other which
 scene is whole, with the hashes of its files. Lines are only appended; a last one without its end was being written, and

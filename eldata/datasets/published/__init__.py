@@ -1,0 +1,1 @@
+"""The published datasets, a class each, as :mod:`eldata.datasets` has them."""

@@ -200,7 +200,8 @@ class FrameRecord:
 
     The fields, in this order, are the columns of a manifest's file: others read them, so none changes. The last two are
     what ``capture check --write`` measured of a noisy frame: its exposure ratio to the reference, dimensionless, and
-    how far it lies from it, in pixels of the mosaic. A file in which nothing was measured lacks both columns.
+    how far it lies from it, down and right, in pixels of the mosaic: what the reference has at (y, x) the noisy frame
+    has at (y + down, x + right). A file in which nothing was measured lacks both columns.
     """
 
     path: str
@@ -218,7 +219,7 @@ class FrameRecord:
     sha256: str | None = None
     flags: tuple[str, ...] = ()
     measured_ratio: Fraction | None = None
-    measured_shift_px: Fraction | None = None
+    measured_shift_px: tuple[Fraction, Fraction] | None = None
 
 
 def from_columns(kind: type[_Record], columns: Mapping[str, Sequence[object]]) -> list[_Record]:
@@ -274,6 +275,8 @@ class PairRecord:
         Nominal exposure ratio: the low-light factor f.
     measured_ratio
         The one that the pixels show, if it was measured.
+    measured_shift_px
+        How far the noisy frame lies from its reference, as :class:`FrameRecord` has it, if it was measured.
     """
 
     path: str
@@ -286,3 +289,4 @@ class PairRecord:
     ratio: Fraction
     flags: tuple[str, ...] = ()
     measured_ratio: Fraction | None = None
+    measured_shift_px: tuple[Fraction, Fraction] | None = None

@@ -188,10 +188,17 @@ def published_lrid(bursts: Iterable[Burst]) -> tuple[Card, tuple[FrameRecord, ..
                 notes="folder LRID; all raws, with the frames of ISO 100, are LRID_raw, 523 GB",
                 about="185.1 GB",
             ),
-            Download("https://huggingface.co/datasets/hansen97/LRID", notes="the full set, by the authors"),
+            Download(
+                "https://huggingface.co/datasets/hansen97/LRID",
+                notes="the full set, by the authors",
+                direct=True,
+                part="full",
+            ),
             Download(
                 "https://huggingface.co/datasets/hansen97/LRID_simplified",
                 notes="the first frame of each burst alone, by the authors",
+                direct=True,
+                part="simplified",
             ),
         ),
         subsets=(

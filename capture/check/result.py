@@ -43,6 +43,8 @@ class CheckedPair:
         Of the files, as in the manifest.
     shift
         Distance between the frames, pixels of the mosaic.
+    pixels_off
+        How far down and right the noisy frame lies from its reference, pixels of the mosaic.
     ratio
         The exposure ratio that the pixels show.
     notes
@@ -53,16 +55,17 @@ class CheckedPair:
     reference: str
     shift: Estimate | None = None
     ratio: Estimate | None = None
+    pixels_off: tuple[float, float] | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
-    def recorded(self) -> dict[str, Fraction]:
+    def recorded(self) -> dict[str, object]:
         """What a manifest keeps: the ratio, if it is known better than the limit for light, and the shift."""
-        found = {}
+        found: dict[str, object] = {}
         if self.ratio is not None and self.ratio.standard_error <= LIGHT_AGAIN * self.ratio.value:
             found["measured_ratio"] = Fraction(f"{self.ratio.value:.6g}")
-        if self.shift is not None:
-            found["measured_shift_px"] = Fraction(f"{self.shift.value:.3f}")
+        if self.pixels_off is not None:
+            found["measured_shift_px"] = tuple(Fraction(f"{pixels:.3f}") for pixels in self.pixels_off)
         return found
 
 

@@ -256,7 +256,7 @@ def _measure_pairs_place(
         pair.notes.append("texture or light is too weak to tell a shift")
         return "keep"
     shift, pixels, tiles = found
-    pair.shift = shift.length(pixels, frame.scale)
+    pair.shift, pair.pixels_off = shift.length(pixels, frame.scale), shift.pixels_off(pixels, frame.scale)
     unseen = SIGMAS * pair.shift.standard_error
     if unseen > SHIFT_AGAIN_PX:
         pair.notes.append(f"texture or light is weak: a shift below {unseen:.1f} px may not be seen")

@@ -74,6 +74,11 @@ class Shift:
         factors: Spectra = unshift(self.down.value * ones, self.right.value * ones, side)[0]
         return factors
 
+    def pixels_off(self, pixels: tuple[int, int], scale: int) -> tuple[float, float]:
+        """Return how far down and right the second frame lies: as :meth:`length` has it."""
+        down, right = pixels
+        return scale * (self.down.value + down), scale * (self.right.value + right)
+
     def length(self, pixels: tuple[int, int], scale: int) -> Estimate:
         """Return the distance between the frames, which lie ``pixels`` more apart, times ``scale``.
 

@@ -112,6 +112,7 @@ def _terms(found: Overview, downloads: Sequence[Download]) -> str:
 
 def _fetch(manifest: Manifest, root: Path, parts: Sequence[Download]) -> list[Installed]:
     from eldata.download.fetching import Fetcher
+    from eldata.download.hub import fetch_repository, hub_name
     from eldata.download.installing import fetch_dataset
     from eldata.download.overview import presence_of
 
@@ -119,8 +120,12 @@ def _fetch(manifest: Manifest, root: Path, parts: Sequence[Download]) -> list[In
     installed = []
     for part in parts:
         listed = [record for record in manifest.records if part.holds(record.path)]
-        if not presence_of(manifest.folder(root), listed).complete:
-            installed.append(fetch_dataset(part, manifest, root, fetcher))
+        folder = manifest.folder(root)
+        if not presence_of(folder, listed).complete:
+            of_hub = bool(hub_name(part))
+            installed.append(
+                fetch_repository(part, manifest, folder) if of_hub else fetch_dataset(part, manifest, root, fetcher)
+            )
     return installed
 
 

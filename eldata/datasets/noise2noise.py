@@ -9,6 +9,7 @@ from eldata.base.seeds import item_generator
 from eldata.datasets.base import SIDES, PairItem, Sample
 from eldata.datasets.items import Part, ReadItems
 from eldata.errors import ArgumentError
+from eldata.manifest.pairs import whole_shift_px
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,7 +54,8 @@ class Noise2Noise(ReadItems[_Item, Sample]):
         self.source, self.clip = pairs.source, pairs.clip
         groups: dict[object, list[int]] = defaultdict(list)
         for number, record in enumerate(pairs.records):
-            groups[record.camera, record.reference, record.iso, record.ratio].append(number)
+            like = record.camera, record.reference, record.iso, record.ratio, whole_shift_px(record)
+            groups[like].append(number)
         self._groups = [group for group in groups.values() if len(group) > 1]
         self._count = sum(map(len, self._groups))
         self._members = [

@@ -64,7 +64,8 @@ def kept_archives(card: Card, root: Path | str | None = None) -> Pooch:
     import pooch
 
     folder = data_root(root) / "archives"
-    first_of = {archive_name(download): download for download in reversed(card.downloads) if download.direct}
+    archives = [download for download in reversed(card.downloads) if download.direct and archive_name(download)]
+    first_of = {archive_name(download): download for download in archives}
     return pooch.create(
         path=folder.absolute() if folder.parts[0].startswith("~") else folder,  # pooch takes ~ for the home folder
         base_url="",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
 
 import numpy as np
 
@@ -21,11 +21,14 @@ from eldata.evaluation.originals import less_shading, levels_dn, normalised_fram
 from eldata.evaluation.pairs import Pair, amplified_by, ratio_of
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
 from eldata.isp.response import response_of
+from eldata.manifest.clips import ClipRecord
 from eldata.metrics.registry import OF_FRAMES
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.digests import CHOOSING, OF_INPUT, canonical
 from eldata.protocols.protocol import NO_SHADING, Amplification, Levels
+from eldata.raw.cfa import packing_sites
 from eldata.raw.levels import check_in_dn, packed_black_level_dn, with_levels
+from eldata.sources.frames import overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -218,8 +221,24 @@ class ComparedFrame:
         self._raw = read_once(lambda: load_prediction(place, reference.frame.sensor, levels))
         self._colours = cache(lambda pixels, shape: load_colours(place, shape, pixels))
 
+    def _shown_by_both(self, side: Literal["noisy", "reference"], protocol: Protocol, of: NDArray[Any]) -> NDArray[Any]:
+        """Return the part of an image of one of the pair's frames that the other shows, too."""
+        if isinstance(self._pair, ClipRecord) or self._pair.measured_shift_px is None:
+            return of
+        cfa = self.reference.frame.sensor.cfa
+        scale = packing_sites(cfa).scale if protocol.is_of_packed else 1
+        part: NDArray[Any] = of[..., *overlap(self._pair, side, of.shape[-2:], cfa, scale)]
+        return part
+
+    def target(self, protocol: Protocol) -> NDArray[Any]:
+        """Return what the prediction is compared with, (C, h, w) of the whole frame, or of what both frames show."""
+        return self._shown_by_both("reference", protocol, self.reference.target(protocol))
+
     def prediction(self, protocol: Protocol) -> NDArray[Any]:
-        """Return the prediction of the whole frame."""
+        """Return the prediction of the whole frame, or of what both frames show."""
+        return self._shown_by_both("noisy", protocol, self._whole(protocol))
+
+    def _whole(self, protocol: Protocol) -> NDArray[Any]:
         values = self._values(protocol)
         if protocol.quantisation == "none":
             return values
@@ -231,7 +250,7 @@ class ComparedFrame:
     def _values(self, protocol: Protocol) -> NDArray[Any]:
         """Return the values that the file has."""
         if self.file is None:
-            return self.input(protocol)
+            return self._noisy.amplified(protocol)
         if protocol.is_of_packed:
             self._check_shading()
         if protocol.pixels != "packed":
@@ -241,8 +260,8 @@ class ComparedFrame:
         return self._raw()
 
     def input(self, protocol: Protocol) -> NDArray[Any]:
-        """Return the amplified noisy input as a protocol has it."""
-        return self._noisy.amplified(protocol)
+        """Return the amplified noisy input as a protocol has it, or what both frames show of it."""
+        return self._shown_by_both("noisy", protocol, self._noisy.amplified(protocol))
 
     def _check_shading(self) -> None:
         """Refuse a dark shading of another sensor than the reference's, which is the inputs'."""

@@ -154,7 +154,7 @@ class ScoredImage:
             if protocol is first and amplified is None and (first.pixels != "srgb" or first.is_of_packed):
                 amplified = compared.input(first)
         sensor = reference.frame.sensor if first.pixels == "packed" else None
-        return SeenImage(shown, amplified, tuple(predictions), reference.target(first), sensor)
+        return SeenImage(shown, amplified, tuple(predictions), compared.target(first), sensor)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from eldata.base.workers import Failed, require_files
-from eldata.errors import ArgumentError, EldataError, FileError, PredictionError
+from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, PredictionError
 from eldata.evaluation.diagnosis import Inspection, chosen_frames
 from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
 from eldata.evaluation.pairs import Pair, files_of, frames_of, iso_of, place_of, ratio_of, reference_of
@@ -303,10 +303,10 @@ class _Scorer:
         protocol = self._protocol
         before, self._before = self._before, []  # those before a frame that fails are not consecutive with the next
         try:
-            target = frame.reference.target(protocol)
+            target = frame.target(protocol)
             self._bare = frame.reference.lacks_channel_whites(protocol)
             self._whites_dn = frame.reference.white_levels_dn(protocol)
-        except (ArgumentError, FileError) as error:
+        except (ArgumentError, DatasetError, FileError) as error:
             reason = error.reason if isinstance(error, FileError) else str(error)
             self._found = _without_reference(self._pair, reason)
             return

@@ -77,10 +77,10 @@ _COLUMNS = {
     "sha256": "sha256:<hex> of the file",
     "flags": "remarks, separated by semicolons",
     "measured_ratio": "exposure ratio as measured in the pixels",
-    "measured_shift_px": "shift against the reference as measured, in pixels",
+    "measured_shift_px": "shift against the reference as measured, pixels of the mosaic: down;right",
 }
 _WHOLE = {"width", "height", "size_bytes"}
-_NUMBERS = {"iso", "exposure_s", "ratio", *MEASURED}
+_NUMBERS = {"iso", "exposure_s", "ratio", "measured_ratio"}
 _OF_PAIRS = ("path", "reference", "camera", "scene", "split", "iso", "exposure_s", "ratio", "flags")
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from eldata.base.fields import TextFile, TextRow, names_of
 from eldata.base.files import path_problem, write_text
 from eldata.base.memory import no_search_for_cycles
+from eldata.base.numbers import fraction_of
 from eldata.base.tables import csv_text
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, ManifestError
@@ -37,8 +38,9 @@ def number_text(value: Fraction) -> str:
     digits = next((digits for digits in range(_MOST_DECIMALS + 1) if 10**digits % value.denominator == 0), None)
     if digits is None:
         return f"{value.numerator}/{value.denominator}"
-    text = str(int(value * 10**digits)).rjust(digits + 1, "0")
-    return f"{text[:-digits]}.{text[-digits:]}" if digits else text
+    text = str(int(abs(value) * 10**digits)).rjust(digits + 1, "0")
+    sign = "-" if value < 0 else ""
+    return f"{sign}{text[:-digits]}.{text[-digits:]}" if digits else f"{sign}{text}"
 
 
 def load_records(path: Path) -> tuple[FrameRecord, ...]:
@@ -185,7 +187,7 @@ def table_text(path: Path, records: Iterable[FrameRecord]) -> str:
 def cell_text(value: object) -> str:
     """Return a field of a record as a cell holds it: flags joined by semicolons, nothing for what is not known."""
     if isinstance(value, tuple):
-        return ";".join(value)
+        return ";".join(map(cell_text, value))
     if isinstance(value, Fraction):
         return number_text(value)
     return "" if value is None else str(value)
@@ -220,6 +222,14 @@ def _flags(row: TextRow, name: str) -> tuple[str, ...]:
     return tuple(flags)
 
 
+def _shift(text: str) -> tuple[Fraction, Fraction]:
+    parts = text.split(";")
+    if len(parts) != 2:
+        raise ArgumentError(f"expected pixels down and right, such as 2;-4, found {shown(text)}")
+    down, right = (fraction_of(part.removeprefix("-")) * (-1 if part.startswith("-") else 1) for part in parts)
+    return down, right
+
+
 # How each column is read, in the order in which a row's problems are looked for.
 _READ: dict[str, Callable[[TextRow, str], Any]] = {
     "flags": _flags,
@@ -237,5 +247,5 @@ _READ: dict[str, Callable[[TextRow, str], Any]] = {
     "size_bytes": lambda row, name: row.optional(name, row.whole),
     "sha256": lambda row, name: row.optional(name, row.parsed, parse=_sha256),
     "measured_ratio": lambda row, name: row.optional(name, row.fraction, above=0),
-    "measured_shift_px": lambda row, name: row.optional(name, row.fraction),
+    "measured_shift_px": lambda row, name: row.optional(name, row.parsed, parse=_shift),
 }

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from eldata.base.memory import scratch
 from eldata.base.pixels import read_rgb16
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import FrameFiles
-from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
+from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO, whole_shift_px
 from eldata.manifest.patterns import is_png
 from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
@@ -172,6 +172,12 @@ class Frame:
         """Return the frame, its pixels forgotten."""
         return replace(self, mosaic=np.broadcast_to(np.uint16(0), self.mosaic.shape))
 
+    def part(self, rows: slice, columns: slice) -> Frame:
+        """Return a part of the frame, which starts at whole periods of the CFA; nothing is read."""
+        if isinstance(self.mosaic, np.ndarray):
+            return replace(self, mosaic=self.mosaic[..., rows, columns])
+        return replace(self, mosaic=_PartOfPixels(self.mosaic, rows, columns))
+
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
         """Return a part, (rows, columns) in DN or (3, rows, columns), to be used before the thread reads the next."""
         if isinstance(self.mosaic, np.ndarray):
@@ -213,6 +219,31 @@ class _LessShading:
         self.shading.at(self.iso, *on_sensor, exposure_s=self.exposure_s, out=taken)
         np.subtract(self.frame.read(rows, columns), taken, out=taken)
         return taken
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PartOfPixels:
+    """A part of other pixels."""
+
+    pixels: Pixels
+    rows: slice
+    columns: slice
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """That of the part."""
+        return *self.pixels.shape[:-2], *part_shape(self.pixels.shape, self.rows, self.columns)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """That of the pixels."""
+        return self.pixels.dtype
+
+    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
+        """Read a part of the part."""
+        parts = zip((self.rows, self.columns), (rows, columns), self.pixels.shape[-2:], strict=True)
+        inner = [range(*whole.indices(side))[part] for whole, part, side in parts]
+        return self.pixels.read(*(slice(one.start, one.stop) for one in inner))
 
 
 def part_shape(shape: tuple[int, ...], rows: slice, columns: slice) -> tuple[int, int]:
@@ -302,6 +333,44 @@ def checked_ratio(record: PairRecord, reference: Frame, noisy: Frame) -> Fractio
             f"{reference.shape}, {reference.cfa}"
         )
     return ratio
+
+
+def overlap(
+    record: PairRecord, side: Literal["noisy", "reference"], shape: tuple[int, int], cfa: CfaRows, scale: int = 1
+) -> tuple[slice, slice]:
+    """Return the part of a noisy frame, or of its reference, that both show: all of it where no shift was measured.
+
+    Parameters
+    ----------
+    record
+        The pair, whose measured shift counts to the nearest whole pixel.
+    side
+        Which of its frames.
+    shape
+        (H, W) of the frame in pixels of the mosaic, or of what has one pixel for ``scale`` x ``scale`` of them.
+    cfa
+        Of the mosaic; the parts have it, too.
+
+    Raises
+    ------
+    DatasetError
+        If the shift is no multiple of the CFA's period, or more than half of the frame.
+    """
+    shift, period = whole_shift_px(record), len(cfa) or 1
+    if shift == (0, 0):
+        return slice(None), slice(None)
+    if any(pixels % period or 2 * abs(pixels) > scale * size for pixels, size in zip(shift, shape, strict=True)):
+        raise DatasetError(
+            f"{record.path}: lies {shift} pixels (down, right) from its reference, by measured_shift_px of the "
+            f"manifest; pairs are cut to what both show where these are multiples of {period} and at most half of the "
+            "frame: leave this pair out, or photograph it again"
+        )
+    sign = 1 if side == "noisy" else -1
+    rows, columns = (
+        slice(max(sign * pixels // scale, 0), size + min(sign * pixels // scale, 0))
+        for pixels, size in zip(shift, shape, strict=True)
+    )
+    return rows, columns
 
 
 def stated_ratio(record: PairRecord | FrameRecord, amplification: Amplification) -> Fraction | None:

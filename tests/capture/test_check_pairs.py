@@ -199,8 +199,11 @@ def test_gaps_of_values_by_their_share() -> None:
 
 
 def test_a_ratio_is_recorded_only_if_it_is_known_well_enough() -> None:
-    known = CheckedPair("a", "b", shift=Estimate(0.123456, 0.01), ratio=Estimate(203.1912345, 0.5))
-    assert known.recorded == {"measured_ratio": Fraction("203.191"), "measured_shift_px": Fraction("0.123")}
+    known = CheckedPair("a", "b", Estimate(0.123456, 0.01), Estimate(203.1912345, 0.5), (-0.123456, 0.0))
+    assert known.recorded == {
+        "measured_ratio": Fraction("203.191"),
+        "measured_shift_px": (Fraction("-0.123"), Fraction(0)),
+    }
     vague = CheckedPair("a", "b", shift=None, ratio=Estimate(200.0, 2 * LIGHT_AGAIN * 200))
     assert vague.recorded == {}
 

@@ -12,7 +12,7 @@ from eldata.base.files import file_problem, folder_problem, inside
 from eldata.base.workers import Failed, Workers, require_files
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import FrameFiles, known_manifest, load_manifest
-from eldata.manifest.pairs import Choice, select_pairs
+from eldata.manifest.pairs import Choice, refuse_shifted, select_pairs
 from eldata.raw.colour import camera_to_srgb
 
 if TYPE_CHECKING:
@@ -93,6 +93,7 @@ def exported_pairs(
     frames = {frame.path: frame for frame in _all_read(Workers.of(workers).attempt(work, paths, label="reading"))}
     found: dict[str, list[ExportPair]] = {}
     for pair in pairs:
+        refuse_shifted(pair, "published code compares frames as they lie: leave the pair out")
         found.setdefault(pair.camera, []).append(ExportPair(pair, frames[pair.path], frames[pair.reference]))
     return loaded, found
 

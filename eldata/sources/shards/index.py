@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
@@ -199,6 +199,8 @@ def facts_text(facts: Facts) -> str:
     """Return a sample's facts as JSON; fractions as text, so that they stay exact."""
     fields = asdict(facts.record).items()
     record = {name: str(value) if isinstance(value, Fraction) else value for name, value in fields}
+    shift = record.pop("measured_shift_px")
+    record |= {} if shift is None else {"measured_shift_px": list(map(str, shift))}
     sides = {name: _side_data(side) for name, side in (("input", facts.input), ("target", facts.target))}
     data = {"record": record, "ratio": str(facts.ratio), "top": facts.top, "left": facts.left, **sides}
     return json.dumps(data, ensure_ascii=False, sort_keys=True)
@@ -223,6 +225,9 @@ def parse_facts(content: bytes) -> Facts:
         raise ValueError("there is no ratio")
     measured, flags = exact(record["measured_ratio"]), tuple(record["flags"])
     pair = PairRecord(**texts, iso=iso, exposure_s=exposure_s, ratio=nominal, flags=flags, measured_ratio=measured)
+    if "measured_shift_px" in record:
+        down, right = map(Fraction, record["measured_shift_px"])
+        pair = replace(pair, measured_shift_px=(down, right))
     sides = {name: _side(data[name]) for name in ("input", "target")}
     return Facts(pair, ratio, int(data["top"]), int(data["left"]), **sides)
 

@@ -18,7 +18,7 @@ from eldata.base.arguments import keywords
 from eldata.base.fields import TextFile
 from eldata.base.files import atomic_write, check_same_work, remove_leftovers, sha256_of, write_json, write_text
 from eldata.errors import ArgumentError, DatasetError, EldataError
-from eldata.manifest.pairs import Choice
+from eldata.manifest.pairs import Choice, refuse_shifted
 from eldata.raw.cfa import cfa_from, packed_area, packing_sites
 from eldata.sources.frames import checked_ratio
 from eldata.sources.shards.index import FORMAT, INDEX, VERSION, Facts, Shard, ShardIndex, Side, index_text, key_of
@@ -137,6 +137,7 @@ def _planned(source: StoreFrames, pairs: Sequence[PairRecord], tile: int | None,
     """Yield the samples in the order of pairs and places, which numbers them."""
     digests = {frame.path: frame.sha256 for frame in source.store.frames}
     for record in pairs:
+        refuse_shifted(record, "shards hold both frames as they lie: load it from files or a store")
         noisy, reference = source.frame(record.path), source.frame(record.reference)
         ratio = checked_ratio(record, reference, noisy)
         sums = digests[record.path], digests[record.reference]

@@ -9,9 +9,15 @@ Camera profiles: list those that ship, show one and test the noise model, or est
 from __future__ import annotations
 
 import shlex
+from typing import TYPE_CHECKING
 
 from eldata.base import console
 from eldata.base.outputs import PROFILE, FileKind, add_output, page_kind
+
+if TYPE_CHECKING:
+    from eldata.noise.profile import CameraProfile
+
+_MODEL = "P*+G*+B+R+U"
 
 
 def add_options(parser: console.Parser) -> None:
@@ -20,14 +26,12 @@ def add_options(parser: console.Parser) -> None:
     show = console.add_command(subcommands, "show", run_show.__doc__)
     show.add_argument("camera", metavar="CAMERA", help="name of a shipped profile, or path of a JSON file")
     where = show.add_mutually_exclusive_group()
-    where.add_argument("--iso", type=float, metavar="ISO", help="at this ISO (default: a gain drawn from the profile)")
-    where.add_argument("--gain", type=float, metavar="K", help="at this system gain, DN per photoelectron")
+    where.add_argument("--iso", type=float, metavar="ISO", help="simulate at this ISO")
+    where.add_argument("--gain", type=float, metavar="K", help="simulate at this system gain, DN per photoelectron")
     show.add_argument(
         "--extrapolate", action="store_true", help="take --iso or --gain beyond the range of the calibration"
     )
-    show.add_argument(
-        "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
-    )
+    show.add_argument("--model", default=_MODEL, metavar="SPEC", help="components of the noise (default: %(default)s)")
     show.add_argument(
         "--seed",
         type=console.whole_number(0),
@@ -63,20 +67,28 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run_show(arguments: console.Arguments) -> int:
-    """`eldata profile show`: show a profile and compare simulated frames with the theory.
+    """`eldata profile show`: show a profile; at an ISO, compare simulated frames with the theory.
 
-    Show a profile, draw parameters from it, simulate flats and bias frames and compare them with the model's closed
-    forms. With --iso or --gain, lambda and colour bias come from the calibration row nearest in gain; otherwise all are
-    drawn. Exit code 1 if a figure is off by more than 4 standard errors.
+    Show what a profile knows of its camera. With any other option than CAMERA, draw parameters from it, simulate flats
+    and bias frames and compare them with the model's closed forms. With --iso or --gain, lambda and colour bias come
+    from the calibration row nearest in gain; otherwise all are drawn. Exit code 1 if a figure is off by more than 4
+    standard errors.
 
+        eldata profile show SonyA7S2
         eldata profile show SonyA7S2 --iso 1600 --html sony.html
     """
-    from eldata.base.tables import one_line, text_table
-    from eldata.calibration.acceptance.theory import diagnose, sample_parameters
-    from eldata.calibration.acceptance.verdicts import parameter_rows
     from eldata.noise.profile import CameraProfile
 
     profile = CameraProfile.load(arguments.camera)
+    facts = _facts(profile)
+    simulates = arguments.model != _MODEL or arguments.seed or arguments.extrapolate or arguments.html or arguments.json
+    if arguments.iso is None and arguments.gain is None and not simulates:
+        print("\n".join([*facts, "", *_rows(profile), "", "with --iso, such as --iso 1600: its noise, simulated"]))
+        return console.OK
+    from eldata.base.tables import text_table
+    from eldata.calibration.acceptance.theory import diagnose, sample_parameters
+    from eldata.calibration.acceptance.verdicts import parameter_rows
+
     parameters = sample_parameters(
         profile,
         arguments.seed,
@@ -85,6 +97,29 @@ def run_show(arguments: console.Arguments) -> int:
         extrapolate=arguments.extrapolate,
     )
     diagnostics = diagnose(profile, parameters, spec=arguments.model, seed=arguments.seed)
+    lines = [*facts, "", f"parameters examined: model {diagnostics.spec}, seed {diagnostics.seed}", ""]
+    for symbol, value, unit in parameter_rows(parameters):
+        lines.append(f"  {symbol:<10}{value:>10} {'' if unit == '1' else unit}".rstrip())
+    header = ("check", "quantity", "unit", "expected", "found", "s.e.", "dev. [s.e.]", "verdict")
+    rows, shown = [], ""
+    for item in diagnostics.comparisons:
+        rows.append(("" if item.check == shown else item.check, item.symbol, item.unit, *item.cells()))
+        shown = item.check
+    lines += ["", text_table(header, rows, left=(0, 1, 2, 7)), "", diagnostics.summary]
+
+    def write_page() -> None:
+        from eldata.base.files import write_text
+        from eldata.reports.profile import profile_page
+
+        write_text(arguments.html, profile_page(diagnostics))
+
+    console.show_and_write(arguments, lambda: "\n".join(lines), diagnostics.as_dict, arguments.html and write_page)
+    return console.PROBLEMS if diagnostics.off else console.OK
+
+
+def _facts(profile: CameraProfile) -> list[str]:
+    """Return lines on a camera."""
+    from eldata.base.tables import one_line, wrapped
 
     low, high = profile.gain_range_dn_per_e
     frames = [total] if (total := sum(len(row.frame_bias_dn) for row in profile.rows)) else []
@@ -103,25 +138,41 @@ def run_show(arguments: console.Arguments) -> int:
         *(("accepted", f" {one_line(one)}, with a larger error") for one in profile.accepted),
         *(("note", one_line(note)) for note in profile.notes),
     ]
-    lines = [one_line(profile.camera), *(f"  {name:<8}{text}" for name, text in facts)]
-    lines += ["", f"parameters examined: model {diagnostics.spec}, seed {diagnostics.seed}", ""]
-    for symbol, value, unit in parameter_rows(parameters):
-        lines.append(f"  {symbol:<10}{value:>10} {'' if unit == '1' else unit}".rstrip())
-    header = ("check", "quantity", "unit", "expected", "found", "s.e.", "dev. [s.e.]", "verdict")
-    rows, shown = [], ""
-    for item in diagnostics.comparisons:
-        rows.append(("" if item.check == shown else item.check, item.symbol, item.unit, *item.cells()))
-        shown = item.check
-    lines += ["", text_table(header, rows, left=(0, 1, 2, 7)), "", diagnostics.summary]
+    indent = " " * 10
+    return [
+        one_line(profile.camera),
+        *(line for name, text in facts for line in wrapped(f"  {name:<8}{text}", indent)),
+    ]
 
-    def write_page() -> None:
-        from eldata.base.files import write_text
-        from eldata.reports.profile import profile_page
 
-        write_text(arguments.html, profile_page(diagnostics))
+def _rows(profile: CameraProfile) -> list[str]:
+    """Return what was measured at each ISO, and the lines over K."""
+    from eldata.base.tables import text_table
 
-    console.show_and_write(arguments, lambda: "\n".join(lines), diagnostics.as_dict, arguments.html and write_page)
-    return console.PROBLEMS if diagnostics.off else console.OK
+    def cell(value: float | None) -> str:
+        return "-" if value is None else f"{value:.4g}"
+
+    header = ("ISO", "K", "lambda", "sigma_TL", "sigma_G", "sigma_row", "bias R", "G1", "B", "G2")
+    rows = []
+    for row in profile.rows:
+        scales = row.sigma_tl_dn, row.sigma_gauss_dn, row.sigma_row_dn
+        figures = row.gain_dn_per_e, row.tukey_lambda, *scales, *row.colour_bias_dn
+        rows.append(("-" if row.iso is None else f"{row.iso:g}", *map(cell, figures)))
+    known = [place for place in range(len(header)) if any(row[place] != "-" for row in rows)]
+    table = text_table([header[place] for place in known], [[row[place] for place in known] for row in rows], left=())
+    lines = []
+    for mode in profile.modes or (profile.mode_at(profile.gain_range_dn_per_e[0]),):
+        for name, fit in (
+            ("sigma_TL", mode.tukey_lambda_fit),
+            ("sigma_G", mode.gauss_fit),
+            ("sigma_row", mode.row_fit),
+        ):
+            where = f", {mode}" if profile.modes else ""
+            lines.append(
+                f"ln {name} = {fit.slope:.4g} ln K {'+-'[fit.intercept < 0]} {abs(fit.intercept):.4g}, residuals "
+                f"{fit.sigma:.3g}{where}"
+            )
+    return [table, "", *lines, "in DN and DN/e-"]
 
 
 def run_estimate(arguments: console.Arguments) -> int:
@@ -216,5 +267,9 @@ def run_list(arguments: console.Arguments) -> int:
         for name, profile in profiles.items()
     ]
     header = ("profile", "gain [DN/e-]", "ISO", "rows", "source")
-    console.show_and_write(arguments, lambda: text_table(header, rows, left=(0, 4)), lambda: listed)
+
+    def told() -> str:
+        return text_table(header, rows, left=(0, 4), columns=console.terminal_columns())
+
+    console.show_and_write(arguments, told, lambda: listed)
     return console.OK

@@ -38,6 +38,7 @@ def add_options(parser: console.Parser) -> None:
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.base.tables import text_table
+    from eldata.protocols.named import PROTOCOLS
     from eldata.protocols.words import HEADER, summary
 
     names = arguments.protocol[1:] if arguments.protocol[:1] == ["show"] else arguments.protocol
@@ -46,9 +47,12 @@ def run(arguments: console.Arguments) -> int:
     def told() -> str:
         if names:
             return "\n\n".join(_page(protocol) for protocol in found)
-        rows = [summary(protocol) for protocol in found]
+        rows = [summary(protocol, PROTOCOLS["eld"]) for protocol in found]
         table = text_table(HEADER, rows, left=range(len(HEADER)), columns=console.terminal_columns())
-        return f"{table}\n\neldata protocols NAME shows one: all that it fixes, its source and digest"
+        return (
+            f"{table}\n\neld: full frame of packed raw, white 16383, one factor per image, SSIM 7x7\n"
+            "eldata protocols NAME shows one: all that it fixes, its source and digest"
+        )
 
     data = {"protocols": [protocol.as_dict() | {"digest": protocol.digest} for protocol in found]}
     console.show_and_write(arguments, told, lambda: data)

@@ -138,35 +138,43 @@ def described(protocol: Protocol) -> list[tuple[str, str]]:
     return [("name", protocol.name), ("title", protocol.title), *rows, *metrics]
 
 
-HEADER = ("protocol", "dataset", "pairs", "region", "white", "scalar", "input clip", "SSIM", "space")
-"""Columns of a list of protocols; what distinguishes them from one another."""
+HEADER = ("protocol", "dataset", "pairs", "unlike eld")
+"""Columns of a list of protocols."""
 
 
-def summary(protocol: Protocol) -> tuple[str, ...]:
-    """Return a protocol's cells in such a list."""
-    if protocol.kind is IMAGES:
-        pairs = [protocol.subset or "", _scenes(protocol.scenes), ", ".join(protocol.cameras)]
-        if protocol.subset is None:
-            pairs.insert(0, " ".join(f"x{ratio:g}" for ratio in protocol.ratios) or "all factors")
-    else:
-        pairs = [f"{protocol.as_dict()['frame_count'] or 'all'} frames per clip"]
+def summary(protocol: Protocol, eld: Protocol) -> tuple[str, ...]:
+    """Return a protocol's cells in such a list, of which the last says in what it differs from the paper's."""
+    own, usual = _distinguished(protocol), _distinguished(eld)
+    unlike = "; ".join(f"{name} {cell}" for name, cell in own.items() if cell != usual[name])
+    return protocol.name, protocol.dataset, _pairs(protocol), unlike
+
+
+def _pairs(protocol: Protocol) -> str:
+    if protocol.kind is not IMAGES:
+        return f"{protocol.as_dict()['frame_count'] or 'all'} frames per clip"
+    pairs = [protocol.subset or "", _scenes(protocol.scenes), ", ".join(protocol.cameras)]
+    if protocol.subset is None:
+        pairs.insert(0, " ".join(f"x{ratio:g}" for ratio in protocol.ratios) or "all factors")
+    return ", ".join(part for part in pairs if part)
+
+
+def _distinguished(protocol: Protocol) -> dict[str, str]:
+    """Return in short what distinguishes protocols from one another."""
     levels = {"published": "16383", "metadata": "file", "metadata-per-channel": "file, channel"}
     levels |= {"sid-sony": "16383, black 512", "sid-fuji": "16383, black 1024", "lrid": "1023, black 64"}
-    scalar = "yes" if protocol.factor_region == protocol.region else f"yes ({_region(protocol.factor_region)})"
+    scalar = "yes" if protocol.factor_region == protocol.region else f"from {_region(protocol.factor_region)}"
     space = {"raw": "raw", "srgb": "sRGB, 8 bit" if protocol.rounding != "none" else "sRGB"}[protocol.space]
     if protocol.prediction_space == "srgb":
         space += f" from {'sRGB' if protocol.input_space == 'srgb' else 'raw'}"
-    return (
-        protocol.name,
-        protocol.dataset,
-        ", ".join(part for part in pairs if part),
-        _region(protocol.region),
-        levels[protocol.levels] if protocol.is_of_packed else {"srgb": "LibRaw"}.get(protocol.pixels, "none"),
-        scalar if protocol.rescaling == "scalar" else "no",
-        protocol.input_clip,
-        {"uniform-7": "7x7", "gaussian-11": "Gauss 11", "gaussian-11-volume": "Gauss 11, RGB"}[protocol.ssim_window],
-        "RGB" if protocol.pixels == "rgb" else space,
-    )
+    windows = {"uniform-7": "7x7", "gaussian-11": "Gauss 11", "gaussian-11-volume": "Gauss 11, RGB"}
+    return {
+        "region": _region(protocol.region),
+        "white": levels[protocol.levels] if protocol.is_of_packed else {"srgb": "LibRaw"}.get(protocol.pixels, "none"),
+        "scalar": scalar if protocol.rescaling == "scalar" else "no",
+        "input clip": protocol.input_clip,
+        "SSIM": windows[protocol.ssim_window],
+        "space": "RGB" if protocol.pixels == "rgb" else space,
+    }
 
 
 def _region(region: str) -> str:

@@ -29,8 +29,20 @@ def profile(eldata: Cli) -> Profile:
     return partial(eldata, "profile")
 
 
+def test_show_a_camera(profile: Profile) -> None:
+    done = profile("show", "SonyA7S2-PMN")
+    assert (done.code, done.err) == (0, "")
+    lines = done.out.splitlines()
+    header = next(line for line in lines if line.split()[:1] == ["ISO"] and "lambda" in line)
+    rows = lines[lines.index(header) + 2 :]
+    known = CameraProfile.load("SonyA7S2-PMN")
+    assert [line.split()[0] for line in rows[: len(known.rows)]] == [f"{row.iso:g}" for row in known.rows]
+    assert sum(line.startswith("ln sigma_") for line in lines) == 3 * len(known.modes)
+    assert max(map(len, lines)) <= 112
+
+
 def test_show(profile: Profile) -> None:
-    done = profile("show", "SonyA7S2")
+    done = profile("show", "SonyA7S2", "--json", "shown.json")
     assert (done.code, done.err) == (0, "")
     lines = done.out.splitlines()
     assert lines[0] == "SonyA7S2"
@@ -55,7 +67,7 @@ def test_show(profile: Profile) -> None:
         assert sum(line.startswith(check) for line in lines) == 1
     assert sum(line.endswith("  ok") for line in lines) == 61
     assert lines[-1] == "all 61 comparisons within 4 standard errors"
-    assert done.out == profile("show", "SonyA7S2").out
+    assert done.out == profile("show", "SonyA7S2", "--html", "shown.html").out
 
 
 def test_off_is_exit_code_1(profile: Profile, monkeypatch: pytest.MonkeyPatch) -> None:

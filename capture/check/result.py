@@ -120,15 +120,6 @@ class CheckedGroup:
         found = [one for one in self.findings if one.verdict != "keep"]
         return tuple(sorted(found, key=lambda one: -VERDICTS.index(one.verdict)))
 
-    @property
-    def extremes(self) -> tuple[Measure, ...]:
-        """The measure of each name that comes nearest to its limit, or exceeds it most."""
-        found: dict[str, Measure] = {}
-        for one in self.measures:
-            if one.name not in found or _closeness(one) > _closeness(found[one.name]):
-                found[one.name] = one
-        return tuple(found.values())
-
     def verdict_of(self, path: str) -> Verdict:
         """Return the most severe verdict about one file."""
         return worst([one.verdict for one in self.findings if one.path == path])
@@ -166,16 +157,12 @@ class CheckedGroup:
         }
 
     def format_text(self, told: Collection[Measure] = ()) -> str:
-        """Return the verdict and its reasons, but those ``told`` below; of a group to keep, its extremes."""
+        """Return the verdict and its reasons, but those ``told`` below."""
         lines = [f"{self.name}: {self.verdict}"]
         left = [one for one in self.reasons if one not in told]
         lines += [f"    {one.verdict}: {one}" for one in left]
         if len(left) < len(self.reasons):
             lines.append(f"    {len(self.reasons) - len(left)} measures that are off alike in many files: see below")
-        if self.verdict == "keep":
-            lines[0] += (
-                f" ({self.files} files; {', '.join(measure_summary(one) for one in self.extremes if one.deviation)})"
-            )
         return "\n".join(lines)
 
 
@@ -207,10 +194,10 @@ class CheckReport:
         return {"dataset": self.dataset, "ok": self.ok, "groups": [group.as_dict() for group in self.groups]}
 
     def format_text(self) -> str:
-        """Return the report as text: verdicts with their reasons, what is :attr:`alike`, how many there are of each."""
+        """Return the report as text: what is not to be kept and why, what is :attr:`alike`, and how many are what."""
         told = {one for many in _alike(self.groups) for one in many}
         total = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
-        groups = [group.format_text(told) for group in self.groups]
+        groups = [group.format_text(told) for group in self.groups if group.verdict != "keep"]
         return "\n".join([*groups, *self.alike, f"{self.dataset}: {total}"])
 
 
@@ -244,26 +231,6 @@ def _in_one(many: Sequence[Measure]) -> str:
         f"{first.verdict}: {len(many)} files alike, such as {in_line(first.path)}: {first.name}: by the pixels it is "
         f"{median(shares):.0f} % of what it should be ({min(shares):.1f} to {max(shares):.1f} %); {first.kind.advice}"
     )
-
-
-def measure_summary(measure: Measure) -> str:
-    """Return a measure's name and value, such as ``shift 0.02 ± 0.01 px``; a ratio as its distance from the nominal."""
-    if not measure.kind.unit:
-        off, error = (100 * value / measure.kind.expected for value in (measure.value, measure.standard_error))
-        return f"{measure.name} {with_error(off - 100, max(error, _FINEST))} % off"
-    if not measure.standard_error:
-        return f"{measure.name} {measure.value:.3g} {measure.kind.unit}"
-    return f"{measure.name} {with_error(measure.value, max(measure.standard_error, _FINEST))} {measure.kind.unit}"
-
-
-_FINEST = 0.01  # of the digits in a summary: %, px or DN
-
-
-def _closeness(measure: Measure) -> tuple[int, float, float]:
-    # Of values that are well, one that may be chance is less close to its limit than its distance says.
-    beyond_chance = max(0.0, measure.deviation - measure.kind.sigmas * measure.standard_error)
-    limit = min(measure.kind.look, measure.kind.again)
-    return VERDICTS.index(measure.verdict), beyond_chance / limit, measure.deviation / limit
 
 
 # --- into the manifest ------------------------------------------------------------------------------------------------

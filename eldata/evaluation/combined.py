@@ -108,7 +108,8 @@ class CombinedResult:
         parts = []
         for metric in first.kind.metrics:
             header = (metric.heading, first.kind.counted, *factors, f"against {first.protocol.name}")
-            parts.append(text_table(header, [self._row(group, ratios, metric) for group in self.groups]))
+            rows = [self._row(group, ratios, metric) for group in self.groups]
+            parts.append(text_table(header, rows, columns=80))
         return "\n\n".join(parts)
 
     def _row(self, group: tuple[EvaluationResult, ...], ratios: list[float], metric: Figure) -> tuple[str, ...]:

@@ -1,7 +1,6 @@
 from .base import PairDataset as PairDataset
 from .base import SourcePairs as SourcePairs
 from .calibration_frames import CalibrationFrames as CalibrationFrames
-from .clean import Arrays as Arrays
 from .clean import CleanClips as CleanClips
 from .clean import CleanFrames as CleanFrames
 from .clean import CleanSource as CleanSource
@@ -30,6 +29,7 @@ from .rgb import StagedPairs as StagedPairs
 from .rgb import raw2rgb as raw2rgb
 from .rgb import rgb2rgb as rgb2rgb
 from .streamed_pairs import StreamedPairs as StreamedPairs
+from .synthetic.arrays import Arrays as Arrays
 from .synthetic.dark_frames import DarkFrames as DarkFrames
 from .synthetic.pairs import SyntheticClips as SyntheticClips
 from .synthetic.pairs import SyntheticPairs as SyntheticPairs

@@ -13,8 +13,9 @@ import pytest
 
 import eldata.raw.reading
 from eldata.datasets.augmentation import oriented
-from eldata.datasets.clean import Arrays, CleanFrames
+from eldata.datasets.clean import CleanFrames
 from eldata.datasets.crops import Crop
+from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import write_dng

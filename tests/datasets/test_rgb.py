@@ -10,7 +10,7 @@ from torch.utils.data import Dataset
 
 from eldata.baselines import Training, UNet
 from eldata.datasets.base import PairDataset
-from eldata.datasets.clean import Arrays, CleanFrames
+from eldata.datasets.clean import CleanFrames
 from eldata.datasets.loading import training_loader
 from eldata.datasets.packed import PackedStore
 from eldata.datasets.rgb import (
@@ -25,6 +25,7 @@ from eldata.datasets.rgb import (
     raw2rgb,
     rgb2rgb,
 )
+from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.isp.rendering import Gamma, Rendering, render_pair_for_scoring

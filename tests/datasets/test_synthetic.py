@@ -15,8 +15,9 @@ import torch
 from torch.utils.data import DataLoader, default_collate
 
 from eldata.datasets.base import SourcePairs
-from eldata.datasets.clean import Arrays, CleanFrames
+from eldata.datasets.clean import CleanFrames
 from eldata.datasets.items import ReadItems
+from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs, SyntheticSample
 from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters

@@ -15,7 +15,8 @@ import pytest
 import torch
 from torch.utils.data import DataLoader, default_collate
 
-from eldata.datasets.clean import Arrays, CleanClips, CleanFrames
+from eldata.datasets.clean import CleanClips, CleanFrames
+from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticClips
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import NoiseModel, NoiseParameters

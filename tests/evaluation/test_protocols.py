@@ -269,7 +269,7 @@ def test_every_field_has_words() -> None:
 
 
 def test_lists_tell_protocols_apart() -> None:
-    rows = [summary(protocol) for protocol in PROTOCOLS.values()]
+    rows = [summary(protocol, PROTOCOLS["eld"]) for protocol in PROTOCOLS.values()]
     assert all(len(row) == len(HEADER) for row in rows)
     assert len({row[1:] for row in rows}) >= len(rows) - 2  # eld and sid are what pmn reports, but for the pairs
     shown = dict(described(PROTOCOLS["led-eld"]))

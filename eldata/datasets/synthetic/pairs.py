@@ -49,8 +49,8 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
     Parameters
     ----------
     source
-        Clean frames: :class:`~eldata.datasets.clean.CleanFrames`, :class:`~eldata.datasets.clean.Arrays`, or anything
-        with their two methods.
+        Clean frames: :class:`~eldata.datasets.clean.CleanFrames`,
+        :class:`~eldata.datasets.synthetic.arrays.Arrays`, or anything with their two methods.
     profiles
         One camera profile or several (one is drawn for each item), by name, path or object.
     crops_per_frame

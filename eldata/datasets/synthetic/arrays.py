@@ -1,0 +1,103 @@
+"""Clean frames from arrays in memory."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.base.memory import scratch
+from eldata.base.numbers import checked_number
+from eldata.errors import ArgumentError
+from eldata.noise.exposures import check_normalised
+from eldata.raw._kernels import scatter_bayer
+from eldata.raw.cfa import packing_sites, unpack
+from eldata.sources.frames import Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from eldata.raw.cfa import CfaRows, Sites
+
+_BAYER: CfaRows = ((0, 1), (3, 2))
+
+
+class Arrays:
+    """Clean frames from packed, normalised arrays (C, h, w) in memory (or memory-mapped).
+
+    Parameters
+    ----------
+    arrays
+        One array per frame, or one array (N, C, h, w).
+    range_dn
+        White minus black level of the camera that is simulated, DN.
+    cfa
+        Their CFA; by default RGGB.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.datasets import Arrays
+    >>> len(Arrays(np.zeros((3, 4, 64, 64), np.float32), range_dn=15871.0))
+    3
+    """
+
+    reads_parts = True
+
+    def __init__(
+        self, arrays: Sequence[NDArray[Any]] | NDArray[Any], *, range_dn: float, cfa: CfaRows = _BAYER
+    ) -> None:
+        if len(arrays) == 0:
+            raise ArgumentError("no array was given")
+        self.arrays = arrays
+        self.range_dn = checked_number("range_dn", range_dn, above=0)
+        self._sites = packing_sites(cfa)  # packed data starts where packing does, whatever the offset of its sensor
+        self._black_level_dn = (0.0,) * self._sites.levels
+        self.cfa = cfa
+        check_normalised(np.asarray(arrays[0]), "array 0")
+
+    def __len__(self) -> int:
+        return len(self.arrays)
+
+    def frame(self, index: int) -> Frame:
+        """Return one array as a mosaic."""
+        packed, name, sites = np.asarray(self.arrays[index]), f"array {index}", self._sites
+        check_normalised(packed, name)
+        mosaic = _Unpacked(packed, sites, self.range_dn)
+        return Frame(mosaic, sites.cfa, self._black_level_dn, self.range_dn, name)
+
+    def __repr__(self) -> str:
+        return f"Arrays({len(self)} frames of shape {self.arrays[0].shape}, range_dn={self.range_dn:g})"
+
+
+class _Unpacked:
+    """The mosaic of a packed array (C, h, w), in DN, of which only the parts that are read are put together."""
+
+    dtype = np.dtype(np.float32)
+
+    def __init__(self, packed: NDArray[Any], sites: Sites, range_dn: float) -> None:
+        self.packed, self.sites, self.range_dn = packed, sites, np.float32(range_dn)
+        if packed.ndim != 3 or len(packed) != sites.channels or any(side % sites.sub for side in packed.shape[1:]):
+            unpack(packed, sites.cfa)  # raises, saying what is expected
+        self.shape = packed.shape[1] * sites.scale, packed.shape[2] * sites.scale
+        self._channel = sites.table[:, 2].reshape(sites.period, sites.period)
+
+    def read(self, rows: slice, columns: slice) -> NDArray[np.float32]:
+        """Return a part in memory that the next call of this thread overwrites."""
+        period, scale = self.sites.period, self.sites.scale
+        top, bottom, _ = rows.indices(self.shape[0])
+        left, right, _ = columns.indices(self.shape[1])
+        above, before = top % period, left % period  # of the periods that hold it
+        height, width = above + bottom - top, before + right - left
+        height, width = height + -height % period, width + -width % period
+        row, column = (top - above) // scale, (left - before) // scale
+        if period == 2 and self.packed.dtype == np.float32:
+            whole: NDArray[np.float32] = scratch("unpacked", (height, width), self.dtype)
+            scatter_bayer(self.packed, row, column, self._channel, self.range_dn, whole)
+        else:
+            periods = self.packed[:, row : row + height // scale, column : column + width // scale]
+            whole = unpack(periods.astype(np.float32, copy=False), self.sites.cfa)
+            whole *= self.range_dn
+        return whole[above : above + bottom - top, before : before + right - left]

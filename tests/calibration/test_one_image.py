@@ -243,3 +243,11 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
     assert "no profile: the frame shows no noise" in shown
     assert "none.json was not written" in shown
     assert not (tmp_path / "none.json").exists()
+
+
+def test_no_unit_is_preferred() -> None:
+    frame = packed(ALPHA, photograph(ALPHA, 1, 3200, 10))
+    line, scaled = noise_line(frame), noise_line(frame / 1024)
+    assert scaled.windows == line.windows
+    assert scaled.slope * 1024 == pytest.approx(line.slope, rel=1e-4)
+    assert scaled.offset * 1024**2 == pytest.approx(line.offset, rel=1e-4)

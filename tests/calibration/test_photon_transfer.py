@@ -130,3 +130,8 @@ def test_unusable_frames() -> None:
             photon_transfer(flats)
     with pytest.raises(DatasetError, match="spatial method needs three"):
         spatial_photon_transfer(FlatFrames(BAYER, BLACK, 16383))
+
+
+def test_hot_pixels_that_are_not_masked_change_little() -> None:
+    body = Body(Camera(shape=(512, 768), hot_share=5e-4), np.random.default_rng(5))
+    assert transferred(body, [500, 3000, 6000, 9000]).gain_dn_per_e == pytest.approx(1, rel=0.01)

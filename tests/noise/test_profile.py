@@ -666,3 +666,12 @@ def test_a_gain_that_makes_no_sense(gain: float, row: Any) -> None:
 def test_what_is_no_generator(generator: Any) -> None:
     with pytest.raises(ArgumentError, match=r"generator must be a numpy\.random\.Generator or a torch\.Generator"):
         FULL.sample(generator)
+
+
+def test_no_global_generator_is_touched() -> None:
+    before_torch = torch.get_rng_state()
+    before_numpy = pickle.dumps(np.random.get_state())  # noqa: NPY002 - it must not have moved
+    CameraProfile.load("SonyA7S2").sample(numpy_generator(0))
+    CameraProfile.load("SonyA7S2").sample(torch_generator(0))
+    assert torch.equal(torch.get_rng_state(), before_torch)
+    assert pickle.dumps(np.random.get_state()) == before_numpy  # noqa: NPY002

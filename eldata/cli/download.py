@@ -120,7 +120,7 @@ def _fetch(manifest: Manifest, root: Path, parts: Sequence[Download]) -> list[In
     installed = []
     for part in parts:
         listed = [record for record in manifest.records if part.holds(record.path)]
-        folder = manifest.folder(root)
+        folder = manifest.stated_folder(root)
         if not presence_of(folder, listed).complete:
             of_hub = bool(hub_name(part))
             installed.append(

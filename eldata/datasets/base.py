@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, get_args
 
 import numpy as np
@@ -18,7 +17,7 @@ from eldata.datasets.choices import Options, Representation, chosen_shading, sha
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, Cropping, Part, ReadItems
 from eldata.errors import DatasetError
-from eldata.manifest.catalogue import FrameFiles, Manifest, data_root, known_manifest, known_names, load_manifest
+from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, known_names, load_manifest
 from eldata.manifest.pairs import Choice, select_pairs, whole_shift_px
 from eldata.protocols.named import default_protocol
 from eldata.raw.cfa import packed_area, packed_shape, unpack
@@ -27,6 +26,7 @@ from eldata.sources.frames import Files, Frame, checked_ratio, overlap, stated_r
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
 
     import pandas as pd
     import torch
@@ -343,7 +343,7 @@ class PairDataset(SourcePairs):
     def __init__(self, root: Path | str | None, manifest: Path | str, **options: Unpack[PairOptions]) -> None:
         choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
         loaded = _manifest(manifest)
-        self.root = data_root() / loaded.card.folder if root is None else Path(root)
+        self.root = loaded.own_folder(root)
         records = select_pairs(loaded.records, loaded.card.subsets, **choice)
         levels = representation.get("levels") or default_protocol(loaded.card).frame_levels
         self._check_folders(loaded, records)

@@ -110,7 +110,7 @@ class CalibrationFrames:
         stated = None
         if manifest is not None:
             loaded = known_manifest(str(manifest)) if is_name(manifest) else load_manifest(manifest)
-            self.root = loaded.folder() if root is None else Path(root)
+            self.root = loaded.own_folder(root)
             found = tuple(
                 record
                 for record in expand(loaded.records, self.root)

@@ -90,7 +90,7 @@ def fetch_dataset(download: Download, manifest: Manifest, root: Path, fetcher: F
         )
 
     archive = fetcher.fetch(kept_archives(manifest.card, root), name, size_bytes=download.size_bytes)
-    return unpack_dataset(archive, manifest, manifest.folder(root))
+    return unpack_dataset(archive, manifest, manifest.stated_folder(root))
 
 
 # --- which folder goes where ------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from eldata.base.files import inside
 from eldata.errors import ArgumentError, EldataError, ManifestError, did_you_mean
 from eldata.manifest.card import Card, load_card
-from eldata.manifest.patterns import expand, is_pattern
+from eldata.manifest.patterns import expand, is_pattern, matching
 from eldata.manifest.table import load_table
 from eldata.raw.stated import StatedFile
 from eldata.records import Exposure
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from eldata.records import FrameRecord
 
 ROOT_VARIABLE = "ELDATA_ROOT"
+_NEAR = 64  # folders of a place that are looked into
 ENTRY_POINTS = "eldata.datasets"
 """The group of entry points under which other packages name their sets."""
 
@@ -107,9 +108,48 @@ class Manifest:
         """The dataset's short name."""
         return self.card.name
 
-    def folder(self, root: Path | str | None = None) -> Path:
-        """Return the dataset's folder below a data root (see :func:`data_root`)."""
+    def stated_folder(self, root: Path | str | None = None) -> Path:
+        """Return where the dataset belongs below a data root (see :func:`data_root`)."""
         return data_root(root) / self.card.folder
+
+    def folder(self, root: Path | str | None = None) -> Path:
+        """Return where the dataset lies below a data root, or in it, as :meth:`folder_at` finds it."""
+        return self.folder_at(self.stated_folder(root), data_root(root))
+
+    def own_folder(self, root: Path | str | None) -> Path:
+        """Return where the dataset lies if ``root`` is meant to be its own folder; ``None``: below the data root."""
+        return self.folder() if root is None else self.folder_at(Path(root), Path(root))
+
+    def folder_at(self, expected: Path, *places: Path) -> Path:
+        """Return the folder that holds the dataset's files: the expected one if it does, or none else does.
+
+        Copies lie one level off, in a folder of other capitals, or in the folder that an archive made. So ``places``
+        are looked into, their folders, and what these have of the expected name; a folder is taken if a file of the
+        manifest lies where the manifest has it.
+
+        Raises
+        ------
+        ManifestError
+            If the expected folder does not hold it, and two others do.
+        """
+        firsts = {record.path.rpartition("/")[0]: record.path for record in self.records}.values()
+
+        def holds(folder: Path) -> bool:
+            return any(matching(folder, one) if is_pattern(one) else (folder / one).is_file() for one in firsts)
+
+        if holds(expected):
+            return expected
+        near = [expected / self.card.folder, *places]
+        for place in (place for place in places if place.is_dir()):
+            folders = sorted(one for one in place.iterdir() if one.is_dir())[:_NEAR]
+            near += [*folders, *(one / self.card.folder for one in folders)]
+        found = {folder.resolve(): folder for folder in near if folder.is_dir() and holds(folder)}
+        if len(found) > 1:
+            raise ManifestError(
+                f"{expected}: holds no file of {self.name}, but each of these folders does: "
+                f"{', '.join(map(str, found.values()))}; give the one that is meant as root"
+            )
+        return next(iter(found.values()), expected)
 
 
 def data_root(root: Path | str | None = None) -> Path:

@@ -14,6 +14,7 @@ import rawpy
 from eldata.datasets import ELDDataset
 from eldata.demo.camera import CAMERAS
 from eldata.errors import DatasetError, ManifestError, RawFileError
+from eldata.manifest.verify import verify
 from eldata.records import Exposure
 from tests.datasets.comparing import same_bits
 from tests.trees import Tree, frame, retake, scale_exposure
@@ -198,9 +199,34 @@ def test_a_missing_camera_folder_says_what_to_choose(tree: Tree) -> None:
     assert len(demo(tree, cameras=["DemoAlpha"])) == 6
 
 
-def test_the_folder_above_is_not_taken_for_the_dataset(tree: Tree) -> None:
-    with pytest.raises(DatasetError, match="is this the right folder"):
-        ELDDataset(tree.root, manifest=tree.csv)
+@pytest.mark.parametrize("place", ["eld-demo", "ELD-demo/ELD-demo", "archive/ELD-demo", "archive", "."])
+def test_a_copy_that_lies_otherwise_is_found(place: str, tree: Tree) -> None:
+    """In other capitals, one level off, in an archive's own folder, without its own folder; by verify and by class.
+
+    A folder of predictions has the same folders, and none of the files.
+    """
+    aside, expected = tree.root.parent / "aside", tree.root / place
+    tree.data.rename(aside)
+    for one in aside.rglob("*.dng"):
+        prediction = (tree.root / "preds" / one.relative_to(aside)).with_suffix(".npy")
+        prediction.parent.mkdir(parents=True, exist_ok=True)
+        prediction.touch()
+    expected.mkdir(parents=True, exist_ok=True)
+    for one in aside.iterdir():
+        one.rename(expected / one.name)
+    (report,) = verify(tree.csv, tree.root).datasets
+    assert (report.folder.resolve(), report.problems) == (expected.resolve(), ())
+    for root in (tree.root, expected):
+        dataset = ELDDataset(root, manifest=tree.csv)
+        assert (dataset.root.resolve(), len(dataset)) == (expected.resolve(), 12)
+
+
+def test_of_two_copies_none_is_taken(tree: Tree) -> None:
+    shutil.copytree(tree.data, tree.root / "one")
+    assert ELDDataset(tree.data, manifest=tree.csv).root == tree.data, "it is where it belongs"
+    tree.data.rename(tree.root / "other")
+    with pytest.raises(ManifestError, match=r"ELD-demo: holds no file .*one.*other.* root"):
+        verify(tree.csv, tree.root)
 
 
 def test_an_unknown_manifest_lists_the_known(pristine: Tree) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 from eldata.base.arguments import keywords, spell_keywords
@@ -13,13 +12,14 @@ from eldata.datasets.choices import Representation
 from eldata.datasets.clips import ClipWindows, Windowing, WindowOptions
 from eldata.datasets.items import Cropping
 from eldata.errors import ArgumentError, ManifestError
-from eldata.manifest.catalogue import FrameFiles, data_root, known_manifest, load_manifest
+from eldata.manifest.catalogue import FrameFiles, known_manifest, load_manifest
 from eldata.manifest.clips import moment_name
 from eldata.manifest.pairs import Choice, select_pairs
 from eldata.sources.frames import Files
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
+    from pathlib import Path
 
     from eldata.manifest.catalogue import Manifest
     from eldata.records import FrameRecord, PairRecord
@@ -88,7 +88,7 @@ class CRVDDataset(ClipWindows):
         **options: Unpack[WindowOptions],
     ) -> None:
         found = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)
-        folder = data_root() / found.card.folder if root is None else Path(root)
+        folder = found.own_folder(root)
         if not folder.is_dir():
             raise no_folder(folder, found.card, "indoor_raw_noisy and indoor_raw_gt")
         choice, of_windows = keywords("CRVDDataset", options, Choice, _OfWindows)

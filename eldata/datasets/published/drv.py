@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack, get_args
 
 from eldata.base.arguments import spell_keywords
 from eldata.datasets.base import no_folder
 from eldata.datasets.clips import ClipWindows, WindowOptions
 from eldata.errors import check_choice
-from eldata.manifest.catalogue import FrameFiles, data_root, load_manifest, shipped_manifest
+from eldata.manifest.catalogue import FrameFiles, load_manifest, shipped_manifest
 from eldata.manifest.drv import DYNAMIC, scan_raw
 from eldata.sources.frames import Files
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.drv import Scan
 
@@ -91,7 +92,7 @@ class DRVDataset(ClipWindows):
     ) -> None:
         check_choice("form", form, FORMS)
         published = shipped_manifest("drv")
-        folder = data_root() / published.card.folder if root is None else Path(root)
+        folder = published.own_folder(root)
         if not folder.is_dir():
             raise no_folder(folder, published.card, "VBM4D_rawRGB and long, or short and long")
         found: Manifest | Scan = published

@@ -455,7 +455,7 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
         export("sid", tmp_path / "out", manifest=manifest.path, root=tmp_path / "data")
     assert export("sid", tmp_path / "out", manifest=manifest.path, root=tmp_path / "data", split="train").pairs == 6
     with pytest.raises(DatasetError, match="there is no such folder; --root names the folder that holds OWN"):
-        export("sid", tmp_path / "out", manifest=manifest.path, root=tmp_path)
+        export("sid", tmp_path / "out", manifest=manifest.path, root=tmp_path / "out")
     with pytest.raises(DatasetError, match="drv: its noisy frames are clips"):
         export("sid", tmp_path / "out", "drv", root=tmp_path)
 

@@ -1,11 +1,11 @@
 """Train the network that is told the noise, on clean pictures that every installation has and virtual cameras' noise.
 
-    python examples/train_noise_aware.py run --steps 2000                 # on a CPU: the first two of many hours
-    python examples/train_noise_aware.py run --device cuda --workers 14   # minutes
+    python examples/train_noise_aware.py run --steps 2000                 # on a CPU: a beginning
+    python examples/train_noise_aware.py run --device cuda --workers 14
 
 Clean frames are made once (`run/clean.npy`); `run/checkpoint.pt` and a line of `run/curve.csv` are written after each
-1,000 steps, `run/noise_aware.safetensors` at the end, in half precision. The same command goes on after a Ctrl-C or a
-kill.
+500 steps or so, `run/noise_aware.safetensors` at the end, in half precision. The same command goes on after a Ctrl-C or
+a kill. How the network that ships was trained is on its card, in docs/baselines.md.
 
 Clean frames are still lifes of the demo's kind, scikit-image's pictures that the virtual benchmark does not test on,
 and discs that lie upon each other like dead leaves, in sizes, colours and exposures of all kinds. Noise is that of

@@ -130,10 +130,10 @@ def run(arguments: console.Arguments) -> int:
     from eldata.calibration.camera import calibrate, stated_gains
     from eldata.calibration.shading_fit import dark_shading
     from eldata.datasets.calibration_frames import CalibrationFrames
-    from eldata.manifest.catalogue import find_manifests, known_names
+    from eldata.manifest.catalogue import find_manifests, is_manifest
     from eldata.noise.profile import CameraProfile
 
-    if arguments.frames.endswith(".csv") or arguments.frames in known_names():
+    if is_manifest(arguments.frames):
         (manifest,) = find_manifests(arguments.frames, arguments.root)
         folder = manifest.folder(arguments.root)
         frames = CalibrationFrames(folder, arguments.camera, manifest=manifest.path, isos=arguments.isos)

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeGuard
 
 from eldata.errors import ArgumentError, DatasetError, check_choice
-from eldata.manifest.catalogue import FrameFiles, find_manifests, known_names
+from eldata.manifest.catalogue import FrameFiles, find_manifests, is_manifest
 from eldata.manifest.clips import moment_name
 from eldata.manifest.patterns import expand, sequence_of
 from eldata.raw.files import RAW_EXTENSIONS, no_raws, raws_below
@@ -152,7 +152,7 @@ def clean_files(source: Path | str | Iterable[Path | str | StatedFile]) -> tuple
     files: Sequence[Path | StatedFile]
     if not isinstance(source, (str, Path)):
         files = [place if isinstance(place, StatedFile) else Path(place) for place in source]
-    elif _is_manifest(source):
+    elif is_manifest(source):
         files = _references(str(source))
     else:
         files = raws_below(Path(source))
@@ -169,11 +169,6 @@ def _references(manifest: str) -> list[Path | StatedFile]:
         raise DatasetError(f"{manifest}: lists no reference below {folder}, and references are its clean frames")
     files = FrameFiles.of(folder, loaded.card, rows)
     return [files.at(row.path) for row in rows]
-
-
-def _is_manifest(place: Path | str) -> bool:
-    suffix = Path(place).suffix.lower()
-    return suffix == ".csv" or (not suffix and str(place) in known_names() and not Path(place).exists())
 
 
 def _path_of(file: Path | StatedFile) -> Path:
@@ -227,7 +222,7 @@ def check_once(names: Sequence[object]) -> None:
 
 
 def _holds_frames(place: Path | str | StatedFile) -> TypeGuard[Path | str]:
-    return isinstance(place, (str, Path)) and (Path(place).is_dir() or _is_store(place) or _is_manifest(place))
+    return isinstance(place, (str, Path)) and (Path(place).is_dir() or _is_store(place) or is_manifest(place))
 
 
 def _is_store(source: Path | str) -> bool:
@@ -357,7 +352,7 @@ def clip_files(source: Path | str) -> list[Sequence[Path | StatedFile]]:
     DatasetError
         If there is no raw file, or the names of a clip do not follow one numbering.
     """
-    if _is_manifest(source):
+    if is_manifest(source):
         folders: dict[Path, dict[str, Path | StatedFile]] = {}
         for file in clean_files(source):
             folders.setdefault(_path_of(file).parent, {})[_path_of(file).name] = file

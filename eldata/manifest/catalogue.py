@@ -135,7 +135,10 @@ class Manifest:
         firsts = {record.path.rpartition("/")[0]: record.path for record in self.records}.values()
 
         def holds(folder: Path) -> bool:
-            return any(matching(folder, one) if is_pattern(one) else (folder / one).is_file() for one in firsts)
+            try:
+                return any(matching(folder, one) if is_pattern(one) else (folder / one).is_file() for one in firsts)
+            except OSError:  # a neighbour that may not be read; the expected folder is read again, and named
+                return False
 
         if holds(expected):
             return expected
@@ -157,6 +160,12 @@ def data_root(root: Path | str | None = None) -> Path:
     if root is not None:
         return Path(root)
     return Path(os.environ.get(ROOT_VARIABLE) or "data")
+
+
+def is_manifest(place: Path | str) -> bool:
+    """Return whether a place names a manifest: a CSV file, or a known set's name that no folder here has."""
+    suffix = Path(place).suffix.lower()
+    return suffix == ".csv" or (not suffix and str(place) in known_names() and not Path(place).exists())
 
 
 def load_manifest(path: Path | str, contents: tuple[bytes, bytes] | None = None) -> Manifest:

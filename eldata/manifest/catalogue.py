@@ -146,7 +146,7 @@ class Manifest:
         for place in (place for place in places if place.is_dir()):
             folders = sorted(one for one in place.iterdir() if one.is_dir())[:_NEAR]
             near += [*folders, *(one / self.card.folder for one in folders)]
-        found = {folder.resolve(): folder for folder in near if folder.is_dir() and holds(folder)}
+        found = {folder.resolve(): folder for folder in near if holds(folder)}
         if len(found) > 1:
             raise ManifestError(
                 f"{expected}: holds no file of {self.name}, but each of these folders does: "

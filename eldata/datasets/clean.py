@@ -57,7 +57,7 @@ class CleanFrames:
     ----------
     source
         A folder, searched through for camera raws; or a store (``eldata pack``): the frames of a packed folder, or the
-        references of packed pairs; or a manifest (``.csv``, or a known set's name that is no folder's): the references
+        references of packed pairs; or a manifest (``.csv``, or a set's name, unless a folder has it): the references
         that it lists below ``$ELDATA_ROOT`` or ``./data``, be they raws or mosaics whose levels its card states. Or
         several of these and of files, one after the other.
     names

@@ -111,7 +111,7 @@ def _places(name: str, paths: list[str], manifest: Manifest, folder: Path) -> di
 def _fault(path: Path, file: RepoFile) -> str:
     """Return what of a file is not as the hub has it: size, or hash (of large files SHA-256, of others git's)."""
     if not path.is_file():
-        return "is no file"
+        return "is not a file"
     size = path.stat().st_size
     if size != file.size:
         return f"expected {file.size} bytes, found {size}"

@@ -91,7 +91,7 @@ def test_the_truth_reproduces_the_camera(name: str) -> None:
 
 
 def test_wrong_parameters_are_told_apart() -> None:
-    """The shape by R^2, which a scale is none of the business of; scales by their own figures; all by the histogram."""
+    """The shape shows in R^2, which no scale changes; scales in their own figures; all in the histogram."""
     right, shape, scale, rows = (
         compared(CAMERAS["middle"], **changes)
         for changes in ({}, {"tukey_lambda": 0.15}, {"sigma_tl_dn": 1.9}, {"sigma_row_dn": 1.5})

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Format = Literal["text", "markdown", "latex"]
 FORMATS: Final[tuple[Format, ...]] = ("text", "markdown", "latex")
 _NARROWEST = 16  # characters of a column whose texts are broken
-_LINE = 112  # characters of a line of text, as wide as the widest tables
+_LINE = 80  # characters of a line of text, as wide as a terminal
 
 
 class Strong(str):
@@ -75,7 +75,7 @@ def _fitting(widths: Sequence[int], columns: int) -> list[int]:
 
 
 def wrapped(text: str, indent: str = "    ") -> list[str]:
-    """Return a text's lines of at most 112 characters, all but the first behind ``indent``.
+    """Return a text's lines of at most 80 characters, all but the first behind ``indent``.
 
     Paths, addresses and options are for copying: they stay whole.
     """

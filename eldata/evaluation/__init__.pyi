@@ -9,7 +9,7 @@ from .predictions import load_prediction as load_prediction
 from .predictions import save_clip_prediction as save_clip_prediction
 from .predictions import save_prediction as save_prediction
 from .published import comparison_table as comparison_table
-from .published import published_rows as published_rows
+from .published.tables import published_rows as published_rows
 from .reproduction import reproduce as reproduce
 from .results import EvaluationResult as EvaluationResult
 from .saved import load_results as load_results

@@ -12,7 +12,8 @@ import pytest
 
 from eldata.errors import FileError, ManifestError
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.published import COLUMNS, comparison_table, load_published, published_rows
+from eldata.evaluation.published import comparison_table
+from eldata.evaluation.published.tables import COLUMNS, load_published, published_rows
 from eldata.evaluation.results import EvaluationResult
 from eldata.evaluation.scores import TableRow, UnitScore
 from eldata.manifest.catalogue import shipped_manifest

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
 
-from eldata.evaluation.published import _NEAR, NOISY_INPUT, comparison_table, published_rows
+from eldata.evaluation.published import _NEAR, comparison_table
+from eldata.evaluation.published.tables import NOISY_INPUT, published_rows
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import UnitScore
 from eldata.manifest.catalogue import shipped_manifest

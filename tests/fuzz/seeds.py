@@ -236,7 +236,7 @@ SOURCES = json.dumps(
 
 def table() -> bytes:
     """A table of published numbers, whose source is that of :data:`SOURCES`."""
-    from eldata.evaluation.published import COLUMNS
+    from eldata.evaluation.published.tables import COLUMNS
 
     row = dict.fromkeys(COLUMNS, "x") | {"source": "one", "table": "1", "psnr_db": "40.5"}
     row |= {"ratio": "", "pairs": "", "ssim": "0.95", "st_rred": ""}

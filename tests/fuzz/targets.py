@@ -167,14 +167,14 @@ def _protocol(path: Path) -> object:
 
 
 def _published_table(path: Path) -> object:
-    from eldata.evaluation.published import load_published
+    from eldata.evaluation.published.tables import load_published
 
     (path.parent / "sources.json").write_bytes(seeds.SOURCES)
     return load_published(path.parent)
 
 
 def _published_sources(path: Path) -> object:
-    from eldata.evaluation.published import load_published
+    from eldata.evaluation.published.tables import load_published
 
     if os.path.lexists(path):
         path.rename(path.with_name("sources.json"))

@@ -215,7 +215,7 @@ class CombinedResult:
         lines += [f"{text}: {', '.join(names)}" for text, names in choices.items()]
         for note, names in notes.items():
             lines += wrapped(f"note: {note}" + ("" if len(names) == count else f" ({', '.join(names)})"))
-        lines += [f"not scored: {one.protocol}: {one.reason}" for one in self.not_scored]
+        lines += [line for one in self.not_scored for line in wrapped(f"not scored: {one.protocol}: {one.reason}")]
         return "\n".join(lines)
 
     def __repr__(self) -> str:

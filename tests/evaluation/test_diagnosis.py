@@ -293,7 +293,7 @@ def test_all_protocols_say_it_once(larger: Tree, tmp_path: Path) -> None:
     place(tmp_path, larger, reordered)
     combined = evaluate_all(tmp_path, manifest=larger.manifest, root=larger.root)
     assert all(len(result.suspicions) == 1 for result in combined.results)
-    text = combined.format_text()
+    text = " ".join(combined.format_text().split())
     assert text.count("SUSPECT") == 1
     assert f"{combined.results[0].suspicions[0]} ({combined.results[0].protocol.name})" in text
 

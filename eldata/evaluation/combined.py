@@ -138,8 +138,8 @@ class CombinedResult:
         lines = []
         for group in others:
             found = [text.replace(" against ", " -> ", 1) for text in first[0].scored_unlike(group[0])]
-            text = f"{_names(group)}: {'; '.join(found) or 'scored alike, the pairs differ'}"
-            lines += wrapped(text)
+            text = f"  {_names(group)}: {'; '.join(found) or 'scored alike, the pairs differ'}"
+            lines += wrapped(text, " " * 6)
         return lines
 
     def _shared(self) -> list[str]:
@@ -195,10 +195,10 @@ class CombinedResult:
         differences = self._differences()
         if differences:
             lines += [
-                f"By the protocol alone, on shared {first.kind.counted}, {self._apart()}.",
+                *wrapped(f"By the protocol alone, on shared {first.kind.counted}, {self._apart()}.", ""),
                 "",
                 f"Scored differently from {first.protocol.name}:",
-                *(f"  {text}" for text in differences),
+                *differences,
                 "",
             ]
         suspects: dict[tuple[str, str], str] = {}  # numbers are those of the first that shows it

@@ -2,7 +2,7 @@
 
 exiftool (https://exiftool.org) must be installed. One line a file, and one for each field that differs; exit code 1
 if any does. A file whose pixels are missing, such as the heads in exiftool's own t/images, is compared in what it
-states of camera and exposure. docs/raw-files.md has the table of the files that were tried, which are these (of 1 and
+states of camera and exposure. docs/raw-files.md sums up what came out of the files that were tried (of 1 and
 8, tests/raw/real has parts, with their licences):
 
 - DNG: 1 gopro/gpr Fusion GPBK7066 converted to DNG (GoPro Fusion); 2 syoyo/tinydng colorchart.dng (Canon Kiss X4,

@@ -6,7 +6,7 @@ Folder: CAMERA/bias/ISO100/... and, if there are flats, CAMERA/flat/ISO100/...; 
 training has seen. The "network" here adds Gaussian noise of the profile's variance; put yours in its place. The same
 adapter makes it the noise of training data:
 
-    python examples/train_denoiser.py runs/foreign --clean long --profile SonyA7S2 --noise check_noise_model:model
+    python -m eldata.examples.train_denoiser --clean long --camera SonyA7S2 --noise examples.check_noise_model:model
 """
 
 import sys

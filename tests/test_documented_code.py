@@ -28,6 +28,7 @@ from capture.cli.main import parser as capture_parser
 from eldata.base import workers
 from eldata.cli.main import main
 from eldata.cli.main import parser as eldata_parser
+from eldata.examples import train_denoiser, train_video_denoiser
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
@@ -369,6 +370,17 @@ def test_commands_parse(document: str) -> None:
         program = eldata_parser if words[0] == "eldata" else capture_parser
         arguments = program().parse_args(words[1:])  # of another, argparse says which and leaves
         assert arguments.command.startswith(words[0])
+
+
+@pytest.mark.parametrize("training", [train_denoiser, train_video_denoiser])
+def test_commands_of_trainings_parse(training: ModuleType) -> None:
+    """Those of the documents, and of its own help."""
+    program = training.parser()
+    text = "\n".join([*DOCUMENTS.values(), program.format_help()]).replace("\\\n", " ")
+    lines = re.findall(rf"^ *(?:\$ )?{program.prog}( -.*)$", text, re.MULTILINE)
+    assert len(lines) > 6
+    for line in lines:
+        program.parse_args(shlex.split(line, comments=True))
 
 
 def test_there_are_commands() -> None:

@@ -110,20 +110,21 @@ def add_module(commands: argparse._SubParsersAction[Parser], module: ModuleType)
 
 
 def add_command(commands: argparse._SubParsersAction[Parser], name: str, documented: str | None) -> Parser:
-    """Add a subcommand whose help is what its module's or function's docstring says, so that it is said once.
+    """Add a subcommand that a module's or function's docstring describes."""
+    heading = cleandoc(documented or "").partition("\n\n")[0]
+    return document(commands.add_parser(name, help=heading.partition("`: ")[2].removesuffix(".")), documented)
+
+
+def document(parser: Parser, documented: str | None) -> Parser:
+    """Make a parser's help what a docstring says, so that it is said once.
 
     That is a line "`program name`: help.", a description, the examples, indented, and what the help ends with.
     """
-    heading, *paragraphs = cleandoc(documented or "").split("\n\n")
+    _, *paragraphs = cleandoc(documented or "").split("\n\n")
     examples = [index for index, paragraph in enumerate(paragraphs) if paragraph.startswith("    ")]
     in_one_line = [" ".join(paragraph.split()) for paragraph in paragraphs]
     first = examples[0] if examples else len(paragraphs)
-    parser = commands.add_parser(
-        name,
-        help=heading.partition("`: ")[2].removesuffix("."),
-        description="\n\n".join(in_one_line[:first]),
-        epilog="\n\n".join(in_one_line[first + 1 :]),
-    )
+    parser.description, parser.epilog = "\n\n".join(in_one_line[:first]), "\n\n".join(in_one_line[first + 1 :])
     _add_examples(parser, *(line.strip() for index in examples for line in paragraphs[index].splitlines()))
     return parser
 

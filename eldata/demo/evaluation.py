@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from eldata.evaluation.results import EvaluationResult
     from eldata.manifest.catalogue import Manifest
 
-_INPUT = "amplified"
+INPUT = "amplified"
 _SCORED = {
-    _INPUT: "the noisy input times the exposure ratio, nothing else",
+    INPUT: "the noisy input times the exposure ratio, nothing else",
     "dct": "sliding-window DCT thresholding, which knows the noise of each camera",
     "network": "the network that ships with eldata, which is told each camera's noise and has seen neither",
 }
@@ -76,7 +76,7 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     profiles = _write_profiles(folder, manifest)
     listed = shlex.quote(str(manifest.path))
     given = " ".join(f"--profile {shlex.quote(str(path))}" for path in profiles)
-    for name in (one for one in _SCORED if one != _INPUT):
+    for name in (one for one in _SCORED if one != INPUT):
         made = shlex.quote(str(predictions / name))
         print(f"\n$ eldata baseline {name} {given} --manifest {listed} {at_root} -o {made}")
         denoiser = BaselineDenoiser(name, tuple(map(CameraProfile.load, profiles)))
@@ -86,19 +86,35 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
             raise EldataError("the demo's own files could not be denoised")
     results = {}
     for name, what in _SCORED.items():
-        place = None if name == _INPUT else predictions / name
-        print(f"\n{name}: {what}")
-        scored = "--baseline input" if place is None else shlex.quote(str(place))
-        print(f"$ eldata evaluate {scored} --manifest {listed} {at_root}")
-        results[name] = evaluate(place, manifest=manifest.path, root=root, baseline="input" if place is None else None)
-        print(results[name].format_text())
-        results[name].write_csv(folder / f"{name}.csv")
-        results[name].write_json(folder / f"{name}.json")
+        results[name] = score_method(folder, name, what, None if name == INPUT else predictions / name)
 
     sheet = folder / "contact-sheet.png"
     _draw(sheet, manifest.folder(root), predictions, results)
     print(f"\nTo look at: {sheet}. Scores of each image: {folder}/*.csv. Took {time.perf_counter() - start:.0f} s.")
     return results
+
+
+def score_method(folder: Path, name: str, what: str, place: Path | None) -> EvaluationResult:
+    """Score predictions of a demo's set, or with no place its input; print what is done, and write ``<name>.csv``.
+
+    Parameters
+    ----------
+    folder
+        Of the demo.
+    name, what
+        The method's, and a line that says what it is.
+    place
+        Folder of the predictions.
+    """
+    manifest, root = folder / "manifests" / "eld-demo.csv", folder / "data"
+    print(f"\n{name}: {what}")
+    scored = "--baseline input" if place is None else shlex.quote(str(place))
+    print(f"$ eldata evaluate {scored} --manifest {shlex.quote(str(manifest))} --root {shlex.quote(str(root))}")
+    result = evaluate(place, manifest=manifest, root=root, baseline="input" if place is None else None)
+    print(result.format_text())
+    result.write_csv(folder / f"{name}.csv")
+    result.write_json(folder / f"{name}.json")
+    return result
 
 
 def _write_profiles(folder: Path, manifest: Manifest) -> list[Path]:
@@ -174,7 +190,7 @@ def _draw(path: Path, folder: Path, predictions: Path, results: dict[str, Evalua
         noisy = packed_frame(read_raw(folder / pair.path), levels="published", clip="both", gain=float(pair.ratio or 1))
         for name, result in results.items():
             file = (predictions / name / pair.path).with_suffix(".npy")
-            prediction = noisy if name == _INPUT else load_prediction(file, reference.sensor, "published")
+            prediction = noisy if name == INPUT else load_prediction(file, reference.sensor, "published")
             score = next(image for image in result.images if image.path == pair.path)
             caption = f"{name}, ISO 1600 x200: {score.psnr_db:.1f} dB, SSIM {score.ssim:.2f}"
             row.append((caption, _middle(preview(prediction * score.rescale, reference.sensor))))

@@ -37,7 +37,7 @@ METERED_S = (Fraction(4), Fraction(16, 5))
 F_NUMBER = Fraction(28, 5)
 
 _MARKER = ".eldata-demo"
-_MADE = ("data", "manifests", "profiles", "predictions")
+_MADE = ("data", "manifests", "profiles", "predictions", "trained")
 
 
 def demo_card(
@@ -158,3 +158,27 @@ def make_tree(
     sensors = {camera.name: camera.sensor for camera in cameras}
     card = demo_card("eld-demo", title, "ELD-demo", sensors, records, sources)
     return save_manifest(manifests / "eld-demo.csv", card, records)
+
+
+def make_clean(
+    folder: Path,
+    scenes: Iterable[int],
+    *,
+    size: tuple[int, int] = (512, 768),
+    seed: int = 0,
+    cameras: Sequence[SimulatedCamera] = CAMERAS,
+) -> Path:
+    """Photograph scenes as a reference each, to train on; parameters as :func:`make_tree` has them.
+
+    Writes ``folder/data/clean/<camera>/scene-<n>.dng``, and returns ``folder/data/clean``.
+    """
+    clean = folder / "data" / "clean"
+    for number in scenes:
+        radiance = scene_radiance(number, *size)
+        for index, design in enumerate(cameras):
+            camera = design.with_size(*size)
+            # Four numbers, where those of make_tree are of three.
+            mosaic = camera.photograph(radiance, Fraction(1), BASE_ISO, np.random.default_rng([seed, index, number, 0]))
+            place = clean / camera.name / f"scene-{number}.dng"
+            write_shot(place, mosaic, camera.sensor, Fraction(BASE_ISO), METERED_S[0])
+    return clean

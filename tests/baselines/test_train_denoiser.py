@@ -1,21 +1,21 @@
-"""examples/train_denoiser.py: each choice of data, alone and under torchrun, and what it leaves."""
+"""``eldata.examples.train_denoiser``: each choice of data, alone and under torchrun, and what it leaves."""
 
 from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
-from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 import torch
 
-from eldata.baselines import UNet, load_network, write_predictions
-from eldata.evaluation import evaluate
+from eldata.baselines import UNet, load_network
+from eldata.cli.main import main as eldata
+from eldata.examples.train_denoiser import main, parser
 from eldata.sources.shards import write_shards
 from tests.shared import made_once
 from tests.sources.store.helpers import pack_tree
@@ -24,9 +24,9 @@ from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from types import ModuleType
+    from pathlib import Path
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "train_denoiser.py"
+EXAMPLE = ["-m", "eldata.examples.train_denoiser"]
 SMALL = ["--crop", "16", "--width", "4", "--depth", "2", "--learning-rate", "5e-3", "--device", "cpu", "--workers", "0"]
 
 
@@ -47,7 +47,7 @@ def trained(run: Path, *options: str, processes: int = 1) -> list[float]:
     """Run the example, and return the losses of its epochs."""
     launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
     done = subprocess.run(
-        [sys.executable, *(launch if processes > 1 else []), str(EXAMPLE), str(run), *SMALL, *options],
+        [sys.executable, *(launch if processes > 1 else []), *EXAMPLE, "-o", str(run), *SMALL, *options],
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
@@ -62,19 +62,12 @@ def losses_in(text: str) -> list[float]:
 
 
 def synthetic(store: Path) -> list[str]:
-    return ["--clean", str(store), "--profile", "SonyA7S2", "--iso", "800", "1600", "--crops-per-frame", "2"]
+    return ["--clean", str(store), "--camera", "SonyA7S2", "--iso", "800", "1600", "--crops-per-frame", "2"]
 
 
-@pytest.fixture
-def example(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The example as a module."""
-    monkeypatch.syspath_prepend(str(EXAMPLE.parent))
-    return import_module("train_denoiser")
-
-
-def test_the_defaults_are_the_papers(example: ModuleType) -> None:
+def test_the_defaults_are_the_papers() -> None:
     """Sections 3.2.3 and 4.1.1: 200 epochs of single crops of 512, 1e-4, factors from 100 to 300, the whole network."""
-    chosen = example.arguments().parse_args(["run"])
+    chosen = parser().parse_args([])
     assert (chosen.epochs, chosen.batch_size, chosen.crop, chosen.learning_rate) == (200, 1, 512, 1e-4)
     assert (chosen.noise, chosen.iso, chosen.ratio) == ("P*+G*+B+R+U", None, (100.0, 300.0))
     assert (chosen.width, chosen.depth) == (32, 4)
@@ -110,7 +103,6 @@ def test_networks_to_srgb(
     demo_tree: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-    example: ModuleType,
 ) -> None:
     """Trained, validated as eldata evaluate scores what eldata predict writes, and gone on with by the same command.
 
@@ -118,23 +110,45 @@ def test_networks_to_srgb(
     """
     tree = tree_in(demo_tree)
     options = ["--pairs", str(store), "--task", task, "--epochs", "2", "--batch-size", "2"]
-    options += ["--validate", str(tree.data), "--manifest", str(tree.csv), "--validate-every", "9"]
+    options += ["--validate", str(tree.csv), "--root", str(tree.root), "--validate-every", "9"]
     for epochs in (2, 0):  # nothing is left to do
-        example.main([str(tmp_path), *SMALL, *options])
-        assert len(losses_in(capsys.readouterr().out)) == epochs
-    place: dict[str, Any] = {"manifest": tree.csv, "root": tree.root, "protocol": f"eld-{task}"}
+        assert main(["-o", str(tmp_path), *SMALL, *options]) == 0
+        shown = capsys.readouterr().out
+        assert len(losses_in(shown)) == epochs
     network = load_network(str(tmp_path / "model.pt2"), device="cpu")
     assert network.run(np.zeros((channels, 16, 16), np.float32)).shape == (3, 16, 16)
-    report = write_predictions(network, "", tmp_path / "preds", **place)
-    assert (report.written, report.problems) == (12, ())
-    assert evaluate(tmp_path / "preds", **place).scored == 12
+    said = said_by_what_is_shown(shown, capsys)
+    assert "12 frames predicted" in said
+    assert f"protocol eld-{task}: 12 of 12 pairs" in said
+
+
+def said_by_what_is_shown(shown: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """What the commands that a training has shown at its end print, as they stand there."""
+    commands = [shlex.split(line)[1:] for line in shown.splitlines() if line.startswith("$ eldata ")]
+    assert [command[1] for command in commands] == ["predict", "evaluate"]
+    for command in commands:
+        assert eldata(command[1:]) == 0
+    return capsys.readouterr().out
+
+
+def test_what_is_shown_at_the_end_runs(demo_tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """On clean raws; the score is that of the validation, as far as the table tells it."""
+    tree = tree_in(demo_tree)
+    clean = ["--clean", str(tree.data / "DemoAlpha"), "--camera", "SonyA7S2", "--crops-per-frame", "1"]
+    where = ["-o", str(tmp_path / "it's new"), "--validate", str(tree.csv), "--root", str(tree.root)]
+    assert main([*where, *SMALL, *clean, "--epochs", "1"]) == 0
+    shown = capsys.readouterr().out
+    (validated,) = re.findall(r"psnr_db (\S+),", shown)
+    said = said_by_what_is_shown(shown, capsys)
+    (scored,) = re.findall(r"all +12 +(\S+)", said)
+    assert float(scored) == pytest.approx(float(validated), abs=0.0051)
 
 
 @pytest.mark.study
 def test_two_processes_train_one_network(store: Path, tmp_path: Path) -> None:
     """Ranks with half of the batch each step as one process with all of it: to float32's last digits, for gradients
     are summed in another order, and Adam's first steps are of the sign alone where a gradient is near 0."""
-    options = [*synthetic(store), "--epochs", "3", "--save-every", "4"]
+    options = [*synthetic(store), "--epochs", "3"]
     together = trained(tmp_path / "two", *options, "--batch-size", "2", processes=2)
     alone = trained(tmp_path / "one", *options, "--batch-size", "4")
     assert together == pytest.approx(alone, rel=0.02)
@@ -144,10 +158,10 @@ def test_two_processes_train_one_network(store: Path, tmp_path: Path) -> None:
 @pytest.mark.study
 def test_a_killed_run_goes_on_to_the_bit(store: Path, tmp_path: Path) -> None:
     """kill -9 after the second epoch; then the same command."""
-    options = [*synthetic(store), "--epochs", "8", "--batch-size", "2", "--save-every", "3"]
+    options = [*synthetic(store), "--epochs", "8", "--batch-size", "2"]
     trained(tmp_path / "straight", *options)
     run = tmp_path / "killed"
-    command = [sys.executable, str(EXAMPLE), str(run), *SMALL, *options]
+    command = [sys.executable, *EXAMPLE, "-o", str(run), *SMALL, *options]
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
         assert process.stdout is not None

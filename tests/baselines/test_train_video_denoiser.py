@@ -1,8 +1,9 @@
-"""examples/train_video_denoiser.py: each choice of data and network, what it leaves, and kill -9."""
+"""``eldata.examples.train_video_denoiser``: each choice of data and network, what it leaves, and kill -9."""
 
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 from fractions import Fraction
@@ -13,9 +14,10 @@ import pytest
 import torch
 
 from eldata.baselines import FastDVDnet, UNet, load_network
+from eldata.cli.main import parser as eldata_parser
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
-from tests.baselines.test_train_denoiser import EXAMPLE, losses_in
+from tests.baselines.test_train_denoiser import losses_in
 from tests.drv_tree import write_raw_clip, write_rgb_clip
 from tests.waiting import PATIENCE_S
 
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-VIDEO = EXAMPLE.with_name("train_video_denoiser.py")
 SMALL = ["--crop", "16", "--width", "4", "--depth", "1", "--learning-rate", "5e-3", "--device", "cpu", "--workers", "0"]
 SENSOR = Sensor("SONY", "ILCE-7SM2", ((0, 1), (3, 2)), (512.0,) * 4, 16383.0, 64, 80, (2.0, 1.0, 1.5, 1.0))
 
@@ -48,18 +49,21 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def command(run: Path, options: Sequence[str]) -> list[str]:
-    return [sys.executable, str(VIDEO), str(run), *SMALL, *options]
+    return [sys.executable, "-m", "eldata.examples.train_video_denoiser", "-o", str(run), *SMALL, *options]
 
 
 def trained(run: Path, *options: str) -> list[float]:
     """Run the example, and return the losses of its epochs."""
     done = subprocess.run(command(run, options), capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 0, done.stderr
+    for line in done.stdout.splitlines()[-2:]:  # to predict and to score
+        found = eldata_parser().parse_args(shlex.split(line)[2:])
+        assert (found.dataset, found.manifest) == (("drv", None) if "--rgb" in options else (None, "drv-raw.csv"))
     return losses_in(done.stdout)
 
 
 def moving(data: Path) -> list[str]:
-    return ["--clean", str(data / "moving"), "--profile", "SonyA7S2", "--iso", "800", "--crops-per-clip", "4"]
+    return ["--clean", str(data / "moving"), "--camera", "SonyA7S2", "--iso", "800", "--crops-per-clip", "4"]
 
 
 @pytest.mark.study
@@ -93,7 +97,7 @@ def test_it_trains_and_leaves_a_network_that_predict_runs(kind: str, data: Path,
 @pytest.mark.study
 def test_a_killed_run_goes_on_to_the_bit(data: Path, tmp_path: Path) -> None:
     """kill -9 after the second epoch; then the same command."""
-    options = [*moving(data), "--epochs", "6", "--batch-size", "2", "--save-every", "3"]
+    options = [*moving(data), "--epochs", "6", "--batch-size", "2"]
     trained(tmp_path / "straight", *options)
     run = tmp_path / "killed"
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}

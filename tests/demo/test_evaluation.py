@@ -4,6 +4,7 @@ import csv
 import json
 import shlex
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,14 +12,14 @@ import pytest
 from PIL import Image
 
 import eldata.demo.evaluation
-from eldata.cli.main import parser
+from eldata.cli.main import main, parser
 from eldata.demo.evaluation import run_demo, write_contact_sheet
-from eldata.demo.tree import make_tree
+from eldata.demo.tree import make_clean, make_tree
 from eldata.errors import EldataError
+from eldata.examples import train_on_demo
+from eldata.examples.train_denoiser import parser as training_parser
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from eldata.evaluation import EvaluationResult
 
 SIZE = (64, 96)
@@ -114,6 +115,36 @@ def test_what_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         assert words in out
     with Image.open(folder / "contact-sheet.png") as image:
         assert image.size == sheet_size(2, 32, 48)
+
+
+def test_training_on_the_demo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two steps: they show the way, which the command makes two minutes long."""
+    size = (160, 240)  # whose packed halves hold a crop
+    monkeypatch.setattr(eldata.demo.evaluation, "make_tree", partial(make_tree, size=size))
+    monkeypatch.setattr(train_on_demo, "make_clean", partial(make_clean, size=size))
+    monkeypatch.setattr(train_on_demo, "_SCENES", 2)
+    monkeypatch.setattr(train_on_demo, "train_on_demo", partial(train_on_demo.train_on_demo, epochs=1))
+    folder = tmp_path / "what's new"
+    assert main(["demo", str(folder), "--scenes", "1", "--train"]) == 0
+    *_, last = lines = capsys.readouterr().out.splitlines()
+    (command,) = [shlex.split(line)[4:] for line in lines if line.startswith("$ python -m eldata.examples.")]
+    chosen = training_parser().parse_args(command)
+    clean = sorted(path.relative_to(folder).as_posix() for path in Path(*chosen.clean).rglob("*.dng"))
+    assert clean == [f"data/clean/Demo{name}/scene-{number}.dng" for name in ("Alpha", "Beta") for number in (2, 3)]
+    assert f"epoch 0: step {len(clean) * 4 // 8}," in "\n".join(lines)
+    scores = {name: json.loads((folder / f"{name}.json").read_text()) for name in ("amplified", "trained")}
+    before, after = (
+        np.mean([image["psnr_db"] for image in scores[name]["images"]]) for name in ("amplified", "trained")
+    )
+    assert {image["scene"] for image in scores["trained"]["images"]} == {"scene-1"}
+    assert (
+        last == f"trained: {abs(after - before):.2f} dB {'above' if after > before else 'below'} the amplified input."
+    )
+    shown = [shlex.split(line)[1:] for line in lines if line.startswith("$ eldata ") and "trained" in line]
+    assert [one[1] for one in shown] == ["predict", "evaluate", "evaluate"]  # as the training has it, and as it is done
+    assert shown[1] == shown[2]
 
 
 @pytest.mark.usefixtures("small")

@@ -1,4 +1,4 @@
-"""The examples of tasks (``examples/``): matches, LPIPS, optical flow between frames, depth by a model's file."""
+"""The examples of tasks (``eldata.examples``): matches, LPIPS, optical flow between frames, depth by a model's file."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import hashlib
 import importlib
 import math
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,14 +18,11 @@ from tests.evaluation import oracle
 from tests.onnx_file import onnx_network
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from eldata.evaluation import EvaluationResult
-
-
-@pytest.fixture(autouse=True)
-def _of_examples(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples"))
 
 
 def on_the_demo(folder: Path, task: str | Task) -> EvaluationResult:
@@ -36,7 +32,7 @@ def on_the_demo(folder: Path, task: str | Task) -> EvaluationResult:
 
 
 def test_the_example_finds_the_flow_of_a_camera_that_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    example = importlib.import_module("estimate_flow")
+    example = importlib.import_module("eldata.examples.estimate_flow")
     # Whole pixels of one texture, so that motion and error are known.
     wide = example.scene_radiance(3, 160, 224)
     at = [wide[:, top : top + 128, left : left + 192] for top, left in ((0, 0), (1, 3), (1, 0), (3, 4))]
@@ -47,7 +43,11 @@ def test_the_example_finds_the_flow_of_a_camera_that_turns(tmp_path: Path, monke
     assert example.endpoint_error(at[2:], at[1:3]) == pytest.approx(math.hypot(2, 7), abs=0.1)
 
     manifest = example.photograph(tmp_path / "set", scenes=1, moments=3, size=(192, 288))
-    given: dict[str, Any] = {"manifest": manifest, "root": tmp_path / "set", "task": "estimate_flow:flow"}
+    given: dict[str, Any] = {
+        "manifest": manifest,
+        "root": tmp_path / "set",
+        "task": "eldata.examples.estimate_flow:flow",
+    }
     noisy = evaluate(None, baseline="input", **given)
     assert not noisy.problems
     (video,) = noisy.videos
@@ -70,9 +70,9 @@ def test_the_example_runs_a_network_of_depth(tmp_path: Path, monkeypatch: pytest
     pytest.importorskip("onnxruntime")
     (tmp_path / "mean.onnx").write_bytes(onnx_network("Conv", np.full((1, 3, 1, 1), 1 / 3)))
     monkeypatch.setenv("DEPTH_MODEL", str(tmp_path / "mean.onnx"))
-    monkeypatch.delitem(sys.modules, "estimate_depth", raising=False)
+    monkeypatch.delitem(sys.modules, "eldata.examples.estimate_depth", raising=False)
     make_tree(tmp_path, scenes=1, size=(64, 96))
-    found = on_the_demo(tmp_path, "estimate_depth:depth")
+    found = on_the_demo(tmp_path, "eldata.examples.estimate_depth:depth")
     digest = hashlib.sha256((tmp_path / "mean.onnx").read_bytes()).hexdigest()
     assert found.provenance["task"]["version"] == f"mean.onnx sha256:{digest}"
     seen: list[float] = []
@@ -85,18 +85,18 @@ def test_the_example_runs_a_network_of_depth(tmp_path: Path, monkeypatch: pytest
     on_the_demo(tmp_path, Task(rewritten, images="srgb"))
     assert [image.task for image in found.images] == pytest.approx(seen, rel=1e-5)
     (tmp_path / "mean.onnx").write_bytes(onnx_network())
-    sys.modules["estimate_depth"]._session.cache_clear()
-    (problem, *_) = on_the_demo(tmp_path, "estimate_depth:depth").problems
+    sys.modules["eldata.examples.estimate_depth"]._session.cache_clear()
+    (problem, *_) = on_the_demo(tmp_path, "eldata.examples.estimate_depth:depth").problems
     assert "gives (1, 3, 32, 48); expected one map of (32, 48)" in problem.reason
 
 
 def test_the_example_matches_features_of_the_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_tree(tmp_path, scenes=1, size=(192, 288))
-    found = on_the_demo(tmp_path, "match_features:matches")
+    found = on_the_demo(tmp_path, "eldata.examples.match_features:matches")
     assert not found.problems
     of = {row.ratio: row.task for row in found.table}
     assert 1 > of[100.0] > of[200.0] > 0  # more noise, fewer matches
-    share = sys.modules["match_features"].matched_share
+    share = sys.modules["eldata.examples.match_features"].matched_share
     picture = np.random.default_rng(0).random((3, 12, 16)).repeat(8, axis=1).repeat(8, axis=2).astype(np.float32)
     assert share(picture, picture) == 1
     assert share(np.roll(picture, 16, axis=2), picture) < 0.1  # found, but elsewhere
@@ -122,7 +122,7 @@ def test_the_example_hands_renderings_to_torchmetrics_lpips(tmp_path: Path, monk
 
     monkeypatch.setattr(lpip, "LearnedPerceptualImagePatchSimilarity", network)
     make_tree(tmp_path, scenes=1, size=(64, 96))
-    found = on_the_demo(tmp_path, "perceptual_distance:lpips")
+    found = on_the_demo(tmp_path, "eldata.examples.perceptual_distance:lpips")
     assert not found.problems
     assert made == [("alex", True)]  # once, and of images in [0, 1]
     assert len(seen) == 2 * len(found.images)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import functools
 import pickle
+from argparse import Namespace
 from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import torch
 
 from eldata.datasets import Arrays, CleanClips, CleanFrames, SyntheticClips, SyntheticPairs
 from eldata.errors import ArgumentError
+from eldata.examples.train_denoiser import noise_of
 from eldata.noise import NoiseMaker, NoiseModel, NoiseParameters
 from eldata.noise.makers import check_noise_maker, made_exposure
 from tests.cases import in_one_test
@@ -141,7 +142,7 @@ def test_the_adapter_of_the_example_works() -> None:
 
 @pytest.mark.usefixtures("examples")
 def test_the_example_trains_on_it(demo_tree: Path) -> None:
-    model = import_module("train_denoiser").noise_of(SimpleNamespace(noise="check_noise_model:model"))
+    model = noise_of(Namespace(noise="check_noise_model:model"))
     references = CleanFrames(demo_tree / "data" / "ELD-demo" / "DemoAlpha" / "scene-1")
     found = SyntheticPairs(references, "SonyA7S2", model=model, crop=16)
     sample = found[0]

@@ -1,14 +1,15 @@
-"""Optical flow as a task: how far the motion between two denoised frames is from that between their references.
+"""`python -m eldata.examples.estimate_flow`: make a set that moves, for optical flow as a task of `eldata evaluate`.
 
-    python examples/estimate_flow.py eldata-moving     # a set that moves: the demo's camera turns before its scenes
-    eldata evaluate --baseline input --manifest eldata-moving/moving.csv --root eldata-moving \
-        --task examples.estimate_flow:flow
+The demo's camera photographs the set, and turns from moment to moment. The task is how far the motion between two
+denoised frames is from that between their references.
+
+    python -m eldata.examples.estimate_flow eldata-moving
+    eldata evaluate preds --manifest eldata-moving/moving.csv --task eldata.examples.estimate_flow:flow
 
 The end-point error of the paper's section 4.7 (K. Wei et al., TPAMI 2021), with scikit-image's TV-L1 in place of RAFT:
 C. Zach, T. Pock and H. Bischof, "A Duality Based Approach for Realtime TV-L1 Optical Flow", DAGM 2007.
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from skimage.color import rgb2gray
 from skimage.registration import optical_flow_tvl1
 
+from eldata.base import console
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.demo.tree import demo_card
@@ -75,4 +77,6 @@ def photograph(folder: Path, scenes: int = 4, moments: int = 3, size: tuple[int,
 
 
 if __name__ == "__main__":
-    print(photograph(Path(sys.argv[1])))
+    parser = console.document(console.Parser(prog="python -m eldata.examples.estimate_flow"), __doc__)
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="of the set; the demo's camera turns in it")
+    print(photograph(parser.parse_args().folder))

@@ -1,27 +1,29 @@
-"""Train the paper's U-Net, validate it, and export it as a file that `eldata predict` runs.
+"""`python -m eldata.examples.train_denoiser`: train the paper's U-Net and export it for `eldata predict`.
 
-    python examples/train_denoiser.py run --pairs sid-train.h5                       # paired real data
-    python examples/train_denoiser.py run --pairs sid-train.h5 --noise2noise         # noisy targets
-    python examples/train_denoiser.py run --clean clean.h5 --profile SonyA7S2        # the noise model
-    python examples/train_denoiser.py run --clean clean.h5 --profile SonyA7S2 --noise P+G --iso 800 1600 3200
-    python examples/train_denoiser.py run --pairs sid-train.h5 --clean clean.h5 --profile SonyA7S2   # both, mixed
-    python examples/train_denoiser.py run --pairs sid-train.h5 --task raw2rgb        # to sRGB; rgb2rgb: from sRGB
+Train on clean frames with a camera's noise made on the fly, on real pairs, or on both; the defaults are those of the
+paper's section 4.1.1. RUN gets checkpoint.pt, from which the same command goes on to the bit, and at the end model.pt2
+and weights.pt; then the commands are shown that predict with it and score that. With --validate, the score is printed
+in between.
 
-Stores are made by `eldata pack`; --pairs takes the address of shards too, --clean a folder of raws. The folder `run`
-gets checkpoint.pt, from which the same command goes on to the bit, and at the end model.pt2 and weights.pt. With
---validate data/ELD the protocol's score is printed. On several GPUs:
+    python -m eldata.examples.train_denoiser --clean data/SID/Sony/long --camera SonyA7S2
+    python -m eldata.examples.train_denoiser --clean clean.h5 --camera SonyA7S2 --noise P+G --iso 800 1600 3200
+    python -m eldata.examples.train_denoiser --pairs sid-train.h5 -o runs/paired --validate eld --root data
+    python -m eldata.examples.train_denoiser --pairs sid-train.h5 --noise2noise --input-clip none
+    python -m eldata.examples.train_denoiser --pairs sid-train.h5 --clean clean.h5 --camera SonyA7S2
+    python -m eldata.examples.train_denoiser --pairs sid-train.h5 --task raw2rgb
+    torchrun --nproc-per-node 4 -m eldata.examples.train_denoiser --pairs sid-train.h5 --device cuda
 
-    torchrun --nproc-per-node 4 examples/train_denoiser.py run ... --device cuda --precision bfloat16
-
-The network gets (N, C, h, w) float32: packed, black 0, white 1 as --levels has it, amplified by the ratio and clipped
-as --input-clip says, in training and in validation alike; of rgb2rgb, (N, 3, h, w), that rendered in 8 bits
-(docs/srgb.md). Put your network in the place of UNet, your loss in that of absolute_error.
+Stores are made by `eldata pack`, so that no crop decodes its file again. For a network of your own, copy the file and
+put yours in the place of UNet, your loss in that of absolute_error: it gets (N, C, h, w) float32, packed, black 0,
+white 1 as --levels has it, amplified by the ratio and clipped as --input-clip says, in training and in validation
+alike; of rgb2rgb, (N, 3, h, w), that rendered in 8 bits.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
+import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,26 +32,37 @@ from torch import distributed
 from torch.utils.data import ConcatDataset, Dataset
 
 from eldata import ELDDataset, PackedStore, StreamedPairs, SyntheticClips, SyntheticPairs
+from eldata.base import console
 from eldata.base.arguments import named_object
 from eldata.base.files import atomic_write
 from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
 from eldata.datasets import CleanFrames, DarkFrames, Noise2Noise, describe, evaluation_loader, training_loader
 from eldata.datasets.rgb import raw2rgb, rgb2rgb
+from eldata.errors import ArgumentError
+from eldata.manifest.catalogue import find_manifests
 from eldata.noise import NoiseModel
 from eldata.protocols import get_protocol
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Sequence
 
     from eldata.datasets import CleanSource
     from eldata.raw.levels import Clip
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+SAVE_EVERY = 500  # steps: a checkpoint inside of long epochs too
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    return console.run(parser(), None if argv is None else list(argv))
+
+
+def run(options: argparse.Namespace) -> int:
     """Train, or go on with a training; print each epoch's loss and, if asked for, the protocol's score."""
-    options = arguments().parse_args(argv)
     rank, device = start_ranks(options.device)
-    options.run.mkdir(parents=True, exist_ok=True)
+    options.output.mkdir(parents=True, exist_ok=True)
     data = training_data(options)
     loader = training_loader(data, options.batch_size, seed=options.seed, device=device, workers=options.workers)
     sample = next(iter(data))
@@ -66,20 +79,22 @@ def main(argv: Sequence[str] | None = None) -> None:
         settings={"data": repr(data), "width": options.width, "depth": options.depth, "seed": options.seed},
     )
     if rank == 0:
-        curve = curves_in(options.run)
+        curve = curves_in(options.output)
         print(data, describe(loader), f"{sum(map(torch.numel, network.parameters())):,} parameters", sep="\n")
-    for report in training.epochs(options.run / "checkpoint.pt", save_every=options.save_every):
+    for report in training.epochs(options.output / "checkpoint.pt", save_every=SAVE_EVERY):
         shown = {"loss": report.loss, "items/s": report.items_per_s}
         if options.validate and ((report.epoch + 1) % options.validate_every == 0 or report.step == training.steps):
-            shown |= score(network, options, device)
+            shown |= validate(network, options, device)
         if rank == 0:
             print(report, *(f"{name} {shown[name]:.4f}" for name in ("psnr_db", "ssim") if name in shown), sep=", ")
             for name, value in shown.items():
                 curve(name, value, report.step)
     if rank == 0:
-        keep(network, options.run, channels, options.input_clip)
+        keep(network, options.output, channels, options.input_clip)
+        show_next(options.output, *scored_set(options))
     if distributed.is_initialized():
         distributed.destroy_process_group()
+    return console.OK
 
 
 # --- data -------------------------------------------------------------------------------------------------------------
@@ -97,9 +112,9 @@ def training_data(options: argparse.Namespace) -> Dataset[Any]:
     if options.clean:
         parts.append(synthetic_pairs(options, crops))
     if not parts:
-        arguments().error("give --pairs, --clean with --profile, or both")
+        raise ArgumentError("give --clean with --camera, --pairs, or both")
     if options.task != "raw2raw" and (options.noise2noise or any(isinstance(part, StreamedPairs) for part in parts)):
-        arguments().error(f"--task {options.task} takes stores or clean frames: not shards, nor --noise2noise")
+        raise ArgumentError(f"--task {options.task} takes stores or clean frames: not shards, nor --noise2noise")
     parts = [as_task(part, options) for part in parts]
     return parts[0] if len(parts) == 1 else ConcatDataset([Sides(part) for part in parts])
 
@@ -109,10 +124,10 @@ def as_task(pairs: Dataset[Any], options: argparse.Namespace) -> Dataset[Any]:
     if options.task == "raw2raw":
         return pairs
     render = {"raw2rgb": raw2rgb, "rgb2rgb": rgb2rgb}[options.task]
-    return render(pairs, response=get_protocol(protocol_of(options)).curve)
+    return render(pairs, response=get_protocol(scored_protocol(options)).curve)
 
 
-def protocol_of(options: argparse.Namespace) -> str:
+def scored_protocol(options: argparse.Namespace) -> str:
     """Return the protocol that was asked for, or the task's own."""
     return options.protocol or ("eld" if options.task == "raw2raw" else f"eld-{options.task}")
 
@@ -123,22 +138,22 @@ def real_pairs(place: str, is_noise2noise: bool, choice: dict[str, Any]) -> Data
         pairs = PackedStore(place, **choice)
         return Noise2Noise(pairs) if is_noise2noise else pairs
     if is_noise2noise:
-        arguments().error("--noise2noise takes a store: shards give their pairs one by one")
+        raise ArgumentError("--noise2noise takes a store: shards give their pairs one by one")
     choice.pop("crops", None)  # shards are tiles already, each of which comes once
     return StreamedPairs(place, **choice)
 
 
 def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Dataset[Any]:
     """Return clean crops with noise made on the fly; for Noise2Noise, two noisy exposures of each."""
-    if not options.profile:
-        arguments().error("--clean needs a camera's noise: --profile")
+    if not options.camera:
+        raise ArgumentError("--clean needs a camera's noise: --camera")
     source = CleanFrames(options.clean if len(options.clean) > 1 else options.clean[0], levels=options.levels)
     noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio), "clip": options.input_clip}
     noise["range_dn"] = options.range_dn
     if not options.noise2noise:
-        return SyntheticPairs(source, options.profile, **crops, **noise)
+        return SyntheticPairs(source, options.camera, **crops, **noise)
     count = crops.pop("crops_per_frame", 1)
-    stills = SyntheticClips(Stills(source), options.profile, frames=2, windows_per_clip=count, **crops, **noise)
+    stills = SyntheticClips(Stills(source), options.camera, frames=2, windows_per_clip=count, **crops, **noise)
     return Sides(stills, are_exposures=True)
 
 
@@ -206,13 +221,15 @@ class Sides(Dataset[dict[str, torch.Tensor]]):
 # --- validation -------------------------------------------------------------------------------------------------------
 
 
-def score(network: UNet, options: argparse.Namespace, device: torch.device) -> dict[str, float]:
+def validate(network: UNet, options: argparse.Namespace, device: torch.device) -> dict[str, float]:
     """Return the protocol's PSNR and SSIM over the validation pairs: the numbers of `eldata evaluate`."""
     from eldata.integrations.torchmetrics import ProtocolScore
 
-    raw = ELDDataset(options.validate, manifest=options.manifest, clip=options.input_clip, levels=options.levels)
+    (manifest,) = find_manifests(options.validate, options.root)
+    folder = manifest.folder(options.root)
+    raw = ELDDataset(folder, manifest=manifest.path, clip=options.input_clip, levels=options.levels)
     pairs = as_task(raw, options)
-    metric = ProtocolScore(protocol_of(options))
+    metric = ProtocolScore(scored_protocol(options))
     network.eval()
 
     def predicted(image: Any) -> Any:
@@ -232,7 +249,24 @@ def keep(network: Any, folder: Path, channels: int, clip: Clip) -> None:
     save_network(network, folder / "model.pt2", channels=channels, clip=clip, **traits)
     with atomic_write(folder / "weights.pt") as file:  # torch.load(..., weights_only=True)
         torch.save(network.state_dict(), file)
-    print(f"eldata predict {folder / 'model.pt2'} ...")
+
+
+def scored_set(options: argparse.Namespace) -> list[str]:
+    """Return the options by which eldata names the set to score on: that of the validation, else ELD."""
+    name = options.validate or "eld"
+    chosen = ["--manifest" if Path(name).suffix == ".csv" else "--dataset", name]
+    chosen += ["--root", options.root] if options.root else []
+    return (
+        [*chosen, "--protocol", scored_protocol(options)] if options.protocol or options.task != "raw2raw" else chosen
+    )
+
+
+def show_next(folder: Path, *chosen: str) -> None:
+    """Print the commands that predict with the network of a training's folder, and score that."""
+    made = str(folder / "predictions")
+    print("\nNext, to predict and score:")
+    print("$", shlex.join(["eldata", "predict", str(folder / "model.pt2"), *chosen, "-o", made]))
+    print("$", shlex.join(["eldata", "evaluate", made, *chosen]))
 
 
 def curves_in(folder: Path) -> Callable[[str, float, int], object]:
@@ -257,55 +291,100 @@ def start_ranks(kind: str) -> tuple[int, torch.device]:
     return distributed.get_rank() if distributed.is_initialized() else 0, device
 
 
-def arguments() -> argparse.ArgumentParser:
+def parser() -> console.Parser:
     """Return the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("run", type=Path, help="folder of this training; the same command goes on with it")
-    data = parser.add_argument_group("data")
-    data.add_argument("--pairs", help="a packed store, or the address of a folder of shards")
-    data.add_argument("--clean", nargs="+", help="packed stores of clean frames, or folders of raws")
-    data.add_argument("--range-dn", type=float, help="the profile's white minus black, for --clean of other cameras")
+    parser, data = program(__doc__, run)
+    data.add_argument(
+        "--clean", nargs="+", metavar="CLEAN", help="folders of clean raws, manifests, or packed stores of such"
+    )
+    how = add_training_options(parser, data)
+    data.add_argument(
+        "--range-dn", type=float, metavar="DN", help="the noise's camera: white minus black, for --clean of others"
+    )
+    data.add_argument("--pairs", metavar="PAIRS", help="a packed store, or the address of a folder of shards")
     data.add_argument("--noise2noise", action="store_true", help="a second noisy frame in place of the clean one")
     data.add_argument(
         "--crops-per-frame",
         type=int,
+        metavar="N",
         help="so many at random in an epoch (default: the paper's, each of a grid once; of shards one of each tile)",
     )
     data.add_argument(
-        "--task", choices=("raw2raw", "raw2rgb", "rgb2rgb"), default="raw2raw", help="(default: %(default)s)"
+        "--task",
+        choices=("raw2raw", "raw2rgb", "rgb2rgb"),
+        default="raw2raw",
+        help="from what to what (default: %(default)s)",
     )
-    how = add_shared(parser, data)
-    how.add_argument("--depth", type=int, default=4, help="how often it halves the image (default: %(default)s)")
+    how.add_argument(
+        "--depth", type=int, default=4, metavar="D", help="how often it halves the image (default: %(default)s)"
+    )
     check = parser.add_argument_group("validation")
-    check.add_argument("--validate", type=Path, metavar="ROOT", help="ELD's folder, or that of a set in its layout")
-    check.add_argument("--manifest", default="eld", help="(default: %(default)s)")
-    check.add_argument("--protocol", help="(default: eld; of a task to sRGB eld-raw2rgb or eld-rgb2rgb)")
-    check.add_argument("--validate-every", type=int, default=10, metavar="EPOCHS", help="(default: %(default)s)")
+    check.add_argument("--validate", metavar="SET", help="eld, or the manifest (*.csv) of a set in its layout")
+    check.add_argument("--root", metavar="R", help="folder that holds that set (default: $ELDATA_ROOT, else ./data)")
+    check.add_argument(
+        "--validate-every", type=int, default=10, metavar="EPOCHS", help="and at the end (default: %(default)s)"
+    )
+    check.add_argument("--protocol", metavar="P", help="default: eld; of a task to sRGB eld-raw2rgb or eld-rgb2rgb")
     return parser
 
 
-def add_shared(parser: argparse.ArgumentParser, data: argparse._ArgumentGroup) -> argparse._ArgumentGroup:
-    """Add what both examples have: the noise, the crops, and how to train, whose group is returned."""
-    data.add_argument("--profile", nargs="+", help="cameras whose noise is made: shipped names or files")
-    data.add_argument("--noise", default="P*+G*+B+R+U", help="a spec, or package.module:name (default: %(default)s)")
-    data.add_argument("--dark-frames", help="a store of bias frames, for the specs with D")
+def program(
+    documented: str, run: Callable[[argparse.Namespace], int]
+) -> tuple[console.Parser, argparse._ArgumentGroup]:
+    """Return the parser of a training and its group of data, for what else there is; its docstring is its help."""
+    parser = console.document(
+        console.Parser(prog=(prog := documented.split("`")[1]), usage=f"{prog} [options]"), documented
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default="run",
+        metavar="RUN",
+        help="folder of this training (default: %(default)s); the same command goes on with it",
+    )
+    interrupted = "{output} keeps the last checkpoint, and the same command goes on"
+    parser.set_defaults(run=run, command=parser.prog, interrupted=interrupted, running=["debug"])
+    return parser, parser.add_argument_group("data")
+
+
+def add_training_options(parser: argparse.ArgumentParser, data: argparse._ArgumentGroup) -> argparse._ArgumentGroup:
+    """Add what both trainings have: the noise, the crops, and how to train, whose group is returned."""
+    default = "(default: %(default)s)"
+    data.add_argument("--camera", nargs="+", metavar="NAME", help="whose noise is made: shipped profiles, or files")
+    data.add_argument(
+        "--noise", default="P*+G*+B+R+U", metavar="MODEL", help=f"a spec, or package.module:name of yours {default}"
+    )
+    data.add_argument("--dark-frames", metavar="STORE", help="packed bias frames, for the specs with D")
     data.add_argument("--iso", type=float, nargs="+", help="these alone, drawn alike (default: the gain is drawn)")
-    data.add_argument("--ratio", type=float, nargs=2, default=(100.0, 300.0), help="(default: 100 300)")
-    data.add_argument("--input-clip", choices=("both", "upper", "none"), default="both", help="(default: %(default)s)")
-    data.add_argument("--levels", choices=("published", "metadata"), default="published", help="(default: %(default)s)")
-    data.add_argument("--crop", type=int, default=512, help="side in packed pixels (default: %(default)s)")
+    data.add_argument(
+        "--ratio",
+        type=float,
+        nargs=2,
+        default=(100.0, 300.0),
+        metavar=("A", "B"),
+        help="low-light factors, from A to B (default: 100 300)",
+    )
+    data.add_argument(
+        "--input-clip", choices=("both", "upper", "none"), default="both", help=f"where the input is cut {default}"
+    )
+    data.add_argument(
+        "--levels", choices=("published", "metadata"), default="published", help=f"white 16383, or the file's {default}"
+    )
+    data.add_argument("--crop", type=int, default=512, metavar="PX", help=f"side in packed pixels {default}")
     how = parser.add_argument_group("training")
-    how.add_argument("--epochs", type=int, default=200, help="the schedule is scaled to them (default: %(default)s)")
-    how.add_argument("--batch-size", type=int, default=1, help="per process (default: %(default)s)")
-    how.add_argument("--learning-rate", type=float, default=1e-4, help="(default: %(default)s)")
-    how.add_argument("--width", type=int, default=32, help="of the network's first level (default: %(default)s)")
-    how.add_argument("--precision", choices=("float32", "bfloat16", "float16"), default="float32")
-    how.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
-    how.add_argument("--workers", type=int, help="default: by CPUs and memory")
-    how.add_argument("--seed", type=int, default=0, help="(default: %(default)s)")
-    how.add_argument("--save-every", type=int, metavar="STEPS", help="a checkpoint inside of epochs too")
+    how.add_argument("--epochs", type=int, default=200, metavar="N", help=f"the schedule is scaled to them {default}")
+    how.add_argument("--batch-size", type=int, default=1, metavar="N", help=f"per process {default}")
+    how.add_argument("--learning-rate", type=float, default=1e-4, metavar="RATE", help=f"of Adam, at first {default}")
+    how.add_argument("--width", type=int, default=32, metavar="N", help=f"channels of the first level {default}")
+    how.add_argument(
+        "--precision", choices=("float32", "bfloat16", "float16"), default="float32", help=f"of the steps {default}"
+    )
+    how.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help=f"where it trains {default}")
+    how.add_argument("--workers", type=int, metavar="N", help="processes that load data (default: by CPUs and memory)")
+    how.add_argument("--seed", type=int, default=0, metavar="S", help=f"of weights, order and noise {default}")
     return how
 
 
 if __name__ == "__main__":  # workers import this file: the guard is needed
-    main()
+    sys.exit(main())

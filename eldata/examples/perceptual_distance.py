@@ -1,6 +1,6 @@
 """LPIPS as a task: the learned perceptual distance of torchmetrics, between renderings in sRGB.
 
-    eldata evaluate preds/gaussian --dataset sid-sony --protocol sid2018 --task examples.perceptual_distance:lpips
+    eldata evaluate preds --dataset sid-sony --protocol sid2018 --task eldata.examples.perceptual_distance:lpips
 
 R. Zhang, P. Isola, A. A. Efros, E. Shechtman and O. Wang, "The Unreasonable Effectiveness of Deep Features as a
 Perceptual Metric", CVPR 2018. Needs torchmetrics[image]; torchvision downloads AlexNet's weights as it is first called.
@@ -39,3 +39,7 @@ lpips = Task(
     label="LPIPS",
     version=f"torchmetrics {version('torchmetrics')}, AlexNet",
 )
+
+
+if __name__ == "__main__":  # for evaluate: as a program it says what it is
+    print(__doc__)

@@ -1,6 +1,6 @@
 """A task on denoised frames: how many of the reference's features a matcher finds again, by ORB of scikit-image.
 
-    eldata evaluate preds/gaussian --dataset eld --task examples.match_features:matches
+    eldata evaluate preds --dataset eld --task eldata.examples.match_features:matches
 
 E. Rublee, V. Rabaud, K. Konolige and G. Bradski, "ORB: an efficient alternative to SIFT or SURF", ICCV 2011. Needs
 scikit-image. A detector stands in the same place: a function of both images to one number.
@@ -50,3 +50,7 @@ def _features(image: Image) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
 
 
 matches = Task(matched_share, images="srgb", label="ORB matches")
+
+
+if __name__ == "__main__":  # for evaluate: as a program it says what it is
+    print(__doc__)

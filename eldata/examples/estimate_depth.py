@@ -1,7 +1,6 @@
 """Depth as a task: how far what a network sees in a denoised frame is from what it sees in the reference.
 
-    DEPTH_MODEL=midas.onnx eldata evaluate preds/dct --dataset sid-sony --protocol sid-srgb \
-        --task examples.estimate_depth:depth
+    DEPTH_MODEL=midas.onnx eldata evaluate preds --dataset eld --task eldata.examples.estimate_depth:depth
 
 The root mean square error of the paper's section 4.7 (K. Wei et al., TPAMI 2021), by any ONNX file that makes one map
 of a picture, (1, 3, h, w) R, G, B in [0, 1], as the files of MiDaS do. Needs onnxruntime and scikit-image.
@@ -61,10 +60,13 @@ def depth_error(prediction: Image, reference: Image) -> float:
     return float(np.sqrt(np.mean((depth_of(prediction) - expected) ** 2)) / span)
 
 
-depth = Task(
-    depth_error,
-    images="srgb",
-    higher_is_better=False,
-    label="depth RMSE",
-    version=f"{MODEL.name} sha256:{hashlib.sha256(MODEL.read_bytes()).hexdigest()}",
-)
+if __name__ == "__main__":  # for evaluate: as a program it says what it is, and needs no model
+    print(__doc__)
+else:
+    depth = Task(
+        depth_error,
+        images="srgb",
+        higher_is_better=False,
+        label="depth RMSE",
+        version=f"{MODEL.name} sha256:{hashlib.sha256(MODEL.read_bytes()).hexdigest()}",
+    )

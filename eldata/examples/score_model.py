@@ -1,18 +1,20 @@
-"""Denoise ELD's noisy frames with a model of yours, save the predictions, score them.
+"""`python -m eldata.examples.score_model`: denoise ELD's noisy frames with a model of yours, and score that.
 
-    python examples/score_model.py data/ELD preds/gaussian            # the published set
-    python examples/score_model.py eldata-demo/data/ELD-demo preds/gaussian eldata-demo/manifests/eld-demo.csv
+The predictions of all pairs that the protocol scores are written, and the table is printed.
 
-The "model" here is a Gaussian blur; put your network in its place.
+    python -m eldata.examples.score_model data/ELD preds/gaussian
+    python -m eldata.examples.score_model eldata-demo/data/ELD-demo preds/gaussian eldata-demo/manifests/eld-demo.csv
+
+The "model" here is a Gaussian blur; copy the file and put your network in its place.
 """
 
-import sys
 from pathlib import Path
 
 import torch
 from torch.utils.data import DataLoader
 
 from eldata import ELDDataset, evaluate
+from eldata.base import console
 from eldata.evaluation import save_prediction
 
 
@@ -38,4 +40,8 @@ def main(root: Path, predictions: Path, manifest: str = "eld") -> None:
 
 
 if __name__ == "__main__":  # spawned workers import this file: the guard is needed
-    main(Path(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:4])
+    parser = console.document(console.Parser(prog="python -m eldata.examples.score_model"), __doc__)
+    parser.add_argument("root", type=Path, metavar="FOLDER", help="of the set itself, such as data/ELD")
+    parser.add_argument("predictions", type=Path, metavar="OUT", help="folder of the predictions")
+    parser.add_argument("manifest", nargs="?", default="eld", metavar="MANIFEST", help="of a set in ELD's layout")
+    main(**vars(parser.parse_args()))

@@ -1,0 +1,151 @@
+"""`python -m eldata.examples.train_video_denoiser`: train a network of clips, and export it for `eldata predict`.
+
+Train on windows of clean clips with a camera's noise made on the fly, or of real static clips with their reference.
+The loss is the published one, recovery of two predictions of one scene and --consistency times their difference
+(eldata.baselines.clip_error). RUN gets checkpoint.pt, from which the same command goes on, model.pt2 and weights.pt.
+
+    python -m eldata.examples.train_video_denoiser --clean moving --camera SonyA7S2
+    python -m eldata.examples.train_video_denoiser --clean clean.h5 --still --camera SonyA7S2 --network unet
+    python -m eldata.examples.train_video_denoiser --clips drv-train.h5 --network unet
+    python -m eldata.examples.train_video_denoiser --clips data/DRV --split train --rgb
+
+The commands at the end name DRV; for a network of raw, drv-raw.csv is the manifest of its raws (docs/manifests.md). A
+network that saw only static clips averages frames and blurs what moves: train it on clips that move. All else is as
+in eldata.examples.train_denoiser.
+"""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import distributed
+
+from eldata import DRVDataset, SyntheticClips
+from eldata.base import console
+from eldata.baselines import FastDVDnet, Training, UNet, clip_error
+from eldata.datasets import CleanClips, CleanFrames, describe, training_loader
+from eldata.datasets.packed import PackedClips
+from eldata.errors import ArgumentError
+from eldata.examples.train_denoiser import (
+    SAVE_EVERY,
+    Stills,
+    add_training_options,
+    curves_in,
+    keep,
+    noise_of,
+    program,
+    show_next,
+    start_ranks,
+)
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+    from torch.utils.data import Dataset
+
+NETWORKS: dict[str, tuple[Any, int]] = {"fastdvdnet": (FastDVDnet, 2), "unet": (UNet, 4)}  # and their depth
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    return console.run(parser(), None if argv is None else list(argv))
+
+
+def run(options: argparse.Namespace) -> int:
+    """Train, or go on with a training; print each epoch's loss."""
+    rank, device = start_ranks(options.device)
+    options.output.mkdir(parents=True, exist_ok=True)
+    kind, depth = NETWORKS[options.network]
+    data = training_clips(options, frames=kind.window + 1)  # two windows: one more frame
+    loader = training_loader(data, options.batch_size, seed=options.seed, device=device, workers=options.workers)
+    channels = next(iter(data))["input"].shape[1]
+    depth = depth if options.depth is None else options.depth
+    network = kind(channels, width=options.width, depth=depth, seed=options.seed)
+    training = Training(
+        network,
+        loader,
+        steps=options.epochs * len(loader),
+        learning_rate=options.learning_rate,
+        loss=partial(clip_error, window=network.window, weight=options.consistency),
+        device=device,
+        precision=options.precision,
+        settings={
+            "data": repr(data),
+            "consistency": options.consistency,
+            **{name: getattr(options, name) for name in ("network", "width", "seed")},
+            "depth": depth,
+        },
+    )
+    if rank == 0:
+        curve = curves_in(options.output)
+        print(data, describe(loader), f"{sum(map(torch.numel, network.parameters())):,} parameters", sep="\n")
+    for report in training.epochs(options.output / "checkpoint.pt", save_every=SAVE_EVERY):
+        if rank == 0:
+            print(report)
+            curve("loss", report.loss, report.step)
+    if rank == 0:
+        keep(network, options.output, channels, options.input_clip)
+        show_next(options.output, *(("--dataset", "drv") if channels == 3 else ("--manifest", "drv-raw.csv")))
+    if distributed.is_initialized():
+        distributed.destroy_process_group()
+    return console.OK
+
+
+def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:
+    """Return windows of so many frames: of real static clips and their still, or of clean ones with noise made."""
+    crops = {"crop": options.crop, "seed": options.seed, "clip": options.input_clip}
+    if options.clips:
+        place = Path(options.clips)
+        kind: Any = partial(DRVDataset, form="preprocessed" if options.rgb else "raw")
+        kind = PackedClips if place.is_file() else kind
+        windows: dict[str, Any] = {"window": frames, "crops_per_window": options.crops_per_clip}
+        windows |= {"split": options.split, "ids": options.ids}
+        real: Dataset[Any] = kind(place, levels=options.levels, augment=True, **crops, **windows)
+        return real
+    if not (options.clean and options.camera):
+        raise ArgumentError("give --clean with --camera, or --clips")
+    if options.still:
+        source: Any = Stills(CleanFrames(options.clean, levels=options.levels), frames)
+    else:
+        source = CleanClips(options.clean, levels=options.levels)
+    noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio)}
+    windows = {"frames": frames, "windows_per_clip": options.crops_per_clip}
+    return SyntheticClips(source, options.camera, **windows, **crops, **noise)
+
+
+def parser() -> console.Parser:
+    """Return the command line."""
+    parser, data = program(__doc__, run)
+    data.add_argument(
+        "--clean", metavar="CLEAN", help="clean clips: a folder with a folder of raws for each, or the store of such"
+    )
+    data.add_argument("--still", action="store_true", help="--clean has single frames: clips in which nothing moves")
+    how = add_training_options(parser, data)
+    data.add_argument(
+        "--clips", metavar="CLIPS", help="static clips with a reference: a packed store, or a folder of DRV's raws"
+    )
+    data.add_argument("--rgb", action="store_true", help="the folder is DRV as its authors preprocessed it")
+    data.add_argument("--split", metavar="NAME", help="of --clips, such as train (default: all)")
+    data.add_argument("--ids", nargs="+", metavar="ID", help="of --clips, such as 0001 0004 (default: all)")
+    data.add_argument("--crops-per-clip", type=int, default=1, metavar="N", help="in an epoch (default: %(default)s)")
+    how.add_argument(
+        "--network",
+        choices=NETWORKS,
+        default="fastdvdnet",
+        help="of five frames to the middle one, or frame by frame (default: %(default)s)",
+    )
+    how.add_argument("--depth", type=int, metavar="D", help="how often it halves the image (default: 2; 4 for unet)")
+    how.add_argument(
+        "--consistency", type=float, default=0.05, metavar="W", help="its weight in the loss (default: %(default)s)"
+    )
+    parser.set_defaults(levels="metadata")  # as the protocols of clips have it
+    return parser
+
+
+if __name__ == "__main__":  # workers import this file: the guard is needed
+    sys.exit(main())

@@ -35,6 +35,13 @@ def add_options(parser: console.Parser) -> None:
         "--scenes", type=int, metavar="N", help="scenes per camera (default: 4; with --benchmark 10, to test on)"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the noise (default: %(default)s)")
+    parser.add_argument(
+        "--beside",
+        choices=("dct", "wavelet", "bm3d", "anscombe-bm3d"),
+        default="dct",
+        metavar="NAME",
+        help="the baseline beside the network, as eldata baseline has it; bm3d takes minutes (default: %(default)s)",
+    )
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--train", action="store_true", help="train a network on other scenes, and score it too")
     instead.add_argument("--calibration", action="store_true", help="calibrate a camera, in place of scenes")
@@ -78,7 +85,7 @@ def run(arguments: console.Arguments) -> int:
     from eldata.demo.evaluation import run_demo
 
     folder, scenes = Path(arguments.folder), 4 if arguments.scenes is None else arguments.scenes
-    results = run_demo(folder, scenes=scenes, seed=arguments.seed)
+    results = run_demo(folder, scenes=scenes, seed=arguments.seed, beside=arguments.beside)
     if arguments.train:
         from eldata.examples.train_on_demo import train_on_demo
 

@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from eldata.base.files import atomic_write
 from eldata.base.numbers import checked_whole
+from eldata.baselines.classical import BASELINES
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.calibration.joint import fit_log_log
 from eldata.calibration.one_photograph.estimate import GAUSSIAN_SHAPE
@@ -39,11 +40,6 @@ if TYPE_CHECKING:
     from eldata.manifest.catalogue import Manifest
 
 INPUT = "amplified"
-_SCORED = {
-    INPUT: "the noisy input times the exposure ratio, nothing else",
-    "dct": "sliding-window DCT thresholding, which knows the noise of each camera",
-    "network": "the network that ships with eldata, which is told each camera's noise and has seen neither",
-}
 
 # Of the contact sheet, in pixels, and its colours; the middle of each picture is shown twice as large.
 _MARGIN = 16
@@ -52,8 +48,10 @@ _ENLARGED = 2
 _INK, _PAPER = (225, 225, 225), (24, 24, 26)
 
 
-def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, EvaluationResult]:
+def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0, beside: str = "dct") -> dict[str, EvaluationResult]:
     """Run the demo into a folder, printing what happens; return the results of ``amplified``, ``dct`` and ``network``.
+
+    ``beside`` is the baseline that takes the place of ``dct`` beside the network.
 
     Raises
     ------
@@ -76,7 +74,12 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
     profiles = _write_profiles(folder, manifest)
     listed = shlex.quote(str(manifest.path))
     given = " ".join(f"--profile {shlex.quote(str(path))}" for path in profiles)
-    for name in (one for one in _SCORED if one != INPUT):
+    methods = {
+        INPUT: "the noisy input times the exposure ratio, nothing else",
+        beside: f"{BASELINES[beside].title}, which knows the noise of each camera",
+        "network": "the network that ships with eldata, which is told each camera's noise and has seen neither",
+    }
+    for name in (beside, "network"):
         made = shlex.quote(str(predictions / name))
         print(f"\n$ eldata baseline {name} {given} --manifest {listed} {at_root} -o {made}")
         denoiser = BaselineDenoiser(name, tuple(map(CameraProfile.load, profiles)))
@@ -85,7 +88,7 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0) -> dict[str, Evalu
         if report.problems:
             raise EldataError("the demo's own files could not be denoised")
     results = {}
-    for name, what in _SCORED.items():
+    for name, what in methods.items():
         results[name] = score_method(folder, name, what, None if name == INPUT else predictions / name)
 
     sheet = folder / "contact-sheet.png"

@@ -51,7 +51,8 @@ def train_on_demo(
     """
     first, last = scenes + 1, scenes + _SCENES
     clean = make_clean(folder, range(first, last + 1), seed=seed)
-    print(f"\nScored: scenes 1 to {scenes}. To train on: references of scenes {first} to {last}, which nothing scores.")
+    print(f"\nScored: scenes 1 to {scenes}. To train on: references of scenes {first} to {last}, which nothing scores:")
+    print("the same kinds of still life, in another layout, light and colours.")
     manifest, root, made = folder / "manifests" / "eld-demo.csv", folder / "data", folder / TRAINED
     command = ["--clean", str(clean), "--camera", *map(str, sorted((folder / "profiles").glob("*.json"))), *_SMALL]
     command += ["--epochs", str(epochs), "--seed", str(seed), "--device", "cpu", "-o", str(made)]

@@ -14,7 +14,11 @@ _HERE = Path(__file__).parent
 sys.path[:0] = [str(_HERE / "site"), str(_HERE.parent)]
 # The notebooks' kernels: commands of this environment, this source, no warnings of small machines.
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(_HERE.parent), os.environ.get("PYTHONPATH")]))
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [*sys.path[:2], os.environ.get("PYTHONPATH")]))
+# What they keep goes into the site; it stays beside their cache, which says whether they run again.
+_KEPT = _HERE / "_build" / "kept"
+os.environ["ELDATA_EXAMPLES"] = str(_KEPT / "examples")
+_KEPT.mkdir(parents=True, exist_ok=True)
 
 import eldata  # noqa: E402 # of this folder's parent
 
@@ -28,6 +32,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
+    "code_blocks",
     "command_reference",
     "name_reference",
     "notebook_output",
@@ -41,6 +46,7 @@ suppress_warnings = ["myst.header"]  # a guide may begin with a heading below an
 html_theme = "furo"
 html_title = f"eldata {release}"
 html_static_path = ["site/static"]
+html_extra_path = [str(_KEPT)]
 html_css_files = ["site.css"]
 html_show_sphinx = False
 html_copy_source = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
     from pathlib import Path
+
+    from tests.capture.checklist_browser import Browser
 
 # A run that was started in the background of a shell ignores Ctrl-C, one under nohup the end of its terminal, and so
 # would every process that tests start.
@@ -51,6 +54,25 @@ def demo_tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
     with made_once(tmp_path_factory, "demo", build_tree) as folder:
         yield folder
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if found is None:
+        if os.environ.get("ELDATA_REQUIRE_BROWSER"):
+            pytest.fail("ELDATA_REQUIRE_BROWSER is set and there is no chromium")
+        pytest.skip("no chromium here; apt-get install chromium")
+    return found
+
+
+@pytest.fixture(scope="session")
+def browser(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    from tests.capture.checklist_browser import Browser  # only POSIX systems have what it needs
+
+    running = Browser(chromium, tmp_path_factory.mktemp("browser"))
+    yield running
+    running.close()
 
 
 @pytest.fixture(autouse=True)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import doctest
+import functools
 import html
+import http.server
 import importlib
 import inspect
 import os
@@ -12,10 +14,12 @@ import shlex
 import shutil
 import subprocess
 import sys
+import threading
 import zlib
 from contextlib import chdir
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import pytest
 
@@ -27,11 +31,14 @@ from tests.without_posix import commands
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from tests.capture.checklist_browser import Browser, Page
+
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 NOTEBOOKS = sorted(path for path in (DOCS / "gallery").glob("*.md"))
 PAGES = sorted(path.stem for path in (DOCS / "reference").glob("*.rst") if re.match(r"eldata|capture", path.stem))
 _CELL = re.compile(r"^```\{code-cell\} ipython3\n(?::tags:[^\n]*\n\n)?(.*?)^```$", re.MULTILINE | re.DOTALL)
+_KEPT = re.compile(r'^keep\("(.+)"\)$', re.MULTILINE)
 
 
 # --- what is built ----------------------------------------------------------------------------------------------------
@@ -49,6 +56,11 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
     with made_once(tmp_path_factory, "site", build) as folder:
         yield folder
+
+
+def examples() -> set[str]:
+    """The pages that notebooks make, as the start page links them."""
+    return {f"examples/{file}" for path in NOTEBOOKS for file in _KEPT.findall(path.read_text(encoding="utf-8"))}
 
 
 def entries(inventory: Path) -> set[str]:
@@ -106,12 +118,70 @@ def test_links_between_pages_lead_somewhere(site: Path) -> None:
             if re.match(r"[a-z]+:", link):
                 continue
             file, _, anchor = html.unescape(link).partition("#")
+            if file in examples():
+                continue  # notebooks make them, which do not run here
             target = (path.parent / file).resolve() if file else path
             followed += 1
             if not target.exists() or (anchor and target.suffix == ".html" and anchor not in ids[target]):
                 broken.append(f"{path.relative_to(site)}: {link}")
     assert followed > 5000
     assert sorted(set(broken)) == []
+
+
+# --- in a browser -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def address(site: Path) -> Iterator[str]:
+    """The site, served: a browser does not let a page of a file load the index of the search."""
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Handler, directory=str(site))) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+@pytest.fixture
+def page(browser: Browser, tmp_path: Path) -> Iterator[Page]:
+    from tests.capture.checklist_browser import Page  # only POSIX systems have what it needs
+
+    page = Page(browser, tmp_path, 390, 844)
+    yield page
+    page.close()
+
+
+@pytest.mark.browser
+@pytest.mark.study
+def test_no_page_scrolls_sideways_on_a_phone(site: Path, address: str, page: Page) -> None:
+    wide = {}
+    paths = [path.relative_to(site).as_posix() for path in site.rglob("*.html") if "_static" not in path.parts]
+    for path in paths:
+        page.open(f"{address}/{path}")
+        if page.run("document.scrollingElement.scrollWidth > innerWidth"):
+            wide[path] = page.run("document.scrollingElement.scrollWidth")
+    assert len(paths) > 60
+    assert wide == {}
+
+
+@pytest.mark.browser
+@pytest.mark.study
+def test_searches_find_the_right_page_first(address: str, page: Page) -> None:
+    first = {
+        "black level": "raw-files.html#index-",
+        "ratio": "datasets.html#index-",
+        "X-Trans": "raw-files.html#index-",
+        "my PSNR differs": "evaluation.html",
+    }
+    for words, expected in first.items():
+        page.open(f"{address}/search.html?q={quote(words)}")
+        page.wait(lambda: page.run("document.querySelector('ul.search li a') !== null"))
+        page.wait(lambda: "finished" in page.text("#search-results .search-summary"))
+        found = page.run("document.querySelector('ul.search li a').getAttribute('href')")
+        assert str(found).startswith(expected), words
 
 
 # --- what the pages' sources have to be -------------------------------------------------------------------------------
@@ -127,6 +197,12 @@ def test_every_guide_is_on_the_site() -> None:
     listed = (DOCS / "index.md").read_text(encoding="utf-8").split()
     assert [path.name for path in DOCS.glob("*.md") if path.stem not in {"index", *listed}] == []
     assert {f"gallery/{path.stem}" for path in NOTEBOOKS} <= set(listed)
+
+
+def test_the_start_page_links_what_notebooks_make() -> None:
+    linked = re.findall(r'href="(examples/[^"]+)"', (DOCS / "index.md").read_text(encoding="utf-8"))
+    assert len(linked) == 5
+    assert set(linked) == examples()
 
 
 DEMO = "%%bash\neldata demo eldata-demo --scenes 1 --jobs 1\n"
@@ -162,10 +238,14 @@ def test_notebooks_run(notebook: Path, tmp_path: Path, one_scene: Path) -> None:
         script.append(shell if magic.startswith("%%bash") else cell)
     (tmp_path / "cells.py").write_text("\n".join(script), encoding="utf-8")
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
+    modules = os.pathsep.join([str(DOCS / "site"), str(ROOT)])
+    kept = tmp_path / "kept"
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": modules, "ELDATA_EXAMPLES": str(kept)}
     command = [sys.executable, "cells.py"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S, env=environment)
     assert done.returncode == 0, done.stderr
+    pages = [file for cell in cells for file in _KEPT.findall(cell)]
+    assert [file for file in pages if "</html>" not in (kept / file).read_text(encoding="utf-8")] == []
 
 
 # --- what docstrings show ---------------------------------------------------------------------------------------------

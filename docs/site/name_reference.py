@@ -108,7 +108,9 @@ def named(full: str) -> Any:
 
 def _described(full: str, value: object) -> list[str]:
     if isinstance(value, type):
-        ends = [base.__name__ for base in value.__mro__[1:] if _is_described(base) or not _is_ours(base)]
+        is_dataset = hasattr(value, "__getitem__")  # each of them shows all that can be done with it
+        bases = [base for base in value.__mro__[1:] if not _is_ours(base) or (_is_described(base) and not is_dataset)]
+        ends = [base.__name__ for base in bases]
         options = []
         if any(_is_worth_a_word(base) for base in value.__bases__):
             options.append("   :show-inheritance:")
@@ -137,6 +139,17 @@ def _is_worth_a_word(base: type) -> bool:
 def bases_shown(_app: Sphinx, _name: str, _value: object, _options: object, bases: list[Any]) -> None:
     """Leave out bases that no page describes; their methods stand with the class."""
     bases[:] = [base for base in bases if not isinstance(base, type) or _is_worth_a_word(base)] or bases[:1]
+
+
+# How datasets are read, item by item, which their base classes hand to one another: nothing that a user calls.
+_READING = frozenset({"draw_noise", "drawn", "facts", "item", "reads_parts", "sensor", "shapes"})
+
+
+def reading_left_out(_app: Sphinx, _what: str, name: str, value: Any, _skip: bool, _options: object) -> bool | None:
+    """Leave out how datasets are read; ``None`` leaves the choice to others."""
+    function = value.fget if isinstance(value, property) else value
+    is_of_datasets = str(getattr(function, "__module__", "")).startswith("eldata.datasets.")
+    return True if name in _READING and is_of_datasets else None
 
 
 _ATTRIBUTE, _TYPE = ".. attribute:: ", "   :type: "
@@ -224,5 +237,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("public-names", PublicNames)
     app.connect("missing-reference", resolve)
     app.connect("autodoc-process-bases", bases_shown)
+    app.connect("autodoc-skip-member", reading_left_out)
     app.connect("autodoc-process-docstring", attributes_listed, priority=600)  # after napoleon
     return {"parallel_read_safe": True, "parallel_write_safe": True}

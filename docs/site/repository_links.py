@@ -1,7 +1,8 @@
 """Pages that stand elsewhere in the repository, and links between them and those of docs.
 
 Everything stays readable where it stands. A page of the site that holds ``<!-- page: CHANGELOG.md -->`` shows that
-file, and links lead to the site's own page of a file where there is one.
+file, with what else the page has before its second heading; links lead to the site's own page of a file where there
+is one. Where a page holds ``<!-- found by: black level -->``, a search for these words finds it first.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ SHOWN = {
     "benchmarks/RESULTS.md": "docs/project/benchmarks.md",
 }
 _COMMENT = re.compile(r"<!-- page: (\S+) -->")
+_FOUND_BY = re.compile(r"^<!-- found by: (.+) -->$", re.MULTILINE)
 _LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)(?=[)#])")
 _CODE = re.compile(r"(^```.*?^```$|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
 
@@ -53,7 +55,12 @@ def read(app: Sphinx, docname: str, source: list[str]) -> None:
         return relinked((ROOT / match[1]).read_text(encoding="utf-8"), match[1], page)
 
     found = _COMMENT.search(source[0])
-    source[0] = _COMMENT.sub(shown, source[0]) if found else relinked(source[0], page, page)
+    if found is None:
+        text = relinked(source[0], page, page)
+    else:
+        before, heading, after = shown(found).partition("\n## ")
+        text = f"{before}\n{source[0][found.end() :]}{heading}{after}"
+    source[0] = _FOUND_BY.sub(r"```{index} ! \1\n```", text)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_text
+from eldata.base.numbers import counted
 from eldata.base.tables import Strong
 from eldata.evaluation.comparison.tables import (
     LABELS,
@@ -174,7 +175,7 @@ def _verdict(difference: Difference, first: str, other: str) -> str:
         return f"The mean difference of PSNR is not finite: a prediction equals its reference, of {first} or {other}."
     size = f"{signed(signed_text(interval.mean, 2))} dB on average"
     if not interval.is_known:
-        return f"{size}; {interval.scenes} scenes are too few for an interval."
+        return f"{size}; {counted(interval.scenes, 'scene')}: too few for an interval."
     reach = signed(f"{signed_text(interval.low, 2)} to {signed_text(interval.high, 2)}")
     if interval.sign:
         better = other if interval.sign > 0 else first

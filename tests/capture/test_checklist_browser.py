@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
 import time
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -29,18 +27,6 @@ pytestmark = pytest.mark.browser
 
 PHONE, DESKTOP = 390, 1280
 DOUBLE_TAP_S = 0.55  # longer than what the page takes for one tap too many
-
-
-@pytest.fixture(scope="session")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if found is None:
-        if os.environ.get("ELDATA_REQUIRE_BROWSER"):
-            pytest.fail("ELDATA_REQUIRE_BROWSER is set and there is no chromium")
-        pytest.skip("no chromium here; apt-get install chromium")
-    running = Browser(found, tmp_path_factory.mktemp("browser"))
-    yield running
-    running.close()
 
 
 @pytest.fixture(scope="module")

@@ -234,13 +234,6 @@ def test_another_manifest_is_refused(compared: Compared, tmp_path: Path, capsys:
 # --- in a browser -------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def browser(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    running = Browser(chromium, tmp_path_factory.mktemp("browser"))
-    yield running
-    running.close()
-
-
 @pytest.fixture
 def page(browser: Browser, compared: Compared, tmp_path: Path) -> Iterator[Page]:
     page = Page(browser, tmp_path, 1280, 900)

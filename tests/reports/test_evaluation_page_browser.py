@@ -47,13 +47,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return paths
 
 
-@pytest.fixture(scope="module")
-def browser(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    running = Browser(chromium, tmp_path_factory.mktemp("browser"))
-    yield running
-    running.close()
-
-
 @pytest.fixture
 def bare(browser: Browser, tmp_path: Path) -> Iterator[Page]:
     page = Page(browser, tmp_path, DESKTOP, 900)

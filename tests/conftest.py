@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import signal
-from typing import TYPE_CHECKING
+import sys
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.shared import made_once
+from tests.syncing import not_synced
 
 if TYPE_CHECKING:
     import argparse
@@ -38,6 +41,12 @@ os.environ["ELDATA_ISOLATE"] = "0"
 # keep those CPUs busy. (Before torch, numpy and LibRaw are loaded. Tests of threads ask for them.)
 os.environ["OMP_NUM_THREADS"] = "1"
 
+os.fsync = not_synced
+
+# Hundreds of processes import the package: what one of them has compiled, no other compiles again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 # The package datasets asks the Hub for the newest of what it has, unless it is told not to before it is imported.
 os.environ["HF_HUB_OFFLINE"] = "1"
 
@@ -45,6 +54,12 @@ os.environ["HF_HUB_OFFLINE"] = "1"
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The tests of this folder itself, of documents and whole checkouts, take long: no worker begins one at the end."""
     items.sort(key=lambda item: len(item.path.parts))
+
+
+def pytest_collection_finish() -> None:
+    """What is imported and collected stays: looking for garbage, in forks too, then goes over what a test made."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
@@ -73,6 +88,23 @@ def browser(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     running = Browser(chromium, tmp_path_factory.mktemp("browser"))
     yield running
     running.close()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def commands_work_in_this_process() -> Iterator[None]:
+    """Unless a test asks for ``--jobs``: each would start a worker for each CPU, on CPUs that the tests keep busy."""
+    from eldata.base import console
+
+    running = console._running
+
+    def alone() -> dict[str, dict[str, Any]]:
+        options = running()
+        options["jobs"]["default"] = console._Default(1)
+        return options
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(console, "_running", alone)
+        yield
 
 
 @pytest.fixture(autouse=True)

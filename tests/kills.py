@@ -41,6 +41,7 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata.base.stopping import exit_code
+from tests.syncing import not_synced
 from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
@@ -445,6 +446,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args(argv)
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+    os.fsync = not_synced
     tqdm.set_lock(threading.RLock())  # its own is one for all forks: who is killed while holding it keeps it for ever
     tqdm.monitor_interval = 0  # no thread, which may hold it at a fork
     failed = False

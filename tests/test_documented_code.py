@@ -136,8 +136,9 @@ def of_datasets(_: pytest.MonkeyPatch) -> Names:
     for folders in ("ELD/SonyA7S2", "SID/Sony", "SID/Fuji"):
         Path("data", folders).mkdir(parents=True)
     for manifest in map(shipped_manifest, ("lrd", "crvd", "lrid", "sidd")):
-        for record in manifest.records:
-            (manifest.folder("data") / record.path).parent.mkdir(parents=True, exist_ok=True)
+        folder = manifest.folder("data")  # it looks where copies lie: once
+        for place in {(folder / record.path).parent for record in manifest.records}:
+            place.mkdir(parents=True, exist_ok=True)
     build_drv_tree(shipped_manifest("drv"), Path("data/DRV"), frames=12)
     for record in shipped_manifest("drv").records:
         if record.role == "noisy" and record.split == "train" and not record.scene.startswith("M"):

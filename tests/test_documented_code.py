@@ -190,7 +190,6 @@ def of_noise(patch: pytest.MonkeyPatch) -> Names:
     frames, found = calibrated_frames("calibration/held-out", "MyCamera")
     dark_shading(frames, found).save("MyCamera.npz")
     np.save("SonyA7S2_params.npy", np.array({"Kmin": 0.25}, dtype=object), allow_pickle=True)
-    patch.syspath_prepend(ROOT / "examples")
     for name in ("mycamera.json", "MyCamera.json"):
         found.profile.save(name)
     assert main(["pack", "calibration/held-out", "-o", "bias.h5"]) == 0

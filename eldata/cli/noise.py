@@ -121,7 +121,7 @@ def run_check(arguments: console.Arguments) -> int:
         eldata noise check mycamera.json --frames data/held-out --camera MyCamera --html check.html
 
     Any other model (a network, recorded dark frames) is judged by eldata.calibration.check_noise: docs/noise.md,
-    examples/check_noise_model.py.
+    eldata.examples.check_noise_model.
     """
     from eldata.base.files import write_text
     from eldata.base.tables import one_line

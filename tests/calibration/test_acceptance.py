@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import json
 import math
-import runpy
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +21,7 @@ from eldata.calibration.acceptance.results import FrameStatistic
 from eldata.calibration.audit.frames import FramesError
 from eldata.cli.main import main
 from eldata.errors import ArgumentError
+from eldata.examples.check_noise_model import Adapter, GaussianNetwork
 from eldata.noise import CameraProfile, NoiseModel
 from eldata.noise.gain_modes import LogLogFit, ProfileRow
 from tests.calibration.faults import drift, telegraph
@@ -31,6 +30,8 @@ from tests.calibration.simulation import XTRANS, Camera
 from tests.calibration.trees import CAMERA, FrameTree, made_tree
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from eldata.calibration.acceptance.results import IsoAcceptance
 
 PATTERNED = Camera(shape=(192, 288))
@@ -242,7 +243,6 @@ def test_components_that_need_more_are_asked_for_in_the_commands_words(capsys: p
 
 def test_the_example() -> None:
     """A torch model in its adapter: Gaussian noise of the true variance, and no rows."""
-    example = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "check_noise_model.py"))
-    found = judged(example["Adapter"](example["GaussianNetwork"]()), Specimen(PLAIN), pairs=16)
+    found = judged(Adapter(GaussianNetwork()), Specimen(PLAIN), pairs=16)
     assert {"level", "difference of two", "rows"} <= missed(found)
     assert missed(found).isdisjoint({"columns", "neighbours", "fixed pattern"})

@@ -5,9 +5,7 @@ from __future__ import annotations
 import functools
 import pickle
 from argparse import Namespace
-from importlib import import_module
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -15,10 +13,14 @@ import torch
 
 from eldata.datasets import Arrays, CleanClips, CleanFrames, SyntheticClips, SyntheticPairs
 from eldata.errors import ArgumentError
+from eldata.examples.check_noise_model import Adapter
 from eldata.examples.train_denoiser import noise_of
 from eldata.noise import NoiseMaker, NoiseModel, NoiseParameters
 from eldata.noise.makers import check_noise_maker, made_exposure
 from tests.cases import in_one_test
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 CLEAN = np.full((4, 6, 8), 0.25, np.float32)
 
@@ -116,12 +118,6 @@ def test_what_is_not_an_exposure(result: Any, words: str) -> None:
         made_exposure(lambda *_, **__: result, CLEAN)
 
 
-@pytest.fixture
-def examples(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "examples"))
-
-
-@pytest.mark.usefixtures("examples")
 def test_the_adapter_of_the_example_works() -> None:
     """A network of somebody else's, which draws from torch's own generator."""
 
@@ -130,7 +126,7 @@ def test_the_adapter_of_the_example_works() -> None:
             assert variance.shape == clean.shape == (1, 4, 32, 32)
             return clean + 0.01 * torch.randn(clean.shape)
 
-    maker = import_module("check_noise_model").Adapter(Network())
+    maker = Adapter(Network())
     before = torch.random.get_rng_state()
     items = [pairs(maker, ratio=1.0)[index]["input"] for index in (0, 1, 0)]
     assert torch.equal(before, torch.random.get_rng_state())  # which the dataset's user may draw from, too
@@ -140,9 +136,8 @@ def test_the_adapter_of_the_example_works() -> None:
     assert abs(float(noise.std()) / 0.01 - 1) < 5 / np.sqrt(2 * 4096)
 
 
-@pytest.mark.usefixtures("examples")
 def test_the_example_trains_on_it(demo_tree: Path) -> None:
-    model = noise_of(Namespace(noise="check_noise_model:model"))
+    model = noise_of(Namespace(noise="eldata.examples.check_noise_model:model"))
     references = CleanFrames(demo_tree / "data" / "ELD-demo" / "DemoAlpha" / "scene-1")
     found = SyntheticPairs(references, "SonyA7S2", model=model, crop=16)
     sample = found[0]

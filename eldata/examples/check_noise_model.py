@@ -1,12 +1,13 @@
 """Judge a noise model of somebody else's, here a torch network, against held-out frames of a camera.
 
-    python examples/check_noise_model.py calibration/held-out profile.json page.html
+    python -m eldata.examples.check_noise_model calibration/held-out profile.json page.html
 
 Folder: CAMERA/bias/ISO100/... and, if there are flats, CAMERA/flat/ISO100/...; frames that neither the profile nor the
 training has seen. The "network" here adds Gaussian noise of the profile's variance; put yours in its place. The same
 adapter makes it the noise of training data:
 
-    python -m eldata.examples.train_denoiser --clean long --camera SonyA7S2 --noise examples.check_noise_model:model
+    python -m eldata.examples.train_denoiser --clean long --camera SonyA7S2 \\
+        --noise eldata.examples.check_noise_model:model
 """
 
 import sys

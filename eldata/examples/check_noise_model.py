@@ -1,4 +1,4 @@
-"""Judge a noise model of somebody else's, here a torch network, against held-out frames of a camera.
+r"""Judge a noise model of somebody else's, here a torch network, against held-out frames of a camera.
 
     python -m eldata.examples.check_noise_model calibration/held-out profile.json page.html
 
@@ -6,7 +6,7 @@ Folder: CAMERA/bias/ISO100/... and, if there are flats, CAMERA/flat/ISO100/...; 
 training has seen. The "network" here adds Gaussian noise of the profile's variance; put yours in its place. The same
 adapter makes it the noise of training data:
 
-    python -m eldata.examples.train_denoiser --clean long --camera SonyA7S2 \\
+    python -m eldata.examples.train_denoiser --clean long --camera SonyA7S2 \
         --noise eldata.examples.check_noise_model:model
 """
 

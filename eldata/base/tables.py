@@ -74,12 +74,12 @@ def _fitting(widths: Sequence[int], columns: int) -> list[int]:
     return widths
 
 
-def wrapped(text: str, indent: str = "    ") -> list[str]:
-    """Return a text's lines of at most 112 characters, all but the first behind ``indent``.
+def wrapped(text: str, indent: str = "    ", *, columns: int = _LINE) -> list[str]:
+    """Return a text's lines of at most so many characters, all but the first behind ``indent``.
 
     Paths, addresses and options are for copying: they stay whole.
     """
-    return textwrap.wrap(text, _LINE, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return textwrap.wrap(text, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 # --- Markdown -----------------------------------------------------------------------------------------------------

@@ -19,15 +19,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from eldata.base import console
+from eldata.base.files import write_json
 from eldata.base.outputs import RESULT, SCORES, add_output, page_kind
 from eldata.base.tables import FORMATS
 from eldata.cli.baseline import add_pairs, add_set
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from eldata.base.tables import Format
     from eldata.evaluation.combined import CombinedResult
     from eldata.evaluation.comparison import Comparison
+    from eldata.evaluation.explanation import Explanation
+    from eldata.evaluation.request import Request
     from eldata.evaluation.results import EvaluationResult
 
 
@@ -128,6 +133,15 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument(
         "--compare", action="store_true", help="show the result among the published numbers that compare with it"
     )
+    parser.add_argument(
+        "--explain",
+        metavar="FRAME",
+        nargs="?",
+        const="",
+        help="tell of one image the steps from its files to its score, and what each other choice of a protocol would "
+        "make of it: of FRAME, its path or name in the CSV (default: of the one with the lowest PSNR); with --html the "
+        "page shows it of the worst and the median",
+    )
     console.add_shared(parser, run, "root", "workers", json=RESULT)
 
 
@@ -144,27 +158,56 @@ def run(arguments: console.Arguments) -> int:
         options = cast("EvaluationOptions", console.chosen(arguments, names) | {"workers": workers})
         request = make_request(predictions, arguments.dataset or "", arguments.protocol, options)
         combined = perform(request)
-    result = combined if request.every else combined.results[0]
+        result = combined if request.every else combined.results[0]
+        explanations: list[Explanation] = []
 
-    def write_page() -> None:
-        from eldata.reports.evaluation import write_evaluation_page
+        def write_page() -> None:
+            from eldata.reports.evaluation import write_evaluation_page
 
-        write_evaluation_page(
-            combined.results,
-            arguments.html,
-            dataset_folder=request.files,
-            predictions=request.predictions,
-            dark_shading=request.dark_shading,
-            store=request.store,
+            write_evaluation_page(
+                combined.results,
+                arguments.html,
+                dataset_folder=request.files,
+                predictions=request.predictions,
+                dark_shading=request.dark_shading,
+                store=request.store,
+                explanations=explanations,
+            )
+
+        console.each_of(
+            lambda: explanations.extend(_explained(request, combined.results[0], arguments)),
+            arguments.json and (lambda: _write_json(result, explanations, arguments)),
+            arguments.csv and (lambda: result.write_csv(arguments.csv)),
+            lambda: _show(result, combined, arguments),
+            lambda: _show_explanation(explanations, arguments),
+            arguments.html and write_page,  # last, because it takes longest
         )
-
-    console.each_of(
-        arguments.json and (lambda: result.write_json(arguments.json)),
-        arguments.csv and (lambda: result.write_csv(arguments.csv)),
-        lambda: _show(result, combined, arguments),
-        arguments.html and write_page,  # last, because it takes longest
-    )
     return console.OK if result.scored and not result.problems else console.PROBLEMS
+
+
+def _explained(request: Request, result: EvaluationResult, arguments: console.Arguments) -> list[Explanation]:
+    """Return the explanation of the image that is asked for; of a page of the worst and the median, too."""
+    from eldata.evaluation.explanation import chosen_score, explain_scores, ranked_scores
+
+    if arguments.explain is None or not result.scored:
+        return []
+    first = chosen_score(result, arguments.explain or None)
+    more = ranked_scores(result) if arguments.html else []
+    return explain_scores(request, result, [first, *(one for one in more if one[1] is not first[1])])
+
+
+def _write_json(
+    result: EvaluationResult | CombinedResult, explanations: Sequence[Explanation], arguments: console.Arguments
+) -> None:
+    told = {"explanations": [one.as_dict() for one in explanations]} if explanations else {}
+    write_json(arguments.json, result.as_dict() | told)
+
+
+def _show_explanation(explanations: Sequence[Explanation], arguments: console.Arguments) -> None:
+    """Print the first; beside a table that is to be pasted elsewhere, as problems are."""
+    if explanations:
+        text = arguments.format == "text"
+        print(f"\n{explanations[0].text}", file=sys.stdout if text else sys.stderr)
 
 
 def _run_several(arguments: console.Arguments) -> int:
@@ -182,6 +225,8 @@ def _run_several(arguments: console.Arguments) -> int:
 
     if arguments.baseline is not None:
         raise ArgumentError("-o and --name are for folders of predictions; of --baseline give --json FILE, --csv FILE")
+    if arguments.explain is not None:
+        raise ArgumentError("--explain is of one method; give one folder, without -o and --name")
     given = next((name for name in ("json", "csv", "html") if getattr(arguments, name)), None)
     if given is not None:
         raise ArgumentError(

@@ -5,6 +5,7 @@ from .comparison import compare as compare
 from .comparison.folders import evaluate_methods as evaluate_methods
 from .evaluate import evaluate as evaluate
 from .evaluate import evaluate_all as evaluate_all
+from .explanation import explain as explain
 from .predictions import load_prediction as load_prediction
 from .predictions import save_clip_prediction as save_clip_prediction
 from .predictions import save_prediction as save_prediction

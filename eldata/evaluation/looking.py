@@ -141,20 +141,30 @@ class ScoredImage:
         RawFileError, PredictionError, ManifestError
             If a file is no longer what was scored.
         """
-        first, shown, originals = self.protocols[0], self.frames[0].path, self.originals
-        reference = Reference(originals, reference_of(self.pair, shown) or "")
+        first, shown = self.protocols[0], self.frames[0].path
+        reference = self._reference()
         predictions: list[NDArray[Any]] = []
         amplified: NDArray[Any] | None = None
-        for frame, file, protocol in zip(self.frames, self.files, self.protocols, strict=True):
-            shading = None if protocol.dark_shading == NO_SHADING else self.dark_shading
-            job = ScoringJob(Path.cwd(), originals, (protocol,), None, dark_shading=shading)
-            compared = ComparedFrame(job, reference, self.pair, NoisyInput(job, reference, self.pair, frame.path), file)
+        for index, (frame, protocol) in enumerate(zip(self.frames, self.protocols, strict=True)):
+            compared = self.compared(index, reference)
             factor = 1.0 if math.isnan(frame.rescale) else frame.rescale
             predictions.append(as_scored(compared.prediction(protocol), protocol.rules, factor, np.float32))
             if protocol is first and amplified is None and (first.pixels != "srgb" or first.is_of_packed):
                 amplified = compared.input(first)
         sensor = reference.frame.sensor if first.pixels == "packed" else None
         return SeenImage(shown, amplified, tuple(predictions), compared.target(first), sensor)
+
+    def _reference(self) -> Reference:
+        return Reference(self.originals, reference_of(self.pair, self.frames[0].path) or "")
+
+    def compared(self, index: int, reference: Reference | None = None) -> ComparedFrame:
+        """Return what one of the methods was scored on, by its number; a reference that is decoded already is taken."""
+        protocol, path = self.protocols[index], self.frames[index].path
+        shading = None if protocol.dark_shading == NO_SHADING else self.dark_shading
+        job = ScoringJob(Path.cwd(), self.originals, (protocol,), None, dark_shading=shading)
+        reference = reference or self._reference()
+        noisy = NoisyInput(job, reference, self.pair, path)
+        return ComparedFrame(job, reference, self.pair, noisy, self.files[index])
 
 
 @dataclass(frozen=True, eq=False)

@@ -93,11 +93,14 @@ class Contender:
     files
         The file of each prediction by its place; pairs without all of theirs are left out. ``None``: the noisy inputs
         themselves are scored.
+    is_looked_at
+        Whether some of the predictions are looked at for mistakes.
     """
 
     plan: ScoringPlan
     method: int
     files: dict[str, Path] | None
+    is_looked_at: bool = True
 
     def has(self, pair: Pair) -> bool:
         """Return whether a pair can be scored."""
@@ -194,7 +197,9 @@ def _in_order(plan: ScoringPlan, found: dict[str, PlanScores]) -> PlanScores:
 def _units(originals: Originals, contenders: Sequence[Contender]) -> list[_Unit]:
     scoring: dict[str, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
     pairs: dict[str, Pair] = {}
-    looked = [frozenset() if one.files is None else _looked_at(one.plan.pairs) for one in contenders]
+    looked = [
+        frozenset() if one.files is None or not one.is_looked_at else _looked_at(one.plan.pairs) for one in contenders
+    ]
     for number, one in enumerate(contenders):
         for pair in filter(one.has, one.plan.pairs):
             pairs[pair.path] = pair
@@ -376,13 +381,13 @@ class _ClipScorer(_Scorer):
     def _keep(self, frame: ComparedFrame, target: NDArray[Any], found: Score) -> None:
         from eldata.metrics.st_rred import raw_to_grey
 
-        place, window = len(self._frames), self._window
+        place, window, crop = len(self._frames), self._window, self._protocol.crop(target.shape)
         if not place:
-            self._grey = np.empty((len(window.paths), *target.shape[1:]))
-            self._seen = np.empty((len(window.references) or 1, *target.shape[1:]))
+            self._grey = np.empty((len(window.paths), *target[crop].shape[1:]))
+            self._seen = np.empty((len(window.references) or 1, *target[crop].shape[1:]))
         if place < len(self._seen):
-            self._seen[place] = raw_to_grey(target)
-        prediction = frame.prediction(self._protocol)[self._protocol.crop(target.shape)]
+            self._seen[place] = raw_to_grey(target[crop])
+        prediction = frame.prediction(self._protocol)[crop]
         scored = as_scored(prediction, self._protocol.rules, found.rescale, prediction.dtype)
         self._grey[place] = raw_to_grey(scored)
 

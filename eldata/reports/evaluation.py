@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from eldata.base.numbers import Figure
+    from eldata.evaluation.explanation import Explanation
     from eldata.evaluation.looking import Grouping
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
@@ -63,6 +64,7 @@ def write_evaluation_page(
     predictions: Path | None,
     dark_shading: Path | None = None,
     store: Path | None = None,
+    explanations: Sequence[Explanation] = (),
 ) -> None:
     """Write the page of an evaluation, whole or not at all.
 
@@ -79,6 +81,8 @@ def write_evaluation_page(
         The file of what was taken off the inputs, if anything was.
     store
         The store that was read in place of the dataset's files, if one was.
+    explanations
+        Of some of the first result's scores, to be shown too.
 
     Raises
     ------
@@ -91,10 +95,12 @@ def write_evaluation_page(
         raise ArgumentError("a page is of one result or more; found none")
     where = {"dataset_folder": dataset_folder, "dark_shading": dark_shading, "store": store}
     images = worst_and_best_images(results[0], EACH, predictions=predictions, **where)
-    write_text(out, evaluation_page(results, show_images(images)))
+    write_text(out, evaluation_page(results, show_images(images), explanations))
 
 
-def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> str:
+def evaluation_page(
+    results: Sequence[EvaluationResult], shown: ShownImages, explanations: Sequence[Explanation] = ()
+) -> str:
     """Return the page; the same results and pictures give the same text."""
     result, kind = results[0], results[0].kind
     ids = {image.score.path: f"picture-{index}" for index, image in enumerate(shown.images, start=1)}
@@ -107,6 +113,7 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
     sections = [("means", "Means")]
     sections += [("distributions", "Distributions")] if plots else []
     sections += [("pictures", "Worst and best")] if shown.images else []
+    sections += [("explained", "Step by step")] if explanations else []
     sections += [("images", f"Every {kind.unit}")] if result.scores else []
     return rendered_with_script(
         "evaluation.html",
@@ -135,6 +142,7 @@ def evaluation_page(results: Sequence[EvaluationResult], shown: ShownImages) -> 
             ]
             for rank in dict.fromkeys(image.rank for image in shown.images)
         },
+        explained=[(one, _choices(one)) for one in explanations],
         rows=_rows(result, ids),
         protocol_fields=[(name, _protocol_text(name, value)) for name, value in result.protocol.as_dict().items()],
         provenance_fields=[(name, field_text(value)) for name, value in result.provenance.items()],
@@ -249,6 +257,13 @@ def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
     facts = () if kind.is_of_clips else FACTS
     header = (kind.unit, "camera", "scene", *facts, *kind.heads[1:], "rescaled by")
     return Table(header, tuple(rows), left=(0, 1, 2))
+
+
+def _choices(explanation: Explanation) -> Table:
+    """Return what other choices make of a score, each row with the choice first."""
+    *heads, choice = explanation.header
+    rows = tuple(tuple(map(Cell, (words, *map(signed, numbers)))) for *numbers, words in explanation.rows)
+    return Table((choice, *heads), rows)
 
 
 # --- words --------------------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from eldata.metrics.registry import OF_FRAMES
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.digests import CHOOSING, OF_INPUT, canonical
 from eldata.protocols.protocol import NO_SHADING, Amplification, Levels
-from eldata.raw.cfa import packing_sites
+from eldata.raw.cfa import packing_sites, unpack
 from eldata.raw.levels import check_in_dn, packed_black_level_dn, with_levels
 from eldata.sources.frames import overlap
 
@@ -309,6 +309,9 @@ class ComparedFrame:
         crop, part = protocol.crop(target.shape), protocol.factor_crop(target.shape)
         factor = factor_by(prediction[part], target[part], rules, threads=threads)
         p, g = prediction[crop], target[crop]
+        if protocol.ssim_planes == "mosaic":
+            cfa = self.reference.frame.sensor.cfa
+            p, g = (unpack(np.ascontiguousarray(image), cfa)[np.newaxis] for image in (p, g))
         if protocol.rendering == "eld-isp" and protocol.pixels == "packed":
             codes = _rendered(p, g, self.reference.frame.sensor, protocol, factor)
             return _score_codes(*codes, rules, factor, threads)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +15,10 @@ from eldata.baselines.predicting import write_predictions
 from eldata.datasets import SIDDDataset
 from eldata.download import unpack_dataset
 from eldata.errors import ArchiveError, ArgumentError
+from eldata.integrations.protocol_scores import protocol_of_tensors
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.verify import verify
+from eldata.protocols import get_protocol
 from tests.sidd_tree import blocks_of
 
 if TYPE_CHECKING:
@@ -137,3 +139,10 @@ def test_files_of_matlab_that_hold_no_blocks(tmp_path: Path) -> None:
     for name, reason in (("cut.mat", "damaged"), ("x.bin", r"ends in \.mat")):
         with pytest.raises(ArchiveError, match=reason):
             unpack_dataset(tmp_path / name, manifest, tmp_path / "SIDD")
+
+
+def test_ssim_of_a_mosaic_goes_with_raw_values_whose_places_are_known() -> None:
+    with pytest.raises(ArgumentError, match="ssim_planes"):
+        replace(get_protocol("sid2018"), ssim_planes="mosaic").check()
+    with pytest.raises(ArgumentError, match="SSIM of mosaics"):
+        protocol_of_tensors("yond-sidd")

@@ -132,7 +132,7 @@ LLD = Card(
     downloads=(Download("https://pan.baidu.com/s/1eLKzjOSDCR4NNLcvbyenEQ?pwd=WAXY", notes="Baidu, of the authors"),),
     known_defects=(
         (
-            "Two users found bias frames (BiasFrame_ET_1_30) and flat-field frames in the download, but no pairs "
+            "Two users found bias frames (LLD_BiasFrame_ET_1_30) and flat-field frames in the download, but no pairs "
             "(issue 2, without an answer)."
         ),
         "The published code tests on ELD and SID alone; none reads LLD.",
@@ -140,7 +140,7 @@ LLD = Card(
     sources=(
         "LLD repository, commit 85afa0b and branch master, README: cameras, contents, download; Codes: no loader",
         "LLD repository, issue 2: what the download holds",
-        "SonyResearch/raw_image_denoising, issue 5: used for dark frames of the A7S II",
+        "SonyResearch/raw_image_denoising, issues 4 and 5: dark frames of the A7S II, black level 512 of 14 bits",
     ),
     contents=(
         "Pairs of noisy (high ISO, short exposure) and clean (low ISO, long exposure) frames, dark frames and "
@@ -180,6 +180,10 @@ RAWNIND = Card(
             "out about 2 % of the images each for a mask that is too large or an alignment that failed."
         ),
         "A scene may have several references; which one a noisy frame is compared with is the code's choice.",
+        (
+            "Dataverse counts 2845 files, the index of the authors' code 2837. Of these one is a JPEG and 11, all of "
+            "the camera that is not trained on, are darktable's XMP, listed as references; two state ISO as Hi 3200."
+        ),
     ),
     sources=(
         (
@@ -187,11 +191,21 @@ RAWNIND = Card(
             "datasets/RawNIND/organize_files.sh, src/rawnind/libs/rawds.py, src/rawnind/config/test_reserve.yaml: "
             "layout, names, test scenes, thresholds"
         ),
+        (
+            "The same repository, commit 1245777, src/rawnind/datasets/RawNIND/src/dataset_index.yaml: every file's "
+            "name and SHA-1 by scene; commit cf592a5, datasets/RawNIND/RawNIND_masks_and_alignments.yaml: shifts of "
+            "(0, 0), (2, -2) and (4, 0) pixels and gains of 1.0 to 2.5 of 49 pairs of four scenes"
+        ),
+        (
+            "CommReteris/rawnind_jddc, commit d364f8c, datasets/RawNIND/dataset.yaml: Dataverse's answer, with sizes "
+            "and MD5"
+        ),
         "Metadata of the set on Dataverse, version 1: number of files, citation",
         "Public code that fetches the set: its licence and its size, 120.17 GB",
     ),
     contents=(
-        "Raw files of many cameras, Bayer and X-Trans, several ISOs of each scene; names such as "
+        "Raw files of many cameras, several ISOs of each scene: by the code's index 196 scenes of Bayer cameras, with "
+        "435 references and 1739 noisy frames, and 111 of X-Trans, with 132 and 531; names such as "
         "Bayer_TEST_7D-2_GT_ISO100_sha1=<hash>.cr2: filter array, scene, GT for references, ISO, and the file's SHA-1. "
         "The code's layout: src/<Bayer or X-Trans>/<scene>/, references below gt/"
     ),
@@ -206,10 +220,10 @@ RAWNIND = Card(
     ),
     unknown=(
         (
-            "The list of files is Dataverse's answer to a program, not a text that eldata was made from: so it has no "
-            "manifest. Every name carries its SHA-1, with which a copy can be checked."
+            "Camera, exposure time and so the ratio of each file: they stand in the files alone, so eldata has no "
+            "manifest, and eldata manifest makes that of a copy. Every name carries its SHA-1."
         ),
-        "How many scenes and cameras there are: the paper was not read.",
+        "The shifts and gains of most pairs, which the authors' code computes.",
     ),
 )
 
@@ -253,9 +267,17 @@ SIDD_CC = Card(
         "where SIDD's frames were clipped before"
     ),
     levels="float32 mosaics, black subtracted, left unclipped: black 0, and values below it",
-    scored=("Its test data are blocks, which no protocol of eldata's scores.",),
+    scored=(
+        (
+            "No public code scores it. Of the training frames a manifest of one's own and the protocol sfrn-sidd do "
+            "(docs/datasets.md); its test data are blocks."
+        ),
+    ),
     unknown=(
-        "Which of SIDD's instances are in it: the lists were not read, so eldata cannot list the files.",
+        (
+            "Which of SIDD's instances are in it: the lists were not read, so eldata cannot list the files; and how "
+            "the arrays of the blocks are called."
+        ),
         "Whether 1 is white, as in SIDD's files, or the numbers are DN; which of MATLAB's formats the files have.",
     ),
 )

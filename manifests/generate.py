@@ -25,7 +25,7 @@ from manifests.published_lrd import SPLITS as LRD_SPLITS
 from manifests.published_lrd import load_lrd_scenes, lrd_scenes_from_lists, published_lrd, save_lrd_scenes
 from manifests.published_lrid import bursts_from_infos, load_bursts, published_lrid, save_bursts
 from manifests.published_sid import published_sid
-from manifests.published_sidd import load_instances, published_sidd
+from manifests.published_sidd import load_instances, published_blocks, published_sidd
 from manifests.sid_scenes import SID_CAMERAS, load_scenes, save_scenes, scenes_from_lists
 
 FOLDER = Path(__file__).parent
@@ -52,6 +52,7 @@ def published() -> Iterable[tuple[Card, tuple[FrameRecord, ...]]]:
     yield published_lrd(load_lrd_scenes(facts_of("lrd")))
     yield published_lrid(load_bursts(facts_of("lrid")))
     yield published_sidd(load_instances(facts_of("sidd")))
+    yield published_blocks(load_instances(facts_of("sidd-blocks")))
     yield published_crvd()
 
 

@@ -1,14 +1,17 @@
-"""The published raw files of the medium Smartphone Image Denoising Dataset (SIDD): its instances, rows and card.
+"""The published raw files of the Smartphone Image Denoising Dataset (SIDD): the medium set, and the blocks.
 
 A scene instance is a folder, ``0001_001_S6_00100_00060_3200_L``: its number, its scene, the phone, the ISO, the shutter
 (1/60 s), the colour temperature of the light and its brightness. It holds two noisy frames, ``0001_NOISY_RAW_010.MAT``
-and ``.._011.MAT``, and the same of ``GT_RAW`` and ``METADATA_RAW``.
+and ``.._011.MAT``, and the same of ``GT_RAW`` and ``METADATA_RAW``. Of the 40 instances that the medium set lacks
+there are blocks, in three arrays of MATLAB's, (40, 32, 256, 256): eldata lists each block as the file that it unpacks.
 
 Sources: A. Abdelhamed, S. Lin and M. S. Brown, "A High-Quality Denoising Dataset for Smartphone Cameras", CVPR 2018;
 the ReadMe of the medium set and the names of its folders, in the repository
 yilmazdoga/deep-residual-autoencoder-for-real-image-denoising; code that reads the raw files, in
-zhangyi-3/Noise-Synthesis (SFRN), BorealisAI/noise_flow and fenghansen/YOND_public; the authors' own code, in
-AbdoKamel/simple-camera-pipeline and AbdoKamel/sidd-ground-truth-image-estimation.
+zhangyi-3/Noise-Synthesis (SFRN), BorealisAI/noise_flow, fenghansen/YOND_public and zejinwang/Blind2Unblind; the
+authors' own code, in AbdoKamel/simple-camera-pipeline and AbdoKamel/sidd-ground-truth-image-estimation, and their
+benchmark's (SIDD_Benchmark_Code, DenoiseRaw.m). The 40 instances (``facts/sidd-blocks.csv``) are those of YOND's log
+(logs/log_YOND_SIDD_simple+full_pre_grumix_iter.log): with the medium set's they are the numbers 1 to 200.
 """
 
 from __future__ import annotations
@@ -80,6 +83,43 @@ def sidd_records(instances: Iterable[Instance]) -> tuple[FrameRecord, ...]:
     return tuple(sorted(rows, key=lambda row: row.path))
 
 
+# The blocks' arrays, whose names are those of their files; below them a file for each, counted from 0 as code indexes.
+# DenoiseRaw.m cuts block (i, b) out of what MATLAB loads of the i-th folder by name: so the order is that of the
+# numbers, and the blocks lie as that does (CFAS).
+IMAGES, BLOCKS = 40, 32
+VALIDATION, BENCHMARK = "SIDD_Validation_Raw", "SIDD_Benchmark_Raw"
+
+
+def block_records(instances: Iterable[Instance]) -> tuple[FrameRecord, ...]:
+    """Return the rows of the blocks, sorted by path: validation in pairs, the benchmark's noisy ones alone."""
+    rows = []
+    for image, one in enumerate(instances):
+        for block in range(BLOCKS):
+            name = f"{image:02}_{block:02}.npy"
+            camera, shot = CAMERAS[one.phone], (one.iso, one.exposure_s)
+            truth = f"{VALIDATION}/ValidationGtBlocksRaw/{name}"
+            noisy = f"{VALIDATION}/ValidationNoisyBlocksRaw/{name}"
+            bench = f"{BENCHMARK}/BenchmarkNoisyBlocksRaw/{name}"
+            rows.append(FrameRecord(truth, "reference", camera, one.scene, "val", *shot))
+            rows.append(FrameRecord(noisy, "noisy", camera, one.scene, "val", *shot, Fraction(1), truth))
+            rows.append(FrameRecord(bench, "noisy", camera, one.scene, "test", *shot, Fraction(1)))
+    return tuple(sorted(rows, key=lambda row: row.path))
+
+
+_CITATION = (
+    "A. Abdelhamed, S. Lin and M. S. Brown, A High-Quality Denoising Dataset for Smartphone Cameras, IEEE/CVF "
+    "Conference on Computer Vision and Pattern Recognition, 2018"
+)
+_HOMEPAGE = "https://abdokamel.github.io/sidd/"
+
+
+def _mosaics(paths: str) -> tuple[MosaicFacts, ...]:
+    return tuple(
+        MosaicFacts(paths, cfa, (0.0,), 1.0, tuple(name for phone, name in CAMERAS.items() if CFAS[phone] == cfa))
+        for cfa in sorted(set(CFAS.values()))
+    )
+
+
 _SFRN = "SFRN repository (zhangyi-3/Noise-Synthesis), commit ee3ae27, test.py"
 
 
@@ -103,20 +143,15 @@ def published_sidd(instances: Iterable[Instance]) -> tuple[Card, tuple[FrameReco
         title="Smartphone Image Denoising Dataset (SIDD), medium, raw",
         version="1.0",
         folder="SIDD",
-        citation=(
-            "A. Abdelhamed, S. Lin and M. S. Brown, A High-Quality Denoising Dataset for Smartphone Cameras, IEEE/CVF "
-            "Conference on Computer Vision and Pattern Recognition, 2018"
-        ),
+        citation=_CITATION,
         licence="see the homepage: no text that eldata was made from states it",
-        homepage="https://abdokamel.github.io/sidd/",
+        homepage=_HOMEPAGE,
         cfa="bayer",
         cameras={name: CameraCard(()) for name in CAMERAS.values()},
         counts=dict(sorted(Counter(str(record.role) for record in records).items())),
         scenes_shared=True,  # ten scenes, of which each phone photographed most
         downloads=(
-            Download(
-                "https://abdokamel.github.io/sidd/", notes="the authors' page; their older one is offline at times"
-            ),
+            Download(_HOMEPAGE, notes="the authors' page; their older one is offline at times"),
             Download("https://bit.ly/2kHT7Yr", notes="SIDD_Medium_Raw, according to the README of Noise Flow"),
         ),
         subsets=tuple(of_sfrn),
@@ -157,13 +192,7 @@ def published_sidd(instances: Iterable[Instance]) -> tuple[Card, tuple[FrameReco
                 f"{_SFRN}: both frames of scenes 2, 3 and 5 of one phone (subsets sfrn-s6, sfrn-gp, sfrn-ip), PSNR "
                 "alone, of the whole mosaic, data range 1, prediction clipped to [0, 1], no scalar: protocol sfrn-sidd."
             ),
-            (
-                "Validation and benchmark are blocks, not frames: ValidationNoisyBlocksRaw.mat, "
-                "ValidationGtBlocksRaw.mat and BenchmarkNoisyBlocksRaw.mat hold 40 x 32 blocks of 256 x 256, of the 40 "
-                "scene instances that the medium set lacks, by number; the benchmark's references are not public. "
-                "YOND's code means PSNR (data range 1) and an SSIM of its own over all blocks. No "
-                "protocol of eldata's: SSIM there is of the mosaic, not of packed channels."
-            ),
+            "The validation and benchmark blocks are a set of their own: sidd-blocks.",
         ),
         unknown=(
             (
@@ -172,15 +201,102 @@ def published_sidd(instances: Iterable[Instance]) -> tuple[Card, tuple[FrameReco
                 "others. YOND's has GBRG for the Galaxy's blocks."
             ),
             "The camera model of each file, which its METADATA file alone names: SM-G925I of a Galaxy's.",
-            (
-                "Which frame of each instance the validation blocks were cut from, and how the small set (one pair of "
-                "each instance) names its raw files."
-            ),
+            "How the small set (one pair of each instance) names its raw files.",
         ),
         protocol="sfrn-sidd",
-        mosaics=tuple(
-            MosaicFacts("*.MAT", cfa, (0.0,), 1.0, tuple(name for phone, name in CAMERAS.items() if CFAS[phone] == cfa))
-            for cfa in sorted(set(CFAS.values()))
+        mosaics=_mosaics("*.MAT"),
+    )
+    return card, records
+
+
+_BLIND2UNBLIND = "Blind2Unblind repository (zejinwang/Blind2Unblind), commit efb6f82, test_sidd_b2u.py"
+_YOND = "YOND repository (fenghansen/YOND_public), commit a0b5d27"
+
+
+def published_blocks(instances: Iterable[Instance]) -> tuple[Card, tuple[FrameRecord, ...]]:
+    """Return card and rows of the published blocks: validation and benchmark, raw."""
+    records = block_records(instances)
+    card = Card(
+        name="sidd-blocks",
+        title="Smartphone Image Denoising Dataset (SIDD), validation and benchmark blocks, raw",
+        version="1.0",
+        folder="SIDD",
+        citation=_CITATION,
+        licence="see the homepage: no text that eldata was made from states it",
+        homepage=_HOMEPAGE,
+        cfa="bayer",
+        cameras={name: CameraCard(()) for name in CAMERAS.values()},
+        counts=dict(sorted(Counter(str(record.role) for record in records).items())),
+        scenes_shared=True,
+        downloads=(
+            Download(
+                _HOMEPAGE,
+                notes="ValidationNoisyBlocksRaw.mat, ValidationGtBlocksRaw.mat, BenchmarkNoisyBlocksRaw.mat: unpack "
+                "each with eldata download sidd-blocks --from FILE.mat",
+            ),
         ),
+        subsets=(
+            Subset(
+                name="validation",
+                title="32 blocks of each of 40 scene instances",
+                source=f"{_YOND}, YOND_SIDD.py; {_BLIND2UNBLIND}",
+                pairs=IMAGES * BLOCKS,
+                splits=("val",),
+            ),
+            Subset(
+                name="benchmark",
+                title="noisy blocks alone, of other frames: their references are kept by the publisher",
+                source="the authors' SIDD_Benchmark_Code, DenoiseRaw.m",
+                pairs=IMAGES * BLOCKS,
+                splits=("test",),
+            ),
+        ),
+        known_defects=(
+            (
+                "Public texts contradict each other on the Galaxy's blocks: GRBG by the metadata beside the frames "
+                "that they were cut from and the authors' own code, as on this card; GBRG by YOND (in place of the "
+                "metadata: utils/sidd_utils.py) and others with its file. R and B change places between the two, which "
+                "no score of these blocks sees, and a network does. For the other, copy manifest and card."
+            ),
+            "Raws of the Galaxy S6 were clipped at black by the phone (README of SIDD-CC on Hugging Face).",
+            "No checksums were published: eldata lock records those of your copy.",
+        ),
+        sources=(
+            (
+                f"{_YOND}: data_process/yond_datasets.py (files, arrays, the order of the folders), "
+                "utils/sidd_utils.py (CFA), YOND_SIDD.py (scores), its log (the 40 instances)"
+            ),
+            f"{_BLIND2UNBLIND}: arrays, scores; benchmark_sidd_b2u.py: what is submitted",
+            "The authors' SIDD_Benchmark_Code, DenoiseRaw.m, in public copies: what blocks are cut from, their order",
+            "swz30/CycleISP, commit dc64f64, test_sidd_raw.py, utils/image_utils.py; its issue 13 asks for the CFA",
+        ),
+        contents=(
+            "1280 pairs of 256 x 256 pixels, 32 blocks of each of the 40 scene instances that the medium set lacks, "
+            "and 1280 noisy blocks without references. Three files in MATLAB's format 5 hold one array each, (40, 32, "
+            "256, 256); eldata download --from makes <array>/<image>_<block>.npy of it, counted from 0"
+        ),
+        levels="already normalised to [0, 1]: black 0, white 1",
+        scored=(
+            (
+                f"{_YOND}, YOND_SIDD.py, and {_BLIND2UNBLIND}, score alike: each block as a grey image, PSNR (data "
+                "range 1) and SSIM (Gaussian window 11 x 11, sigma 1.5, valid region), prediction clipped to [0, 1], "
+                "means over all blocks: protocol yond-sidd."
+            ),
+            (
+                "CycleISP's test_sidd_raw.py has that PSNR alone, of blocks that its authors packed, and leaves out "
+                "those that are predicted exactly."
+            ),
+            (
+                "Benchmark: eldata predict --subset benchmark writes predictions, which the publisher scores: "
+                "DenoisedBlocksRaw, (40, 32, 256, 256), in SubmitRaw.mat (Blind2Unblind; YOND calls it results)."
+            ),
+        ),
+        unknown=(
+            "The camera model of each phone: as of the medium set.",
+            "Which frame of each instance the validation blocks were cut from; the benchmark's are of NOISY_RAW_010.",
+            "How the publisher's benchmark scores: its code was not published.",
+        ),
+        protocol="yond-sidd",
+        mosaics=_mosaics("*.npy"),
     )
     return card, records

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -46,6 +47,34 @@ def write_frames(folder: Path, records: Iterable[FrameRecord]) -> None:
         save_matlab_73(path, shares_of(record))
 
 
+def write_corrected(folder: Path, records: Iterable[FrameRecord]) -> None:
+    """Write frames as SIDD-CC lays them out, black subtracted and left unclipped, below its folder."""
+    for record in records:
+        path = folder / record.path.replace("SIDD_Medium_Raw", "Raw/train")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_matlab_73(path, (shares_of(record) - np.float32(0.02)))
+
+
 def build_sidd_tree(manifest: Manifest, folder: Path) -> None:
     """Write every file of SIDD's medium set that the manifest lists."""
     write_frames(folder, manifest.records)
+
+
+def blocks_of(name: str, shape: tuple[int, ...] = (40, 32, 24, 26)) -> NDArray[np.float32]:
+    """An array of blocks, (images, blocks, H, W) in [0, 1]: noisy ones are the validation's truth and noise."""
+    clean = np.random.default_rng(7).random(shape, np.float32)
+    if "Gt" in name:
+        return clean
+    noise = np.random.default_rng(zlib.crc32(name.encode())).normal(0, 0.05, shape)
+    return np.clip(clean + noise, 0, 1).astype(np.float32)
+
+
+def build_blocks_tree(manifest: Manifest, folder: Path) -> None:
+    """Write every block that the manifest lists, as unpacked."""
+    made = cache(blocks_of)
+    for record in manifest.records:
+        array = record.path.split("/")[1]
+        path = folder / record.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        image, block = map(int, path.stem.split("_"))
+        np.save(path, made(array)[image, block])

@@ -35,6 +35,7 @@ from eldata.records import Exposure, Sensor
 from tests.drv_tree import build_drv_tree, write_raw_clip
 from tests.integrations.published_sets import sid_like
 from tests.sid_tree import build_sid_tree
+from tests.sidd_tree import write_corrected
 from tests.trees import build_published_tree
 from tests.waiting import PATIENCE_S
 
@@ -135,7 +136,8 @@ def of_published(_: pytest.MonkeyPatch) -> Names:
 def of_datasets(_: pytest.MonkeyPatch) -> Names:
     for folders in ("ELD/SonyA7S2", "SID/Sony", "SID/Fuji"):
         Path("data", folders).mkdir(parents=True)
-    for manifest in map(shipped_manifest, ("lrd", "crvd", "lrid", "sidd")):
+    write_corrected(Path("data/SIDD-CC"), shipped_manifest("sidd").records[:4])
+    for manifest in map(shipped_manifest, ("lrd", "crvd", "lrid", "sidd", "sidd-blocks")):
         folder = manifest.folder("data")  # it looks where copies lie: once
         for place in {(folder / record.path).parent for record in manifest.records}:
             place.mkdir(parents=True, exist_ok=True)

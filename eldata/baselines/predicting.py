@@ -192,6 +192,8 @@ def write_predictions(
 ) -> PredictionReport:
     """Predict each pair, or each frame of the clips, that a protocol scores, as :func:`eldata.evaluate` wants it.
 
+    So is each frame of a subset without references, such as a benchmark's, which others score.
+
     Frames whose prediction is there are left out, so that work that was interrupted goes on.
 
     Parameters
@@ -225,7 +227,7 @@ def write_predictions(
     wanted: EvaluationOptions = {**options, "baseline": "input"}  # type: ignore[typeddict-item] # checked there
     request = make_request(None, dataset, protocol, wanted)
     (chosen,) = request.protocols
-    pairs = plan_scoring(request, chosen).pairs
+    pairs = plan_scoring(request, chosen, unscored=True).pairs
     cameras = list(dict.fromkeys(pair.camera for pair in pairs))
     has_colours = chosen.pixels == "rgb" or chosen.input_space == "srgb"
     stated = denoiser.settings(cameras, (3,) if has_colours else CHANNELS[request.manifest.card.cfa])

@@ -2,8 +2,8 @@
 
 Say where a dataset is available, how large it is and under which licence; with --yes, fetch the archives that the
 publisher lets programs fetch, resume after broken connections, check their structure and unpack them into the dataset's
-folder. With --from, do the same with an archive that you saved by hand. Nothing that is there is fetched again or
-replaced.
+folder. With --from, do the same with an archive that you saved by hand, or a file of SIDD's blocks. Nothing that is
+there is fetched again or replaced.
 
     eldata download eld
     eldata download eld --root data --from ELD.7z

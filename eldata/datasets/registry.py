@@ -26,6 +26,7 @@ _ENTRIES: dict[str, tuple[str, dict[str, str]]] = {
     "lrd": ("eldata.datasets.published.pairs:LRDDataset", {}),
     "lrid": ("eldata.datasets.published.pairs:LRIDDataset", {}),
     "sidd": ("eldata.datasets.published.pairs:SIDDDataset", {}),
+    "sidd-blocks": ("eldata.datasets.published.pairs:SIDDDataset", {"manifest": "sidd-blocks"}),
 }
 
 
@@ -36,7 +37,7 @@ def dataset_names() -> tuple[str, ...]:
     --------
     >>> from eldata.datasets import dataset_names
     >>> dataset_names()
-    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'crvd', 'lrd', 'lrid', 'sidd')
+    ('eld', 'sid-sony', 'sid-fuji', 'drv', 'crvd', 'lrd', 'lrid', 'sidd', 'sidd-blocks')
     """
     return tuple(dict.fromkeys((*_ENTRIES, *registered_names())))
 

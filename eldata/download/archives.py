@@ -1,9 +1,10 @@
-"""Zip and 7z archives: what one holds and whether it is safe to unpack, checked before a byte of it is written.
+"""Archives: what one holds and whether it is safe to unpack, checked before a byte of it is written.
 
-Zip is read by zipfile. 7z is read by py7zr, in a process of its own (:mod:`eldata.base.isolation`): a header of a
-hundred bytes can make py7zr reserve any memory, and most of its decoders are compiled code that meets strangers' bytes
-nowhere else. Neither learns of a folder to write to: members' bytes go to files that are made for them
-(:mod:`eldata.download.members`), links and modes nowhere.
+They are zip, 7z, and blocks of mosaics in MATLAB's format (:mod:`eldata.download.blocks`). Zip is read by zipfile.
+7z is read by py7zr, in a process of its own (:mod:`eldata.base.isolation`): a header of a hundred bytes can make py7zr
+reserve any memory, and most of its decoders are compiled code that meets strangers' bytes nowhere else. None of these
+learns of a folder to write to: members' bytes go to files that are made for them (:mod:`eldata.download.members`),
+links and modes nowhere.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from eldata.base.files import file_problem, path_problem
 from eldata.base.isolation import Limits, guarded_file, isolation
 from eldata.base.visible import shown
+from eldata.download.blocks import MARK, block_members, unpack_blocks
 from eldata.download.members import BY_HAND, Member
 from eldata.errors import ArchiveError, DownloadError, EldataError
 
@@ -32,13 +34,14 @@ if TYPE_CHECKING:
 
     from eldata.download.members import Kind, NewFile
 
-Format = Literal["zip", "7z"]
+Format = Literal["zip", "7z", "blocks"]
 
 HEAD_BYTES = 512  # enough to see a tar file's mark, at byte 257
 _MARKS: dict[bytes, Format] = {
     b"PK\x03\x04": "zip",
     b"PK\x05\x06": "zip",  # an empty one
     b"7z\xbc\xaf\x27\x1c": "7z",
+    MARK: "blocks",
 }
 _COMPRESSED = (b"\x1f\x8b", b"BZh", b"\xfd7zXZ\x00")
 
@@ -84,7 +87,10 @@ class Archive:
             placed = _unpack_zip(files, self.path)
         else:
             limits = Limits(Limits().seconds + sum(member.size_bytes for member, _ in files) / _SLOWEST)
-            placed = _in_a_process(partial(_unpack_seven_zip, files), self.path, limits)
+            if self.form == "blocks":
+                placed = guarded_file(partial(unpack_blocks, files), self.path, ArchiveError, limits=limits)
+            else:
+                placed = _in_a_process(partial(_unpack_seven_zip, files), self.path, limits)
         lost = [member.name for member, _ in files if member.name not in placed]
         if lost:
             raise ArchiveError(
@@ -114,8 +120,13 @@ def open_archive(path: Path) -> Archive:
         raise ArchiveError(path, f"cannot be read: {error.strerror}") from error
     form = archive_format(head)
     if form is None:
-        raise ArchiveError(path, f"is not a zip or 7z archive but {looks_like(head)}; save the archive itself")
-    members = _zip_members(path) if form == "zip" else _in_a_process(_seven_zip_members, path)
+        raise ArchiveError(
+            path, f"is not a zip or 7z archive, or blocks of MATLAB, but {looks_like(head)}; save the archive itself"
+        )
+    if form == "blocks":
+        members = guarded_file(block_members, path, ArchiveError)
+    else:
+        members = _zip_members(path) if form == "zip" else _in_a_process(_seven_zip_members, path)
     check_members(path, members)
     files = tuple(member for member in members if member.kind == "file")
     if not files:

@@ -26,7 +26,7 @@ from eldata.metrics.registry import OF_FRAMES
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.digests import CHOOSING, OF_INPUT, canonical
 from eldata.protocols.protocol import NO_SHADING, Amplification, Levels
-from eldata.raw.cfa import packing_sites
+from eldata.raw.cfa import packing_sites, unpack
 from eldata.raw.levels import check_in_dn, packed_black_level_dn, with_levels
 from eldata.sources.frames import overlap
 
@@ -218,7 +218,7 @@ class ComparedFrame:
         dng = read_once(lambda: load_dng(place, reference.frame.sensor))
         self._dng = dng
         self._dng_normalised = cache(lambda levels: normalised_frame(dng(), levels, clip="none"))
-        self._raw = read_once(lambda: load_prediction(place, reference.frame.sensor, levels))
+        self._raw = read_once(lambda: load_prediction(place, reference.frame.sensor, levels, self._size_of_both()))
         self._colours = cache(lambda pixels, shape: load_colours(place, shape, pixels))
 
     def _shown_by_both(self, side: Literal["noisy", "reference"], protocol: Protocol, of: NDArray[Any]) -> NDArray[Any]:
@@ -230,13 +230,23 @@ class ComparedFrame:
         part: NDArray[Any] = of[..., *overlap(self._pair, side, of.shape[-2:], cfa, scale)]
         return part
 
+    def _size_of_both(self) -> tuple[int, int] | None:
+        """Return the (H, W) that both frames of a shifted pair show; ``None`` of any other."""
+        if isinstance(self._pair, ClipRecord) or self._pair.measured_shift_px is None:
+            return None
+        mosaic = self.reference.frame.mosaic
+        height, width = mosaic[overlap(self._pair, "noisy", mosaic.shape[:2], self.reference.frame.sensor.cfa)].shape
+        return height, width
+
     def target(self, protocol: Protocol) -> NDArray[Any]:
         """Return what the prediction is compared with, (C, h, w) of the whole frame, or of what both frames show."""
         return self._shown_by_both("reference", protocol, self.reference.target(protocol))
 
     def prediction(self, protocol: Protocol) -> NDArray[Any]:
-        """Return the prediction of the whole frame, or of what both frames show."""
-        return self._shown_by_both("noisy", protocol, self._whole(protocol))
+        """Return the prediction of the whole frame, or of what both frames show, which it may be of alone."""
+        found = self._whole(protocol)
+        is_whole = found.shape == self.reference.target(protocol).shape
+        return self._shown_by_both("noisy", protocol, found) if is_whole else found
 
     def _whole(self, protocol: Protocol) -> NDArray[Any]:
         values = self._values(protocol)
@@ -309,6 +319,9 @@ class ComparedFrame:
         crop, part = protocol.crop(target.shape), protocol.factor_crop(target.shape)
         factor = factor_by(prediction[part], target[part], rules, threads=threads)
         p, g = prediction[crop], target[crop]
+        if protocol.ssim_planes == "mosaic":
+            cfa = self.reference.frame.sensor.cfa
+            p, g = (unpack(np.ascontiguousarray(image), cfa)[np.newaxis] for image in (p, g))
         if protocol.rendering == "eld-isp" and protocol.pixels == "packed":
             codes = _rendered(p, g, self.reference.frame.sensor, protocol, factor)
             return _score_codes(*codes, rules, factor, threads)

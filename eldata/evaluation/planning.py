@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +12,11 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.originals import Originals, store_of
 from eldata.evaluation.pairs import Pair, clip_place, files_of, iso_of
 from eldata.evaluation.request import OF_CLIPS
+from eldata.manifest.card import find_subset
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import select_pairs, unpaired
 from eldata.manifest.patterns import expand, is_png
 from eldata.manifest.verify import check_files
 from eldata.noise.dark_shading import dark_shading_in
@@ -87,8 +88,8 @@ def places_elsewhere(request: Request) -> dict[str, list[str]]:
     }
 
 
-def plan_scoring(request: Request, protocol: Protocol) -> ScoringPlan:
-    """Return what a protocol scores.
+def plan_scoring(request: Request, protocol: Protocol, *, unscored: bool = False) -> ScoringPlan:
+    """Return what a protocol scores; with ``unscored`` also what is only to be predicted, a subset without references.
 
     Of a set that comes with the package these are the protocol's pairs or clips. A set of the user's own has its own
     pairs: those at the protocol's factors if it has every one of them, else all.
@@ -115,7 +116,10 @@ def plan_scoring(request: Request, protocol: Protocol) -> ScoringPlan:
             f"protocol {protocol.name!r} scores {_OF_FILES[protocol.pixels]}, which a store does not hold; leave "
             "--store (store) out"
         )
-    plan = _clip_plan(request, protocol) if isinstance(protocol, ClipProtocol) else _image_plan(request, protocol)
+    if isinstance(protocol, ClipProtocol):
+        plan = _clip_plan(request, protocol)
+    else:
+        plan = _image_plan(request, protocol, unscored)
     if request.dark_shading is not None:
         _check_shading(plan, dark_shading_in(request.dark_shading))
     return plan
@@ -141,7 +145,7 @@ def _check_shading(plan: ScoringPlan, shading: DarkShading) -> None:
 # --- images -----------------------------------------------------------------------------------------------------------
 
 
-def _image_plan(request: Request, protocol: Protocol) -> ScoringPlan:
+def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> ScoringPlan:
     records, subsets = request.manifest.records, request.manifest.card.subsets
     set_aside: list[str] = []
     if request.is_own:
@@ -155,6 +159,9 @@ def _image_plan(request: Request, protocol: Protocol) -> ScoringPlan:
         scenes, ratios, subset = protocol.scenes or None, protocol.ratios, protocol.subset or request.subset
     if subset is None and subsets:
         subset = subsets[0].name
+    if unscored and subset is not None:
+        alone = unpaired(records, find_subset(subsets, subset))
+        records = tuple(replace(one, reference="") for one in alone) or records
     choose = partial(
         select_pairs, records, subsets, cameras=cameras, scenes=scenes, ratios=ratios or None, subset=subset
     )

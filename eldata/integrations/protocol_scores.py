@@ -27,8 +27,9 @@ def protocol_of_tensors(protocol: str | Protocol) -> Protocol:
     Raises
     ------
     ArgumentError
-        If no protocol has this name, or it is one of clips, or one that renders, which a tensor cannot be: predictions
-        in sRGB and references as :func:`eldata.datasets.rgb.raw2rgb` renders them are compared as they are.
+        If no protocol has this name, or it is one of clips, or of SSIM of mosaics, or one that renders, which a tensor
+        cannot be: predictions in sRGB and references as :func:`eldata.datasets.rgb.raw2rgb` renders them are compared
+        as they are.
     """
     from eldata.protocols import get_protocol
 
@@ -36,6 +37,11 @@ def protocol_of_tensors(protocol: str | Protocol) -> Protocol:
     if (chosen.space != "raw" and not (chosen.pixels == "srgb" and chosen.is_of_packed)) or chosen.kind is not IMAGES:
         what = "renderings" if chosen.kind is IMAGES else "clips"
         raise ArgumentError(f"protocol {chosen.name!r} is of {what}, which these tensors are not; use eldata evaluate")
+    if chosen.ssim_planes == "mosaic":
+        raise ArgumentError(
+            f"protocol {chosen.name!r} has SSIM of mosaics, and packed tensors do not say where their values lie in "
+            "one; use eldata evaluate"
+        )
     return chosen
 
 

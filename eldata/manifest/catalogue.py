@@ -209,7 +209,7 @@ def shipped_names() -> tuple[str, ...]:
     --------
     >>> from eldata.manifest import shipped_names
     >>> shipped_names()
-    ('crvd', 'drv', 'eld', 'lrd', 'lrid', 'sid-fuji', 'sid-sony', 'sidd')
+    ('crvd', 'drv', 'eld', 'lrd', 'lrid', 'sid-fuji', 'sid-sony', 'sidd', 'sidd-blocks')
     """
     return tuple(sorted(path.stem for path in shipped_folder().glob("*.csv")))
 

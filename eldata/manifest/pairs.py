@@ -92,6 +92,12 @@ def refuse_shifted(record: PairRecord | FrameRecord, why: str) -> None:
         )
 
 
+def unpaired(records: Iterable[FrameRecord], subset: Subset) -> tuple[FrameRecord, ...]:
+    """Return the noisy rows of a subset of which none has a reference, as of a benchmark; nothing of any other."""
+    held = [record for record in records if record.role == "noisy" and subset.holds(record)]
+    return () if any(record.reference is not None for record in held) else tuple(held)
+
+
 def select_pairs(
     records: Iterable[FrameRecord], subsets: Sequence[Subset] = (), **choice: Unpack[Choice]
 ) -> tuple[PairRecord, ...]:
@@ -107,7 +113,8 @@ def select_pairs(
     Raises
     ------
     ArgumentError
-        If a value does not occur or the subset is unknown; the message lists the known ones. If no pair has all values.
+        If a value does not occur or the subset is unknown; the message lists the known ones. If no pair has all values,
+        or no frame of the subset a reference.
     ManifestError
         If the subset has another number of pairs than its card says.
     """
@@ -119,7 +126,14 @@ def select_pairs(
     pairs = from_columns(PairRecord, {name: list(map(attrgetter(name), noisy)) for name in _OF_PAIRS})
     (choice,) = keywords("select_pairs", choice, Choice)
     subset = choice.get("subset")
-    chosen = pairs if subset is None else find_subset(subsets, subset).choose(pairs)
+    found = None if subset is None else find_subset(subsets, subset)
+    alone = () if found is None else unpaired(records, found)
+    if alone:
+        raise ArgumentError(
+            f"the {len(alone)} noisy frames of the subset {subset!r}, such as {alone[0].path}, have no references, so "
+            "they are no pairs and cannot be scored here; eldata predict and eldata baseline predict them (--subset)"
+        )
+    chosen = pairs if found is None else found.choose(pairs)
     return tuple(narrowed(chosen, pairs, "pair", wanted_values(choice)))
 
 

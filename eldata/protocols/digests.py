@@ -41,6 +41,7 @@ NEUTRAL: Final[Mapping[str, Any]] = {
     "ssim_window": "uniform-7",
     "ssim_covariance": "sample",
     "quantisation": "none",
+    "ssim_planes": "packed",
 }
 """What a protocol means that does not state a field. These values stay as they are for ever: digests depend on them."""
 

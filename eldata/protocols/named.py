@@ -144,7 +144,7 @@ def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
 
     A set of your ``own``, or of no known name, has its own pairs, so it gets one protocol of each way to score, the
     first of the shipped ones. Levels that are those of one camera, whatever the file states, are not a way to score
-    another, nor is cutting down to whole DN, of which a set may hold none.
+    another, nor is cutting down to whole DN, of which a set may hold none, nor SSIM of grey blocks.
 
     Examples
     --------
@@ -159,7 +159,7 @@ def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
     ways: list[Protocol] = []
     for protocol in covering or every:
         fits = protocol.levels not in ONE_CAMERAS_LEVELS and (covering or protocol.kind is IMAGES)
-        fits = fits and protocol.quantisation == NEUTRAL["quantisation"]
+        fits = fits and all(getattr(protocol, name) == NEUTRAL[name] for name in ("quantisation", "ssim_planes"))
         if fits and all(scoring(protocol.as_dict()) != scoring(way.as_dict()) for way in ways):
             ways.append(protocol)
     return tuple(ways)

@@ -30,6 +30,7 @@ Rounding = Literal["none", "8-bit", "8-bit-truncated"]
 Quantisation = Literal["none", "dn-truncated"]
 SsimWindow = Literal["uniform-7", "gaussian-11", "gaussian-11-volume"]
 Covariance = Literal["sample", "population"]
+SsimPlanes = Literal["packed", "mosaic"]
 
 ANY_DATASET = "any"
 
@@ -75,6 +76,9 @@ class Protocol:
     quantisation
         ``dn-truncated``: before anything else a packed raw prediction is clipped to [0, 1] and cut down to whole DN of
         the reference's levels, as by code that saves its results as integers. ``none``: it is taken as it is.
+    ssim_planes
+        What SSIM of packed raw values is of: each ``packed`` channel, or the ``mosaic`` in which they lie as on the
+        sensor, as by code that scores raw images as grey ones. PSNR is the same.
     family
         The name under which several are published, one per dataset: ``pmn`` names ``pmn-sid`` and ``pmn-eld``.
     subset
@@ -137,6 +141,7 @@ class Protocol:
     ssim_window: SsimWindow = "uniform-7"
     ssim_covariance: Covariance = "sample"
     quantisation: Quantisation = "none"
+    ssim_planes: SsimPlanes = "packed"
 
     @property
     def psnr(self) -> str:
@@ -155,7 +160,7 @@ class Protocol:
             "gaussian-11-volume": "Gaussian 11x11x11 window with sigma 1.5 over rows, columns and colours",
         }[self.ssim_window]
         channels = "packed channels" if self.space == "raw" else "colours"
-        mean = f"mean over valid region and {channels}"
+        mean = f"mean over valid region {'of the mosaic' if self.ssim_planes == 'mosaic' else f'and {channels}'}"
         if self.ssim_window == "gaussian-11-volume":
             mean = "edges continued by their own values, mean over all values"
         return f"{window}, {self.ssim_covariance} covariance, K1=0.01, K2=0.03, {mean}"
@@ -244,6 +249,8 @@ class Protocol:
             raise ArgumentError("prediction_space 'srgb' needs a reference to compare with: space 'srgb', a rendering")
         if self.quantisation != NEUTRAL["quantisation"] and self.pixels != "packed":
             raise ArgumentError("quantisation goes with packed raw predictions alone")
+        if self.ssim_planes != NEUTRAL["ssim_planes"] and self.space != "raw":
+            raise ArgumentError("ssim_planes goes with space 'raw' alone")
         if self.input_space == "srgb" and (self.rendering, self.prediction_space) != ("eld-isp", "srgb"):
             raise ArgumentError("input_space 'srgb' goes with rendering 'eld-isp' and prediction_space 'srgb'")
         if self.response != NEUTRAL["response"] and self.rendering != "eld-isp":

@@ -33,6 +33,7 @@ _WINDOWS = {
     "gaussian-11": "11x11 Gaussian",
     "gaussian-11-volume": "11x11x11 Gaussian, colours as a third axis",
 }
+_PLANES = {"packed": "each packed channel", "mosaic": "the mosaic"}
 _RENDERINGS = {"none": "none", "libraw": "LibRaw's", "eld-isp": "the ELD paper's pipeline"}
 _SPACES = {"raw": "packed raw", "srgb": "sRGB"}
 _PIXELS = {"packed": "packed raw", "rgb": "preprocessed RGB"}
@@ -95,6 +96,7 @@ FIELDS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "mse_offset": ("added to the error", lambda value: f"{value:g}"),
     "ssim_window": ("SSIM window", lambda value: _WINDOWS[value]),
     "ssim_covariance": ("SSIM covariance", str),
+    "ssim_planes": ("SSIM of", lambda value: _PLANES[value]),
     "input_clip": ("input's clip", lambda value: CLIPS[value]),
     "amplification": ("input amplified", lambda value: _AMPLIFICATIONS[value]),
     "dark_shading": ("dark shading off", str),
@@ -118,7 +120,7 @@ def in_words(field: str, value: Any) -> str:
 def described(protocol: Protocol) -> list[tuple[str, str]]:
     """Return a protocol's fields, in words, in the order of an evaluation; those that play no part are left out."""
     values = protocol.as_dict()
-    skipped = {"ssim_window", "ssim_covariance", "mse_offset", "data_range"}  # PSNR and SSIM say them
+    skipped = {"ssim_window", "ssim_covariance", "ssim_planes", "mse_offset", "data_range"}  # PSNR and SSIM say them
     if protocol.rescaling == "none":
         skipped |= {"rescaling_mask", "rescaling_region"}
     if protocol.rendering == "none":
@@ -172,7 +174,7 @@ def _distinguished(protocol: Protocol) -> dict[str, str]:
         "white": levels[protocol.levels] if protocol.is_of_packed else {"srgb": "LibRaw"}.get(protocol.pixels, "none"),
         "scalar": scalar if protocol.rescaling == "scalar" else "no",
         "input clip": protocol.input_clip,
-        "SSIM": windows[protocol.ssim_window],
+        "SSIM": windows[protocol.ssim_window] + (", mosaic" if protocol.ssim_planes == "mosaic" else ""),
         "space": "RGB" if protocol.pixels == "rgb" else space,
     }
 

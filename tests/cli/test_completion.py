@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 WORDS = {
     ("veri",): ["verify"],
     ("evaluate", "--data"): ["--dataset"],
-    ("evaluate", "x", "--dataset", "sid"): ["sid-fuji", "sid-sony", "sidd", "sidd-cc"],
+    ("evaluate", "x", "--dataset", "sid"): ["sid-fuji", "sid-sony", "sidd", "sidd-blocks", "sidd-cc"],
     ("evaluate", "x", "--protocol", "pmn"): ["pmn", "pmn-eld", "pmn-lrid", "pmn-sid"],
     ("verify", "lr"): ["lrd", "lrid"],
     ("synthesize", "x", "--camera", "SonyA"): ["SonyA7S2", "SonyA7S2-PMN"],

@@ -138,7 +138,7 @@ def test_verify_without_a_name_names_what_is_not_there(eldata: Cli, tmp_path: Pa
     lines = outcome.out.splitlines()
     assert lines[0].startswith(f"eld: {len(manifest.records)} of {len(manifest.records)} files checked (quick) in ")
     assert lines[1] == (
-        "not there: crvd, drv, lrd, lrid, sid-fuji, sid-sony, sidd; eldata info NAME says where to get one"
+        "not there: crvd, drv, lrd, lrid, sid-fuji, sid-sony, sidd, sidd-blocks; eldata info NAME says where to get one"
     )
     assert json.loads((tmp_path / "x.json").read_text())["ok"] is True
 

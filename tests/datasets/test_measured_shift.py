@@ -14,6 +14,7 @@ from eldata import PackedStore, evaluate
 from eldata.cli.main import main
 from eldata.datasets import PairDataset
 from eldata.errors import DatasetError
+from eldata.evaluation import save_prediction
 from eldata.manifest import load_manifest, save_records
 from eldata.manifest.card import CameraCard, Card
 from eldata.manifest.writing import save_manifest
@@ -100,14 +101,16 @@ def test_pairs_are_cut_to_what_both_frames_show(manifest: Path, tmp_path: Path) 
         write_shards(tmp_path / "own.h5", tmp_path / "shards", tile=None)
 
 
-def test_predictions_of_whole_frames_are_scored_where_both_show_the_same(manifest: Path, tmp_path: Path) -> None:
+def test_predictions_are_scored_where_both_frames_show_the_same(manifest: Path, tmp_path: Path) -> None:
     root = str(manifest.parent / "data")
     (sample,) = PairDataset(manifest.parent / "data" / "own", manifest)
     error = sample["input"].numpy().astype(np.float64) - sample["target"].numpy()
     expected = -10 * np.log10(np.mean(error**2))
     arguments = ["--manifest", str(manifest), "--root", root]
     assert main(["baseline", "input", *arguments, "-o", str(tmp_path / "preds")]) == 0
-    for given in ({"baseline": "input"}, {"predictions": tmp_path / "preds"}):
+    save_prediction(tmp_path / "cut", sample["path"], sample["input"].numpy())  # what a network makes of a sample
+    folders: list[dict[str, Any]] = [{"predictions": tmp_path / name} for name in ("preds", "cut")]
+    for given in ({"baseline": "input"}, *folders):
         result = evaluate(
             given.pop("predictions", None), manifest=manifest, root=root, protocol="eld-uncorrected", **given
         )

@@ -30,7 +30,7 @@ from eldata.datasets.loading import LoaderOptions
 from eldata.datasets.synthetic.noisy_items import NoiseOptions
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import ENTRY_POINTS, Manifest, shipped_manifest, shipped_names
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import select_pairs, unpaired
 from eldata.manifest.verify import verify
 from tests.crvd_tree import build_crvd_tree
 from tests.datasets.methods import FORK
@@ -38,7 +38,7 @@ from tests.drv_tree import build_drv_tree
 from tests.lrd_tree import build_lrd_tree
 from tests.lrid_tree import build_lrid_tree
 from tests.sid_tree import build_sid_tree
-from tests.sidd_tree import build_sidd_tree
+from tests.sidd_tree import build_blocks_tree, build_sidd_tree
 from tests.trees import build_published_tree
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ TREES: dict[str, Callable[[Manifest, Path], None]] = {
     "lrd": build_lrd_tree,
     "lrid": build_lrid_tree,
     "sidd": build_sidd_tree,
+    "sidd-blocks": build_blocks_tree,
 }
 
 # The argument that chooses among values of a kind: a list of them ...
@@ -68,12 +69,13 @@ ARGUMENTS = {
 }
 TAKE_ONE_VALUE = ("subset",)
 # Values that the message lists where they are not those of the manifest: SID's split eval is val and test; clips of drv
-# without a reference are another class's, with a split of their own.
+# without a reference are another class's, with a split of their own, and SIDD's benchmark blocks are no pairs.
 OWN_VALUES = {
     ("sid-sony", "split"): {"train", "val", "test", "eval"},
     ("sid-fuji", "split"): {"train", "val", "test", "eval"},
     ("drv", "scene"): {f"{number:04d}" for number in range(1, 203)},
     ("drv", "split"): {"train", "val", "test"},
+    ("sidd-blocks", "split"): {"val"},
 }
 
 NAMES = tuple(registry._ENTRIES)  # not those of packages that happen to be installed beside this one
@@ -209,7 +211,10 @@ def test_the_counts_are_the_manifests(name: str) -> None:
     manifest = shipped_manifest(name)
     assert manifest.card.counts == Counter(record.role for record in manifest.records)
     for subset in manifest.card.subsets:
-        if any(record.ratio for record in manifest.records):
+        alone = unpaired(manifest.records, subset)
+        if alone and any(record.ratio for record in alone):  # a benchmark's noisy frames
+            assert len(alone) == subset.pairs
+        elif any(record.ratio for record in manifest.records):
             assert len(select_pairs(manifest.records, manifest.card.subsets, subset=subset.name)) == subset.pairs
         else:  # a row stands for a clip: it has no ratio, which a pair has
             noisy = [record for record in manifest.records if record.role == "noisy" and record.split in subset.splits]

@@ -78,6 +78,7 @@ CHANGES: dict[str, Any] = {
     "rescaling_region": "border-2", "prediction_clamp": "none", "mse_offset": 1e-8, "ssim_window": "gaussian-11",
     "ssim_covariance": "population", "dark_shading": "sha256:" + "0" * 64, "input_space": "srgb",
     "prediction_space": "srgb", "response": "gamma-1.8", "quantisation": "dn-truncated",
+    "ssim_planes": "mosaic",
 }  # fmt: skip
 CHANGES_OF_CLIPS: dict[str, Any] = {"pixels": "rgb", "frames": "x", "frame_count": 4, "st_rred_peak": 255.0}
 PROSE = ("name", "title", "source", "family")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -13,11 +16,10 @@ from eldata import evaluate
 from eldata.datasets import SIDDDataset
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.verify import verify
-from tests.sidd_tree import SHAPE, build_sidd_tree
+from eldata.protocols import get_protocol
+from tests.sidd_tree import SHAPE, build_sidd_tree, write_corrected
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 # Row and column of R, and of B, in the first 2 x 2 sites of arrays as MATLAB shows them.
@@ -88,3 +90,23 @@ def test_scores_are_those_of_sfrns_arithmetic(phone: str, root: Path) -> None:
         psnr_db, ssim = expected[pair.path.rpartition("/")[2]]
         assert image.psnr_db == pytest.approx(psnr_db, abs=1e-6, rel=0)
         assert image.ssim == pytest.approx(ssim, abs=1e-6, rel=0)
+
+
+def test_sidd_cc_is_scored_by_the_manifest_of_the_document(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two files, which the document's block writes; references keep their negatives where the protocol clips none."""
+    page = (Path(__file__).parents[2] / "docs" / "datasets.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(\"\"\"The manifest of a copy of SIDD-CC.*?)```", page, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    records = [one for one in shipped_manifest("sidd").records if one.path.split("/")[2][:4] in ("0001", "0200")]
+    write_corrected(tmp_path / "data" / "SIDD-CC", records)
+    exec(compile(block, "datasets.md", "exec"), {})  # noqa: S102 # our own text
+    assert verify(tmp_path / "my-sidd-cc.csv", tmp_path / "data", level="full").problems == ()
+    unclipped = replace(get_protocol("sfrn-sidd"), reference_clip="none")
+    result = evaluate(
+        None, manifest=tmp_path / "my-sidd-cc.csv", root=tmp_path / "data", baseline="input", protocol=unclipped
+    )
+    assert len(result.images) == 4
+    for pair, image in zip(result.pairs, result.images, strict=True):
+        noisy, clean = (by_h5py(tmp_path / "data" / "SIDD-CC" / path) for path in (pair.path, pair.reference))
+        assert clean.min() < 0
+        assert image.psnr_db == pytest.approx(psnr_of(clean, noisy.clip(0, 1), data_range=1), abs=1e-6, rel=0)

@@ -194,10 +194,12 @@ class LRIDDataset(PairDataset):
 
 
 class SIDDDataset(PairDataset):
-    """The SIDD medium set in raw: 320 pairs of ten scenes, by five phones, in MATLAB's files.
+    """The SIDD set in raw, by five phones: the medium set, 320 pairs of ten scenes, or its 1280 validation blocks.
 
-    Parameters, samples and errors: :class:`~eldata.datasets.base.PairDataset`. Every pair is of the split
-    ``"train"``; subsets: ``"sfrn-s6"``, ``"sfrn-gp"`` and ``"sfrn-ip"``, the scenes that SFRN tests of one phone.
+    Parameters, samples and errors: :class:`~eldata.datasets.base.PairDataset`. Every pair of the medium set is of the
+    split ``"train"``; subsets: ``"sfrn-s6"``, ``"sfrn-gp"`` and ``"sfrn-ip"``, the scenes that SFRN tests of one phone.
+    ``subset="validation"`` is the blocks of 256 x 256 pixels, which the manifest ``"sidd-blocks"`` lists, once
+    ``eldata download sidd-blocks --from`` has unpacked them; the benchmark's blocks have no references.
 
     The files hold shares of white, so black is 0 and white 1; a reference has its noisy frame's ISO and time, and
     nothing is amplified. Arrays lie as MATLAB shows them: what h5py reads of the same files is their transpose.
@@ -213,10 +215,13 @@ class SIDDDataset(PairDataset):
     >>> dataset = SIDDDataset("data/SIDD", cameras=["GalaxyS6Edge"])  # doctest: +SKIP
     >>> len(dataset)  # doctest: +SKIP
     70
+    >>> len(SIDDDataset("data/SIDD", subset="validation"))  # doctest: +SKIP
+    1280
     """
 
     @spell_keywords(PairOptions)
     def __init__(
-        self, root: Path | str | None = None, *, manifest: Path | str = "sidd", **options: Unpack[PairOptions]
+        self, root: Path | str | None = None, *, manifest: Path | str | None = None, **options: Unpack[PairOptions]
     ) -> None:
-        super().__init__(root, manifest, **options)
+        shipped = "sidd-blocks" if options.get("subset") in ("validation", "benchmark") else "sidd"
+        super().__init__(root, shipped if manifest is None else manifest, **options)

@@ -18,6 +18,7 @@ from eldata.protocols import PROTOCOLS
 from eldata.protocols.digests import CHOOSING
 from eldata.protocols.kinds import IMAGES
 from eldata.protocols.words import FIELDS
+from eldata.sources.store import build_store, source_of_dataset
 from tests.drv_tree import SENSOR, generator_of, small_drv, still_of, write_raw_clip
 from tests.evaluation.helpers import Tree, place
 from tests.evaluation.own_set import build_own_set
@@ -101,6 +102,16 @@ def test_clips_as_their_authors_prepared_them(tmp_path: Path) -> None:
     assert found.score.name == "0013"
     assert {one.name for one in found.alternatives if one.group == "here"} >= {"frames", "frame_count", "pixels"}
     assert dict(found.steps)["clip"].startswith("5 frames")
+
+
+def test_a_store_and_other_processes_tell_the_same(tmp_path: Path) -> None:
+    own = build_own_set(tmp_path, scenes=2)
+    store = tmp_path / "mine.h5"
+    build_store(source_of_dataset("mine", root=own.root, manifest=own.manifest), store, compression="lz4")
+    options: dict[str, Any] = {"manifest": own.manifest, "root": own.root, "baseline": "input"}
+    found = explain(None, **options)
+    assert explain(None, store=store, **options) == found
+    assert explain(None, workers=2, **options) == found
 
 
 # --- does it show what is wrong? --------------------------------------------------------------------------------------

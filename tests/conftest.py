@@ -107,6 +107,12 @@ def commands_work_in_this_process() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages with empty pictures: drawing them takes two seconds an ISO, and what they show tests/reports looks at."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, file, **__: file.write(b"<svg/>"))
+
+
 @pytest.fixture(autouse=True)
 def what_commands_write_is_of_their_kind(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of every command that a test runs in this process: the same command may replace each file that it wrote."""

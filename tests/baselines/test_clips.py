@@ -61,7 +61,7 @@ def network(window):
 HERE = "tests.baselines.test_clips"
 CLIPS = ("0007", "0013")
 SIZE = (48, 56)
-STUDY_STEPS = 240
+STUDY_STEPS = 120
 
 
 # --- the loss ---------------------------------------------------------------------------------------------------------
@@ -525,7 +525,7 @@ def scores(predicted: NDArray[Any], clips: list[NDArray[np.float32]]) -> tuple[N
 def test_five_frames_and_one_at_equal_cost() -> None:
     """On 12 moving clips of 5 frames (2 to 6): both gain in PSNR over the input; which is better is printed.
 
-    FastDVDnet of width 8 costs what a U-Net of twice its width does: four blocks a frame. 240 steps are few.
+    FastDVDnet of width 8 costs what a U-Net of twice its width does: four blocks a frame. 120 steps are few.
     """
     torch.random.set_rng_state(torch.Generator().manual_seed(0).get_state())
     networks: dict[str, Any] = {"one frame": UNet(4, width=16, depth=2), "five frames": FastDVDnet(4, width=8)}

@@ -75,7 +75,10 @@ def test_the_defaults_are_the_papers() -> None:
 
 @pytest.mark.study
 @pytest.mark.parametrize("data", ["pairs", "shards", "synthetic", "noise2noise", "mixed"])
-def test_it_learns_and_leaves_a_network_that_predict_runs(data: str, store: Path, tmp_path: Path) -> None:
+def test_it_learns_and_leaves_a_network_that_predict_runs(
+    data: str, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], example: ModuleType
+) -> None:
+    """In this process: others run the example as a program, which imports torch for some seconds."""
     pairs = ["--pairs", str(store)]
     options = {
         "pairs": pairs,
@@ -84,7 +87,8 @@ def test_it_learns_and_leaves_a_network_that_predict_runs(data: str, store: Path
         "noise2noise": [*synthetic(store), "--noise2noise", "--input-clip", "none"],
         "mixed": [*pairs, *synthetic(store)],
     }[data]
-    losses = trained(tmp_path, *options, "--epochs", "6", "--batch-size", "2")
+    example.main([str(tmp_path), *SMALL, *options, "--epochs", "6", "--batch-size", "2"])
+    losses = losses_in(capsys.readouterr().out)
     assert len(losses) == 6
     assert losses[-1] < 0.9 * losses[0]  # 0.82 of synthetic pairs, the slowest; seeds are fixed
     network = UNet(4, width=4, depth=2)
@@ -104,10 +108,7 @@ def test_networks_to_srgb(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Trained, validated as eldata evaluate scores what eldata predict writes, and gone on with by the same command.
-
-    In this process: the studies run the example as a program.
-    """
+    """Trained, validated as eldata evaluate scores what eldata predict writes, and gone on with by the same command."""
     tree = tree_in(demo_tree)
     options = ["--pairs", str(store), "--task", task, "--epochs", "2", "--batch-size", "2"]
     options += ["--validate", str(tree.csv), "--root", str(tree.root), "--validate-every", "9"]

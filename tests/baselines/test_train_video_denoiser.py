@@ -7,6 +7,7 @@ import shlex
 import subprocess
 import sys
 from fractions import Fraction
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,14 +69,19 @@ def moving(data: Path) -> list[str]:
 
 @pytest.mark.study
 @pytest.mark.parametrize("kind", ["moving", "still", "raw", "rgb"])
-def test_it_trains_and_leaves_a_network_that_predict_runs(kind: str, data: Path, tmp_path: Path) -> None:
+def test_it_trains_and_leaves_a_network_that_predict_runs(
+    kind: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In this process: the next one runs the example as a program, which imports torch for some seconds."""
+    monkeypatch.syspath_prepend(str(VIDEO.parent))
     options = {
         "moving": moving(data),
         "still": [*moving(data), "--still", "--network", "unet", "--input-clip", "none"],
         "raw": ["--clips", str(data / "raw"), "--crops-per-clip", "4", "--network", "unet"],
         "rgb": ["--clips", str(data / "rgb"), "--rgb", "--ids", "0001", "0002", "--crops-per-clip", "4"],
     }[kind]
-    losses = trained(tmp_path, *options, "--epochs", "6", "--batch-size", "2")
+    import_module(VIDEO.stem).main([str(tmp_path), *SMALL, *options, "--epochs", "6", "--batch-size", "2"])
+    losses = losses_in(capsys.readouterr().out)
     assert len(losses) == 6
     channels, is_single = 3 if kind == "rgb" else 4, "unet" in options
     network: Any = (UNet if is_single else FastDVDnet)(channels, width=4, depth=1)

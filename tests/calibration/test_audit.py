@@ -171,6 +171,7 @@ def test_no_row_noise_that_can_be_given(isos: tuple[IsoCalibration, ...]) -> Non
     assert found.profile.sample(np.random.default_rng(0)).sigma_row_dn < 1e-8
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_allowance_widens_errors_in_quadrature(isos: tuple[IsoCalibration, ...]) -> None:
     """Each share of the figure; of lambda and the colour bias as it is. Two findings add, remarks and others do not."""
     found = with_findings(
@@ -270,6 +271,7 @@ def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
     assert f"accepted, with larger errors\n  {said}" in found.format_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_pages_say_what_is_accepted(isos: tuple[IsoCalibration, ...]) -> None:
     found = with_findings(isos, *with_accepted([spoilt("dark signal", "read noise", 0.25)], ["dark signal"]))
     (said,) = found.accepted

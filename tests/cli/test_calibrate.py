@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from tests.cli.conftest import Cli, Outcome
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 ISOS = (100, 400, 1600)
 
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
     Profile = Callable[..., Outcome]
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 @pytest.fixture
 def profile(eldata: Cli) -> Profile:

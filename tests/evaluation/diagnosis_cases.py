@@ -385,13 +385,14 @@ def mistakes_of(camera: str, protocol: Protocol) -> dict[str, tuple[Making, str]
 # --- what is said of them ---------------------------------------------------------------------------------------------
 
 
-def psnr_of(shots: Sequence[Photograph], protocol: Protocol, predict: Callable[[Photograph], Array]) -> float:
-    """The mean PSNR."""
-    scores = []
-    for shot in shots:
-        target = shot.target(protocol)
-        crop = protocol.crop(target.shape)
-        scores.append(score_by(predict(shot).astype(np.float32)[crop], target[crop], protocol.rules).psnr_db)
+@cache
+def honest_psnr_db(camera: str, seed: int, protocol: str, denoiser: str) -> float:
+    """The mean PSNR of a denoiser's predictions."""
+    rules, scores = PROTOCOLS[protocol], []
+    for shot in photographs(camera, seed):
+        target, prediction = shot.target(rules), predicted(shot, protocol, denoiser).astype(np.float32)
+        crop = rules.crop(target.shape)
+        scores.append(score_by(prediction[crop], target[crop], rules.rules).psnr_db)
     return float(np.mean(scores))
 
 
@@ -436,14 +437,9 @@ def planted(camera: str, seed: int, protocol: str, denoiser: str, mistake: str) 
     rules, shots = PROTOCOLS[protocol], photographs(camera, seed)
     make, words = mistakes_of(camera, rules)[mistake]
 
-    def honest(shot: Photograph) -> Array:
-        return predicted(shot, protocol, denoiser)
-
-    def wrong(shot: Photograph) -> Array:
-        return make(honest(shot), shot, rules)
-
-    said = suspicions(shots, rules, wrong)
-    cost_db = psnr_of(shots, rules, honest) - psnr_of(shots, rules, wrong)
+    found = [inspected(shot, rules, make(predicted(shot, protocol, denoiser), shot, rules)) for shot in shots]
+    said = suspicions_of(found)
+    cost_db = honest_psnr_db(camera, seed, protocol, denoiser) - float(np.mean([one.psnr_db for one in found]))
     return Outcome(cost_db, len(said) == 1 and not said[0].where and said[0].words.startswith(words), said)
 
 

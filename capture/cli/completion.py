@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from eldata.base.completion import SHELLS, completion_script
 from eldata.base.console import OK, add_shared
-from eldata.cli.completion import SHELLS, completion_script
 
 if TYPE_CHECKING:
     import argparse

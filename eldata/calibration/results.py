@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
-from eldata.base.tables import text_table, with_error
+from eldata.base.tables import block, table, text_table, with_error
 from eldata.base.visible import in_line
 from eldata.calibration.core.figures import COLUMNS, GAIN, SCALES, SIGMA_GAUSS, SIGMA_ROW, SIGMA_TL
 from eldata.calibration.core.findings import named

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
 from eldata.base.files import folder_problem, inside
-from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
-from eldata.base.tables import frame_of
+from eldata.base.tables import block, frame_of, table
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError, did_you_mean
 from eldata.manifest.catalogue import FrameFiles, data_root, is_name, known_manifest, load_manifest

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.notebook import block, facts, picture
+from eldata.base.tables import block, facts, picture
 from eldata.errors import EldataError
 from eldata.isp.preview import brightening, preview
 from eldata.plots.pictures import side_by_side, thumbnail

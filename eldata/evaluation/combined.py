@@ -6,9 +6,8 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_json
-from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
-from eldata.base.tables import text_table, wrapped
+from eldata.base.tables import block, table, text_table, wrapped
 from eldata.base.visible import in_line
 from eldata.evaluation.results import write_scores
 from eldata.evaluation.scores import json_object, mean, nothing_scored, problem_lines

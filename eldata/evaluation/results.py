@@ -10,9 +10,8 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.files import write_json, write_text
-from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
-from eldata.base.tables import csv_text, latex_table, markdown_table, markdown_text, text_table, wrapped
+from eldata.base.tables import block, csv_text, latex_table, markdown_table, markdown_text, table, text_table, wrapped
 from eldata.base.visible import in_line
 from eldata.evaluation.pairs import name_of
 from eldata.evaluation.scores import (

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from eldata.base.fields import names_of
 from eldata.base.files import write_json
-from eldata.base.notebook import block, table
 from eldata.base.numbers import checked_number, counted
+from eldata.base.tables import block, table
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, ProfileError, check_choice
 from eldata.noise.gain_modes import (

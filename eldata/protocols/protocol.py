@@ -6,7 +6,7 @@ import re
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
-from eldata.base.notebook import block, facts
+from eldata.base.tables import block, facts
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, check_choice
 from eldata.protocols.digests import NEUTRAL, SCORED, fields_digest

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from capture.cli import main as capture
-from eldata.cli.completion import SHELLS
+from eldata.base.completion import SHELLS
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:

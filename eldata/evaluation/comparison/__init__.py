@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, replace
 from itertools import combinations, product
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from eldata.base.notebook import block, table
 from eldata.base.numbers import counted
+from eldata.base.tables import block, table
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.scores import UnitScore, factor_text, grouped_table, groups_of, json_object, means, short_digest

@@ -21,6 +21,7 @@ alike; of rgb2rgb, (N, 3, h, w), that rendered in 8 bits.
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 import sys
@@ -39,6 +40,7 @@ from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
 from eldata.datasets import CleanFrames, DarkFrames, Noise2Noise, describe, evaluation_loader, training_loader
 from eldata.datasets.rgb import raw2rgb, rgb2rgb
 from eldata.errors import ArgumentError
+from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
 from eldata.manifest.catalogue import find_manifests
 from eldata.noise import NoiseModel
 from eldata.protocols import get_protocol
@@ -223,13 +225,11 @@ class Sides(Dataset[dict[str, torch.Tensor]]):
 
 def validate(network: UNet, options: argparse.Namespace, device: torch.device) -> dict[str, float]:
     """Return the protocol's PSNR and SSIM over the validation pairs: the numbers of `eldata evaluate`."""
-    from eldata.integrations.torchmetrics import ProtocolScore
-
     (manifest,) = find_manifests(options.validate, options.root)
     folder = manifest.folder(options.root)
     raw = ELDDataset(folder, manifest=manifest.path, clip=options.input_clip, levels=options.levels)
     pairs = as_task(raw, options)
-    metric = ProtocolScore(scored_protocol(options))
+    protocol, scores = protocol_of_tensors(scored_protocol(options)), []
     network.eval()
 
     def predicted(image: Any) -> Any:
@@ -239,8 +239,9 @@ def validate(network: UNet, options: argparse.Namespace, device: torch.device) -
         for batch in evaluation_loader(pairs, workers=options.workers):
             image = batch["input"][0].numpy()
             found = tiled(predicted, image, tile=1024, overlap=128, multiple=network.multiple)
-            metric.update(torch.from_numpy(found), batch["target"][0])
-    return {name: float(value) for name, value in metric.compute().items()}
+            scores.append(protocol_score(protocol, torch.from_numpy(found), batch["target"][0]))
+    values = {"psnr_db": [one.psnr_db for one in scores], "ssim": [one.ssim for one in scores]}
+    return {name: math.fsum(of_all) / len(scores) for name, of_all in values.items()}
 
 
 def keep(network: Any, folder: Path, channels: int, clip: Clip) -> None:

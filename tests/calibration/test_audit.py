@@ -271,7 +271,6 @@ def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
     assert f"accepted, with larger errors\n  {said}" in found.format_text()
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_pages_say_what_is_accepted(isos: tuple[IsoCalibration, ...]) -> None:
     found = with_findings(isos, *with_accepted([spoilt("dark signal", "read noise", 0.25)], ["dark signal"]))
     (said,) = found.accepted

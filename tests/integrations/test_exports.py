@@ -462,7 +462,7 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     manifest = eld_like(tmp_path)
-    given = ["--manifest", str(manifest.path), "--root", str(tmp_path / "data"), "--jobs", "1"]
+    given = ["--manifest", str(manifest.path), "--root", str(tmp_path / "data"), "--jobs", "2"]
     assert main(["export", "led", str(tmp_path / "out"), *given]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith(f"24 pairs below {tmp_path / 'out'}: 32 links made\n  Own/Own_list.txt\n")

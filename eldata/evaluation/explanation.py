@@ -116,8 +116,8 @@ class Explanation:
         of = {group: [one for one in self.alternatives if one.group == group] for group in ("input", "alone", "here")}
         lines = [
             ("Changes nothing here", still),
-            ("Of the network's input, which is past when a prediction is scored", of["input"]),
-            ("Not alone, but with the rest of those protocols (--protocol NAME)", of["alone"]),
+            ("Of the network's input, which was fixed when the prediction was made", of["input"]),
+            ("Only together with other fields: score under that protocol (--protocol NAME)", of["alone"]),
         ]
         told = [f"{what}: {'; '.join(one.in_short for one in ones)}." for what, ones in lines if ones]
         return [*told, *(f"Not for this image: {one.in_short}: {one.reason}." for one in of["here"])]

@@ -45,7 +45,10 @@ def test_what_the_stubs_promise_is_there_and_documented() -> None:
             found = getattr(module, name)
             assert not inspect.ismodule(found), f"{package}.{name}: the function, not the module of the same name"
             assert found is getattr(import_module(place), name)
-            assert not callable(found) or inspect.getdoc(found), f"{package}.{name}"
+            if callable(found):
+                assert inspect.getdoc(found), f"{package}.{name}"
+                shown = [str(one) for one in inspect.signature(found).parameters.values()]
+                assert not any("Unpack[" in one for one in shown), f"{package}.{name}: an editor shows no keyword"
 
 
 def test_every_public_module_is_there_after_import_eldata() -> None:

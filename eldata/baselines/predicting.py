@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Unpack
 
 import numpy as np
 
 from eldata import __version__
+from eldata.base.arguments import spell_keywords
 from eldata.base.files import inside, remove_leftovers
 from eldata.base.numbers import counted
 from eldata.base.workers import Failed, require_files
@@ -23,7 +24,7 @@ from eldata.evaluation.layouts import stem_of
 from eldata.evaluation.pairs import files_of, frames_of, place_of
 from eldata.evaluation.planning import plan_scoring, require_pairs
 from eldata.evaluation.predictions import save_prediction
-from eldata.evaluation.request import make_request
+from eldata.evaluation.request import SetOptions, make_request
 from eldata.manifest.card import CHANNELS
 from eldata.manifest.clips import clips_of, setting_name
 from eldata.manifest.patterns import expand
@@ -180,6 +181,7 @@ class PredictionReport:
         return "\n".join(lines)
 
 
+@spell_keywords(SetOptions)
 def write_predictions(
     denoiser: Denoiser,
     dataset: str,
@@ -188,7 +190,7 @@ def write_predictions(
     protocol: str | Path | ScoringProtocol | None = None,
     clip: ClipRange | Literal["protocol"] | None = None,
     dtype: PixelType = "float32",
-    **options: Any,
+    **options: Unpack[SetOptions],
 ) -> PredictionReport:
     """Predict each pair, or each frame of the clips, that a protocol scores, as :func:`eldata.evaluate` wants it.
 
@@ -224,7 +226,7 @@ def write_predictions(
     DatasetError, ManifestError
         If the data set is not there or not what its manifest says.
     """
-    wanted: EvaluationOptions = {**options, "baseline": "input"}  # type: ignore[typeddict-item] # checked there
+    wanted: EvaluationOptions = {**options, "baseline": "input"}  # type: ignore[typeddict-item] # the others are left out
     request = make_request(None, dataset, protocol, wanted)
     (chosen,) = request.protocols
     pairs = plan_scoring(request, chosen, unscored=True).pairs

@@ -10,6 +10,7 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, Unpack
 
 from eldata import __version__
+from eldata.base.arguments import spell_keywords
 from eldata.errors import ArgumentError, ManifestError
 from eldata.evaluation.combined import CombinedResult, NotScored
 from eldata.evaluation.diagnosis import suspicions_of
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from eldata.protocols.protocol import Protocol
 
 
+@spell_keywords(EvaluationOptions)
 def evaluate(
     predictions: Path | str | None,
     dataset: str = "eld",
@@ -133,6 +135,7 @@ def evaluate(
     return perform(make_request(predictions, dataset, protocol, options)).results[0]
 
 
+@spell_keywords(EvaluationOptions)
 def evaluate_all(
     predictions: Path | str | None, dataset: str = "eld", **options: Unpack[EvaluationOptions]
 ) -> CombinedResult:

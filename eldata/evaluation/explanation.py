@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
+from eldata.base.arguments import spell_keywords
 from eldata.base.numbers import counted
 from eldata.base.tables import text_table, wrapped
 from eldata.base.workers import Failed
@@ -19,7 +20,7 @@ from eldata.evaluation.evaluate import perform
 from eldata.evaluation.looking import images_of, worst_and_best
 from eldata.evaluation.originals import levels_dn, normalised_frame
 from eldata.evaluation.pairs import frames_of, iso_of, ratio_of, reference_of
-from eldata.evaluation.request import make_request
+from eldata.evaluation.request import EvaluationOptions, make_request
 from eldata.evaluation.scores import factor_text, json_object
 from eldata.protocols.digests import NEUTRAL
 from eldata.protocols.protocol import NO_SHADING, Protocol
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from eldata.evaluation.alternatives import Alternative
     from eldata.evaluation.frames import ComparedFrame
     from eldata.evaluation.looking import ScoredImage
-    from eldata.evaluation.request import EvaluationOptions, Request
+    from eldata.evaluation.request import Request
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.units import PlanScores
@@ -161,6 +162,7 @@ class Explanation:
         return json_object(own | {"alternatives": alternatives})
 
 
+@spell_keywords(EvaluationOptions)
 def explain(
     predictions: Path | str | None,
     dataset: str = "eld",

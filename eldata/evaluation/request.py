@@ -36,8 +36,8 @@ SETTINGS = "predictions.json"
 """What made the predictions beside it; eldata baseline and eldata predict write it."""
 
 
-class EvaluationOptions(TypedDict, total=False):
-    """Keyword arguments of :func:`eldata.evaluate`, which says what they mean, and :func:`eldata.evaluate_all`."""
+class SetOptions(TypedDict, total=False):
+    """Keyword arguments of what reads a set as :func:`eldata.evaluate` does, which says what they mean."""
 
     root: Path | str | None
     manifest: Path | str | None
@@ -45,13 +45,18 @@ class EvaluationOptions(TypedDict, total=False):
     subset: str | None
     ids: Collection[str] | None
     exclude_flags: Collection[str]
+    dark_shading: Path | str | None
+    workers: AnyWorkers
+
+
+class EvaluationOptions(SetOptions, total=False):
+    """Keyword arguments of :func:`eldata.evaluate`, which says what they mean, and :func:`eldata.evaluate_all`."""
+
     allow_missing: bool
     baseline: Baseline | None
     strict: bool
     task: Task | TaskFunction | str | None
-    dark_shading: Path | str | None
     store: Path | str | None
-    workers: AnyWorkers
 
 
 @dataclass(frozen=True, slots=True)

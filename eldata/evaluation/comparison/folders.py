@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
+from eldata.base.arguments import spell_keywords
 from eldata.base.files import folder_problem, path_problem, remove_leftovers, write_json, write_problem
 from eldata.base.outputs import COMPARISON_DATA, COMPARISON_PAGE, RESULT, SCORES, check_output
 from eldata.errors import ArgumentError, EldataError
@@ -26,6 +27,7 @@ COMPARISON = "comparison"
 """What the files of the comparison are called, so that no method is."""
 
 
+@spell_keywords(EvaluationOptions)
 def evaluate_methods(
     predictions: Mapping[str, Path | str] | Iterable[Path | str],
     dataset: str = "eld",

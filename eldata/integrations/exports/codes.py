@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack, get_args
 
 import numpy as np
 
+from eldata.base.arguments import spell_keywords
 from eldata.base.numbers import counted
 from eldata.errors import ArgumentError, RawFileError, check_choice
 from eldata.integrations.exports.frames import balance_multipliers, exported_pairs, matrix_to_srgb
@@ -26,6 +27,7 @@ from eldata.integrations.exports.naming import (
 )
 from eldata.integrations.exports.writing import ExportPlan, write_export
 from eldata.manifest.eld import nearest_reference
+from eldata.manifest.pairs import Choice
 from eldata.manifest.table import number_text
 
 if TYPE_CHECKING:
@@ -35,7 +37,6 @@ if TYPE_CHECKING:
     from eldata.base.workers import AnyWorkers
     from eldata.integrations.exports.frames import ExportFrame, ExportPair
     from eldata.integrations.exports.writing import ExportReport, Linking
-    from eldata.manifest.pairs import Choice
 
     PairsByCamera = Mapping[str, Sequence[ExportPair]]
 
@@ -46,6 +47,7 @@ _PMN_SUFFIXES = (".arw", ".dng")
 _SID_RATIOS = (100, 250, 300)
 
 
+@spell_keywords(Choice)
 def export(
     code: Code,
     folder: Path | str,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from tqdm import tqdm
 
+from eldata.base.arguments import spell_keywords
 from eldata.base.fields import names_of
 from eldata.base.files import folder_problem, json_text
 from eldata.base.tables import csv_text
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 _SPLIT = re.compile(r"(?!all$)\w+(\.\w+)*", re.ASCII)
 
 
+@spell_keywords(Choice)
 def export_hub(
     folder: Path | str,
     name: str = "",

@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata import __version__
-from eldata.base.arguments import keywords
+from eldata.base.arguments import keywords, spell_keywords
 from eldata.base.fields import TextFile
 from eldata.base.files import atomic_write, check_same_work, remove_leftovers, sha256_of, write_json, write_text
 from eldata.errors import ArgumentError, DatasetError, EldataError
@@ -62,6 +62,7 @@ class _Planned(NamedTuple):
         return to_bytes(key_of(number), self.facts, noisy, reference)
 
 
+@spell_keywords(Choice)
 def write_shards(
     store: Path | str,
     folder: Path | str,

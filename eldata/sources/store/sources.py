@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Unpack
 
-from eldata.base.arguments import keywords
+from eldata.base.arguments import keywords, spell_keywords
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import card_text
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest
@@ -89,6 +89,7 @@ class Source:
         return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
+@spell_keywords(Choice)
 def source_of_dataset(
     name: str,
     *,

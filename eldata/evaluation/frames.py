@@ -207,6 +207,15 @@ def _file_problem_of(path: str) -> Iterator[None]:
         raise RawFileError(path, str(error).removeprefix(f"{path}: ")) from error
 
 
+def _size_of_both(pair: Pair, reference: Reference) -> tuple[int, int] | None:
+    """Return the (H, W) that both frames of a shifted pair show; ``None`` of any other."""
+    if isinstance(pair, ClipRecord) or pair.measured_shift_px is None:
+        return None
+    mosaic = reference.frame.mosaic
+    height, width = mosaic[overlap(pair, "noisy", mosaic.shape[:2], reference.frame.sensor.cfa)].shape
+    return height, width
+
+
 class ComparedFrame:
     """A noisy frame, its reference, and its prediction, whose file is read once; without a file, the input itself."""
 
@@ -218,7 +227,9 @@ class ComparedFrame:
         dng = read_once(lambda: load_dng(place, reference.frame.sensor))
         self._dng = dng
         self._dng_normalised = cache(lambda levels: normalised_frame(dng(), levels, clip="none"))
-        self._raw = read_once(lambda: load_prediction(place, reference.frame.sensor, levels, self._size_of_both()))
+        self._raw = read_once(
+            lambda: load_prediction(place, reference.frame.sensor, levels, _size_of_both(pair, reference))
+        )
         self._colours = cache(lambda pixels, shape: load_colours(place, shape, pixels))
 
     def _shown_by_both(self, side: Literal["noisy", "reference"], protocol: Protocol, of: NDArray[Any]) -> NDArray[Any]:
@@ -230,14 +241,6 @@ class ComparedFrame:
         part: NDArray[Any] = of[..., *overlap(self._pair, side, of.shape[-2:], cfa, scale)]
         return part
 
-    def _size_of_both(self) -> tuple[int, int] | None:
-        """Return the (H, W) that both frames of a shifted pair show; ``None`` of any other."""
-        if isinstance(self._pair, ClipRecord) or self._pair.measured_shift_px is None:
-            return None
-        mosaic = self.reference.frame.mosaic
-        height, width = mosaic[overlap(self._pair, "noisy", mosaic.shape[:2], self.reference.frame.sensor.cfa)].shape
-        return height, width
-
     def target(self, protocol: Protocol) -> NDArray[Any]:
         """Return what the prediction is compared with, (C, h, w) of the whole frame, or of what both frames show."""
         return self._shown_by_both("reference", protocol, self.reference.target(protocol))
@@ -245,8 +248,9 @@ class ComparedFrame:
     def prediction(self, protocol: Protocol) -> NDArray[Any]:
         """Return the prediction of the whole frame, or of what both frames show, which it may be of alone."""
         found = self._whole(protocol)
-        is_whole = found.shape == self.reference.target(protocol).shape
-        return self._shown_by_both("noisy", protocol, found) if is_whole else found
+        is_shifted = not isinstance(self._pair, ClipRecord) and self._pair.measured_shift_px is not None
+        is_cut = is_shifted and found.shape != self.reference.target(protocol).shape
+        return found if is_cut else self._shown_by_both("noisy", protocol, found)
 
     def _whole(self, protocol: Protocol) -> NDArray[Any]:
         values = self._values(protocol)

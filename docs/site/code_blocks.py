@@ -19,7 +19,7 @@ _SECOND = re.compile(r"^( *\S+(?: \S+)* {2,})[^\s#]", re.MULTILINE)
 def has_columns(text: str) -> bool:
     """Whether a text has a table's rule, two lines of three columns, or three whose second ones begin alike.
 
-    Comments are no column.
+    Comments do not count as a column.
     """
     seconds = Counter(len(line[1]) for line in _SECOND.finditer(text))
     return bool(_RULE.search(text)) or len(_ROW.findall(text)) > 1 or max(seconds.values(), default=0) > 2

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from eldata.evaluation.units import PlanScores
     from eldata.protocols.protocol import Protocol
 
-# Fields that are no choices of how to score one image: which images, and prose.
+# Fields that do not choose how one image is scored: which images, and prose.
 _FIXED = (*CHOOSING, "reference")
 # What chooses other frames or files than those that were scored.
 _OTHER_FILES = {

@@ -20,7 +20,8 @@ from eldata.evaluation.planning import known_places, places_elsewhere, plan_scor
 from eldata.evaluation.predictions import LOOKS, look_of_folder, look_wanted, other_look
 from eldata.evaluation.request import ALL, SETTINGS, EvaluationOptions, Request, make_request, stated_shading
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
-from eldata.evaluation.scores import EvaluationProblem, short_digest
+from eldata.evaluation.scores import EvaluationProblem
+from eldata.evaluation.tasks import task_note
 from eldata.evaluation.units import Contender, score_plans
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.kinds import IMAGES
@@ -385,7 +386,7 @@ def notes_of(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResul
             f"state {other}"
         )
     if "task" in result.provenance and scores:
-        notes.append(_task_note(result.provenance["task"]))
+        notes.append(task_note(result.provenance["task"]))
     low, high = _USUAL_RESCALE
     odd = [score for score in scores if not low <= score.rescale <= high]
     if odd:
@@ -446,12 +447,3 @@ def provenance_of(request: Request, plan: ScoringPlan, scored: PlanScores) -> di
         **({} if request.dark_shading is None else {"dark_shading": plan.protocol.dark_shading}),
         **({} if request.task is None else {"task": request.task.provenance}),
     }
-
-
-def _task_note(task: dict[str, Any]) -> str:
-    """Return what a task's column holds."""
-    source = f" ({short_digest(task['source_sha256'])})" if task["source_sha256"] else ""
-    images = {"compared": "what the protocol compares", "packed": "packed raw", "srgb": "renderings in sRGB"}
-    better = "higher" if task["higher_is_better"] else "lower"
-    together = f"{task['frames']} consecutive frames at a time, " if "frames" in task else ""
-    return f"{task['label']}: {task['callable']}{source}, of {together}{images[task['images']]}; {better} is better"

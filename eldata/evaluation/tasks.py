@@ -20,6 +20,7 @@ from eldata.base.files import sha256_of
 from eldata.base.numbers import Figure
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, FileError, check_choice
+from eldata.evaluation.scores import short_digest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -193,3 +194,12 @@ def stated_figure(stated: Mapping[str, Any]) -> Figure:
         better="higher" if stated["higher_is_better"] else "lower",
         computed_by=stated["callable"],
     )
+
+
+def task_note(task: Mapping[str, Any]) -> str:
+    """Return what a task's column holds."""
+    source = f" ({short_digest(task['source_sha256'])})" if task["source_sha256"] else ""
+    images = {"compared": "what the protocol compares", "packed": "packed raw", "srgb": "renderings in sRGB"}
+    better = "higher" if task["higher_is_better"] else "lower"
+    together = f"{task['frames']} consecutive frames at a time, " if "frames" in task else ""
+    return f"{task['label']}: {task['callable']}{source}, of {together}{images[task['images']]}; {better} is better"

@@ -131,7 +131,7 @@ def select_pairs(
     if alone:
         raise ArgumentError(
             f"the {len(alone)} noisy frames of the subset {subset!r}, such as {alone[0].path}, have no references, so "
-            "they are no pairs and cannot be scored here; eldata predict and eldata baseline predict them (--subset)"
+            "they cannot be scored here; eldata predict and eldata baseline predict them (--subset)"
         )
     chosen = pairs if found is None else found.choose(pairs)
     return tuple(narrowed(chosen, pairs, "pair", wanted_values(choice)))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
 import reprlib
 import sys
@@ -23,6 +24,15 @@ _UNSEEN: Final = "\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u20
 _IN_TEXT: Final = re.compile(f"[{_UNSEEN}]")
 _IN_LINE: Final = re.compile(f"[{_UNSEEN}\t\n]")
 _SHORT: Final = {"\t": "\\t", "\n": "\\n", "\r": "\\r"}
+
+# Words that begin or end a line and say how it is, and their colours on a terminal: red, yellow and green.
+_VERDICT: Final = re.compile(
+    r"^(?:SUSPECT|missing|repeated|ambiguous|metered|note|not scored|look|shoot again)(?=:)|^ +to do(?=  )"
+    r"|(?<=: )(?:all well|\d+ problems?|keep|look|shoot again)$",
+    re.MULTILINE,
+)
+_GOOD: Final = ("all well", "keep")
+_BAD: Final = ("SUSPECT", "missing", "shoot again")
 
 
 def has_unseen(text: str, *, lines: bool = False) -> bool:
@@ -86,12 +96,22 @@ def _screen(stream: TextIO | None, name: str) -> Any:
     return stream if stream is None or isinstance(stream, _Screen) else _Screen(stream, name)
 
 
+def _coloured(found: re.Match[str]) -> str:
+    word = found[0]
+    colour = 32 if word in _GOOD else 31 if word in _BAD or "problem" in word else 33
+    return f"\x1b[{colour}m{word}\x1b[0m"
+
+
 class _Screen(io.TextIOBase):
-    """A stream that shows what would not be seen, and names itself where it cannot be written to."""
+    """A stream that shows what would not be seen, and names itself where it cannot be written to.
+
+    On a terminal, words of verdict have colours, unless ``NO_COLOR`` is set (https://no-color.org).
+    """
 
     def __init__(self, stream: TextIO, name: str) -> None:
         self._stream = stream
         self._name = name
+        self._has_colours = os.name == "posix" and stream.isatty() and not os.environ.get("NO_COLOR")
 
     def write(self, text: str) -> int:
         # Progress bars begin again at the line's start: the only use of standard error for that.
@@ -100,6 +120,8 @@ class _Screen(io.TextIOBase):
         if not shown.isascii():
             encoding = self.encoding
             shown = shown.encode(encoding, "backslashreplace").decode(encoding)
+        if self._has_colours:
+            shown = _VERDICT.sub(_coloured, shown)
         self._named(lambda: self._stream.write(start + shown))
         return len(text)
 

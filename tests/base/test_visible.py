@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 import unicodedata
 
@@ -56,13 +57,30 @@ def test_what_is_printed_shows_in_every_encoding(encoding: str, monkeypatch: pyt
     assert ("写真" in text) == (encoding == "utf-8")
 
 
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.skipif(os.name != "posix", reason="colours are for POSIX terminals")
+@pytest.mark.parametrize(("screen", "no_color"), [(Terminal, ""), (Terminal, "1"), (io.StringIO, "")])
+def test_verdicts_have_colours_on_a_terminal(
+    screen: type[io.StringIO], no_color: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Words that say how a line is, and only there; an escape that a name brings is shown, and colours nothing."""
+    monkeypatch.setenv("NO_COLOR", no_color)
+    monkeypatch.setattr(sys, "stdout", written := screen())
+    with visible_output():
+        print("a: all well\nb: 2 problems\nnote: keep, they say\n    to do     take\n\x1b[31mSUSPECT: c", end="")
+    expected = "a: [32mall well[0m\nb: [31m2 problems[0m\n[33mnote[0m: keep, they say\n[33m    to do[0m     take"
+    is_plain = screen is io.StringIO or no_color
+    for code in ("[32m", "[31m", "[33m", "[0m"):
+        expected = expected.replace(code, "" if is_plain else f"\x1b{code}")
+    assert written.getvalue() == expected + "\n\\x1b[31mSUSPECT: c"
+
+
 def test_a_progress_bar_begins_its_line_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """And its name, which may be a file's, cannot do anything else."""
-
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     with visible_output(), tqdm(total=3, desc="\x1b[2J\rname", disable=None, leave=False, mininterval=0) as bar:

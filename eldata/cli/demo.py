@@ -38,9 +38,8 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument(
         "--beside",
         choices=("dct", "wavelet", "bm3d", "anscombe-bm3d"),
-        default="dct",
         metavar="NAME",
-        help="the baseline beside the network, as eldata baseline has it; bm3d takes minutes (default: %(default)s)",
+        help="the baseline beside the network, as eldata baseline has it; bm3d takes minutes (default: dct)",
     )
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--train", action="store_true", help="train a network on other scenes, and score it too")
@@ -61,6 +60,8 @@ def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from pathlib import Path
 
+    if arguments.beside is not None and (arguments.calibration or arguments.benchmark):
+        raise ArgumentError("--beside is about the demo that scores: leave it out with --calibration and --benchmark")
     if arguments.calibration:
         from eldata.demo.calibration import run_calibration_demo
         from eldata.demo.calibration_frames import DEMO_FEATURES
@@ -85,7 +86,7 @@ def run(arguments: console.Arguments) -> int:
     from eldata.demo.evaluation import run_demo
 
     folder, scenes = Path(arguments.folder), 4 if arguments.scenes is None else arguments.scenes
-    results = run_demo(folder, scenes=scenes, seed=arguments.seed, beside=arguments.beside)
+    results = run_demo(folder, scenes=scenes, seed=arguments.seed, beside=arguments.beside or "dct")
     if arguments.train:
         from eldata.examples.train_on_demo import train_on_demo
 

@@ -1,13 +1,11 @@
-r"""Judge a noise model of somebody else's, here a torch network, against held-out frames of a camera.
+"""`python -m eldata.examples.check_noise_model`: judge a noise model of somebody else's against held-out frames.
+
+FRAMES holds CAMERA/bias/ISO100/... and, if there are flats, CAMERA/flat/ISO100/...; frames that neither the profile nor
+the training has seen. The model here, a torch "network", adds Gaussian noise of the profile's variance; copy the file
+and put yours in its place. Training on its noise: eldata.examples.train_denoiser with --noise
+eldata.examples.check_noise_model:model.
 
     python -m eldata.examples.check_noise_model calibration/held-out profile.json page.html
-
-Folder: CAMERA/bias/ISO100/... and, if there are flats, CAMERA/flat/ISO100/...; frames that neither the profile nor the
-training has seen. The "network" here adds Gaussian noise of the profile's variance; put yours in its place. The same
-adapter makes it the noise of training data:
-
-    python -m eldata.examples.train_denoiser --clean long --camera SonyA7S2 \
-        --noise eldata.examples.check_noise_model:model
 """
 
 import sys
@@ -17,6 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from eldata.base import console
 from eldata.calibration import check_noise
 from eldata.noise import CameraProfile, NoiseParameters
 
@@ -65,7 +64,7 @@ class Adapter:
 model = Adapter(GaussianNetwork())
 
 
-def main(frames: Path, profile: Path, page: Path | None = None) -> None:
+def main(frames: Path, profile: str, page: Path | None = None) -> int:
     """Print the table, and write the page if it is asked for."""
     found = check_noise(model, frames, CameraProfile.load(profile))
     print(found.format_text())
@@ -73,7 +72,13 @@ def main(frames: Path, profile: Path, page: Path | None = None) -> None:
         from eldata.reports.acceptance import acceptance_page
 
         page.write_text(acceptance_page(found), encoding="utf-8")
+    return 0
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:4]))
+    parser = console.document(console.Parser(prog="python -m eldata.examples.check_noise_model"), __doc__)
+    parser.add_argument("frames", type=Path, metavar="FRAMES", help="folder of the held-out frames")
+    parser.add_argument("profile", metavar="PROFILE", help="a shipped profile or a JSON file")
+    parser.add_argument("page", type=Path, nargs="?", metavar="PAGE", help="HTML page to write")
+    parser.set_defaults(run=lambda chosen: main(chosen.frames, chosen.profile, chosen.page), running=["debug"])
+    sys.exit(console.run(parser, None))

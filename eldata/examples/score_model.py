@@ -8,6 +8,7 @@ The predictions of all pairs that the protocol scores are written, and the table
 The "model" here is a Gaussian blur; copy the file and put your network in its place.
 """
 
+import sys
 from pathlib import Path
 
 import torch
@@ -26,7 +27,7 @@ def model(noisy: torch.Tensor) -> torch.Tensor:
     return torch.nn.functional.conv2d(padded, kernel, groups=noisy.shape[1])
 
 
-def main(root: Path, predictions: Path, manifest: str = "eld") -> None:
+def main(root: Path, predictions: Path, manifest: str = "eld") -> int:
     """Predict every pair of the protocol, then print the table."""
     dataset = ELDDataset(root, manifest=manifest)
     print(dataset)
@@ -37,6 +38,7 @@ def main(root: Path, predictions: Path, manifest: str = "eld") -> None:
         save_prediction(predictions, batch["path"][0], output[0].numpy())
     own = None if manifest == "eld" else manifest
     print(evaluate(predictions, manifest=own, root=root.parent, workers=2).format_text())
+    return 0
 
 
 if __name__ == "__main__":  # spawned workers import this file: the guard is needed
@@ -44,4 +46,5 @@ if __name__ == "__main__":  # spawned workers import this file: the guard is nee
     parser.add_argument("root", type=Path, metavar="FOLDER", help="of the set itself, such as data/ELD")
     parser.add_argument("predictions", type=Path, metavar="OUT", help="folder of the predictions")
     parser.add_argument("manifest", nargs="?", default="eld", metavar="MANIFEST", help="of a set in ELD's layout")
-    main(**vars(parser.parse_args()))
+    parser.set_defaults(run=lambda chosen: main(chosen.root, chosen.predictions, chosen.manifest), running=["debug"])
+    sys.exit(console.run(parser, None))

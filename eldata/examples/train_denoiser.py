@@ -64,8 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run(options: argparse.Namespace) -> int:
     """Train, or go on with a training; print each epoch's loss and, if asked for, the protocol's score."""
     rank, device = start_ranks(options.device)
-    options.output.mkdir(parents=True, exist_ok=True)
     data = training_data(options)
+    options.output.mkdir(parents=True, exist_ok=True)
     loader = training_loader(data, options.batch_size, seed=options.seed, device=device, workers=options.workers)
     sample = next(iter(data))
     channels, made = sample["input"].shape[0], sample["target"].shape[0]

@@ -59,9 +59,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run(options: argparse.Namespace) -> int:
     """Train, or go on with a training; print each epoch's loss."""
     rank, device = start_ranks(options.device)
-    options.output.mkdir(parents=True, exist_ok=True)
     kind, depth = NETWORKS[options.network]
     data = training_clips(options, frames=kind.window + 1)  # two windows: one more frame
+    options.output.mkdir(parents=True, exist_ok=True)
     loader = training_loader(data, options.batch_size, seed=options.seed, device=device, workers=options.workers)
     channels = next(iter(data))["input"].shape[1]
     depth = depth if options.depth is None else options.depth

@@ -69,7 +69,7 @@ ARGUMENTS = {
 }
 TAKE_ONE_VALUE = ("subset",)
 # Values that the message lists where they are not those of the manifest: SID's split eval is val and test; clips of drv
-# without a reference are another class's, with a split of their own, and SIDD's benchmark blocks are no pairs.
+# without a reference are another class's, with a split of their own, and SIDD's benchmark blocks have no references.
 OWN_VALUES = {
     ("sid-sony", "split"): {"train", "val", "test", "eval"},
     ("sid-fuji", "split"): {"train", "val", "test", "eval"},

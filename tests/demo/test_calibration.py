@@ -169,6 +169,7 @@ def test_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main(["demo", str(tmp_path / "x"), "--without", "shading"]) == 2
     assert "give --calibration too" in capsys.readouterr().err
     assert main(["demo", str(tmp_path / "x"), "--calibration", "--without", "noise"]) == 2
+    assert main(["demo", str(tmp_path / "x"), "--benchmark", "--beside", "wavelet"]) == 2
     assert main(["demo", str(tmp_path / "x"), "--calibration", "--seed", "-1"]) == 2
     assert not (tmp_path / "x").exists()
     (tmp_path / "photos").mkdir()

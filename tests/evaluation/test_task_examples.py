@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import math
+import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from eldata.errors import ArgumentError
 from eldata.evaluation import Task, evaluate, save_prediction
 from tests.evaluation import oracle
 from tests.onnx_file import onnx_network
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -136,3 +138,12 @@ def test_the_example_hands_renderings_to_torchmetrics_lpips(tmp_path: Path, monk
     (metric,) = (metric for metric in found.kind.metrics if metric.name == "task")
     assert (metric.label, metric.better) == ("LPIPS", "lower")
     assert found.provenance["task"]["version"].startswith("torchmetrics ")
+
+
+@pytest.mark.parametrize(("name", "second"), [("check_noise_model", "SonyA7S2"), ("score_model", "preds")])
+def test_a_folder_that_is_not_there_is_one_line(name: str, second: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", f"eldata.examples.{name}", "none", second]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert "there is no such folder" in done.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -139,8 +139,8 @@ def add_options(parser: console.Parser) -> None:
         nargs="?",
         const="",
         help="tell of one image the steps from its files to its score, and what each other choice of a protocol would "
-        "make of it: of FRAME, its path or name in the CSV (default: of the one with the lowest PSNR); with --html the "
-        "page shows it of the worst and the median",
+        "make of it: of FRAME, its path or name in the CSV (default: of the one with the lowest PSNR). The page of --html "
+        "shows it of the worst and the median, too",
     )
     console.add_shared(parser, run, "root", "workers", json=RESULT)
 
@@ -159,7 +159,7 @@ def run(arguments: console.Arguments) -> int:
         request = make_request(predictions, arguments.dataset or "", arguments.protocol, options)
         combined = perform(request)
         result = combined if request.every else combined.results[0]
-        explanations: list[Explanation] = []
+        explanations: list[Explanation] = []  # the one that is asked for is the first
 
         def write_page() -> None:
             from eldata.reports.evaluation import write_evaluation_page
@@ -186,26 +186,27 @@ def run(arguments: console.Arguments) -> int:
 
 
 def _explained(request: Request, result: EvaluationResult, arguments: console.Arguments) -> list[Explanation]:
-    """Return the explanation of the image that is asked for; of a page of the worst and the median, too."""
+    """Return the explanation of the image that is asked for, and of the worst and the median for a page."""
     from eldata.evaluation.explanation import chosen_score, explain_scores, ranked_scores
 
-    if arguments.explain is None or not result.scored:
+    if not result.scored:
         return []
-    first = chosen_score(result, arguments.explain or None)
+    asked = [] if arguments.explain is None else [chosen_score(result, arguments.explain or None)]
     more = ranked_scores(result) if arguments.html else []
-    return explain_scores(request, result, [first, *(one for one in more if one[1] is not first[1])])
+    return explain_scores(request, result, asked + [one for one in more if all(one[1] is not of for _, of in asked)])
 
 
 def _write_json(
     result: EvaluationResult | CombinedResult, explanations: Sequence[Explanation], arguments: console.Arguments
 ) -> None:
-    told = {"explanations": [one.as_dict() for one in explanations]} if explanations else {}
+    asked = arguments.explain is not None
+    told = {"explanations": [one.as_dict() for one in explanations]} if asked and explanations else {}
     write_json(arguments.json, result.as_dict() | told)
 
 
 def _show_explanation(explanations: Sequence[Explanation], arguments: console.Arguments) -> None:
     """Print the first; beside a table that is to be pasted elsewhere, as problems are."""
-    if explanations:
+    if explanations and arguments.explain is not None:
         text = arguments.format == "text"
         print(f"\n{explanations[0].text}", file=sys.stdout if text else sys.stderr)
 

@@ -185,7 +185,7 @@ def test_page(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> 
     for words in ("soft on drv", "Complete: 2 of 2 videos", "ST-RRED by camera", "Every video", "Rescaling that was"):
         assert words in text
     for words in ("ISO", "Every image", "pairs"):
-        assert words not in text.partition("Where the numbers come from")[0]
+        assert words not in text.rpartition("Step by step")[0]
     # Two clips are two scenes: both are among the worst. Of each, the frame with the lowest PSNR is shown.
     assert text.count("the frame with the lowest PSNR") == 2
     assert page.count('data-layer="input"') == page.count('data-layer="error"') == 2

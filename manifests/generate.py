@@ -1,32 +1,30 @@
-"""Write the shipped manifests and their cards: ``python -m manifests.generate`` (or ``make manifests``).
+"""Write the shipped manifests: ``python -m manifests.generate`` (or ``make manifests``).
 
-The SID rows come from ``facts/sid-*.csv``, one line per scene. ``python -m manifests.generate --sid-lists FOLDER``
-first writes those again from the file lists of the SID repository (its folder ``dataset``). ``--drv-lists FOLDER`` does
-the same for ``facts/drv.csv``, one line per clip, from the lists of the DRV repository (its folder ``DRV``),
-``--lrd-lists FOLDER`` for ``facts/lrd.csv``, one line per scene, from those of the LRD repository (its folder
-``datalist``), and ``--lrid-infos FOLDER`` for ``facts/lrid.csv``, one line per burst, from the files of the PMN
-repository's branch TPAMI (its folder ``infos``).
+A set's card, ``<name>.json``, is written by hand; this puts it into form. The rows, ``<name>.csv``, come from what is
+published of the set's files: a module here, and for most sets a table in ``facts``, which this makes of the publisher's
+own lists: ``--sid-lists FOLDER`` of those of the SID repository (its folder ``dataset``) ``facts/sid-*.csv``, one line
+per scene; ``--drv-lists FOLDER`` of those of the DRV repository (its folder ``DRV``) ``facts/drv.csv``, one line per
+clip; ``--lrd-lists FOLDER`` of those of the LRD repository (its folder ``datalist``) ``facts/lrd.csv``, one line per
+scene; and ``--lrid-infos FOLDER`` of the files of the PMN repository's branch TPAMI (its folder ``infos``)
+``facts/lrid.csv``, one line per burst.
 
 Sets whose files no public text lists have a card alone.
 """
 
 import argparse
-from collections.abc import Iterable
 from pathlib import Path
 
-from eldata.manifest.card import Card, save_card
+from eldata.manifest.card import load_card, save_card
 from eldata.manifest.writing import save_manifest
 from eldata.records import FrameRecord
-from manifests.cards_alone import CARDS_ALONE
-from manifests.published_crvd import published_crvd
-from manifests.published_drv import load_splits, published_drv, save_splits, splits_from_lists
-from manifests.published_eld import published_eld
+from manifests.published_crvd import crvd_records
+from manifests.published_drv import drv_records, load_splits, save_splits, splits_from_lists
+from manifests.published_eld import published_eld_records
 from manifests.published_lrd import SPLITS as LRD_SPLITS
-from manifests.published_lrd import load_lrd_scenes, lrd_scenes_from_lists, published_lrd, save_lrd_scenes
-from manifests.published_lrid import bursts_from_infos, load_bursts, published_lrid, save_bursts
-from manifests.published_sid import published_sid
-from manifests.published_sidd import load_instances, published_blocks, published_sidd
-from manifests.sid_scenes import SID_CAMERAS, load_scenes, save_scenes, scenes_from_lists
+from manifests.published_lrd import load_lrd_scenes, lrd_records, lrd_scenes_from_lists, save_lrd_scenes
+from manifests.published_lrid import bursts_from_infos, load_bursts, lrid_records, save_bursts
+from manifests.published_sidd import block_records, load_instances, sidd_records
+from manifests.sid_scenes import SID_CAMERAS, load_scenes, save_scenes, scenes_from_lists, sid_records
 
 FOLDER = Path(__file__).parent
 
@@ -36,24 +34,25 @@ def facts_of(name: str) -> Path:
     return FOLDER / "facts" / f"{name}.csv"
 
 
+def published() -> dict[str, tuple[FrameRecord, ...]]:
+    """Return the rows of every manifest that the package ships, by its name."""
+    return {
+        "eld": published_eld_records(),
+        **{name: sid_records(camera, load_scenes(facts_of(name))) for name, camera in SID_CAMERAS.items()},
+        "drv": drv_records(load_splits(facts_of("drv"))),
+        "lrd": lrd_records(load_lrd_scenes(facts_of("lrd"))),
+        "lrid": lrid_records(load_bursts(facts_of("lrid"))),
+        "sidd": sidd_records(load_instances(facts_of("sidd"))),
+        "sidd-blocks": block_records(load_instances(facts_of("sidd-blocks"))),
+        "crvd": crvd_records(),
+    }
+
+
 def condense_sid_lists(lists: Path) -> None:
     """Write the tables of SID's scenes from the official file lists."""
     for name, camera in SID_CAMERAS.items():
         files = [lists / f"{camera.folder}_{split}_list.txt" for split in ("train", "val", "test")]
         save_scenes(facts_of(name), scenes_from_lists(camera, files))
-
-
-def published() -> Iterable[tuple[Card, tuple[FrameRecord, ...]]]:
-    """Yield card and rows of every manifest that the package ships."""
-    yield published_eld()
-    for name in SID_CAMERAS:
-        yield published_sid(name, load_scenes(facts_of(name)))
-    yield published_drv(load_splits(facts_of("drv")))
-    yield published_lrd(load_lrd_scenes(facts_of("lrd")))
-    yield published_lrid(load_bursts(facts_of("lrid")))
-    yield published_sidd(load_instances(facts_of("sidd")))
-    yield published_blocks(load_instances(facts_of("sidd-blocks")))
-    yield published_crvd()
 
 
 def main() -> None:
@@ -74,10 +73,10 @@ def main() -> None:
         save_lrd_scenes(facts_of("lrd"), lrd_scenes_from_lists(lists))
     if arguments.lrid_infos is not None:
         save_bursts(facts_of("lrid"), bursts_from_infos(arguments.lrid_infos))
-    for card in CARDS_ALONE:
-        save_card(FOLDER / f"{card.name}.json", card)
-    for card, records in published():
-        save_manifest(FOLDER / f"{card.name}.csv", card, records)
+    for path in FOLDER.glob("*.json"):
+        save_card(path, load_card(path))
+    for name, records in published().items():
+        save_manifest(FOLDER / f"{name}.csv", load_card(FOLDER / f"{name}.json"), records)
 
 
 if __name__ == "__main__":

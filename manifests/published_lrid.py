@@ -1,4 +1,4 @@
-"""The published Low-light Raw Image Denoising set (LRID): its bursts, rows and card.
+"""The published Low-light Raw Image Denoising set (LRID): its bursts and rows.
 
 Noisy frames are ``<part>/6400/<gain>/<scene>/<number>_exp-<ns>_iso-6400_<time>_orientation_<degrees>_camera-0.dng``,
 ten in a burst; the reference of a scene is ``<part>/npy/GT_align_ours/<scene>.npy``, fused from frames of ISO 100. The
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import pickletools
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -23,9 +23,7 @@ from eldata.base.fields import TextFile
 from eldata.base.files import write_text
 from eldata.base.tables import csv_text
 from eldata.errors import ManifestError
-from eldata.manifest.card import CameraCard, Card, Download, Subset
 from eldata.manifest.pairs import NOMINAL_RATIO, WARM_SENSOR
-from eldata.raw.stated import MosaicFacts
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
@@ -160,124 +158,3 @@ def load_bursts(path: Path) -> tuple[Burst, ...]:
         )
         for row in TextFile(path, ManifestError).rows(_COLUMNS)
     )
-
-
-_CODE = "PMN repository, branch TPAMI, commit 9f985ba"
-
-
-def published_lrid(bursts: Iterable[Burst]) -> tuple[Card, tuple[FrameRecord, ...]]:
-    """Return card and rows of the published set, in the simplified form that is for training and evaluation."""
-    records = lrid_records(bursts)
-    card = Card(
-        name="lrid",
-        title="Low-light Raw Image Denoising dataset (LRID)",
-        version="1.0",
-        folder="LRID",
-        citation=(
-            "H. Feng, L. Wang, Y. Wang, H. Fan and H. Huang, Learnability Enhancement for Low-Light Raw Image "
-            "Denoising: A Data Perspective, IEEE Transactions on Pattern Analysis and Machine Intelligence, 2024"
-        ),
-        licence="CC BY-NC 4.0 (README of the set on Hugging Face)",
-        homepage="https://github.com/megvii-research/PMN/tree/TPAMI",
-        cfa="bayer",
-        cameras={CAMERA: CameraCard(())},
-        counts=dict(sorted(Counter(str(record.role) for record in records).items())),
-        downloads=(
-            Download(
-                "https://pan.baidu.com/s/1fXlb-Q_ofHOtVOufe5cwDg?pwd=vmcl",
-                notes="folder LRID; all raws, with the frames of ISO 100, are LRID_raw, 523 GB",
-                about="185.1 GB",
-            ),
-            Download(
-                "https://huggingface.co/datasets/hansen97/LRID",
-                notes="the full set, by the authors",
-                direct=True,
-                part="full",
-            ),
-            Download(
-                "https://huggingface.co/datasets/hansen97/LRID_simplified",
-                notes="the first frame of each burst alone, by the authors",
-                direct=True,
-                part="simplified",
-            ),
-        ),
-        subsets=(
-            Subset(
-                "indoor-first",
-                "first frame of each burst of 9 indoor scenes, all ratios",
-                f"{_CODE}, trainer_LRID.py --mode eval, data_process/phone_datasets.py",
-                45,
-                splits=("eval",),
-                first=True,
-            ),
-            Subset(
-                "outdoor-first",
-                "first frame of each burst of 6 outdoor scenes, all ratios",
-                f"{_CODE}, trainer_LRID.py --mode test, data_process/phone_datasets.py",
-                18,
-                splits=("test",),
-                first=True,
-            ),
-        ),
-        protocol="pmn-lrid",
-        mosaics=(MosaicFacts("*/npy/*.npy", "RGGB", (64.0,), 1023.0),),
-        known_defects=(
-            (
-                "The burst indoor_x5/6400/4/024 is listed with 8 frames, 001434 and 001435 being left out; the "
-                "published script leaves out files that it cannot read. If they are there, verify names them as not "
-                "listed."
-            ),
-            (
-                "outdoor_x5 (7 scenes) was abandoned by the authors; it is in LRID_raw alone, and not listed here. "
-                "Frames of ISO 100 and metadata are not listed either."
-            ),
-            (
-                "In some scenes the sensor was in a hot mode with other dark frames: PhoneBase_Dataset.hot_check names "
-                "the scenes, whose frames have the flag warm-sensor here, as those of bias-hot have."
-            ),
-            (
-                "References were fused from frames of ISO 100 whose exposure no file here states: the ratio is that of "
-                "the folders (flag nominal-ratio)."
-            ),
-            "LRID_simplified has the first frame of each burst alone: verify names the others as missing.",
-            "No checksums were published: eldata lock records those of your copy.",
-        ),
-        sources=(
-            f"{_CODE}, infos/*.info: every file, exposure and ISO; README: layout, sizes",
-            (
-                f"{_CODE}, data_process/phone_datasets.py: levels, size, scenes that are scored; trainer_LRID.py, "
-                "utils.py: scores"
-            ),
-            "PMN repository, issue 20: RGGB",
-            "README of hansen97/LRID and hansen97/LRID_simplified on Hugging Face: licence",
-        ),
-        contents=(
-            "139 scenes of a phone's IMX686, 60 indoor (gains 1, 2, 4, 8, 16), 57 outdoor and 22 indoor with an ND "
-            "filter (gains 1, 2, 4), ten DNG frames of ISO 6400 for each gain, RGGB, 4624 x 3472; references in .npy, "
-            "fused and aligned from 25 frames of ISO 100; dark frames of ISO 6400, and such of a warm sensor"
-        ),
-        levels="black 64, white 1023 for every file (the published code; 10 bits)",
-        scored=(
-            (
-                f"{_CODE}, trainer_LRID.py: the first frame of each burst of 9 indoor_x5 scenes (split eval) and 6 "
-                "outdoor_x3 scenes (split test), each gain by itself; reference clipped to [0, 1], the input not; "
-                "prediction clipped to [0, 1], whole frame, no scalar, PSNR and SSIM by scikit-image on packed values: "
-                "protocol pmn-lrid, subsets indoor-first and outdoor-first. The authors' own input has dark shading "
-                "subtracted."
-            ),
-            (
-                "YOND's public code (fenghansen/YOND_public, commit a0b5d27) loads the set, with the black level of "
-                "the files, but what scores it (YOND_LRID.py) is not among its files."
-            ),
-        ),
-        unknown=(
-            "The data type of the references' arrays, which are mosaics in DN.",
-            "How the files name the camera model: eldata does not check it.",
-            (
-                "Names, number and exposures of the dark frames: noiseparam-iso-6400.h5 in the PMN repository has "
-                "figures of 240 of them."
-            ),
-            "Whether LRID_simplified has the same names of files.",
-        ),
-    )
-    return card, records

@@ -56,8 +56,6 @@ class SidCamera:
         Camera, as the ELD manifest and the noise profiles call it.
     folder, extension
         Those of its files, the extension with the dot.
-    models
-        EXIF identity.
     misaligned, misaligned_unconfirmed
         Scenes whose pairs are misaligned according to the authors; according to others, or possibly.
     uncertain_iso
@@ -67,7 +65,6 @@ class SidCamera:
     name: str
     folder: str
     extension: str
-    models: tuple[str, ...]
     misaligned: tuple[str, ...] = ()
     misaligned_unconfirmed: tuple[str, ...] = ()
     uncertain_iso: tuple[str, ...] = ()
@@ -94,7 +91,6 @@ SONY = SidCamera(
     name="SonyA7S2",
     folder="Sony",
     extension=".ARW",
-    models=("ILCE-7SM2",),
     misaligned=("10034", "10045", "10172"),
     misaligned_unconfirmed=("00108", "00183"),
     uncertain_iso=("Sony/short/00207_02_0.033s.ARW",),
@@ -103,7 +99,6 @@ FUJI = SidCamera(
     name="FujifilmXT2",
     folder="Fuji",
     extension=".RAF",
-    models=("X-T2",),
     misaligned_unconfirmed=("10172",),
 )
 SID_CAMERAS = {"sid-sony": SONY, "sid-fuji": FUJI}

@@ -5,7 +5,6 @@ A header is read first and handed to a check, and nothing is reserved, decompres
 
 from __future__ import annotations
 
-import io
 import math
 import struct
 import zipfile
@@ -16,7 +15,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.files import file_problem
+from eldata.base.files import SmallReads, file_problem
 from eldata.base.isolation import GuardError, guarded
 from eldata.base.visible import in_line
 from eldata.errors import FileError
@@ -195,7 +194,7 @@ def opened_npz(path: Path) -> Iterator[NpzArchive]:
     """
     if not zipfile.is_zipfile(path):
         raise NpyError("is not a whole npz archive")
-    with _SmallReads(path.open("rb", buffering=0)) as file:
+    with SmallReads(path, _LARGEST_READ) as file:
         with _damage_named():
             archive = zipfile.ZipFile(file)
         with archive:
@@ -208,19 +207,6 @@ def _damage_named() -> Iterator[None]:
         yield
     except _DAMAGE as error:
         raise NpyError(_first_line(error)) from error
-
-
-class _SmallReads(io.BufferedReader):
-    """A file of which no large part is read at once, such as an endless list of members."""
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        if size is None or size < 0:
-            at = self.tell()
-            size = self.seek(0, io.SEEK_END) - at
-            self.seek(at)
-        if size > _LARGEST_READ:
-            raise zipfile.BadZipFile(f"its list of members takes {size} bytes")
-        return super().read(size)
 
 
 # --- png ------------------------------------------------------------------------------------------------------------

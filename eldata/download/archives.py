@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
-from eldata.base.files import file_problem, path_problem
+from eldata.base.files import SmallReads, file_problem, path_problem
 from eldata.base.isolation import Limits, guarded_file, isolation
 from eldata.base.visible import shown
 from eldata.download.blocks import MARK, block_members, unpack_blocks
@@ -229,20 +229,10 @@ def _damage_named(path: Path) -> Iterator[None]:
 # --- zip --------------------------------------------------------------------------------------------------------------
 
 
-class _Bounded(io.FileIO):
-    """A file of which nobody reads more at once than a table of contents may have."""
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        wanted = _LARGEST_READ_BYTES if size is None or size < 0 else size
-        if wanted > _LARGEST_READ_BYTES:
-            raise ValueError(f"a table of contents of {size} bytes")
-        return super().read(wanted)
-
-
 def _zip_members(path: Path) -> tuple[Member, ...]:
     """Return every entry of the central directory."""
     try:
-        with _damage_named(path), _Bounded(path) as file, zipfile.ZipFile(file) as archive:
+        with _damage_named(path), SmallReads(path, _LARGEST_READ_BYTES) as file, zipfile.ZipFile(file) as archive:
             infos = archive.infolist()
     except ArchiveError as error:
         if isinstance(error.__cause__, zipfile.BadZipFile):
@@ -273,7 +263,7 @@ def _zip_kind(info: zipfile.ZipInfo) -> Kind:
 def _unpack_zip(files: Sequence[tuple[Member, NewFile]], path: Path) -> dict[str, bool]:
     """Write members to files; zipfile checks the CRC of each at its end."""
     placed = {}
-    with _damage_named(path), _Bounded(path) as file, zipfile.ZipFile(file) as archive:
+    with _damage_named(path), SmallReads(path, _LARGEST_READ_BYTES) as file, zipfile.ZipFile(file) as archive:
         for member, new in files:
             with archive.open(member.stored_name) as source, closing(new.open()) as target:
                 shutil.copyfileobj(source, target, _PIECE_BYTES)

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 KEPT = ".eldata-hub"
 _DATASET = re.compile(r"https://huggingface\.co/datasets/([\w-][\w.-]*/[\w-][\w.-]*)")
-_PIECE_BYTES = 2**20
 
 
 def hub_name(download: Download) -> str:
@@ -117,8 +116,7 @@ def _fault(path: Path, file: RepoFile) -> str:
         return f"expected {file.size} bytes, found {size}"
     hashed = hashlib.sha256() if file.lfs else hashlib.sha1(b"blob %d\0" % size, usedforsecurity=False)
     with path.open("rb") as content:
-        while piece := content.read(_PIECE_BYTES):
-            hashed.update(piece)
+        hashlib.file_digest(content, lambda: hashed)
     expected = file.lfs.sha256 if file.lfs else file.blob_id
     return "" if hashed.hexdigest() == expected else f"expected the hash {expected}, found {hashed.hexdigest()}"
 

@@ -22,6 +22,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from eldata.errors import DatasetError
+from eldata.manifest.card import counts_of
 from eldata.manifest.catalogue import Manifest, shipped_manifest
 from eldata.manifest.clips import clip_names
 from eldata.manifest.patterns import expand, is_pattern
@@ -224,10 +225,11 @@ def _check_one_place(folder: Path, paths_of: Mapping[str, Sequence[str]]) -> Non
 
 
 def _listing_card(card: Card, what: str, name: str, records: Iterable[FrameRecord]) -> Card:
-    counts = dict(sorted(Counter(str(row.role) for row in records).items()))
     sources = (*card.sources, "the files of one copy: what is missing there is missing here")
     protocol = "drv-raw" if name == "drv-raw" else card.protocol
-    return replace(card, name=name, title=f"{card.title}: {what}", counts=counts, protocol=protocol, sources=sources)
+    return replace(
+        card, name=name, title=f"{card.title}: {what}", counts=counts_of(records), protocol=protocol, sources=sources
+    )
 
 
 def _kind_of_name(path: str, clip: str) -> str:

@@ -22,13 +22,14 @@ from eldata.manifest.catalogue import (
 )
 from eldata.manifest.patterns import expand
 from eldata.manifest.table import load_table
-from eldata.manifest.verify import content_findings, verify
+from eldata.manifest.verify import check_file, verify
 from eldata.manifest.verify_report import Problem, VerifyReport
 from eldata.manifest.writing import save_manifest
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
 
+    from eldata.manifest.card import CameraCard
     from eldata.manifest.patterns import RowFinding
     from eldata.records import FrameRecord
 
@@ -92,7 +93,7 @@ def lock(
     locked: dict[str, FrameRecord] = {}
     unfit: list[Problem] = []
     label = f"{loaded.name} (hashing)"
-    work = partial(_locked, FrameFiles.of(folder.absolute(), loaded.card, chosen))
+    work = partial(_locked, FrameFiles.of(folder.absolute(), loaded.card, chosen), loaded.card.cameras)
     for outcome in workers.attempt(work, chosen, label=label):
         if isinstance(outcome, Failed):
             advice = "make it readable where the hash is taken, and lock again"
@@ -149,9 +150,11 @@ def _loaded(path: Path, root: Path | str | None) -> Manifest:
         return Manifest(path, replace(card, counts=counts_of(records)), records, digest)
 
 
-def _locked(files: FrameFiles, record: FrameRecord) -> tuple[FrameRecord, list[RowFinding]]:
+def _locked(
+    files: FrameFiles, cameras: Mapping[str, CameraCard], record: FrameRecord
+) -> tuple[FrameRecord, list[RowFinding]]:
     path = files.folder / record.path
     require_files(path)
     # A hash of a damaged file would make the damage official.
-    findings = content_findings(files, record) if record.sha256 is None else []
+    findings = check_file(files, cameras, "full", record).findings if record.sha256 is None else []
     return replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path)), findings

@@ -143,7 +143,7 @@ def check_files(
     remarks: tuple[FileRemark, ...] = ()
     if level != "quick":
         files = FrameFiles.of(folder.absolute(), manifest.card, present)
-        work = partial(_check_file, files, manifest.card.cameras, level)
+        work = partial(check_file, files, manifest.card.cameras, level)
         outcomes = [
             _unchecked(outcome) if isinstance(outcome, Failed) else outcome
             for outcome in workers.attempt(work, present, label=f"{manifest.name} ({level})")
@@ -258,7 +258,8 @@ def _unchecked(failed: Failed[FrameRecord]) -> CheckedFile:
     return CheckedFile([RowFinding(failed.unit.path, "check", "a finished check", failed.reason, advice)])
 
 
-def _check_file(files: FrameFiles, cameras: Mapping[str, CameraCard], level: Level, record: FrameRecord) -> CheckedFile:
+def check_file(files: FrameFiles, cameras: Mapping[str, CameraCard], level: Level, record: FrameRecord) -> CheckedFile:
+    """Look into one file of a set whose cameras these are."""
     folder, file = files.folder, files.at(record.path)
     path = folder / record.path
     require_files(path)
@@ -278,23 +279,6 @@ def _check_file(files: FrameFiles, cameras: Mapping[str, CameraCard], level: Lev
         elif is_png(record.path):
             findings += png_decode_findings(folder, record)
     return outcome
-
-
-def content_findings(files: FrameFiles, record: FrameRecord) -> list[RowFinding]:
-    """Say what is wrong with the content of a file whose hash is not known: decode it and look for damage."""
-    folder, file = files.folder, files.at(record.path)
-    path = folder / record.path
-    if isinstance(file, StatedFile):
-        return _stated_findings(file, record, decode=True).findings
-    if is_png(record.path):
-        return png_decode_findings(folder, record)
-    if path.suffix == ".npy":
-        return []
-    try:
-        _, decoded = raw_facts(path, decode=True)
-    except RawFileError as error:
-        return [_unreadable(record, error)]
-    return _decoded_findings(record, decoded)
 
 
 def _unreadable(record: FrameRecord, error: RawFileError, expected: str = "a whole raw file") -> RowFinding:

@@ -25,7 +25,7 @@ import numpy as np
 
 from eldata.errors import RawFileError
 from eldata.raw.lossless_jpeg import MOST_HEADER, SOI, Stream, find_stream
-from eldata.raw.tiff import ACTIVE_AREA, COMPRESSION, TILE_HEIGHT, TILE_WIDTH
+from eldata.raw.tiff import ACTIVE_AREA, TILE_HEIGHT, TILE_WIDTH
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -147,15 +147,11 @@ class _Extent:
         return f"its image data, at byte {self.offset + at} of the file, {what}"
 
 
-def _compression(directory: Directory) -> int:
-    return int(next(iter(directory.values.get(COMPRESSION, ())), _UNCOMPRESSED))
-
-
 def _compressed(path: Path, directories: Sequence[Directory]) -> Iterator[tuple[Directory, int, int]]:
     """Yield directory, offset and length of each strip or tile of compressed data, of previews too."""
     left = _MOST_SHARED * path.stat().st_size
     for directory in directories:
-        for offset, count in directory.extents if _compression(directory) != _UNCOMPRESSED else ():
+        for offset, count in directory.extents if directory.compression != _UNCOMPRESSED else ():
             if min(offset, count) < 0:  # a preview's: of the raw image it is refused before
                 continue
             left -= count
@@ -178,7 +174,7 @@ def _extents(path: Path, directories: Sequence[Directory]) -> Iterator[_Extent]:
                 if directory.is_mosaic:
                     raise _damaged_header(path, offset, str(error)) from error
                 continue  # a preview
-            if directory.is_mosaic and _compression(directory) == _JPEG and content[: len(SOI)].tobytes() != SOI:
+            if directory.is_mosaic and directory.compression == _JPEG and content[: len(SOI)].tobytes() != SOI:
                 raise _damaged_header(path, offset, "does not begin as a JPEG")
             # CR2 does not say which of its images is the mosaic; no preview is a lossless JPEG.
             if directory.is_mosaic or stream is not None:
@@ -200,7 +196,7 @@ def data_fault(path: Path, directories: Sequence[Directory], mosaic: NDArray[Any
         If the header of a strip's JPEG is damaged.
     """
     smooth: bool | None = None
-    compressions = {int(code) for found in directories if found.is_mosaic for code in found.values.get(COMPRESSION, ())}
+    is_nikon = any(found.is_mosaic and found.compression == _NIKON for found in directories)
     for extent in _extents(path, directories):
         stream = extent.stream
         if stream is not None:
@@ -211,7 +207,7 @@ def data_fault(path: Path, directories: Sequence[Directory], mosaic: NDArray[Any
             run = long_run(stream.content[stream.start : stream.end], 0)
             start = stream.start
         else:
-            sure, start = _NIKON in compressions, 0
+            sure, start = is_nikon, 0
             run = long_run(extent.content, 0) or long_run(extent.content, 0xFF)
         if run is None:
             continue
@@ -226,12 +222,12 @@ def data_fault(path: Path, directories: Sequence[Directory], mosaic: NDArray[Any
     return None
 
 
-def long_run(values: NDArray[Any], value: int, least: int = _LEAST_RUN) -> tuple[int, int] | None:
-    """Return where the first run of at least ``least`` equal values begins, and the position behind it.
+def long_run(values: NDArray[Any], value: int) -> tuple[int, int] | None:
+    """Return where the first run of at least 512 equal values begins, and the position behind it.
 
     Reads little of an array (n,) without such a run.
     """
-    size = least // 2  # so that a long run covers at least one block
+    size = _LEAST_RUN // 2  # so that a long run covers at least one block
     blocks = values[: len(values) // size * size].reshape(-1, size)
     full = np.flatnonzero(blocks[:, 0] == value)
     full = full[blocks[full, -1] == value]
@@ -243,7 +239,7 @@ def long_run(values: NDArray[Any], value: int, least: int = _LEAST_RUN) -> tuple
         before, after = values[max(0, first - size) : first][::-1] != value, values[behind : behind + size] != value
         first -= int(before.argmax()) if before.any() else len(before)
         behind += int(after.argmax()) if after.any() else len(after)
-        if behind - first >= least:
+        if behind - first >= _LEAST_RUN:
             return first, behind
     return None
 
@@ -276,9 +272,9 @@ def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[Any], black_dn
     if min(black_dn) <= 0:
         return None
     for found in directories:
-        if not found.is_mosaic or _compression(found) != _UNCOMPRESSED:
+        if not found.is_mosaic or found.compression != _UNCOMPRESSED:
             continue
-        width, height = (int(next(iter(found.values.get(tag, ())), 0)) for tag in (TILE_WIDTH, TILE_HEIGHT))
+        width, height = found.number(TILE_WIDTH, 0), found.number(TILE_HEIGHT, 0)
         if width < 1 or height < 1:
             continue
         top, left = map(int, found.values.get(ACTIVE_AREA, (0, 0))[:2])

@@ -21,7 +21,6 @@ from eldata.raw.colour import white_balance_of
 from eldata.raw.jpeg_xl import read_first_header
 from eldata.raw.tiff import (
     BITS,
-    COMPRESSION,
     JPEG_XL_DISTANCE,
     NOISE_PROFILE,
     OPCODE_LISTS,
@@ -206,11 +205,10 @@ def lossy_compression(path: Path) -> str | None:
     for directory in read_directories(path):
         if not directory.is_mosaic:
             continue
-        compression = directory.values.get(COMPRESSION, ())
         held = sum(count for _, count in directory.extents)
-        if _SONY in compression and held == directory.pixels:
+        if directory.compression == _SONY and held == directory.pixels:
             return "Sony's lossy compression (choose uncompressed raw in the camera)"
-        if _LOSSY_JPEG in compression:
+        if directory.compression == _LOSSY_JPEG:
             return "a DNG's lossy JPEG compression (convert from the original without it)"
         if directory.is_jpeg_xl and _is_lossy(path, directory):
             return "a DNG's lossy JPEG XL compression (convert from the original without it)"

@@ -156,7 +156,7 @@ class _Layout:
         if not self.is_tiled:
             self.height = min(self.height, height)
         self.samples = mosaic.samples if mosaic.number(PLANAR, 1) == 1 else 1
-        self.compression, self.predictor = mosaic.number(COMPRESSION, _UNCOMPRESSED), mosaic.number(PREDICTOR, 1)
+        self.compression, self.predictor = mosaic.compression, mosaic.number(PREDICTOR, 1)
         self.bytes = mosaic.number(BITS, 32) // 8
         self.header = read_first_header(path, mosaic) if mosaic.is_jpeg_xl else None
         if min(height, width, self.height, self.width, self.samples) < 1:

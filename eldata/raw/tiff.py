@@ -119,9 +119,14 @@ class Directory:
         return self.number(SAMPLE_FORMAT, 1) == _FLOAT
 
     @property
+    def compression(self) -> int:
+        """How its data are compressed; 1: they are not."""
+        return self.number(COMPRESSION, 1)
+
+    @property
     def is_jpeg_xl(self) -> bool:
         """Whether it is compressed as JPEG XL."""
-        return self.number(COMPRESSION, 1) == JPEG_XL
+        return self.compression == JPEG_XL
 
     @property
     def most_pixels(self) -> int:

@@ -30,12 +30,11 @@ _BY_HEAD = {
     b"\xff\xd8\xff": ("is a JPEG picture whatever its name says", "use the raw file that the camera wrote with it"),
     b"PK\x03\x04": ("is a ZIP archive (Capture One's EIP is one)", "unpack it and use the raw file inside"),
 }
-_BY_COMPRESSION = {
-    9: (
-        "is a GPR (GoPro, VC-5 compression), which LibRaw cannot decode",
-        "convert it to DNG with GoPro's gpr_tools (gpr_tools -i NAME.GPR -o NAME.DNG; github.com/gopro/gpr)",
-    ),
-}
+_VC5 = 9  # a compression
+_GPR = (
+    "is a GPR (GoPro, VC-5 compression), which LibRaw cannot decode",
+    "convert it to DNG with GoPro's gpr_tools (gpr_tools -i NAME.GPR -o NAME.DNG; github.com/gopro/gpr)",
+)
 _GREY_TIFF = (
     "is a grey TIFF, which states no colour filter array and neither black nor white level",
     f"use the camera's raw file, or {_STATE}",
@@ -76,17 +75,15 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
     for directory in directories:
         if not directory.is_mosaic:
             continue
-        values = directory.values
         if directory.is_float:
             check_floats(path, directory)
         elif directory.is_jpeg_xl:
             check_jpeg_xl(path, directory)
-        elif directory.number(tiff.COMPRESSION, 1) in _DEFLATE:
+        elif directory.compression in _DEFLATE:
             raise UnusableRawError(path, *_WHOLE_IN_DEFLATE)
-        for compression in map(int, values.get(tiff.COMPRESSION, ())):
-            if compression in _BY_COMPRESSION:
-                raise UnusableRawError(path, *_BY_COMPRESSION[compression])
-        layout = next(iter(values.get(tiff.CFA_LAYOUT, ())), _LAYOUT_RECTANGULAR)
+        elif directory.compression == _VC5:
+            raise UnusableRawError(path, *_GPR)
+        layout = directory.number(tiff.CFA_LAYOUT, _LAYOUT_RECTANGULAR)
         if layout != _LAYOUT_RECTANGULAR:
             raise UnusableRawError(
                 path,

@@ -164,19 +164,6 @@ def test_a_signal_waits_for_the_end_of_what_must_not_be_half() -> None:
     assert done == ["inside"]
 
 
-def test_held_needs_no_command_line() -> None:
-    done = []
-
-    def work() -> None:
-        with held():
-            signal.raise_signal(signal.SIGINT)
-            done.append(True)
-
-    with pytest.raises(KeyboardInterrupt):
-        work()
-    assert done == [True]
-
-
 # --- programs -----------------------------------------------------------------------------------------------------
 
 # Sends itself a signal as it imports its k-th module, and says how many there were if there are not so many.

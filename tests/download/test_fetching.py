@@ -53,6 +53,14 @@ def refused(site: server.Site, target: Path, *words: str, **options: Any) -> str
     return message
 
 
+def begin(site: server.Site, target: Path) -> None:
+    """Have 16 kB arrive, and the next request be the first that the server knows of; it serves again."""
+    site.then(server.breaking_after(16_384), server.breaking_after(0))
+    refused(site, target)
+    site.then(server.serve)
+    site.requests.clear()
+
+
 def part_of(target: Path) -> Path:
     return target.with_name(f"{target.name}.part")
 
@@ -267,10 +275,7 @@ def test_a_file_that_changes_between_two_ranges_is_not_spliced(
 
 
 def test_another_address_starts_over(site: server.Site, target: Path) -> None:
-    site.then(server.breaking_after(16_384), server.breaking_after(0))
-    refused(site, target)
-    site.then(server.serve)
-    site.requests.clear()
+    begin(site, target)
     site.address += "?mirror"
     fetched(site, target)
     assert site.ranges == [None]
@@ -278,22 +283,17 @@ def test_another_address_starts_over(site: server.Site, target: Path) -> None:
 
 @pytest.mark.parametrize("spoil", ["missing", "[]"])
 def test_bytes_of_unknown_origin_start_over(spoil: str, site: server.Site, target: Path) -> None:
-    site.then(server.breaking_after(16_384), server.breaking_after(0))
-    refused(site, target)
+    begin(site, target)
     assert note_of(target) == {"address": site.address, "total_bytes": len(CONTENT), "mark": '"one"'}
     note = target.with_name("set.zip.part.json")
     note.unlink() if spoil == "missing" else note.write_text(spoil)
-    site.then(server.serve)
-    site.requests.clear()
     fetched(site, target)
     assert site.ranges == [None]
 
 
 def test_a_run_killed_before_its_last_step_asks_for_nothing(site: server.Site, target: Path) -> None:
-    site.then(server.breaking_after(16_384), server.breaking_after(0))
-    refused(site, target)
+    begin(site, target)
     part_of(target).write_bytes(CONTENT)
-    site.requests.clear()
     fetched(site, target)
     assert site.requests == []
 
@@ -314,11 +314,9 @@ def test_a_size_that_is_not_the_cards(site: server.Site, target: Path) -> None:
 
 
 def test_a_part_of_another_size_than_the_cards_starts_over(site: server.Site, target: Path) -> None:
-    site.then(server.breaking_after(16_384), server.breaking_after(0))
-    refused(site, target)
+    begin(site, target)
     part_of(target).write_bytes(CONTENT)
     site.then(changed)
-    site.requests.clear()
     size_bytes = len(zipped(contents(30_001)))
     assert size_bytes != len(CONTENT)
     fetched(site, target, size_bytes=size_bytes)

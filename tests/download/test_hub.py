@@ -122,24 +122,10 @@ def hub() -> Iterator[Hub]:
 def download(hub: Hub, root: Path, *more: str) -> subprocess.CompletedProcess[str]:
     """Run the command in a process of its own: huggingface_hub reads its endpoint when it is imported."""
     environment = os.environ | {"HF_ENDPOINT": hub.address, "HF_HOME": str(root / "home"), "HF_TOKEN": "secret"}
-    environment |= {
-        "NO_PROXY": "127.0.0.1",
-        "HF_HUB_DISABLE_TELEMETRY": "1",
-        "HF_HUB_DISABLE_XET": "1",
-        "HF_HUB_OFFLINE": "0",
-    }
-    command = [
-        sys.executable,
-        "-m",
-        "eldata.cli.main",
-        "download",
-        "lrid",
-        "--root",
-        str(root),
-        "--part",
-        "simplified",
-        *more,
-    ]
+    environment |= {"NO_PROXY": "127.0.0.1", "HF_HUB_OFFLINE": "0"}
+    environment |= dict.fromkeys(("HF_HUB_DISABLE_TELEMETRY", "HF_HUB_DISABLE_XET"), "1")
+    command = [sys.executable, "-m", "eldata.cli.main", "download", "lrid", "--part", "simplified"]
+    command += ["--root", str(root), *more]
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
 

@@ -13,16 +13,13 @@ import pytest
 from eldata import evaluate
 from eldata.datasets import PairDataset
 from eldata.errors import ManifestError
-from eldata.manifest.card import card_text
 from eldata.manifest.catalogue import (
     carded_names,
     shipped_card,
-    shipped_folder,
     shipped_manifest,
     shipped_names,
 )
 from eldata.manifest.pairs import select_pairs
-from manifests.cards_alone import CARDS_ALONE
 from manifests.published_lrid import Burst, bursts_from_infos, load_bursts, save_bursts
 from manifests.published_sidd import load_instances
 
@@ -245,10 +242,7 @@ def test_crvd_has_55_groups_of_seven_frames() -> None:
 
 def test_every_set_has_a_card_and_some_have_it_alone() -> None:
     assert set(carded_names()) - set(shipped_names()) == set(ALONE)
-    assert [card.name for card in CARDS_ALONE] == list(ALONE)
-    for card in CARDS_ALONE:
-        assert (shipped_folder() / f"{card.name}.json").read_text(encoding="utf-8") == card_text(card)
-        assert shipped_card(card.name) == card
+    for card in map(shipped_card, ALONE):
         for text in (card.title, card.licence, card.citation, card.contents):
             assert text
         assert card.homepage.startswith("https://")

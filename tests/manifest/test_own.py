@@ -34,6 +34,11 @@ def shoot(path: Path, exposure: Exposure, sensor: Sensor = SENSOR, taken: dateti
     write_dng(path, np.full((24, 32), 600, np.uint16), sensor, exposure, taken=taken)
 
 
+def shoot_pair(folder: Path) -> None:
+    shoot(folder / "clean.dng", REFERENCE)
+    shoot(folder / "dark.dng", NOISY)
+
+
 def told(found: OwnSet) -> dict[str, tuple[str, str, object, object]]:
     return {one.path: (one.role, one.scene, one.ratio, one.reference) for one in found.records}
 
@@ -70,8 +75,7 @@ def test_sid_by_patterns(tmp_path: Path) -> None:
 
 def test_what_is_written_verifies_and_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for scene in ("hall", "stairs"):
-        shoot(tmp_path / "MINE" / scene / "clean.dng", REFERENCE)
-        shoot(tmp_path / "MINE" / scene / "dark.dng", NOISY)
+        shoot_pair(tmp_path / "MINE" / scene)
     csv = tmp_path / "mine.csv"
     command = ["manifest", str(tmp_path / "MINE"), "-o", str(csv), "--jobs", "1"]
     assert main(command) == 0
@@ -86,8 +90,7 @@ def test_what_is_written_verifies_and_is_not_written_over(tmp_path: Path, capsys
 
 def test_what_cannot_be_known_is_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "MINE"
-    shoot(folder / "sure" / "clean.dng", REFERENCE)
-    shoot(folder / "sure" / "dark.dng", NOISY)
+    shoot_pair(folder / "sure")
     shoot(folder / "alike" / "a.dng", NOISY)
     shoot(folder / "alike" / "b.dng", NOISY)
     shoot(folder / "brighter" / "high-iso.dng", replace(REFERENCE, iso=Fraction(3200)))
@@ -128,15 +131,13 @@ def test_patterns_that_do_not_fit(tmp_path: Path) -> None:
 
 def test_scenes_of_one_name_are_kept_apart_and_calibration_frames_are_told(tmp_path: Path) -> None:
     for night in ("first night", "second"):
-        shoot(tmp_path / night / "hall" / "clean.dng", REFERENCE)
-        shoot(tmp_path / night / "hall" / "dark.dng", NOISY)
+        shoot_pair(tmp_path / night / "hall")
     shoot(tmp_path / "calibration" / "bias" / "ISO100" / "b.dng", Exposure(Fraction(100), Fraction(1, 8000)))
     found = sort_own_set(tmp_path, "mine")
     assert not found.problems
     assert {one.scene for one in found.records} == {"first-night-hall", "second-hall", ""}
     for name in ("a b", "a  b"):  # one name without spaces
-        shoot(tmp_path / name / "clean.dng", REFERENCE)
-        shoot(tmp_path / name / "dark.dng", NOISY)
+        shoot_pair(tmp_path / name)
     assert [(one.path, one.field) for one in sort_own_set(tmp_path, "mine").problems] == [("a b", "scene")]
     assert told(found)["calibration/bias/ISO100/b.dng"] == ("bias", "", None, None)
     assert found.card.counts == {"bias": 1, "noisy": 2, "reference": 2}

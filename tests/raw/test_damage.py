@@ -344,18 +344,17 @@ def test_codes_that_end_elsewhere(tmp_path: Path) -> None:
             check_streams(path, read_directories(path))
 
 
-def test_zeros_under_a_black_level(tmp_path: Path) -> None:
-    path, _ = damaged(
-        write(tmp_path / "a.dng", photograph(3, 3000), "uncompressed"), 2 * (70 * WIDTH + 11), bytes(PAGE)
-    )
-    refused(path, "2048 pixels in a row, from row 70, column 11 on, are 0 DN, below the black level 512 DN")
-
-
-def test_ones_far_above_white(tmp_path: Path) -> None:
-    path, _ = damaged(
-        write(tmp_path / "a.dng", photograph(3, 3000), "uncompressed"), 2 * (70 * WIDTH + 11), b"\xff" * PAGE
-    )
-    refused(path, "2048 pixels in a row, from row 70, column 11 on, are 65535 DN, far above the white level 15871 DN")
+@pytest.mark.parametrize(
+    ("fill", "said"),
+    [
+        (b"\0", "0 DN, below the black level 512 DN"),
+        (b"\xff", "65535 DN, far above the white level 15871 DN"),
+    ],
+)
+def test_pixels_that_no_sensor_gives(fill: bytes, said: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.dng", photograph(3, 3000), "uncompressed")
+    damaged(path, 2 * (70 * WIDTH + 11), fill * PAGE)
+    refused(path, f"2048 pixels in a row, from row 70, column 11 on, are {said}")
 
 
 def test_pixels_without_noise() -> None:

@@ -68,21 +68,10 @@ def test_a_missing_file(tmp_path: Path) -> None:
     refused(tmp_path / "b.ARW", "cannot be read: No such file or directory")
 
 
-def test_a_folder(tmp_path: Path) -> None:
-    (tmp_path / "a.dng").mkdir()
-    refused(tmp_path / "a.dng", "is a folder, not a file")
-
-
 @pytest.mark.parametrize("name", ["a.dng", "a.RAF", "a.CR2"])
 def test_an_empty_file(name: str, tmp_path: Path) -> None:
     (tmp_path / name).touch()
     refused(tmp_path / name, "is empty")
-
-
-@pytest.mark.parametrize("text", ["x", "not a raw file\n" * 1000], ids=["one byte", "15 kB"])
-def test_a_text_file_named_dng(text: str, tmp_path: Path) -> None:
-    (tmp_path / "a.dng").write_text(text)
-    refused(tmp_path / "a.dng", "LibRaw")
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF"])
@@ -92,7 +81,9 @@ def test_an_ordinary_image_named_as_a_raw_file(kind: str, tmp_path: Path) -> Non
     refused(tmp_path / "a.ARW", "is a JPEG picture" if kind == "JPEG" else "not a raw file that LibRaw knows")
 
 
-@pytest.mark.parametrize("content", [b"\0" * 5000, b"\xff" * 5000, b"II*\0" * 1000, b"MM\0*" * 1000, b"II*\0"])
+@pytest.mark.parametrize(
+    "content", [b"\0" * 5000, b"\xff" * 5000, b"II*\0" * 1000, b"MM\0*" * 1000, b"II*\0", b"x\n" * 5000]
+)
 def test_noise(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "a.dng").write_bytes(content)
     refused(tmp_path / "a.dng", ".")

@@ -17,7 +17,16 @@ from eldata.raw import pack, read_header, read_raw, write_dng
 from eldata.raw.libraw import count_images
 from eldata.raw.tiff import read_directories
 from eldata.raw.unsupported import refuse_unsupported
-from tests.raw.helpers import BAYER, EXPOSURE, active_area, letters, make_sensor, random_mosaic, write_plain_dng
+from tests.raw.helpers import (
+    BAYER,
+    EXPOSURE,
+    active_area,
+    in_fields,
+    letters,
+    make_sensor,
+    random_mosaic,
+    write_plain_dng,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,12 +48,6 @@ def signal_of(path: Path) -> NDArray[np.float64]:
 
 
 # --- the order of rows and columns ----------------------------------------------------------------------------
-
-
-def in_fields(mosaic: NDArray[np.uint16], rows: int, columns: int) -> NDArray[np.uint16]:
-    """As DNG 1.7.1 stores it: field after field, each of which has every so-manieth row, or column."""
-    mosaic = np.concatenate([mosaic[first::rows] for first in range(rows)], axis=0)
-    return np.concatenate([mosaic[:, first::columns] for first in range(columns)], axis=1)
 
 
 @pytest.mark.parametrize("compression", ["none", "lossless-jpeg"])

@@ -14,7 +14,7 @@ from eldata.errors import RawFileError, UnusableRawError
 from eldata.isp import render_libraw
 from eldata.raw import jpeg_xl, read_header, read_raw
 from eldata.raw.sensor_facts import lossy_compression
-from tests.raw.helpers import active_area, add_tags, black_levels, random_mosaic, write_plain_dng
+from tests.raw.helpers import active_area, add_tags, black_levels, in_fields, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,17 +53,6 @@ def write_jpeg_xl(
     streams = iter([change(encoded(one, **coding or {})) for one in parts])
     layout |= {"shape": stored.shape, "dtype": np.uint16, "compression": JPEG_XL}
     write_plain_dng(path, streams, ("RG", "GB"), *tags, **layout, **options)
-
-
-def in_fields(mosaic: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
-    """As the specification has RowInterleaveFactor and ColumnInterleaveFactor, row by row and column by column."""
-    lines: list[list[Any]] = [[] for _ in range(rows)]
-    for number, line in enumerate(mosaic):
-        fields: list[list[int]] = [[] for _ in range(columns)]
-        for place, value in enumerate(line):
-            fields[place % columns].append(value)
-        lines[number % rows].append([value for field in fields for value in field])
-    return np.array([line for field in lines for line in field], mosaic.dtype)
 
 
 def interleave(rows: int, columns: int) -> tuple[Tag, Tag]:

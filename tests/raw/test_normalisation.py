@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from eldata.errors import ArgumentError
 from eldata.raw import denormalise, normalise, pack, pack_normalised, packed_shape
@@ -29,7 +27,6 @@ from tests.raw.helpers import (
     indices_of,
     is_xtrans,
     layout_of,
-    levels_of,
     make_sensor,
     random_mosaic,
     reference_pack,
@@ -85,26 +82,6 @@ def test_pack_normalised_is_the_formula_bit_for_bit(name: str, clip: Clip, gain:
     # The data must reach both limits for the comparison to say something about them.
     assert expected.min() < 0 or clip == "both"
     assert expected.max() > 1 or clip != "none"
-
-
-@given(
-    cfa=st.sampled_from(list(CFAS.values())),
-    clip=st.sampled_from(CLIPS),
-    gain=st.floats(0, 1e6, width=32),
-    black=st.lists(st.floats(0, 4000, width=32), min_size=4, max_size=4),
-    white=st.floats(4001, 65535, width=32),
-    seed=st.integers(0, 2**32 - 1),
-    shape=st.tuples(st.integers(11, 30), st.integers(11, 30)),
-)
-@settings(deadline=None, max_examples=150)
-def test_pack_normalised_is_the_formula_for_any_levels(
-    cfa: Cfa, clip: Clip, gain: float, black: list[float], white: float, seed: int, shape: tuple[int, int]
-) -> None:
-    mosaic = random_mosaic(*shape, seed=seed, low=0, high=65535)
-    levels = black[: levels_of(cfa)]
-    expected = formula(reference_pack(mosaic, cfa), cfa, levels, white, clip, gain)
-    result = pack_normalised(mosaic, cfa, levels, white, clip=clip, gain=gain)
-    np.testing.assert_array_equal(result, expected, strict=True)
 
 
 @pytest.mark.parametrize("name", ["GBRG", "xtrans-31", "quad-03", "nona-30"])

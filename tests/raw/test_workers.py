@@ -59,40 +59,6 @@ process.kill()
 process.join()
 """
 
-LOADER_SCRIPT = """
-import sys
-import rawpy
-from torch.utils.data import DataLoader
-from eldata.raw import read_raw
-
-def read_and_develop(path):
-    frame = read_raw(path)
-    with rawpy.RawPy() as raw:
-        raw.open_file(sys.argv[2])  # LibRaw develops no X-Trans of this size
-        raw.unpack()
-        raw.postprocess()
-    return frame
-
-if __name__ == "__main__":
-    method, *paths = sys.argv[1:]
-    with rawpy.imread(paths[0]) as raw:
-        raw.postprocess()
-    loader = DataLoader(
-        paths,
-        batch_size=None,
-        collate_fn=read_and_develop,
-        num_workers=2,
-        multiprocessing_context=method,
-        timeout=250,  # of pytest's 600 s: a loader that hangs names itself
-    )
-    for _ in range(2):
-        for path, frame in zip(paths, loader, strict=True):
-            expected = read_raw(path)
-            assert (frame.mosaic == expected.mosaic).all() and frame.sensor == expected.sensor
-            assert frame.exposure == expected.exposure and frame.path == expected.path
-    print("all equal")
-"""
-
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
@@ -127,14 +93,6 @@ def run_script(folder: Path, script: str, *arguments: str) -> subprocess.Complet
 def test_a_forked_child_of_a_process_that_has_developed(before: str, files: list[Path], tmp_path: Path) -> None:
     done = run_script(tmp_path, FORK_SCRIPT, str(files[1]), before)
     assert done.stdout.strip() == "exit code 0", done.stderr
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_data_loader_workers_of_a_process_that_has_developed(method: str, files: list[Path], tmp_path: Path) -> None:
-    done = run_script(tmp_path, LOADER_SCRIPT, method, *map(str, files))
-    assert done.stdout.strip() == "all equal", done.stderr
-    assert "Error" not in done.stderr
 
 
 # Python 3.12 and later warn of any fork in a process that has threads.

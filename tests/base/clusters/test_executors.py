@@ -53,14 +53,6 @@ def test_failing_units_do_not_lose_the_rest(executor: Executor) -> None:
     assert all(isinstance(one.error, RawFileError) for one in failed)
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_failing_units_without_an_executor(jobs: int, importable: None) -> None:
-    found = list(Workers(jobs).attempt(work.fail_at_threes, range(4)))
-    assert [one.reason if isinstance(one, Failed) else one for one in found] == [
-        *("0.dng: is not whole", 1, 2, "3.dng: is not whole")
-    ]
-
-
 def test_a_mistake_in_the_program_is_the_units_failure_too(executor: Executor) -> None:
     found = list(Workers(executor=executor).attempt(work.fail_in_the_program, [1, 2, 3]))
     assert (found[0], found[2]) == (-1, 3)

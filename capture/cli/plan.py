@@ -35,8 +35,7 @@ from capture.cli.values import (
     seconds,
 )
 from capture.protocol import COUNTS, PROTOCOLS, CaptureProtocol
-from eldata.base.console import OK, add_shared, each_of
-from eldata.base.files import write_json
+from eldata.base.console import OK, add_shared, show_and_write
 from eldata.base.outputs import NEW, add_output, json_kind
 from eldata.base.tables import text_table
 from eldata.errors import ArgumentError
@@ -148,17 +147,16 @@ def run(arguments: argparse.Namespace) -> int:
     if progress is not None:  # before the other changes, which may be of what it says
         plan = progress.as_noted(progress.as_metered(plan))
     plan = _changed(plan, arguments)
-    target = arguments.output or (arguments.plan if plan != before else None)
+    target: str = arguments.output or (arguments.plan if plan != before else "")
 
-    def write_plan(target: str) -> None:
+    def told() -> str:
+        return "\n\n".join([format_plan(plan), *([] if progress is None else [format_left(progress)])])
+
+    def write_plan() -> None:
         plan.save(target)
         print(f"\nplan: {target}")
 
-    each_of(
-        lambda: print("\n\n".join([format_plan(plan), *([] if progress is None else [format_left(progress)])])),
-        partial(write_plan, target) if target is not None else None,
-        arguments.json and (lambda: write_json(arguments.json, plan.as_dict())),
-    )
+    show_and_write(arguments, told, plan.as_dict, write_plan if target else None)
     return OK
 
 

@@ -62,6 +62,8 @@ def run(arguments: console.Arguments) -> int:
 
     if arguments.beside is not None and (arguments.calibration or arguments.benchmark):
         raise ArgumentError("--beside is about the demo that scores: leave it out with --calibration and --benchmark")
+    if arguments.scenes is not None and arguments.calibration:
+        raise ArgumentError("--scenes is about photographs of scenes: leave it out with --calibration")
     if arguments.calibration:
         from eldata.demo.calibration import run_calibration_demo
         from eldata.demo.calibration_frames import DEMO_FEATURES

@@ -8,7 +8,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +15,6 @@ from capture.calibration import plan_calibration
 from capture.matching import Match, match
 from capture.noted import explain_metering
 from capture.observed import Observed, ObservedFrame
-from eldata.errors import ArgumentError
 from tests.capture.simulated import START, Taken, as_planned, plan_of
 from tests.cases import in_one_test
 
@@ -293,11 +291,6 @@ def test_frames_of_another_plan() -> None:
     found = match(plan_of("4"), observed)
     assert found.frames == {}
     assert kinds(found) == ["extra", "missing"]
-
-
-def test_repeated_must_be_known() -> None:
-    with pytest.raises(ArgumentError, match="repeated must be 'last' or 'first'"):
-        match(plan_of("4"), Observed((), (), True), repeated="best")  # type: ignore[arg-type]
 
 
 # --- scenes that were metered again -----------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from capture.cli import main
 from capture.plan import Plan
 from tests.capture.test_checklist import exported
 from tests.cases import in_one_test
+from tests.shared import there
 
 TABLE = """\
 SonyA7S2: 14 shots; base ISO 100, ISOs 800, 1600, low-light factors 10, 200
@@ -100,8 +101,7 @@ def test_calibration_frames(at_work: Path, capsys: pytest.CaptureFixture[str]) -
     assert len(Plan.load("c.json").shots) == 2 * (10 + 12)
     assert new("--scenes", "1", "--metered", "4", "-o", "plan.json") == 0
     assert main(["plan", "plan.json", "--calibration", "--flat-clips-at", "1/2", "--bias-frames", "6"]) == 0
-    found = Plan.load("plan.json").calibration
-    assert found is not None
+    found = there(Plan.load("plan.json").calibration)
     assert (found.bias_frames, found.isos) == (6, (100, 200, 400, 800, 1600, 3200))
 
 

@@ -234,24 +234,6 @@ def test_a_missing_scene_of_its_own_exposure() -> None:
     assert len(found.missing) == 16
 
 
-def test_a_missing_scene_among_equal_ones_cannot_be_told() -> None:
-    plan = plan_of("4", "4", "4")
-    observed, _ = develop([*scene_of(plan, "scene-1"), *scene_of(plan, "scene-3")])
-    found = match(plan, observed)
-    assert kinds(found) == ["ambiguous", "missing"]
-    assert {remark.scene for remark in found.missing} == {"scene-3"}
-    assert "scene-1, scene-2, scene-3 have equal exposures, and 2 of these 3 were found" in found.remarks[0].text
-
-
-def test_a_whole_scene_taken_twice_among_equal_ones_cannot_be_told() -> None:
-    plan = plan_of("4", "4")
-    observed, _ = develop([*scene_of(plan, "scene-1"), *scene_of(plan, "scene-1"), *scene_of(plan, "scene-2")])
-    found = match(plan, observed)
-    assert len(found.frames) == 32
-    assert found.doubtful
-    assert "ambiguous" in kinds(found)
-
-
 def test_a_whole_scene_taken_twice() -> None:
     plan = plan_of("4", "1")
     first = [replace(press, slot=None) for press in scene_of(plan, "scene-1")]
@@ -284,13 +266,6 @@ def test_no_frames_at_all() -> None:
     found = match(plan_of("4"), Observed((), (), True))
     assert found.frames == {}
     assert len(found.missing) == 16
-
-
-def test_frames_of_another_plan() -> None:
-    observed, _ = develop([EXTRA] * 20)
-    found = match(plan_of("4"), observed)
-    assert found.frames == {}
-    assert kinds(found) == ["extra", "missing"]
 
 
 # --- scenes that were metered again -----------------------------------------------------------------------------------

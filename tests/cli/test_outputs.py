@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import re
 import shutil
@@ -294,51 +293,6 @@ def test_a_full_disk_costs_an_evaluation_neither_its_table_nor_its_other_files(
     )
     assert Path("x.csv").read_text() == Path("whole.csv").read_text()
     assert sorted(path.name for path in Path.cwd().iterdir()) == ["whole.csv", "x.csv"]
-
-
-def test_a_page_that_cannot_be_drawn_costs_no_numbers(
-    eldata: Cli, tree: Tree, predictions: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(*_: object, **__: object) -> None:
-        raise RuntimeError("no font")
-
-    monkeypatch.setattr("eldata.reports.evaluation.write_evaluation_page", broken)
-    arguments = ("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
-    outcome = eldata(*arguments, "--html", "x.html", "--json", "x.json")
-    assert outcome.code == 2
-    assert "12 of 12 pairs" in outcome.out
-    assert outcome.err == "eldata evaluate: unexpected RuntimeError: no font; --debug shows where\n"
-    assert len(json.loads(Path("x.json").read_text())["images"]) == 12
-
-
-def refuse(path: str, *_: object) -> None:
-    raise EldataError(f"cannot write {path}: No space left on device")
-
-
-@pytest.mark.parametrize("command", ["verify", "lock"])
-def test_what_was_found_is_shown_though_the_json_cannot_be_written(
-    command: str, eldata: Cli, own: Tree, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("eldata.base.console.write_json", refuse)
-    outcome = eldata(command, own.manifest, "--root", own.root, "--jobs", "1", "--json", "x.json")
-    assert outcome.code == 2
-    assert "32" in outcome.out
-    assert outcome.err == f"eldata {command}: cannot write x.json: No space left on device\n"
-
-
-def test_a_comparison_is_shown_though_its_files_cannot_be_written(eldata: Cli, tree: Tree, predictions: Path) -> None:
-    arguments = ("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
-    for protocol, name in (("eld", "a.json"), ("eld-uncorrected", "b.json")):
-        assert eldata(*arguments, "--protocol", protocol, "--json", name).code == 0
-    whole = eldata("compare", "a.json", "b.json")
-    with room_for(100):
-        outcome = eldata("compare", "a.json", "b.json", "--json", "x.json", "--html", "x.html")
-    assert (outcome.code, outcome.out) == (2, whole.out)
-    last = outcome.err.splitlines()[-1]
-    assert (
-        last
-        == "eldata compare: cannot write x.json: No space left on device; cannot write x.html: No space left on device"
-    )
 
 
 def test_every_step_is_taken_and_what_failed_is_raised() -> None:

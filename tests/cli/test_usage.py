@@ -14,6 +14,7 @@ from capture.cli.main import parser as capture_parser
 from eldata.cli.main import parser as eldata_parser
 from tests.cases import in_one_test
 from tests.cli.conftest import Cli, Outcome
+from tests.shared import there
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -240,8 +241,7 @@ def test_root_wins_over_the_variable_which_wins_over_data(
 ) -> None:
     def folder_checked(*arguments: str | Path) -> str:
         outcome = eldata("verify", tree.manifest, "--jobs", "1", *arguments)
-        found = re.search(r"\((?:no folder )?(\S+?)\)|in (\S+):", outcome.out.replace("(quick) ", ""))
-        assert found is not None
+        found = there(re.search(r"\((?:no folder )?(\S+?)\)|in (\S+):", outcome.out.replace("(quick) ", "")))
         return found[1] or found[2]
 
     assert folder_checked() == str(Path("data") / "ELD-demo")

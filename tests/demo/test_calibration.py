@@ -18,6 +18,7 @@ from eldata.demo.calibration import against_truth, run_calibration_demo
 from eldata.demo.calibration_frames import DEMO_FEATURES, make_calibration_frames
 from eldata.noise import CameraProfile
 from tests.cases import in_one_test
+from tests.shared import there
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,8 +85,7 @@ def test_what_it_prints(demo: tuple[Path, Calibration, str]) -> None:
 def test_the_command_that_it_names_gives_the_same(demo: tuple[Path, Calibration, str], tmp_path: Path) -> None:
     """Its own line, with another target."""
     folder, found, out = demo
-    line = re.search(r"^\$ eldata (.*)$", out, re.MULTILINE)
-    assert line is not None
+    line = there(re.search(r"^\$ eldata (.*)$", out, re.MULTILINE))
     arguments = line[1].replace(str(folder / "DemoGamma.json"), str(tmp_path / "p.json")).split()
     arguments[arguments.index("--html") + 1] = str(tmp_path / "r.html")
     assert main(arguments) == 0

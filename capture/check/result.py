@@ -9,8 +9,17 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from capture.check.limits import LIGHT_AGAIN, find_kind
-from capture.check.measures import VERDICTS, Estimate, Measure, MeasureKind, Remark, Verdict, worst
+from capture.check.measures import (
+    LIGHT_AGAIN,
+    VERDICTS,
+    Estimate,
+    Measure,
+    MeasureKind,
+    Remark,
+    Verdict,
+    find_kind,
+    worst,
+)
 from capture.checklist_content import TEMPLATES
 from eldata.base.files import write_text
 from eldata.base.tables import with_error

@@ -27,7 +27,6 @@ from capture.cli.values import (
     aperture,
     given_counts,
     metered,
-    nine_digits,
     or_dash,
     progress_of,
     scene_numbers,
@@ -35,7 +34,7 @@ from capture.cli.values import (
     seconds,
 )
 from capture.protocol import COUNTS, PROTOCOLS, CaptureProtocol
-from eldata.base.console import OK, add_shared, show_and_write
+from eldata.base.console import OK, add_shared, show_and_write, whole_number
 from eldata.base.outputs import NEW, add_output, json_kind
 from eldata.base.tables import text_table
 from eldata.errors import ArgumentError
@@ -112,10 +111,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     isos = "ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)"
     add_numbers(calibration, "--calibration-isos", "ISO", isos)
-    calibration.add_argument("--bias-frames", type=nine_digits, metavar="N", help="bias frames per ISO (default: 10)")
+    calibration.add_argument(
+        "--bias-frames", type=whole_number(1), metavar="N", help="bias frames per ISO (default: 10)"
+    )
     calibration.add_argument(
         "--dark-frames",
-        type=nine_digits,
+        type=whole_number(1),
         nargs="?",
         const=DARK_FRAMES,
         metavar="N",

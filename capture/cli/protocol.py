@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from capture.cli.values import add_alike, add_numbers, given_counts, nine_digits, or_dash, seconds, spaced
+from capture.cli.values import add_alike, add_numbers, given_counts, or_dash, seconds, spaced
 from capture.protocol import RELEASED, CaptureProtocol
-from eldata.base.console import OK, add_shared, show_and_write
+from eldata.base.console import OK, add_shared, show_and_write, whole_number
 from eldata.base.tables import text_table
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--base-iso",
-        type=nine_digits,
+        type=whole_number(1),
         default=RELEASED.base_iso,
         metavar="ISO",
         help="ISO of the references (default: %(default)s)",

@@ -13,15 +13,16 @@ import pytest
 
 from capture.check import CheckedPair, check
 from capture.check.cells import empty_share
-from capture.check.limits import (
+from capture.check.measures import (
     BEST_PSNR_DB,
     LIGHT_AGAIN,
     LIGHT_LOOK,
     LOOK_DB,
     SHIFT_AGAIN_PX,
     SHIFT_LOOK_PX,
+    Estimate,
+    Measure,
 )
-from capture.check.measures import Estimate, Measure
 from capture.cli import main
 from eldata.datasets import PairDataset
 from eldata.manifest import load_manifest

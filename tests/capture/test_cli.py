@@ -77,7 +77,7 @@ def test_json_says_what_the_table_says(tmp_path: Path, capsys: pytest.CaptureFix
         ("protocol --isos 800 fast", "argument --isos: expected a whole number"),
         ("protocol --isos " + "9" * 5000, "expected a whole number"),
         ("protocol --isos 800 800", "noisy_isos must hold each value once, found 800 again"),
-        ("protocol --factors 0", "every value of low_light_factors must be 1 or more; found 0"),
+        ("protocol --factors 0", "argument --factors: expected a whole number of 1 or more, found '0'"),
         ("protocol --met 4", "there is no option --met; did you mean --metered?"),
         ("fly", "fly"),
         ("", "a command is needed; see capture --help"),

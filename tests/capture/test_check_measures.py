@@ -13,7 +13,7 @@ from capture.check.calibration import PATCHES, patch_levels, unevenness
 from capture.check.cells import Cells, luminance, reduce_to_cells, saturation_dn
 from capture.check.flicker import flicker_of_contrast, flicker_of_level
 from capture.check.measures import Measure, MeasureKind
-from capture.check.ratio import RatioFit, brightness_ratios, fit_ratio
+from capture.check.ratio import brightness_ratios, fit_ratio
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
 from eldata.raw.cfa import XTRANS_CFA, bayer_cfa, pack
 from eldata.records import Sensor
@@ -38,6 +38,10 @@ def photographed(
 
 def cells_of(mosaic: NDArray[np.uint16], camera: SimulatedCamera = ALPHA) -> Cells:
     return reduce_to_cells(mosaic, camera.sensor, pack(mosaic, camera.sensor.cfa))
+
+
+def seen(light: NDArray[np.float32], seed: int, *, camera: SimulatedCamera = ALPHA, **settings: int) -> Cells:
+    return cells_of(photographed(light, seed, camera=camera, **settings), camera)
 
 
 def grey_of(mosaic: NDArray[np.uint16], camera: SimulatedCamera = ALPHA) -> NDArray[np.float32]:
@@ -116,9 +120,9 @@ def test_drift_to_a_tenth_of_a_percent() -> None:
     off = []
     for scene, percent in zip(range(1, 11), (-5, -3, -2, -1, -0.5, 0.5, 1, 2, 3, 5), strict=True):
         camera = (ALPHA, BETA)[scene % 2]
-        first = cells_of(photographed(radiance(scene), 1, camera=camera), camera)
+        first = seen(radiance(scene), 1, camera=camera)
         light = radiance(scene) * np.float32(1 + percent / 100)
-        second = cells_of(photographed(light, 2, camera=camera), camera)
+        second = seen(light, 2, camera=camera)
         ratios = [one for one in brightness_ratios(first, second) if one is not None]
         assert len(ratios) >= 3
         assert [one.value for one in ratios] == pytest.approx([1 + percent / 100] * len(ratios), abs=1e-3)
@@ -129,7 +133,7 @@ def test_drift_to_a_tenth_of_a_percent() -> None:
 
 def test_drift_of_one_colour_is_seen() -> None:
     warmer = radiance(1) * np.array([1.02, 1.0, 1.0], dtype=np.float32)[:, None, None]
-    ratios = brightness_ratios(cells_of(photographed(radiance(1), 1)), cells_of(photographed(warmer, 2)))
+    ratios = brightness_ratios(seen(radiance(1), 1), seen(warmer, 2))
     red, green = ratios[0], ratios[1]
     assert red is not None
     assert green is not None
@@ -137,7 +141,7 @@ def test_drift_of_one_colour_is_seen() -> None:
 
 
 def test_too_dark_frames_have_no_drift() -> None:
-    dark = cells_of(photographed(radiance(1) * np.float32(0.01), 1))
+    dark = seen(radiance(1) * np.float32(0.01), 1)
     assert brightness_ratios(dark, dark) == (None,) * 4
 
 
@@ -182,23 +186,14 @@ def test_focus_falls_with_blur_and_noise_does_not_matter(sigma: float, least: fl
 # --- ratio --------------------------------------------------------------------------------------------------------
 
 
-def fits(camera: SimulatedCamera, iso: int, ratio: int, frames: int) -> list[RatioFit]:
-    found = []
-    for index in range(frames):
-        light = radiance(1 + index % 4)
-        reference = cells_of(photographed(light, 100 + index, camera=camera), camera)
-        fit = there(
-            fit_ratio(reference, cells_of(photographed(light, index, iso=iso, ratio=ratio, camera=camera), camera))
-        )
-        found.append(fit)
-    return found
-
-
 @pytest.mark.study
 def test_the_ratio_is_within_its_standard_error() -> None:
     off = []
     for camera, (iso, ratio) in product((ALPHA, BETA), ((800, 1), (800, 100), (3200, 10), (3200, 200))):
-        for fit in fits(camera, iso, ratio, 5):
+        for index in range(5):
+            light = radiance(1 + index % 4)
+            reference = seen(light, 100 + index, camera=camera)
+            fit = there(fit_ratio(reference, seen(light, index, iso=iso, ratio=ratio, camera=camera)))
             off.append((fit.slope.value * ratio - 1) / (fit.slope.standard_error * ratio))
             assert fit.match.value == pytest.approx(1, abs=max(0.001, 5 * fit.match.standard_error))
     # Of 40 values 68 % within one, 95 % within two; less four standard deviations of the shares.
@@ -207,7 +202,7 @@ def test_the_ratio_is_within_its_standard_error() -> None:
 
 
 def test_black_that_is_off_and_hot_pixels_do_not_bend_the_ratio() -> None:
-    reference = cells_of(photographed(radiance(1), 1))
+    reference = seen(radiance(1), 1)
     mosaic = photographed(radiance(1), 2, iso=1600, ratio=200) + np.uint16(12)
     generator = np.random.default_rng(3)
     hot = generator.random(mosaic.shape) < 3e-4
@@ -225,7 +220,7 @@ def test_black_that_is_clipped_has_no_ratio() -> None:
     sensor = Sensor("", "", ALPHA.sensor.cfa, (0.0,) * 4, 15871.0, *SIZE)
     cells = reduce_to_cells(clipped.astype(np.uint16), sensor, pack(clipped, sensor.cfa))
     assert cells.zero_share > 0.1
-    assert fit_ratio(cells_of(photographed(radiance(1), 1)), cells) is None
+    assert fit_ratio(seen(radiance(1), 1), cells) is None
 
 
 # --- flicker ------------------------------------------------------------------------------------------------------
@@ -234,10 +229,8 @@ def test_black_that_is_clipped_has_no_ratio() -> None:
 @pytest.mark.parametrize(("amplitude", "cycles"), [(0.02, 2.4), (0.05, 16.3)])
 def test_flicker_has_the_amplitude_that_was_put_in(amplitude: float, cycles: float) -> None:
     bands = 1 + amplitude * np.sin(2 * np.pi * cycles * np.arange(SIZE[0]) / SIZE[0] + 1)[:, None]
-    reference = cells_of(photographed(radiance(2), 1))
-    fit = there(
-        fit_ratio(reference, cells_of(photographed((radiance(2) * bands).astype(np.float32), 2, iso=800, ratio=10)))
-    )
+    reference = seen(radiance(2), 1)
+    fit = there(fit_ratio(reference, seen((radiance(2) * bands).astype(np.float32), 2, iso=800, ratio=10)))
     for flicker in (flicker_of_contrast(fit.residuals), flicker_of_level(fit.residuals)):
         assert flicker is not None
         assert flicker.amplitude.value == pytest.approx(amplitude, rel=0.2)
@@ -249,7 +242,7 @@ def test_banding_of_the_sensor_is_not_flicker() -> None:
     """Bands that are added, as dark as the signal is; the contrast within the rows does not follow them."""
     mosaic = photographed(radiance(2), 2, iso=3200, ratio=100).astype(np.float64)
     mosaic += 10 * np.sin(2 * np.pi * 6 * np.arange(SIZE[0]) / SIZE[0])[:, None]
-    fit = there(fit_ratio(cells_of(photographed(radiance(2), 1)), cells_of(np.rint(mosaic).astype(np.uint16))))
+    fit = there(fit_ratio(seen(radiance(2), 1), cells_of(np.rint(mosaic).astype(np.uint16))))
     contrast, level = flicker_of_contrast(fit.residuals), flicker_of_level(fit.residuals)
     assert contrast is not None
     assert level is not None
@@ -262,7 +255,7 @@ def test_banding_of_the_sensor_is_not_flicker() -> None:
 
 def test_patches_have_the_errors_that_they_state() -> None:
     dark = np.zeros((3, *SIZE), dtype=np.float32)
-    levels = [patch_levels("", cells_of(photographed(dark, seed, iso=1600))) for seed in range(20)]
+    levels = [patch_levels("", seen(dark, seed, iso=1600)) for seed in range(20)]
     stack = np.stack([one.level_dn for one in levels])
     stated = float(np.mean([one.error_dn for one in levels]))
     assert stack.shape == (20, PATCHES, PATCHES)
@@ -273,7 +266,7 @@ def test_patches_have_the_errors_that_they_state() -> None:
 def test_unevenness_of_a_ramp() -> None:
     ramp = np.broadcast_to(np.linspace(0.2, 0.6, SIZE[1], dtype=np.float32), (3, *SIZE))
     # From the first to the last of 18 columns of blocks: 17/18 of 0.4, over the median 0.4.
-    assert unevenness(cells_of(photographed(np.ascontiguousarray(ramp), 1))) == pytest.approx(17 / 18, abs=0.01)
+    assert unevenness(seen(np.ascontiguousarray(ramp), 1)) == pytest.approx(17 / 18, abs=0.01)
 
 
 # --- verdicts -----------------------------------------------------------------------------------------------------

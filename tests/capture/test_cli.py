@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     import pytest
 
+# The released set, from its published file lists.
 METERED = """\
 frame  role        ISO  factor  exposure  reference
 -----  ---------  ----  ------  --------  ---------

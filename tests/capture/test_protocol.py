@@ -7,39 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture import PAPER, RELEASED, CaptureProtocol, ProtocolFrame
+from capture import PAPER, RELEASED, CaptureProtocol
 from eldata.errors import ArgumentError
 from tests.cases import in_one_test
-
-# The released set, from its published file lists: number, ISO, factor, reference.
-RELEASED_NOISY = [
-    (2, 800, 1, 1),
-    (3, 800, 10, 1),
-    (4, 800, 100, 6),
-    (5, 800, 200, 6),
-    (7, 1600, 1, 6),
-    (8, 1600, 10, 6),
-    (9, 1600, 100, 11),
-    (10, 1600, 200, 11),
-    (12, 3200, 1, 11),
-    (13, 3200, 10, 11),
-    (14, 3200, 100, 16),
-    (15, 3200, 200, 16),
-]
 
 positive = st.integers(1, 10**6)
 several = st.lists(positive, min_size=1, max_size=6, unique=True).map(tuple)
 protocols = st.builds(CaptureProtocol, base_iso=positive, noisy_isos=several, low_light_factors=several)
 times_s = st.fractions(min_value=Fraction(1, 10**6), max_value=10**4, max_denominator=10**6)
-
-
-def test_frames_of_the_released_set() -> None:
-    frames = RELEASED.frames()
-    assert [frame.number for frame in frames] == list(range(1, 17))
-    noisy = [frame for frame in frames if frame.role == "noisy"]
-    assert [(frame.number, frame.iso, frame.factor, frame.reference) for frame in noisy] == RELEASED_NOISY
-    references = [frame for frame in frames if frame.role != "noisy"]
-    assert references == [ProtocolFrame(number, "reference", 100, None, None) for number in (1, 6, 11, 16)]
 
 
 def test_paper_has_240_pairs() -> None:

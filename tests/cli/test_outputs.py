@@ -110,7 +110,20 @@ SAME_KIND = {
 }
 
 
-@pytest.mark.parametrize("program", ["eldata", "capture"])
+PROGRAMS = {"eldata": (eldata_main, eldata_parser), "capture": (capture_main, capture_parser)}
+
+
+def of_program(
+    program: str,
+) -> tuple[Callable[[list[str]], int], argparse.ArgumentParser, list[tuple[str, Output]]]:
+    """A program, its parser, and every output of its commands."""
+    main, parser = PROGRAMS[program][0], PROGRAMS[program][1]()
+    outputs = [(command, action) for command, action in options_of(parser) if isinstance(action, Output)]
+    assert len(outputs) > 12
+    return main, parser, outputs
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
 def test_no_file_that_is_there_is_replaced_unless_the_option_wrote_it(
     program: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,9 +133,7 @@ def test_no_file_that_is_there_is_replaced_unless_the_option_wrote_it(
     before = {name: path.read_bytes() for name, path in files.items()}
     (tmp_path / "cwd").mkdir()
     monkeypatch.chdir(tmp_path / "cwd")
-    parser, main = (eldata_parser(), eldata_main) if program == "eldata" else (capture_parser(), capture_main)
-    outputs = [(command, action) for command, action in options_of(parser) if isinstance(action, Output)]
-    assert len(outputs) > 12
+    main, parser, outputs = of_program(program)
     accepted = set()
     for turn, (command, action) in enumerate(outputs):
         option = action.option_strings[-1]
@@ -209,48 +220,34 @@ def test_a_folder_of_results_replaces_no_manifest(eldata: Cli, own: Tree, predic
 
 # --- before the work ----------------------------------------------------------------------------------------------
 
-ARGUMENTS = {
-    "evaluate": ["preds", "--manifest", "none.csv"],
-    "compare": ["none.json", "none.json"],
-    "verify": ["none.csv"],
-    "lock": ["none.csv"],
-    "calibrate": ["none"],
-    "profile show": ["none"],
-    "profile estimate": ["none"],
-    "noise check": ["none", "--frames", "none"],
-    "protocols": ["none"],
-    "info": ["none"],
-    "download": ["none"],
-}
 
-
-@pytest.mark.parametrize(
-    ("command", "option"),
-    [
-        *((command, "--json") for command in ARGUMENTS),
-        *(("evaluate", option) for option in ("--csv", "--html")),
-        *(("calibrate", option) for option in ("-o", "--output", "--html")),
-        ("compare", "--html"),
-        ("profile show", "--html"),
-        ("profile estimate", "-o"),
-        ("noise check", "--html"),
-    ],
-)
-def test_a_place_to_write_to_is_tried_before_the_input_is_read(command: str, option: str, eldata: Cli) -> None:
-    given = [*command.split(), *ARGUMENTS[command]]
-    Path("folder").mkdir()
-    for target, problem in (
-        ("folder", "is a folder, not a file"),
-        ("no/x", "there is no folder no; make it first"),
-        (os.devnull, "is a device, not a file"),
-    ):
-        outcome = eldata(*given, option, target)
-        assert (outcome.code, outcome.out) == (2, "")
-        assert outcome.err == f"eldata {command}: cannot write {target}: {problem}\n"
-    outcome = eldata(*given, option, "")
-    assert outcome.err == f"eldata {command}: cannot write {option}: expected the name of a file, found nothing\n"
-    assert "cannot write" not in eldata(*given, option, "x").err, "it is the input that is wrong now"
-    assert [path.name for path in Path.cwd().iterdir()] == ["folder"]
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_place_to_write_to_is_tried_before_the_input_is_read(
+    program: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of every output of every command."""
+    monkeypatch.chdir(tmp_path)
+    Path("folder.csv").mkdir()
+    main, parser, outputs = of_program(program)
+    for command, action in outputs:
+        given = [*command.split()[1:], *needed(parser, command), action.option_strings[-1]]
+        problems = {
+            "folder.csv": "cannot write folder.csv: is a folder, not a file",
+            "no/x.csv": "cannot write no/x.csv: there is no folder no; make it first",
+            os.devnull: f"cannot write {os.devnull}: is a device, not a file",
+            "": f"cannot write {action.option_strings[-1]}: expected the name of a file, found nothing",
+        }
+        if command == "capture manifest":  # which makes the folder, and takes no other name than a table's
+            problems = {"folder.csv": problems["folder.csv"]}
+        elif action.nargs == "?":  # and of no name, to be printed
+            del problems[""]
+        for target, problem in problems.items():
+            assert main([*given, target]) == 2
+            assert capsys.readouterr() == ("", f"{command}: {problem}\n"), (command, given)
+        assert [path.name for path in Path.cwd().iterdir()] == ["folder.csv"]
+        main([*given, "x.csv"])
+        assert "cannot write" not in capsys.readouterr().err, "it is the input that is wrong now"
+        Path("x.csv").unlink(missing_ok=True)
 
 
 @in_one_test("second", ["x.csv", "folder/../x.csv", "link/x.csv", "{absolute}"])

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 from capture.calibration import WARM
 from capture.capture_errors import MappingError
 from capture.matching import can_be
+from capture.placing import Placement
 from capture.plan import CALIBRATION
 from capture.shots import sequence_name
 from eldata.base.files import sha256_of
@@ -32,14 +33,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class CopiedRow:
-    """A row of the manifest, and the file that it is made from."""
-
-    path: Path
-    record: FrameRecord
-
-
-@dataclass(frozen=True, slots=True)
 class Dataset:
     """What the matched files become.
 
@@ -56,7 +49,7 @@ class Dataset:
     """
 
     folder: Path
-    rows: tuple[CopiedRow, ...]
+    rows: tuple[Placement, ...]
     remarks: tuple[str, ...]
     before: tuple[FrameRecord, ...] = ()
 
@@ -160,7 +153,8 @@ def _dataset(
             before.append(row)
         else:
             frame = match.frames[slot]
-            rows.append(CopiedRow(frame.path, _record(plan, scene, shot, frame, paths[slot], reference)))
+            record = _record(plan, scene, shot, frame, paths[slot], reference)
+            rows.append(Placement(frame.path, folder / record.path, record))
     if others:
         remarks.append(
             f"{counted(others, 'noisy frame')} of the set compared with single references again: capture average makes "
@@ -208,7 +202,7 @@ def with_hashes(dataset: Dataset, workers: Workers = IN_THIS_PROCESS) -> Dataset
     return replace(dataset, rows=tuple(workers.run(_with_hash, dataset.rows, label="hashing")))
 
 
-def _with_hash(row: CopiedRow) -> CopiedRow:
+def _with_hash(row: Placement) -> Placement:
     return replace(row, record=replace(row.record, size_bytes=row.path.stat().st_size, sha256=sha256_of(row.path)))
 
 

@@ -11,12 +11,11 @@ from collections import defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, get_args
+from typing import TYPE_CHECKING, Final, Literal
 
 from capture.alignment import Stretch, align
 from capture.plan import CALIBRATION
 from capture.shutter import STOPS_TOLERANCE
-from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -122,14 +121,7 @@ def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Mat
         The files, in the order in which they were taken.
     repeated
         Which frame to use of a shot that was taken several times in a row.
-
-    Raises
-    ------
-    ArgumentError
-        If ``repeated`` is neither ``"last"`` nor ``"first"``.
     """
-    if repeated not in get_args(Repeated):
-        raise ArgumentError(f"repeated must be 'last' or 'first'; found {repeated!r}")
     matcher = _Matcher(plan, observed.frames, repeated, by_clock=observed.order == "clock")
     remarks = [
         MatchRemark("unusable", f"{Path(file.path).name}: {file.reason}", path=Path(file.path))

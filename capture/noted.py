@@ -44,11 +44,6 @@ def match_noted(plan: Plan, observed: Observed, progress: Progress, *, repeated:
         The checklist's.
     repeated
         As of :func:`~capture.matching.match`.
-
-    Raises
-    ------
-    ArgumentError
-        Like :func:`~capture.matching.match`.
     """
     found = match(plan, observed, repeated=repeated)
     begun = {name for name, rows in progress.parts if any(row.taken_at is not None for row in rows)}

@@ -19,16 +19,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
+    from eldata.records import FrameRecord
+
 _PIECE: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """One file to place: where it is, where it goes, and its hash (``sha256:<hex>``)."""
+    """A row of a manifest, the file that it is made from, and where this goes."""
 
     path: Path
     target: Path
-    sha256: str
+    record: FrameRecord
 
 
 def check_free(placements: Iterable[Placement]) -> None:
@@ -71,7 +73,7 @@ def copy(placement: Placement) -> None:
             writing.write(piece)
         writing.flush()
         seen = os.fstat(reading.fileno())
-        if sha256_of(temporary) != placement.sha256:
+        if sha256_of(temporary) != placement.record.sha256:
             raise MappingError(f"{source} changed while it was being copied; run this again")
         os.utime(temporary, ns=(seen.st_atime_ns, seen.st_mtime_ns))
 
@@ -147,7 +149,7 @@ def _holds(placement: Placement) -> bool:
         return False
     if target.samefile(source):
         return True
-    return target.stat().st_size == source.stat().st_size and sha256_of(target) == placement.sha256
+    return target.stat().st_size == source.stat().st_size and sha256_of(target) == placement.record.sha256
 
 
 def rename_to_new(source: Path, target: Path) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from capture.calibration import CalibrationPlan, DarkSetting, dark_settings, plan_calibration
@@ -26,6 +25,7 @@ from eldata.base.visible import shown
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from fractions import Fraction
+    from pathlib import Path
 
 SCHEMA: Final = 1
 CALIBRATION: Final = "calibration"
@@ -246,7 +246,18 @@ class Plan:
             If the file cannot be read, a field is missing, unknown or wrong, or the shots are not those that follow
             from the rest; the message names the field, what was expected and what was found.
         """
-        return _load(Path(path))
+        top = TextFile(path, PlanError).json()
+        top.only(("schema", "camera", "protocol", "scenes", "calibration"))
+        top.schema(SCHEMA, "capture")
+        with naming(path, PlanError):
+            camera = camera_from(top.inside("camera"))
+            protocol = _protocol(top.inside("protocol"))
+            check_isos(camera, protocol)
+            scenes = tuple(_scene(scene, camera, protocol) for scene in top.objects("scenes"))
+            calibration = None
+            if top.value("calibration") is not None:
+                calibration = _calibration(top.inside("calibration"), camera, protocol)
+            return cls(camera, protocol, scenes, calibration)
 
 
 def make_plan(
@@ -323,23 +334,11 @@ def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
     }
 
 
-def _load(path: Path) -> Plan:
-    top = TextFile(path, PlanError).json()
-    top.only(("schema", "camera", "protocol", "scenes", "calibration"))
-    top.schema(SCHEMA, "capture")
-    with naming(path, PlanError):
-        camera = camera_from(top.inside("camera"))
-        fields = top.inside("protocol")
-        fields.only(("base_iso", "noisy_isos", "low_light_factors", *COUNTS))
-        isos, factors = (wholes(fields, name) for name in ("noisy_isos", "low_light_factors"))
-        counts = {name: fields.optional(name, fields.whole, 1, at_least=1) for name in COUNTS}
-        protocol = CaptureProtocol(fields.whole("base_iso", at_least=1), isos, factors, **counts)
-        check_isos(camera, protocol)
-        scenes = tuple(_scene(scene, camera, protocol) for scene in top.objects("scenes"))
-        calibration = None
-        if top.value("calibration") is not None:
-            calibration = _calibration(top.inside("calibration"), camera, protocol)
-        return Plan(camera, protocol, scenes, calibration)
+def _protocol(fields: Fields) -> CaptureProtocol:
+    fields.only(("base_iso", "noisy_isos", "low_light_factors", *COUNTS))
+    isos, factors = (wholes(fields, name) for name in ("noisy_isos", "low_light_factors"))
+    counts = {name: fields.optional(name, fields.whole, 1, at_least=1) for name in COUNTS}
+    return CaptureProtocol(fields.whole("base_iso", at_least=1), isos, factors, **counts)
 
 
 def _scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> ScenePlan:

@@ -15,6 +15,7 @@ from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
+from eldata.base.numbers import checked_whole
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -93,10 +94,9 @@ class CaptureProtocol:
     moments: int = 1
 
     def __post_init__(self) -> None:
-        _check_positive("base_iso", self.base_iso)
+        checked_whole("base_iso", self.base_iso, at_least=1)
         for name in COUNTS:
-            _check_positive(name, getattr(self, name))
-            if getattr(self, name) > _MOST_ALIKE:
+            if checked_whole(name, getattr(self, name), at_least=1) > _MOST_ALIKE:
                 raise ArgumentError(f"{name} must be at most {_MOST_ALIKE}, found {getattr(self, name)}")
         _check_distinct("noisy_isos", self.noisy_isos)
         _check_distinct("low_light_factors", self.low_light_factors)
@@ -181,18 +181,13 @@ def _nearest(references: list[int], number: int) -> int:
     return min(near, key=lambda reference: abs(number - reference))
 
 
-def _check_positive(name: str, value: object) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value <= 0:
-        raise ArgumentError(f"{name} must be a positive whole number, found {value!r}")
-
-
 def _check_distinct(name: str, values: object) -> None:
     if not isinstance(values, tuple):
         raise ArgumentError(f"{name} must be a tuple of positive whole numbers, found {values!r}")
     if not values:
         raise ArgumentError(f"{name} must hold at least one positive whole number, found none")
     for index, value in enumerate(values):
-        _check_positive(f"every value of {name}", value)
+        checked_whole(f"every value of {name}", value, at_least=1)
         if value in values[:index]:
             raise ArgumentError(f"{name} must hold each value once, found {value} again")
 

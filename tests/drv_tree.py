@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import os
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import imagecodecs
 import numpy as np
 
-from eldata.manifest.card import save_card
-from eldata.manifest.catalogue import load_manifest, shipped_manifest
-from eldata.manifest.table import save_records
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
+from tests.trees import Tree, list_scenes
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -97,31 +95,15 @@ def build_drv_tree(manifest: Manifest, folder: Path, frames: int = 5) -> None:
 
 
 @dataclass(frozen=True)
-class SmallDrv:
-    """Some clips of DRV with a manifest of just these: ``root`` holds ``DRV``."""
+class SmallDrv(Tree):
+    """Some clips of DRV with a manifest of just these."""
 
-    csv: Path
-    root: Path
-
-    @property
-    def manifest(self) -> Manifest:
-        return load_manifest(self.csv)
-
-    @property
-    def data(self) -> Path:
-        return self.root / "DRV"
+    folder: str = "DRV"
 
 
 def small_drv(folder: Path, clips: Collection[str], frames: int, *, size: tuple[int, int] = RGB_SIZE) -> SmallDrv:
     """Write preprocessed clips and a manifest of their patterns."""
-    published = shipped_manifest("drv")
-    records = [record for record in published.records if record.scene in clips]
-    roles: list[str] = [record.role for record in records]
-    (folder / "manifests").mkdir(parents=True)
-    csv = folder / "manifests" / "drv.csv"
-    save_records(csv, records)
-    counts = {role: roles.count(role) for role in sorted(set(roles))}
-    save_card(csv.with_suffix(".json"), replace(published.card, counts=counts, subsets=()))
+    tree = SmallDrv(list_scenes("drv", folder, clips), folder / "data")
     for clip in clips:
-        write_rgb_clip(folder / "data" / "DRV", clip, frames, size=size)
-    return SmallDrv(csv, folder / "data")
+        write_rgb_clip(tree.data, clip, frames, size=size)
+    return tree

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import zlib
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
+from tests.trees import write_each_once
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -40,13 +40,7 @@ def write_frames(folder: Path, records: Iterable[FrameRecord]) -> None:
 
 
 def build_lrd_tree(manifest: Manifest, folder: Path) -> None:
-    """Write every file of LRD; equal exposures are one file under several names (hard links): faster."""
-    made: dict[Exposure, Path] = {}
-    for record in manifest.records:
-        exposure = Exposure(record.iso, record.exposure_s)
-        if exposure not in made:
-            write_frames(folder, [record])
-            made[exposure] = folder / record.path
-            continue
-        (folder / record.path).parent.mkdir(parents=True, exist_ok=True)
-        os.link(made[exposure], folder / record.path)
+    """Write every file of LRD; equal exposures are one file."""
+    write_each_once(
+        folder, manifest.records, lambda one: (one.iso, one.exposure_s), lambda one: write_frames(folder, [one])
+    )

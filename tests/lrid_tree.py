@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import zlib
 from dataclasses import replace
 from fractions import Fraction
@@ -12,6 +11,7 @@ import numpy as np
 
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
+from tests.trees import write_each_once
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -58,13 +58,9 @@ def write_frames(folder: Path, records: Iterable[FrameRecord], sensor: Sensor = 
 
 
 def build_lrid_tree(manifest: Manifest, folder: Path) -> None:
-    """Write every file of LRID; noisy frames of one exposure are one file under several names (hard links): faster."""
-    made: dict[tuple[str, Exposure], Path] = {}
-    for record in manifest.records:
-        key = record.role, Exposure(record.iso, record.exposure_s)
-        if record.role == "bias" or key not in made:
-            write_frames(folder, [record])
-            made[key] = folder / record.path
-            continue
-        (folder / record.path).parent.mkdir(parents=True, exist_ok=True)
-        os.link(made[key], folder / record.path)
+    """Write every file of LRID; noisy frames of one exposure are one file."""
+
+    def kind(record: FrameRecord) -> tuple[object, ...]:
+        return (record.path if record.role == "bias" else record.role, record.iso, record.exposure_s)
+
+    write_each_once(folder, manifest.records, kind, lambda record: write_frames(folder, [record]))

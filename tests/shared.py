@@ -1,10 +1,10 @@
-"""Folders that a run of the tests makes once, whichever worker process asks first, and that nobody may change."""
+"""What tests of all rooms share: folders that a run makes once, whichever process asks first, and nobody may change."""
 
 from __future__ import annotations
 
 import os
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import pytest
 from filelock import FileLock
@@ -12,6 +12,15 @@ from filelock import FileLock
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+
+T = TypeVar("T")
+
+
+def there(value: T | None) -> T:
+    """Return what was found, which is not nothing."""
+    assert value is not None
+    return value
 
 
 @contextmanager

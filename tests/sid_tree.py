@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import os
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.manifest.card import save_card
-from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
-from eldata.manifest.table import save_records
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
 from tests.raw.helpers import xtrans_at
+from tests.trees import Tree, list_scenes, write_each_once
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -23,6 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.manifest.catalogue import Manifest
     from eldata.records import FrameRecord
 
 NAMES = ("sid-sony", "sid-fuji")
@@ -65,16 +64,8 @@ def write_frames(name: str, folder: Path, records: Iterable[FrameRecord]) -> Non
 
 
 def build_sid_tree(manifest: Manifest, folder: Path) -> None:
-    """Write every file of a half of SID; equal exposures are one file under several names (hard links): faster."""
-    made: dict[Exposure, Path] = {}
-    for record in manifest.records:
-        exposure = exposure_of(record)
-        if exposure not in made:
-            write_frame(manifest.name, folder, record)
-            made[exposure] = folder / record.path
-            continue
-        (folder / record.path).parent.mkdir(parents=True, exist_ok=True)
-        os.link(made[exposure], folder / record.path)
+    """Write every file of a half of SID; equal exposures are one file."""
+    write_each_once(folder, manifest.records, exposure_of, partial(write_frame, manifest.name, folder))
 
 
 def frames_of(manifest: Manifest, noisy: Collection[str]) -> list[FrameRecord]:
@@ -84,30 +75,14 @@ def frames_of(manifest: Manifest, noisy: Collection[str]) -> list[FrameRecord]:
 
 
 @dataclass(frozen=True)
-class SmallTree:
+class SmallTree(Tree):
     """Some scenes of a half of SID, with a manifest of just these."""
 
-    csv: Path
-    root: Path
-
-    @property
-    def manifest(self) -> Manifest:
-        return load_manifest(self.csv)
-
-    @property
-    def data(self) -> Path:
-        return self.root / "SID"
+    folder: str = "SID"
 
 
 def build_small_tree(name: str, folder: Path, scenes: Collection[str]) -> SmallTree:
     """Write all files of some scenes and a manifest that lists them alone."""
-    manifest = shipped_manifest(name)
-    records = [record for record in manifest.records if record.scene in scenes]
-    roles = [record.role for record in records]
-    (folder / "manifests").mkdir(parents=True)
-    csv = folder / "manifests" / f"{name}.csv"
-    save_records(csv, records)
-    counts: dict[str, int] = {role: roles.count(role) for role in roles}
-    save_card(csv.with_suffix(".json"), replace(manifest.card, counts=counts, subsets=()))
-    write_frames(name, folder / "data" / "SID", records)
-    return SmallTree(csv, folder / "data")
+    tree = SmallTree(list_scenes(name, folder, scenes), folder / "data")
+    write_frames(name, tree.data, tree.manifest.records)
+    return tree

@@ -496,6 +496,8 @@ def loaded_after(*codes: str, cwd: Path | None = None) -> list[list[str]]:
     return [heavy for _, heavy, _ in answers]
 
 
+# What no help needs.
+HEAVY = ("rawpy", "torch", "matplotlib", "jinja2", "numba", "py7zr", "requests", "pooch")
 EVERY_MANIFEST_NAME = "import eldata.manifest\nfor name in eldata.manifest.__all__: getattr(eldata.manifest, name)"
 # Every subcommand, and those of subcommands, with --help.
 EVERY_HELP = """
@@ -510,7 +512,7 @@ found = list(commands(command_line.parser()))
 if len(found) < 8: raise SystemExit(f'only {{found}}')
 for command in found:
     code = command_line.main([*command, '--help'])
-    heavy = [name for name in ('rawpy', 'torch') if name in sys.modules]
+    heavy = [name for name in {heavy} if name in sys.modules]
     if code or heavy: raise SystemExit(f'{{command}} --help: code {{code}}, loads {{heavy}}')
 """
 
@@ -519,7 +521,8 @@ def test_imports_and_help_load_neither_torch_nor_rawpy() -> None:
     """And capture plans without either; the probe sees what is loaded."""
     light = [
         *("import eldata", "import eldata.records", "import eldata.manifest", EVERY_MANIFEST_NAME, "import capture"),
-        *(EVERY_HELP.format(package=package) for package in ("eldata.cli", "capture.cli")),
+        *(EVERY_HELP.format(package=package, heavy=HEAVY) for package in ("eldata.cli", "capture.cli")),
+        "from eldata.cli.main import main; main(['info']); main(['download', 'eld'])",
         "from capture.cli import main; main(['protocol', '--metered', '4'])",
     ]
     *found, last = loaded_after(*light, "import rawpy")

@@ -16,6 +16,7 @@ import yaml
 
 import eldata
 from eldata.manifest import shipped_manifest
+from tests.shared import there
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -35,8 +36,7 @@ def parsed(path: Path) -> Any:
 
 def script(name: str) -> ModuleType:
     """A module of the folder .ci, which is not a package."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / ".ci" / f"{name}.py")
-    assert spec is not None
+    spec = there(importlib.util.spec_from_file_location(name, ROOT / ".ci" / f"{name}.py"))
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -12,13 +12,15 @@ import numpy as np
 import tifffile
 
 from eldata.demo.tree import make_tree
-from eldata.manifest.catalogue import Manifest, load_manifest
+from eldata.manifest.card import counts_of, save_card
+from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
 from eldata.manifest.table import save_records
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure, Sensor
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable
     from pathlib import Path
 
     from eldata.records import FrameRecord
@@ -34,10 +36,11 @@ def frame(number: int, scene: str = ALPHA) -> str:
 
 @dataclass(frozen=True)
 class Tree:
-    """A dataset on disk: its manifest's CSV, and the data root with the files."""
+    """A dataset on disk: its manifest's CSV, and the data root with the files, which lie in a folder of it."""
 
     csv: Path
     root: Path
+    folder: str = "ELD-demo"
 
     @property
     def manifest(self) -> Manifest:
@@ -47,7 +50,7 @@ class Tree:
     @property
     def data(self) -> Path:
         """The dataset's own folder."""
-        return self.root / "ELD-demo"
+        return self.root / self.folder
 
     def file(self, number: int, scene: str = ALPHA) -> Path:
         return self.data / frame(number, scene)
@@ -107,7 +110,36 @@ def flip_compressed_byte(path: Path) -> None:
     path.write_bytes(content)
 
 
-# --- a published set's file names, with small DNG files inside --------------------------------------------------
+# --- a published set's file names, with small files inside ------------------------------------------------------
+
+
+def write_each_once(
+    folder: Path,
+    records: Iterable[FrameRecord],
+    kind: Callable[[FrameRecord], object],
+    write: Callable[[FrameRecord], object],
+) -> None:
+    """Write files; those of one kind are one under several names (hard links), which saves time and says nothing."""
+    made: dict[object, Path] = {}
+    for record in records:
+        path = folder / record.path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if kind(record) in made:
+            os.link(made[kind(record)], path)
+        else:
+            write(record)
+            made[kind(record)] = path
+
+
+def list_scenes(name: str, folder: Path, scenes: Collection[str]) -> Path:
+    """Write a manifest of some scenes of a published set alone; return its CSV file."""
+    published = shipped_manifest(name)
+    records = [record for record in published.records if record.scene in scenes]
+    csv = folder / "manifests" / f"{name}.csv"
+    csv.parent.mkdir(parents=True)
+    save_records(csv, records)
+    save_card(csv.with_suffix(".json"), replace(published.card, counts=counts_of(records), subsets=()))
+    return csv
 
 
 def build_published_tree(manifest: Manifest, folder: Path) -> None:
@@ -120,15 +152,8 @@ def build_published_tree(manifest: Manifest, folder: Path) -> None:
     height, width = 48, 64
     mosaic = np.random.default_rng(1).integers(600, 15000, (height, width), dtype=np.uint16)
     record_of = {record.path: record for record in manifest.records}
-    made: dict[tuple[str, Exposure], Path] = {}
-    for record in manifest.records:
-        exposure = _exposure_of(record, record_of)
-        path = folder / record.path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        key = (record.camera, exposure)
-        if key in made:
-            os.link(made[key], path)
-            continue
+
+    def write(record: FrameRecord) -> None:
         sensor = Sensor(
             make="Maker",
             model=manifest.card.cameras[record.camera].models[-1],
@@ -138,8 +163,9 @@ def build_published_tree(manifest: Manifest, folder: Path) -> None:
             height=height,
             width=width,
         )
-        write_dng(path, mosaic, sensor, exposure)
-        made[key] = path
+        write_dng(folder / record.path, mosaic, sensor, _exposure_of(record, record_of))
+
+    write_each_once(folder, manifest.records, lambda one: (one.camera, _exposure_of(one, record_of)), write)
 
 
 def _exposure_of(record: FrameRecord, record_of: dict[str, FrameRecord]) -> Exposure:

@@ -14,8 +14,7 @@ import numpy as np
 
 from capture.check.flicker import add_flicker, flicker_between
 from capture.check.frames import ReducedFrame, Unit, file_name, map_picture, reduced_frames, scene_picture
-from capture.check.limits import find_kind
-from capture.check.measures import Estimate
+from capture.check.measures import Estimate, find_kind
 from capture.check.ratio import BLOCK, OF_MEDIAN, TO_SIGMA, brightness_ratios
 from capture.check.result import CheckedGroup
 

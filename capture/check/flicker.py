@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.limits import find_kind
-from capture.check.measures import Estimate
+from capture.check.measures import Estimate, find_kind
 from capture.check.ratio import residuals_between
 
 if TYPE_CHECKING:

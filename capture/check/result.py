@@ -9,8 +9,17 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from capture.check.limits import LIGHT_AGAIN, find_kind
-from capture.check.measures import VERDICTS, Estimate, Measure, MeasureKind, Remark, Verdict, worst
+from capture.check.measures import (
+    LIGHT_AGAIN,
+    VERDICTS,
+    Estimate,
+    Measure,
+    MeasureKind,
+    Remark,
+    Verdict,
+    find_kind,
+    worst,
+)
 from capture.checklist_content import TEMPLATES
 from eldata.base.files import write_text
 from eldata.base.tables import with_error
@@ -280,18 +289,13 @@ def write_sheet(path: Path | str, report: CheckReport) -> None:
     ArgumentError
         If the name does not end in .html.
     """
+    from eldata.reports.html import rendered
+
     check_sheet_name(path)
-    write_text(path, sheet_page(report))
+    write_text(path, rendered("sheet.html", TEMPLATES, report=report, with_error=with_error))
 
 
 def check_sheet_name(path: Path | str) -> None:
     """Raise :class:`ArgumentError` unless a contact sheet can have this name."""
     if not str(path).endswith((".html", ".htm")):
         raise ArgumentError(f"--sheet {path}: the contact sheet is an HTML page: end its name in .html")
-
-
-def sheet_page(report: CheckReport) -> str:
-    """Return the page; the same report gives the same text."""
-    from eldata.reports.html import rendered
-
-    return rendered("sheet.html", TEMPLATES, report=report, with_error=with_error)

@@ -16,8 +16,16 @@ from typing import TYPE_CHECKING, Final
 from capture.check.common_shift import common_shift, fine_noise
 from capture.check.flicker import add_flicker, flicker_between, flicker_of_contrast
 from capture.check.frames import ReducedFrame, Unit, change_picture, file_name, reduced_frames, scene_picture
-from capture.check.limits import LIGHT_AGAIN, LIGHT_LOOK, RATIO_AGAIN, RATIO_LOOK, SHIFT_AGAIN_PX, find_kind
-from capture.check.measures import SIGMAS, Estimate
+from capture.check.measures import (
+    LIGHT_AGAIN,
+    LIGHT_LOOK,
+    RATIO_AGAIN,
+    RATIO_LOOK,
+    SHIFT_AGAIN_PX,
+    SIGMAS,
+    Estimate,
+    find_kind,
+)
 from capture.check.ratio import brightest_level, brightness_ratios, changed_share, fit_ratio
 from capture.check.result import CheckedGroup, CheckedPair, SheetPicture
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_shared
-from eldata.base.files import write_json
+from eldata.base.console import OK, PROBLEMS, add_shared, show_and_write
 from eldata.base.numbers import counted
 from eldata.base.visible import in_line
 
@@ -33,14 +32,12 @@ def run(arguments: argparse.Namespace) -> int:
     from capture.check.averaging import average_references
 
     found = average_references(arguments.manifest, arguments.root, workers=arguments.jobs)
+    lines = []
     for one in found:
         what = f"{one.name}: {counted(len(one.files), 'reference')}, {one.files[0]} to {one.files[-1]}"
         if one.mean is None:
-            print(f"{in_line(what)}: not averaged")
-            for reason in one.reasons:
-                print(f"    {reason}")
+            lines += [f"{in_line(what)}: not averaged", *(f"    {reason}" for reason in one.reasons)]
         else:
-            print(f"{in_line(what)}: mean in {in_line(one.mean)}, for {counted(one.noisy, 'noisy frame')}")
-    if arguments.json:
-        write_json(arguments.json, {"blocks": [asdict(one) for one in found]})
+            lines.append(f"{in_line(what)}: mean in {in_line(one.mean)}, for {counted(one.noisy, 'noisy frame')}")
+    show_and_write(arguments, lambda: "\n".join(lines), lambda: {"blocks": [asdict(one) for one in found]})
     return OK if all(one.mean for one in found) else PROBLEMS

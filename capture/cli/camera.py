@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared
-from eldata.base.files import write_json
+from eldata.base.console import OK, add_shared, show_and_write
 from eldata.base.outputs import NEW, add_output
 from eldata.errors import ArgumentError
 
@@ -38,16 +37,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.example is not None:
         EXAMPLE.save(arguments.example)
         camera = EXAMPLE
-        print(f"{arguments.example}: the {EXAMPLE.name}'s; change it to your camera's, then: capture camera FILE")
+        text = f"{arguments.example}: the {EXAMPLE.name}'s; change it to your camera's, then: capture camera FILE"
     else:
         camera = CameraDescription.load(arguments.camera)
-        print(_text(camera))
-    if arguments.json:
-        times = [
-            {"dial": time.dial, "nominal_s": str(time.nominal_s), "true_s": time.true_s}
-            for time in camera.shutter.times
-        ]
-        write_json(arguments.json, camera_as_dict(camera) | {"times": times})
+        text = _text(camera)
+    times = [
+        {"dial": time.dial, "nominal_s": str(time.nominal_s), "true_s": time.true_s} for time in camera.shutter.times
+    ]
+    show_and_write(arguments, lambda: text, lambda: camera_as_dict(camera) | {"times": times})
     return OK
 
 

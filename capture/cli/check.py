@@ -12,8 +12,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, each_of
-from eldata.base.files import write_json
+from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, show_and_write
 from eldata.base.outputs import add_output, page_kind
 
 if TYPE_CHECKING:
@@ -67,10 +66,6 @@ def run(arguments: argparse.Namespace) -> int:
         pairs = sum(len(group.pairs) for group in report.groups)
         print(f"{arguments.manifest}: measured ratios of {count} of {pairs} pairs written")
 
-    each_of(
-        lambda: print(report.format_text()),
-        arguments.json and (lambda: write_json(arguments.json, report.as_dict())),
-        arguments.sheet and write_pictures,
-        arguments.write and write_pairs,
-    )
+    more = arguments.sheet and write_pictures, arguments.write and write_pairs
+    show_and_write(arguments, report.format_text, report.as_dict, *more)
     return OK if report.ok else PROBLEMS

@@ -12,8 +12,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared
-from eldata.base.files import write_json, write_text
+from eldata.base.console import OK, add_shared, show_and_write
+from eldata.base.files import write_text
 from eldata.base.outputs import FileKind, add_output
 from eldata.errors import ArgumentError
 
@@ -44,14 +44,11 @@ def run(arguments: argparse.Namespace) -> int:
     form = _format(arguments)
     plan = Plan.load(arguments.plan)
     text = FORMATS[form](plan)
-    if arguments.output is None:
-        print(text, end="")
-    else:
+    if arguments.output is not None:
         write_text(arguments.output, text)
-        print(f"{arguments.output}: {plan.extent}, {len(plan.shots)} frames")
-    if arguments.json:
-        content = {"file": arguments.output, "format": form, "plan": plan_digest(plan), "frames": len(plan.shots)}
-        write_json(arguments.json, content)
+        text = f"{arguments.output}: {plan.extent}, {len(plan.shots)} frames\n"
+    content = {"file": arguments.output, "format": form, "plan": plan_digest(plan), "frames": len(plan.shots)}
+    show_and_write(arguments, lambda: text.removesuffix("\n"), lambda: content)
     return OK
 
 

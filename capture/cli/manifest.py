@@ -221,7 +221,7 @@ def _write(
     plan: Plan, found: Match, begun: Begun | None, output: Path, arguments: argparse.Namespace, workers: Workers
 ) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
-    from capture.placing import Placement, check_free, copy, link, make_folders
+    from capture.placing import check_free, copy, link, make_folders
     from eldata.manifest.card import card_text
     from eldata.manifest.writing import save_manifest
 
@@ -239,13 +239,10 @@ def _write(
     if not free and card_path.read_bytes() != encoded(card_text(card)):
         raise ArgumentError(f"{card_path} is there already: give another name, or --replace it")
     if place is not None:
-        placements = [
-            Placement(row.path, dataset.folder / row.record.path, row.record.sha256 or "") for row in dataset.rows
-        ]
-        check_free(placements)
-        make_folders(placements)
+        check_free(dataset.rows)
+        make_folders(dataset.rows)
         work = copy if arguments.copy_to else link
-        for _ in workers.run(work, placements, label="copying" if arguments.copy_to else "linking"):
+        for _ in workers.run(work, dataset.rows, label="copying" if arguments.copy_to else "linking"):
             pass
     output.parent.mkdir(parents=True, exist_ok=True)
     save_manifest(output, card, records)
@@ -265,7 +262,7 @@ def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
         return
     from eldata.raw.files import RAW_EXTENSIONS
 
-    listed = {(dataset.folder / row.record.path).resolve() for row in dataset.rows}
+    listed = {row.target.resolve() for row in dataset.rows}
     beside = [
         path
         for folder in sorted({path.parent for path in listed})

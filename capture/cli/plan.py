@@ -27,7 +27,6 @@ from capture.cli.values import (
     aperture,
     given_counts,
     metered,
-    nine_digits,
     or_dash,
     progress_of,
     scene_numbers,
@@ -35,8 +34,7 @@ from capture.cli.values import (
     seconds,
 )
 from capture.protocol import COUNTS, PROTOCOLS, CaptureProtocol
-from eldata.base.console import OK, add_shared, each_of
-from eldata.base.files import write_json
+from eldata.base.console import OK, add_shared, show_and_write, whole_number
 from eldata.base.outputs import NEW, add_output, json_kind
 from eldata.base.tables import text_table
 from eldata.errors import ArgumentError
@@ -113,10 +111,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     isos = "ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)"
     add_numbers(calibration, "--calibration-isos", "ISO", isos)
-    calibration.add_argument("--bias-frames", type=nine_digits, metavar="N", help="bias frames per ISO (default: 10)")
+    calibration.add_argument(
+        "--bias-frames", type=whole_number(1), metavar="N", help="bias frames per ISO (default: 10)"
+    )
     calibration.add_argument(
         "--dark-frames",
-        type=nine_digits,
+        type=whole_number(1),
         nargs="?",
         const=DARK_FRAMES,
         metavar="N",
@@ -148,17 +148,16 @@ def run(arguments: argparse.Namespace) -> int:
     if progress is not None:  # before the other changes, which may be of what it says
         plan = progress.as_noted(progress.as_metered(plan))
     plan = _changed(plan, arguments)
-    target = arguments.output or (arguments.plan if plan != before else None)
+    target: str = arguments.output or (arguments.plan if plan != before else "")
 
-    def write_plan(target: str) -> None:
+    def told() -> str:
+        return "\n\n".join([format_plan(plan), *([] if progress is None else [format_left(progress)])])
+
+    def write_plan() -> None:
         plan.save(target)
         print(f"\nplan: {target}")
 
-    each_of(
-        lambda: print("\n\n".join([format_plan(plan), *([] if progress is None else [format_left(progress)])])),
-        partial(write_plan, target) if target is not None else None,
-        arguments.json and (lambda: write_json(arguments.json, plan.as_dict())),
-    )
+    show_and_write(arguments, told, plan.as_dict, write_plan if target else None)
     return OK
 
 

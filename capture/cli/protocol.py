@@ -12,10 +12,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from capture.cli.values import add_alike, add_numbers, given_counts, nine_digits, or_dash, seconds, spaced
+from capture.cli.values import add_alike, add_numbers, given_counts, or_dash, seconds, spaced
 from capture.protocol import RELEASED, CaptureProtocol
-from eldata.base.console import OK, add_shared
-from eldata.base.files import write_json
+from eldata.base.console import OK, add_shared, show_and_write, whole_number
 from eldata.base.tables import text_table
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--base-iso",
-        type=nine_digits,
+        type=whole_number(1),
         default=RELEASED.base_iso,
         metavar="ISO",
         help="ISO of the references (default: %(default)s)",
@@ -50,19 +49,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run this command."""
-    protocol = CaptureProtocol(
-        options.base_iso,
-        tuple(options.isos),
-        tuple(options.factors),
-        **given_counts(options),
-    )
+    protocol = CaptureProtocol(options.base_iso, tuple(options.isos), tuple(options.factors), **given_counts(options))
     metered_s: Fraction | None = options.metered
     frames = protocol.frames()
     exposures = [None if metered_s is None else str(protocol.exposure_s(frame, metered_s)) for frame in frames]
-    if options.json is not None:
-        listed = [asdict(frame) | {"exposure_s": exposure} for frame, exposure in zip(frames, exposures, strict=True)]
-        metered = None if metered_s is None else str(metered_s)
-        write_json(options.json, asdict(protocol) | {"metered_s": metered, "frames": listed})
+    listed = [asdict(frame) | {"exposure_s": exposure} for frame, exposure in zip(frames, exposures, strict=True)]
+    metered = None if metered_s is None else str(metered_s)
     rows = [
         (
             str(frame.number),
@@ -74,8 +66,12 @@ def run(options: argparse.Namespace) -> int:
         )
         for frame, exposure in zip(frames, exposures, strict=True)
     ]
-    print(text_table(("frame", "role", "ISO", "factor", "exposure", "reference"), rows, left=(1,)))
-    print(_summary(protocol, frames))
+    table = text_table(("frame", "role", "ISO", "factor", "exposure", "reference"), rows, left=(1,))
+    show_and_write(
+        options,
+        lambda: f"{table}\n{_summary(protocol, frames)}",
+        lambda: asdict(protocol) | {"metered_s": metered, "frames": listed},
+    )
     return OK
 
 

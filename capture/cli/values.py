@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
 from capture.protocol import COUNTS
 from capture.shutter import parse_seconds
+from eldata.base.console import whole_number
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 
@@ -20,17 +20,8 @@ if TYPE_CHECKING:
     from capture.checklist_progress import Progress
     from capture.plan import Plan
 
-# Bounded: a mistyped key must not ask for numbers of thousands of digits.
-_WHOLE = re.compile(r"-?[0-9]{1,9}")
 _MOST_SCENES = 1000
 _SCENES_END = 1_000_000  # scene-999999 is the last that a plan may have
-
-
-def nine_digits(text: str) -> int:
-    """Return a whole number of at most nine digits; what it stands for says later which it may be."""
-    if _WHOLE.fullmatch(text) is None:
-        raise argparse.ArgumentTypeError(f"expected a whole number of at most nine digits, found {shown(text)}")
-    return int(text)
 
 
 def seconds(text: str) -> Fraction:
@@ -71,7 +62,8 @@ def aperture(text: str) -> tuple[str | None, Fraction]:
 def scene_numbers(text: str) -> range:
     """Return the scenes that a text such as ``10``, the first ten, or ``11-15`` names."""
     first, dash, last = text.rpartition("-")
-    found = range(nine_digits(first) if dash and first else 1, nine_digits(last) + 1)
+    whole = whole_number(0)
+    found = range(whole(first) if dash and first else 1, whole(last) + 1)
     if not 1 <= len(found) <= _MOST_SCENES or not 1 <= found[0] <= found[-1] < _SCENES_END:
         raise argparse.ArgumentTypeError(
             f"expected a number of scenes from 1 to {_MOST_SCENES}, or the first and the last, as 11-15; found {text!r}"
@@ -83,12 +75,12 @@ def add_numbers(
     parser: argparse._ActionsContainer, name: str, metavar: str, words: str, default: tuple[int, ...] | None = None
 ) -> None:
     """Add an option that takes whole numbers."""
-    parser.add_argument(name, type=nine_digits, nargs="+", default=default, metavar=metavar, help=words)
+    parser.add_argument(name, type=whole_number(1), nargs="+", default=default, metavar=metavar, help=words)
 
 
 def add_alike(parser: argparse._ActionsContainer) -> None:
     """Add ``--repeats``, ``--references`` and ``--moments`` to a subcommand: how often the protocol takes something."""
-    add = partial(parser.add_argument, type=nine_digits, metavar="N")
+    add = partial(parser.add_argument, type=whole_number(1), metavar="N")
     add("--repeats", help="noisy frames of each ISO and factor, one after the other (default: 1; LRID has 10)")
     add(
         "--references",

@@ -79,6 +79,24 @@ def add_pairs(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_part(parser: argparse.ArgumentParser) -> None:
+    """Add which of a set's rows: by split and subset."""
+    parser.add_argument("--split", action="append", metavar="S", help="only this split; may be repeated")
+    parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
+
+
+def add_excluded(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Add which pairs are left out; ``more`` goes on after what it does."""
+    parser.add_argument(
+        "--exclude",
+        action="append",
+        default=[],
+        dest="exclude_flags",
+        metavar="FLAG",
+        help=f"leave out pairs with this flag{more}",
+    )
+
+
 def add_choice(parser: argparse.ArgumentParser) -> None:
     """Add what predictions are made of, where they go, and in which form."""
     add_set(parser)

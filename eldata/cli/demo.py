@@ -60,17 +60,17 @@ def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from pathlib import Path
 
+    folder, seed, workers = Path(arguments.folder), arguments.seed, Workers(arguments.jobs)
     if arguments.beside is not None and (arguments.calibration or arguments.benchmark):
         raise ArgumentError("--beside is about the demo that scores: leave it out with --calibration and --benchmark")
+    if arguments.scenes is not None and arguments.calibration:
+        raise ArgumentError("--scenes is about photographs of scenes: leave it out with --calibration")
     if arguments.calibration:
         from eldata.demo.calibration import run_calibration_demo
         from eldata.demo.calibration_frames import DEMO_FEATURES
 
         off = {field: 0.0 for feature in arguments.without for field in _FEATURES[feature]}
-        features = replace(DEMO_FEATURES, **off)
-        run_calibration_demo(
-            Path(arguments.folder), seed=arguments.seed, features=features, workers=Workers(arguments.jobs)
-        )
+        run_calibration_demo(folder, seed=seed, features=replace(DEMO_FEATURES, **off), workers=workers)
         return console.OK
     if arguments.without:
         raise ArgumentError("--without is about calibration frames: give --calibration too")
@@ -78,17 +78,17 @@ def run(arguments: console.Arguments) -> int:
         from eldata.demo.benchmark import run_benchmark
         from eldata.demo.benchmark_frames import BenchmarkPlan
 
-        plan = BenchmarkPlan(seed=arguments.seed)
+        plan = BenchmarkPlan(seed=seed)
         if arguments.scenes is not None:
             plan = replace(plan, scenes=arguments.scenes)
-        run_benchmark(Path(arguments.folder), plan, workers=Workers(arguments.jobs))
+        run_benchmark(folder, plan, workers=workers)
         return console.OK
     from eldata.demo.evaluation import run_demo
 
-    folder, scenes = Path(arguments.folder), 4 if arguments.scenes is None else arguments.scenes
-    results = run_demo(folder, scenes=scenes, seed=arguments.seed, beside=arguments.beside or "dct")
+    scenes = 4 if arguments.scenes is None else arguments.scenes
+    results = run_demo(folder, scenes=scenes, seed=seed, beside=arguments.beside or "dct")
     if arguments.train:
         from eldata.examples.train_on_demo import train_on_demo
 
-        train_on_demo(folder, results, scenes=scenes, seed=arguments.seed)
+        train_on_demo(folder, results, scenes=scenes, seed=seed)
     return console.OK

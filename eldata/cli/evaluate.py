@@ -22,17 +22,18 @@ from eldata.base import console
 from eldata.base.files import write_json
 from eldata.base.outputs import RESULT, SCORES, add_output, page_kind
 from eldata.base.tables import FORMATS
-from eldata.cli.baseline import add_pairs, add_set
+from eldata.cli.baseline import add_excluded, add_pairs, add_set
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.base.tables import Format
+    from eldata.base.workers import Workers
     from eldata.evaluation.combined import CombinedResult
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.explanation import Explanation
-    from eldata.evaluation.request import Request
+    from eldata.evaluation.request import EvaluationOptions, Request
     from eldata.evaluation.results import EvaluationResult
 
 
@@ -63,14 +64,7 @@ def add_options(parser: console.Parser) -> None:
         ),
     )
     add_pairs(parser)
-    parser.add_argument(
-        "--exclude",
-        action="append",
-        default=[],
-        dest="exclude_flags",
-        metavar="FLAG",
-        help="leave out pairs with this flag, such as misaligned; may be repeated; the table says so",
-    )
+    add_excluded(parser, ", such as misaligned; may be repeated; the table says so")
     parser.add_argument(
         "--task",
         metavar="MODULE:NAME",
@@ -148,15 +142,13 @@ def add_options(parser: console.Parser) -> None:
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.evaluation.evaluate import perform
-    from eldata.evaluation.request import EvaluationOptions, make_request
+    from eldata.evaluation.request import make_request
 
     if len(arguments.predictions) > 1 or arguments.output or arguments.names:
         return _run_several(arguments)
     predictions = next(iter(arguments.predictions), None)
     with console.chosen_workers(arguments) as workers:
-        names = EvaluationOptions.__annotations__.keys() - {"workers"}
-        options = cast("EvaluationOptions", console.chosen(arguments, names) | {"workers": workers})
-        request = make_request(predictions, arguments.dataset or "", arguments.protocol, options)
+        request = make_request(predictions, arguments.dataset or "", arguments.protocol, _options(arguments, workers))
         combined = perform(request)
         result = combined if request.every else combined.results[0]
         explanations: list[Explanation] = []  # the one that is asked for is the first
@@ -183,6 +175,13 @@ def run(arguments: console.Arguments) -> int:
             arguments.html and write_page,  # last, because it takes longest
         )
     return console.OK if result.scored and not result.problems else console.PROBLEMS
+
+
+def _options(arguments: console.Arguments, workers: Workers) -> EvaluationOptions:
+    from eldata.evaluation.request import EvaluationOptions
+
+    names = EvaluationOptions.__annotations__.keys() - {"workers"}
+    return cast("EvaluationOptions", console.chosen(arguments, names) | {"workers": workers})
 
 
 def _explained(request: Request, result: EvaluationResult, arguments: console.Arguments) -> list[Explanation]:
@@ -222,7 +221,6 @@ def _run_several(arguments: console.Arguments) -> int:
     )
     from eldata.evaluation.comparison.tables import format_comparison
     from eldata.evaluation.evaluate import perform_each
-    from eldata.evaluation.request import EvaluationOptions
 
     if arguments.baseline is not None:
         raise ArgumentError("-o and --name are for folders of predictions; of --baseline give --json FILE, --csv FILE")
@@ -237,9 +235,7 @@ def _run_several(arguments: console.Arguments) -> int:
     folders = named_folders([Path(name) for name in arguments.predictions], arguments.names)
     out = None if arguments.output is None else Path(arguments.output)
     with console.chosen_workers(arguments) as workers:
-        names = EvaluationOptions.__annotations__.keys() - {"workers"}
-        options = cast("EvaluationOptions", console.chosen(arguments, names) | {"workers": workers})
-        requests = requests_of(folders, arguments.dataset or "", arguments.protocol, options)
+        requests = requests_of(folders, arguments.dataset or "", arguments.protocol, _options(arguments, workers))
         if out is not None:
             results_folder(out, folders)
         methods = ScoredMethods.of(dict(zip(folders, perform_each(requests), strict=True)))

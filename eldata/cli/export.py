@@ -14,6 +14,7 @@ overwritten.
 from __future__ import annotations
 
 from eldata.base import console
+from eldata.cli.baseline import add_excluded, add_part
 from eldata.errors import ArgumentError
 
 _CHOICE = ("manifest", "link", "cameras", "split", "subset", "exclude_flags")
@@ -40,16 +41,8 @@ def add_options(parser: console.Parser) -> None:
         default="symbolic",
         help="how files get their names (default: %(default)s)",
     )
-    parser.add_argument("--split", action="append", metavar="S", help="only this split; may be repeated")
-    parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
-    parser.add_argument(
-        "--exclude",
-        action="append",
-        default=[],
-        dest="exclude_flags",
-        metavar="FLAG",
-        help="leave out pairs with this flag; may be repeated",
-    )
+    add_part(parser)
+    add_excluded(parser, "; may be repeated")
     kept = "the links that were made are kept, the lists come last, and the same command goes on"
     console.add_shared(parser, run, "root", "cameras", "workers", interrupted=kept)
 

@@ -19,6 +19,7 @@ from eldata.base import console
 from eldata.base.files import folder_problem
 from eldata.base.numbers import counted
 from eldata.base.outputs import NEW, add_output
+from eldata.cli.baseline import add_part
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -36,8 +37,7 @@ def add_options(parser: console.Parser) -> None:
     )
     add_output(parser, "-o", "--output", kind=NEW, metavar="STORE", required=True, help="a new file, such as store.h5")
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
-    parser.add_argument("--split", action="append", metavar="S", help="only this split; may be repeated")
-    parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
+    add_part(parser)
     parser.add_argument("--clip", action="append", dest="ids", metavar="ID", help="only this clip; may be repeated")
     console.add_cameras(parser)
     parser.add_argument(

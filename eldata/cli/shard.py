@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from eldata.base import console
 from eldata.base.numbers import counted
+from eldata.cli.baseline import add_part
 
 
 def add_options(parser: console.Parser) -> None:
@@ -32,8 +33,7 @@ def add_options(parser: console.Parser) -> None:
         parser.add_argument(
             name, type=console.whole_number(0), default=default, metavar=letter, help=f"{text} (default: %(default)s)"
         )
-    parser.add_argument("--split", action="append", metavar="S", help="only this split; may be repeated")
-    parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
+    add_part(parser)
     kept = "the finished shards are kept in {output}, and the same command goes on"
     console.add_shared(parser, run, "cameras", "isolation", interrupted=kept)
 

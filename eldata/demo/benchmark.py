@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
+from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.calibration.camera import calibrate
 from eldata.calibration.shading_fit import dark_shading
@@ -59,7 +60,7 @@ def run_benchmark(folder: Path, plan: BenchmarkPlan = DEFAULT_PLAN, *, workers: 
     pictures = sum(bool(scene.picture) for scene in benchmark_scenes(plan.scenes, plan.training_scenes))
     names = " and ".join(manifest.card.cameras)
     print(
-        f"{plan.scenes} scenes to test on and {plan.training_scenes} to train on, photographed by {names}: "
+        f"{counted(plan.scenes, 'scene')} to test on and {plan.training_scenes} to train on, photographed by {names}: "
         f"{data / FOLDER}"
     )
     if pictures:

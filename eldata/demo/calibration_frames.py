@@ -117,18 +117,23 @@ class _Plan:
 
 @dataclass(frozen=True, slots=True)
 class _Shot:
-    """One frame to take: small, for worker processes. ``level_dn`` is that of the middle of a flat."""
+    """One frame to take: small, for worker processes."""
 
+    plan: _Plan
     path: Path
     role: Literal["bias", "flat"]
-    sensor: Sensor
-    features: FixedFeatures
-    seed: int
-    noise: KnownNoise
     iso_index: int
     frame_index: int
     exposure_s: Fraction
-    level_dn: float
+
+    @property
+    def noise(self) -> KnownNoise:
+        return self.plan.noise[self.iso_index]
+
+    @property
+    def level_dn(self) -> float:
+        """Of the middle of a flat."""
+        return self.plan.lamp_e_per_s * float(self.exposure_s) * self.noise.gain_dn_per_e
 
 
 def make_calibration_frames(
@@ -190,7 +195,7 @@ def make_calibration_frames(
     finally:
         _body.cache_clear()  # a caller's process need not keep its arrays
     write_json(folder / "truth.json", _truth(plan, body), indent=1)
-    records = [_record(shot, data, camera.name) for shot in shots]
+    records = [_record(shot, data) for shot in shots]
     sources = "eldata.demo: a simulated camera; truth.json beside the manifests' folder holds its noise"
     sensors = {camera.name: camera.sensor}
     card = demo_card(NAME, "Simulated calibration frames", _FOLDER, sensors, records, sources)
@@ -235,50 +240,42 @@ def _shots(data: Path, plan: _Plan) -> Iterator[_Shot]:
     """Yield the frames as a photographer would take them: all bias frames, then, cap off, the flats in pairs."""
     bias = [(BIAS_EXPOSURE_S,) * plan.bias_frames] * len(plan.noise)
     flats = [tuple(time for time in times for _ in range(2)) for times in plan.times_s]
-    sequence: tuple[tuple[Literal["bias", "flat"], list[tuple[Fraction, ...]], int, float], ...] = (
-        ("bias", bias, 0, 0.0),
-        ("flat", flats, plan.bias_frames, plan.lamp_e_per_s),
+    sequence: tuple[tuple[Literal["bias", "flat"], list[tuple[Fraction, ...]], int], ...] = (
+        ("bias", bias, 0),
+        ("flat", flats, plan.bias_frames),
     )
     number = 0
-    for role, exposures, first, light in sequence:
+    for role, exposures, first in sequence:
         for iso_index, (noise, times) in enumerate(zip(plan.noise, exposures, strict=True)):
             for frame_index, exposure_s in enumerate(times, first):
                 number += 1
-                yield _Shot(
-                    path=data / plan.camera.name / role / f"ISO{noise.iso}" / f"IMG_{number:04d}.dng",
-                    role=role,
-                    sensor=plan.camera.sensor,
-                    features=plan.features,
-                    seed=plan.seed,
-                    noise=noise,
-                    iso_index=iso_index,
-                    frame_index=frame_index,
-                    exposure_s=exposure_s,
-                    level_dn=light * float(exposure_s) * noise.gain_dn_per_e,
-                )
+                path = data / plan.camera.name / role / f"ISO{noise.iso}" / f"IMG_{number:04d}.dng"
+                yield _Shot(plan, path, role, iso_index, frame_index, exposure_s)
 
 
 def _take(shot: _Shot) -> None:
     """Take one frame and write it."""
     # 1 + the index: the specimen's own draws have 0 there.
-    generator = np.random.default_rng([shot.seed, 1 + shot.iso_index, shot.frame_index])
-    body = _body(shot.sensor, shot.features, shot.seed)
+    plan, noise = shot.plan, shot.noise
+    generator = np.random.default_rng([plan.seed, 1 + shot.iso_index, shot.frame_index])
+    body = _body(plan.camera.sensor, plan.features, plan.seed)
     if shot.role == "bias":
-        mosaic = body.bias_frame(shot.noise, generator)
+        mosaic = body.bias_frame(noise, generator)
     else:
-        mosaic = body.flat_frame(shot.noise, shot.level_dn, generator)
-    write_shot(shot.path, mosaic, shot.sensor, Fraction(shot.noise.iso), shot.exposure_s)
+        mosaic = body.flat_frame(noise, shot.level_dn, generator)
+    write_shot(shot.path, mosaic, plan.camera.sensor, Fraction(noise.iso), shot.exposure_s)
 
 
-def _record(shot: _Shot, data: Path, camera: str) -> FrameRecord:
+def _record(shot: _Shot, data: Path) -> FrameRecord:
+    camera = shot.plan.camera
     return FrameRecord(
         path=shot.path.relative_to(data).as_posix(),
         role=shot.role,
-        camera=camera,
+        camera=camera.name,
         iso=Fraction(shot.noise.iso),
         exposure_s=shot.exposure_s,
-        width=shot.sensor.width,
-        height=shot.sensor.height,
+        width=camera.sensor.width,
+        height=camera.sensor.height,
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from eldata.base.files import atomic_write
-from eldata.base.numbers import checked_whole
+from eldata.base.numbers import checked_whole, counted
 from eldata.baselines.classical import BASELINES
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.calibration.joint import fit_log_log
@@ -64,9 +64,8 @@ def run_demo(folder: Path, *, scenes: int = 4, seed: int = 0, beside: str = "dct
     prepare_folder(folder)
     manifest = make_tree(folder, scenes=scenes, seed=seed)
     root = folder / "data"
-    print(
-        f"{len(manifest.records)} raw files (DNG) of {scenes} scenes and {len(manifest.card.cameras)} cameras: {root}"
-    )
+    of = f"{counted(scenes, 'scene')} and {len(manifest.card.cameras)} cameras"
+    print(f"{len(manifest.records)} raw files (DNG) of {of}: {root}")
 
     at_root = f"--root {shlex.quote(str(root))}"
     verify_own(manifest, root)

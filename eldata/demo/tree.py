@@ -166,7 +166,6 @@ def make_clean(
     *,
     size: tuple[int, int] = (512, 768),
     seed: int = 0,
-    cameras: Sequence[SimulatedCamera] = CAMERAS,
 ) -> Path:
     """Photograph scenes as a reference each, to train on; parameters as :func:`make_tree` has them.
 
@@ -175,7 +174,7 @@ def make_clean(
     clean = folder / "data" / "clean"
     for number in scenes:
         radiance = scene_radiance(number, *size)
-        for index, design in enumerate(cameras):
+        for index, design in enumerate(CAMERAS):
             camera = design.with_size(*size)
             # Four numbers, where those of make_tree are of three.
             mosaic = camera.photograph(radiance, Fraction(1), BASE_ISO, np.random.default_rng([seed, index, number, 0]))

@@ -186,16 +186,6 @@ class Page:
     def wait(self, condition: Callable[[], bool]) -> None:
         until(condition, "what the page is to show")
 
-    def picture(self, path: Path, *, whole: bool = False) -> None:
-        data = self.send("Page.captureScreenshot", captureBeyondViewport=whole, **self._whole(whole=whole))["data"]
-        path.write_bytes(base64.b64decode(data))
-
-    def _whole(self, *, whole: bool) -> dict[str, Any]:
-        if not whole:
-            return {}
-        size = self.send("Page.getLayoutMetrics")["cssContentSize"]
-        return {"clip": {"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1}}
-
     def pdf(self) -> bytes:
         return base64.b64decode(self.send("Page.printToPDF", preferCSSPageSize=True)["data"])
 

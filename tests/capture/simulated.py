@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from capture.camera import CameraDescription
+from capture.cli import main
 from capture.plan import Plan, make_plan
 from capture.protocol import RELEASED
 from capture.shutter import Shutter
+from eldata.manifest import verify
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
 
@@ -97,3 +99,20 @@ def shoot(
         write_dng(path, _mosaic(index), sensor, exposure, taken=now if times else None)
         files.append(path)
     return files
+
+
+class Nights:
+    """A set that grows in a folder, and how each card is put into it by `capture manifest`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.data, self.csv = folder / "data" / "mine", folder / "manifests" / "mine.csv"
+
+    def add(self, plan: Plan, *cards: Path, options: tuple[str, ...] = ("--append",)) -> int:
+        plan.save(self.folder / "plan.json")
+        command = ["manifest", str(self.folder / "plan.json"), *map(str, cards), "-o", str(self.csv)]
+        return main([*command, "--copy-to", str(self.data), "--jobs", "1", *options])
+
+    def problems(self) -> list[str]:
+        report = verify(self.csv, self.folder / "data", level="full")
+        return [str(problem) for problem in report.problems]

@@ -12,9 +12,9 @@ from scipy import ndimage
 
 from eldata.demo.camera import BASE_ISO, CAMERAS, SimulatedCamera
 from eldata.demo.scenes import scene_radiance
-from eldata.manifest import Manifest, load_manifest, save_records
-from eldata.manifest.card import CameraCard, Card, save_card
+from eldata.demo.tree import demo_card
 from eldata.manifest.eld import EldCamera, eld_records
+from eldata.manifest.writing import save_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.manifest import Manifest
     from eldata.records import FrameRecord
 
 ALPHA, BETA = CAMERAS
@@ -92,29 +93,11 @@ def write_scenes(
         path = folder / "data" / "MY" / record.path
         path.parent.mkdir(parents=True, exist_ok=True)
         write_dng(path, mosaic, camera.sensor, shot.exif, compression="none")
-    return write_manifest(folder, change_rows(records), camera)
+    (folder / "manifests").mkdir(parents=True, exist_ok=True)
+    rows = change_rows(records)
+    card = demo_card("my", "Mine", "MY", {camera.name: camera.sensor}, rows, "simulated")
+    return save_manifest(folder / "manifests" / "my.csv", card, rows)
 
 
 def number_of(record: FrameRecord) -> int:
     return int(record.path.rpartition("_")[2].removesuffix(".dng"))
-
-
-def write_manifest(folder: Path, records: Sequence[FrameRecord], camera: SimulatedCamera) -> Manifest:
-    roles = [record.role for record in records]
-    card = Card(
-        name="my",
-        title="Mine",
-        version="1.0",
-        folder="MY",
-        citation="none",
-        licence="CC0",
-        homepage="none",
-        cfa="bayer",
-        cameras={camera.name: CameraCard((camera.sensor.model,))},
-        counts={role: roles.count(role) for role in sorted(set(roles))},
-        sources=("simulated",),
-    )
-    (folder / "manifests").mkdir(parents=True, exist_ok=True)
-    save_card(folder / "manifests" / "my.json", card)
-    save_records(folder / "manifests" / "my.csv", records)
-    return load_manifest(folder / "manifests" / "my.csv")

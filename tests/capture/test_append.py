@@ -12,37 +12,16 @@ from typing import TYPE_CHECKING
 import pytest
 
 from capture.cli import main
-from capture.plan import Plan, make_plan
+from capture.plan import make_plan
 from eldata.base.files import sha256_of
-from eldata.manifest import load_manifest, verify
+from eldata.manifest import load_manifest
 from tests.capture import simulated
-from tests.capture.simulated import CAMERA, Taken, plan_of, shoot, whole_plan
+from tests.capture.simulated import CAMERA, Nights, Taken, plan_of, shoot, whole_plan
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 OTHER = replace(CAMERA, name="OtherNocturne", models=("Nocturne 2",))
-
-
-class Nights:
-    """A set that grows, and how each card is put into it."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.data, self.csv = folder / "data" / "mine", folder / "manifests" / "mine.csv"
-
-    def add(self, plan: Plan, *cards: Path, options: tuple[str, ...] = ("--append",)) -> int:
-        name = f"{plan.camera.name}-{plan.scenes[0].name}.json"
-        plan.save(self.folder / name)
-        command = ["manifest", str(self.folder / name), *map(str, cards), "-o", str(self.csv)]
-        return main([*command, "--copy-to", str(self.data), "--jobs", "1", *options])
-
-    def problems(self) -> list[str]:
-        report = verify(self.csv, self.folder / "data", level="full")
-        return [str(problem) for problem in report.problems]
-
-    def paths(self) -> list[str]:
-        return [record.path for record in load_manifest(self.csv).records]
 
 
 @pytest.fixture
@@ -156,7 +135,7 @@ def test_what_cannot_be_joined(
     assert "this set does not exist yet; leave --append out" in capsys.readouterr().err
     assert nights.add(plan, nights.folder / "one", options=("--only", "scene-1")) == 0
     capsys.readouterr()
-    command = ["manifest", str(nights.folder / "AcmeNocturne-scene-1.json"), str(nights.folder / "two"), "--append"]
+    command = ["manifest", str(nights.folder / "plan.json"), str(nights.folder / "two"), "--append"]
     command += ["-o", str(nights.csv)]
     assert main(command) == 2
     assert "--append goes with --copy-to DIR or --link-to DIR" in capsys.readouterr().err

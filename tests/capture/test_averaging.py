@@ -26,9 +26,8 @@ from eldata.errors import ArgumentError
 from eldata.manifest import load_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
-from tests.capture.simulated import CAMERA, START, shoot, whole_plan
+from tests.capture.simulated import CAMERA, START, Nights, shoot, whole_plan
 from tests.capture.simulated_scenes import moved, write_scenes
-from tests.capture.test_append import Nights
 from tests.capture.test_whole_path import description
 
 if TYPE_CHECKING:
@@ -47,7 +46,6 @@ def photographed(folder: Path, moved_px: Mapping[int, float] = {}) -> Nights:
     """A set of one scene with blocks of four references."""
     camera = CAMERAS[0].with_size(*SIZE)
     plan = make_plan(description(CAMERAS[0]), BLOCKS, {"scene-1": Fraction(4)})
-    plan.save(folder / "plan.json")
     card = folder / "card"
     card.mkdir()
     seen = scene_radiance(1, *SIZE)
@@ -61,8 +59,7 @@ def photographed(folder: Path, moved_px: Mapping[int, float] = {}) -> Nights:
         taken = START + timedelta(seconds=10 * shot.number)
         write_dng(card / f"DSC{shot.number:04d}.dng", mosaic, camera.sensor, exposure, taken=taken, compression="none")
     nights = Nights(folder)
-    command = ["manifest", str(folder / "plan.json"), str(card), "-o", str(nights.csv), "--copy-to", str(nights.data)]
-    assert main([*command, "--jobs", "1"]) == 0
+    assert nights.add(plan, card, options=()) == 0
     return nights
 
 

@@ -14,6 +14,7 @@ from capture.camera import EXAMPLE, CameraDescription
 from capture.capture_errors import CameraError
 from capture.shutter import ExactNumber, Shutter, as_exact, ladder
 from tests.cases import in_one_test
+from tests.shared import there
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -65,8 +66,7 @@ def test_rounding_has_no_near_misses(thirds: int, wobble: int) -> None:
     """Right beside the border between two settings, closer than floating point can tell."""
     cam = camera(Shutter.between("1/8000", "30", THIRD))
     border = ExactNumber(Fraction(1), Fraction(2 * thirds + 1, 6))
-    found = cam.nearest(border * (1 + Fraction(wobble, 10**30)))
-    assert found is not None
+    found = there(cam.nearest(border * (1 + Fraction(wobble, 10**30))))
     expected = thirds + 1 if wobble > 0 else thirds  # the border itself: the faster one
     assert found.true_exact == ExactNumber(Fraction(1), Fraction(expected, 3))
 

@@ -15,6 +15,7 @@ from capture.cli import main
 from eldata.demo.calibration_frames import make_calibration_frames
 from eldata.manifest import load_manifest
 from eldata.raw import read_raw, write_dng
+from tests.capture.test_check import named
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -62,10 +63,6 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def frames(pristine: Path, tmp_path: Path) -> Set:
     shutil.copytree(pristine, tmp_path, dirs_exist_ok=True)
     return Set(tmp_path, load_manifest(tmp_path / "manifests" / "calibration-demo.csv"))
-
-
-def named(group: CheckedGroup) -> set[tuple[str, int]]:
-    return {(one.name, int(one.path[-8:-4])) for one in group.reasons if isinstance(one, Measure)}
 
 
 @pytest.mark.study

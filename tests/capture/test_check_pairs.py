@@ -6,46 +6,53 @@ import json
 import math
 from dataclasses import replace
 from fractions import Fraction
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from capture.check import CheckedPair, check
 from capture.check.cells import empty_share
-from capture.check.limits import (
+from capture.check.measures import (
     BEST_PSNR_DB,
     LIGHT_AGAIN,
     LIGHT_LOOK,
     LOOK_DB,
     SHIFT_AGAIN_PX,
     SHIFT_LOOK_PX,
+    Estimate,
+    Measure,
 )
-from capture.check.measures import Estimate, Measure
 from capture.cli import main
 from eldata.datasets import PairDataset
-from eldata.demo.camera import BASE_ISO, SimulatedCamera
 from eldata.manifest import load_manifest
 from eldata.metrics import psnr
 from eldata.records import Exposure
+from tests.capture.planted_faults import smoothed, twelve_bits
 from tests.capture.simulated_scenes import Shot, write_scenes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from capture.check import CheckedGroup
+    from tests.capture.planted_faults import Digital
 
 FEW = (1, 2, 4, 6, 14, 15, 16)  # references, and noisy frames at x1 and x100 of ISO 800, x100 and x200 of ISO 3200
 
 
-def group_of(folder: Path, mishaps: dict[int, Callable[[Shot], Shot]], scene: int = 2) -> CheckedGroup:
-    named = {(scene, number): mishap for number, mishap in mishaps.items()}
-    (group,) = check(write_scenes(folder, named, scenes=(scene,), ids=FEW), folder / "data").groups
+def group_of(folder: Path, mishaps: dict[int, Callable[[Shot], Shot]], digital: Digital | None = None) -> CheckedGroup:
+    """Check scene 2; ``digital`` is what the camera does to the raw values of all but its references."""
+    named = {(2, number): mishap for number, mishap in mishaps.items()}
+    references = (1, 6, 11, 16)
+    manifest = write_scenes(
+        folder,
+        named,
+        scenes=(2,),
+        ids=FEW,
+        digital=lambda _, number, dn: dn if digital is None or number in references else digital(dn),
+    )
+    (group,) = check(manifest, folder / "data").groups
     return group
 
 
@@ -147,42 +154,13 @@ def test_a_ratio_that_exif_rounds_is_recorded_and_used(tmp_path: Path, capsys: p
     assert score("measured") > score("metadata") + 5
 
 
-def developed(monkeypatch: pytest.MonkeyPatch, change: Callable[[NDArray[np.uint16]], NDArray[np.uint16]]) -> None:
-    """Let the camera work on the raw values of all but its references."""
-    plain = SimulatedCamera.photograph
-
-    def photograph(
-        self: SimulatedCamera, light: Any, share: Any, iso: int, generator: np.random.Generator
-    ) -> NDArray[np.uint16]:
-        mosaic = plain(self, light, share, iso, generator)
-        return mosaic if iso == BASE_ISO else change(mosaic)
-
-    monkeypatch.setattr(SimulatedCamera, "photograph", photograph)
-
-
-def smoothed(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Half of each pixel from the mean of the 3 x 3 of its colour."""
-    found = mosaic.astype(np.float64)
-    for place in product((0, 1), repeat=2):
-        part = found[place[0] :: 2, place[1] :: 2]
-        found[place[0] :: 2, place[1] :: 2] = (part + ndimage.uniform_filter(part, 3)) / 2
-    return np.rint(found).astype(np.uint16)
-
-
 @pytest.mark.parametrize(
     ("name", "change", "least"),
-    [("fine noise", smoothed, 50.0), ("gaps", lambda mosaic: mosaic // 4 * 4, 70.0)],
+    [("fine noise", smoothed, 50.0), ("gaps", twelve_bits, 70.0)],
 )
-def test_cameras_that_work_on_raw_values(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-    change: Callable[[NDArray[np.uint16]], NDArray[np.uint16]],
-    least: float,
-) -> None:
+def test_cameras_that_work_on_raw_values(tmp_path: Path, name: str, change: Digital, least: float) -> None:
     """Noise reduction; 12 bits in a file of 14."""
-    developed(monkeypatch, change)
-    group = group_of(tmp_path, {})
+    group = group_of(tmp_path, {}, change)
     for one in group.pairs:
         found = group.row(one)[name]
         assert found.verdict == "shoot again"
@@ -196,6 +174,10 @@ def test_gaps_of_values_by_their_share() -> None:
     assert empty_share(mosaic) == 0
     assert empty_share(mosaic // 2 * 2) == pytest.approx(0.5, abs=0.05)
     assert empty_share(np.full((8, 8), 512, np.uint16)) == 0
+    # Nine tenths at one value, the others far apart below it: what does not occur between them is no gap.
+    mosaic = np.random.default_rng(6).integers(600, 12_000, (400, 500)).astype(np.uint16)
+    mosaic[:, :450] = 16383
+    assert empty_share(mosaic) == 0
 
 
 def test_a_ratio_is_recorded_only_if_it_is_known_well_enough() -> None:
@@ -206,14 +188,6 @@ def test_a_ratio_is_recorded_only_if_it_is_known_well_enough() -> None:
     }
     vague = CheckedPair("a", "b", shift=None, ratio=Estimate(200.0, 2 * LIGHT_AGAIN * 200))
     assert vague.recorded == {}
-
-
-def test_no_gaps_beside_a_peak() -> None:
-    """Nine tenths at one value, the others far apart below it: what does not occur between them is no gap."""
-    generator = np.random.default_rng(6)
-    mosaic = generator.integers(600, 12_000, (400, 500)).astype(np.uint16)
-    mosaic[:, :450] = 16383
-    assert empty_share(mosaic) == 0
 
 
 def test_a_window_that_is_saturated_all_over(tmp_path: Path) -> None:

@@ -49,6 +49,14 @@ def bare(browser: Browser, tmp_path: Path) -> Iterator[Page]:
     page.close()
 
 
+def show(page: Page, plan: Plan) -> Page:
+    """Open a plan's checklist."""
+    path = page.downloads / "page.html"
+    path.write_text(html_checklist(plan), encoding="utf-8")
+    page.open(path.as_uri())
+    return page
+
+
 @pytest.fixture
 def page(bare: Page, file: Path) -> Page:
     bare.open(file.as_uri())
@@ -256,8 +264,7 @@ def test_every_time_on_the_dial_gives_what_remeter_gives(
     """What the page shows for a time is what `capture plan --remeter` makes of it: dials, remarks, or the refusal."""
     plan = plan_of(name)
     plan.save(tmp_path / "plan.json")
-    (tmp_path / "page.html").write_text(html_checklist(plan), encoding="utf-8")
-    bare.open((tmp_path / "page.html").as_uri())
+    show(bare, plan)
     times = sorted({time.nominal_s for time in plan.camera.shutter.times} | {plan.scenes[0].metered_s})
     assert bare.run("every('#scene-1-metered option').map((e) => e.value)") == [str(seconds) for seconds in times]
     refused = 0
@@ -279,11 +286,10 @@ def test_every_time_on_the_dial_gives_what_remeter_gives(
     assert 0 < refused < len(times)
 
 
-def test_a_plans_own_metered_time_is_in_the_list(bare: Page, plan: Plan, tmp_path: Path) -> None:
+def test_a_plans_own_metered_time_is_in_the_list(bare: Page, plan: Plan) -> None:
     """Between two times of the dial, or written otherwise than the camera writes it."""
     odd = plan.remeter("scene-1", Fraction(7, 4)).remeter("scene-2", Fraction(13, 10))
-    (tmp_path / "page.html").write_text(html_checklist(odd), encoding="utf-8")
-    bare.open((tmp_path / "page.html").as_uri())
+    show(bare, odd)
     labels = "['scene-1', 'scene-2'].map((name) => byId(`${name}-metered`).selectedOptions[0].label)"
     assert bare.run(labels) == ["7/4 s", "1.3 s"]
     assert bare.text("#scene-1-remarks li") == odd.scene("scene-1").remarks[0]
@@ -307,12 +313,9 @@ CLOCK = "(() => { const now = Date.now(); window.later = 0; Date.now = () => now
 
 
 @pytest.fixture
-def film(bare: Page, tmp_path: Path) -> Page:
+def film(bare: Page) -> Page:
     """The page of a sequence of three moments, and of another one."""
-    path = tmp_path / "film.html"
-    path.write_text(html_checklist(film_plan(3, scenes=2)), encoding="utf-8")
-    bare.open(path.as_uri())
-    return bare
+    return show(bare, film_plan(3, scenes=2))
 
 
 def test_moments_say_what_to_move_and_are_metered_once(film: Page) -> None:
@@ -357,11 +360,9 @@ def test_moments_fit(film: Page) -> None:
 
 
 @pytest.fixture
-def timed(bare: Page, tmp_path: Path) -> Page:
+def timed(bare: Page) -> Page:
     bare.send("Page.addScriptToEvaluateOnNewDocument", source=SOUNDS + CLOCK)
-    (tmp_path / "bulb.html").write_text(html_checklist(plan_of("bulb")), encoding="utf-8")
-    bare.open((tmp_path / "bulb.html").as_uri())
-    return bare
+    return show(bare, plan_of("bulb"))
 
 
 def test_timer_counts_the_exposure_and_sounds_at_its_end(timed: Page) -> None:
@@ -549,11 +550,10 @@ def test_copied_text_is_what_export_writes(page: Page) -> None:
 
 def test_progress_of_an_older_plan_is_taken_as_far_as_it_fits(bare: Page, plan: Plan, tmp_path: Path) -> None:
     grown = plan.add_scene("scene-3", Fraction(2)).only(["scene-2", "scene-3"])
-    (tmp_path / "page.html").write_text(html_checklist(grown), encoding="utf-8")
     content = exported(plan)
     content["scenes"][1]["shots"][0]["taken_at"] = "4"
     (tmp_path / "older.json").write_text(json.dumps(content), encoding="utf-8")
-    bare.open((tmp_path / "page.html").as_uri())
+    show(bare, grown)
     bare.choose_file("#import-file", tmp_path / "older.json")
     bare.wait(lambda: bare.text("#kept") != "")
     assert bare.text("#kept") == "Imported older.json. Not in this plan, and left out: scene-1, calibration."
@@ -777,11 +777,10 @@ def test_without_scripts_the_page_is_whole(bare: Page, file: Path) -> None:
         assert words not in shown.replace("Notes", "")
 
 
-def test_repeated_frames_are_one_row(bare: Page, tmp_path: Path) -> None:
+def test_repeated_frames_are_one_row(bare: Page) -> None:
     """Three noisy frames of a setting are ticked at once, and come home as three."""
     plan = plan_of("measured")
-    (tmp_path / "page.html").write_text(html_checklist(plan), encoding="utf-8")
-    bare.open((tmp_path / "page.html").as_uri())
+    show(bare, plan)
     assert bare.text("#where") == "scene-1, frames 1 to 2: reference, 2 frames"
     assert bare.text("#taken") == "Taken, all 2"
     take(bare, 2)

@@ -1,19 +1,19 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
-from pathlib import Path
-
-import pytest
+from typing import TYPE_CHECKING
 
 from capture.cli import main
 from eldata import __version__
 from tests.cases import in_one_test
-from tests.waiting import PATIENCE_S
 
-ROOT = Path(__file__).resolve().parents[2]
+if TYPE_CHECKING:
+    from pathlib import Path
 
+    import pytest
+
+# The released set, from its published file lists.
 METERED = """\
 frame  role        ISO  factor  exposure  reference
 -----  ---------  ----  ------  --------  ---------
@@ -78,7 +78,7 @@ def test_json_says_what_the_table_says(tmp_path: Path, capsys: pytest.CaptureFix
         ("protocol --isos 800 fast", "argument --isos: expected a whole number"),
         ("protocol --isos " + "9" * 5000, "expected a whole number"),
         ("protocol --isos 800 800", "noisy_isos must hold each value once, found 800 again"),
-        ("protocol --factors 0", "low_light_factors must be a positive whole number, found 0"),
+        ("protocol --factors 0", "argument --factors: expected a whole number of 1 or more, found '0'"),
         ("protocol --met 4", "there is no option --met; did you mean --metered?"),
         ("fly", "fly"),
         ("", "a command is needed; see capture --help"),
@@ -93,36 +93,8 @@ def test_wrong_usage_is_one_line(line: str, words: str, capsys: pytest.CaptureFi
     assert words in errors
 
 
-@pytest.mark.parametrize("name", ["missing/protocol.json", ""])
-def test_json_that_cannot_be_written(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["protocol", "--json", name]) == 2
-    output, errors = capsys.readouterr()
-    assert output == ""
-    assert errors.startswith("capture protocol: cannot write ")
-    assert errors.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_version(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Arguments of the process are the default."""
     monkeypatch.setattr(sys, "argv", ["capture", "--version"])
     assert main(["--version"]) == main() == 0
     assert capsys.readouterr().out == f"capture {__version__}\n" * 2
-
-
-def test_heavy_packages_stay_out() -> None:
-    code = (
-        "import sys, capture\n"
-        "from capture.cli import main\n"
-        "for command in ('', 'protocol', 'plan', 'camera', 'manifest', 'check', 'checklist'):\n"
-        "    assert main([*command.split(), '--help']) == 0\n"
-        "assert main(['protocol', '--metered', '4']) == 0\n"
-        "assert not {'torch', 'rawpy', 'numpy'} & set(sys.modules)\n"
-        "import capture.check\n"
-        "assert not {'torch', 'rawpy', 'matplotlib'} & set(sys.modules)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, text=True, capture_output=True, timeout=PATIENCE_S)
-    assert done.returncode == 0, done.stderr

@@ -9,6 +9,7 @@ from capture.cli import main
 from capture.plan import Plan
 from tests.capture.test_checklist import exported
 from tests.cases import in_one_test
+from tests.shared import there
 
 TABLE = """\
 SonyA7S2: 14 shots; base ISO 100, ISOs 800, 1600, low-light factors 10, 200
@@ -100,8 +101,7 @@ def test_calibration_frames(at_work: Path, capsys: pytest.CaptureFixture[str]) -
     assert len(Plan.load("c.json").shots) == 2 * (10 + 12)
     assert new("--scenes", "1", "--metered", "4", "-o", "plan.json") == 0
     assert main(["plan", "plan.json", "--calibration", "--flat-clips-at", "1/2", "--bias-frames", "6"]) == 0
-    found = Plan.load("plan.json").calibration
-    assert found is not None
+    found = there(Plan.load("plan.json").calibration)
     assert (found.bias_frames, found.isos) == (6, (100, 200, 400, 800, 1600, 3200))
 
 
@@ -128,7 +128,7 @@ ONE = f"{NEW} --scenes 1 --metered 4"
         (NEW, "a new plan needs --scenes, a number of scenes, or the first and the last, as 11-15"),
         (f"{NEW} --scenes 0 --metered 4", "expected a number of scenes from 1 to 1000, or the first and the last"),
         (f"{NEW} --scenes 7-5 --metered 4", "expected a number of scenes from 1 to 1000"),
-        (f"{NEW} --scenes 1-x --metered 4", "expected a whole number of at most nine digits, found 'x'"),
+        (f"{NEW} --scenes 1-x --metered 4", "expected a whole number of 0 or more, found 'x'"),
         (f"{NEW} --scenes 11-12 --metered scene-1=4", "--metered scene-1: the scenes are scene-11 to scene-12"),
         (f"{NEW} --scenes 2", "scene-1, scene-2 need a metered time"),
         (f"{NEW} --scenes 1 --metered 1/2", "scene-1: metered at 1/2 s (ISO 100): noisy frame 15"),

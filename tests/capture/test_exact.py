@@ -48,11 +48,6 @@ def test_the_nearest_fractions_to_an_irrational_are_told_apart(number: ExactNumb
     assert number > as_exact(close * (1 - Fraction(1, 10**14)))
 
 
-def test_cube_root_of_two_is_exact() -> None:
-    third = ExactNumber(Fraction(1), Fraction(1, 3))
-    assert third * third * third == as_exact(2)
-
-
 @pytest.mark.parametrize("coefficient", [Fraction(0), Fraction(-1, 3)])
 def test_not_positive_is_refused(coefficient: Fraction) -> None:
     with pytest.raises(ArgumentError, match="above 0"):

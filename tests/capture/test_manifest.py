@@ -21,7 +21,7 @@ from eldata.base.files import sha256_of, write_text
 from eldata.cli.main import main as eldata_main
 from eldata.manifest import load_manifest, to_croissant, verify
 from eldata.manifest.writing import save_manifest
-from tests.capture.simulated import CAMERA, Taken, plan_of, shoot, whole_plan
+from tests.capture.simulated import CAMERA, Nights, Taken, plan_of, shoot, whole_plan
 from tests.cases import in_one_test
 from tests.waiting import PATIENCE_S
 
@@ -32,13 +32,12 @@ ROOT = Path(__file__).resolve().parents[2]
 FOUR = ("4", "1", "2", "1")
 
 
-class Field:
+class Field(Nights):
     """A folder with a plan, a memory card and a place for the dataset."""
 
     def __init__(self, folder: Path, plan: Plan, taken: list[Taken] | None = None, *, times: bool = True) -> None:
-        self.folder, self.plan = folder, plan
-        self.card, self.data = folder / "card", folder / "data" / "ELD-mine"
-        self.csv = folder / "manifests" / "mine.csv"
+        super().__init__(folder)
+        self.plan, self.card = plan, folder / "card"
         self.mapping = folder / "manifests" / "mine.mapping.json"
         self.files = shoot(self.card, whole_plan(plan) if taken is None else taken, times=times)
         plan.save(folder / "plan.json")
@@ -50,10 +49,6 @@ class Field:
 
     def copy(self, *options: str) -> int:
         return self.run("--copy-to", str(self.data), *options)
-
-    def problems(self) -> list[str]:
-        report = verify(self.csv, self.folder / "data", level="full")
-        return [str(problem) for problem in report.problems]
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +15,6 @@ from capture.calibration import plan_calibration
 from capture.matching import Match, match
 from capture.noted import explain_metering
 from capture.observed import Observed, ObservedFrame
-from eldata.errors import ArgumentError
 from tests.capture.simulated import START, Taken, as_planned, plan_of
 from tests.cases import in_one_test
 
@@ -236,24 +234,6 @@ def test_a_missing_scene_of_its_own_exposure() -> None:
     assert len(found.missing) == 16
 
 
-def test_a_missing_scene_among_equal_ones_cannot_be_told() -> None:
-    plan = plan_of("4", "4", "4")
-    observed, _ = develop([*scene_of(plan, "scene-1"), *scene_of(plan, "scene-3")])
-    found = match(plan, observed)
-    assert kinds(found) == ["ambiguous", "missing"]
-    assert {remark.scene for remark in found.missing} == {"scene-3"}
-    assert "scene-1, scene-2, scene-3 have equal exposures, and 2 of these 3 were found" in found.remarks[0].text
-
-
-def test_a_whole_scene_taken_twice_among_equal_ones_cannot_be_told() -> None:
-    plan = plan_of("4", "4")
-    observed, _ = develop([*scene_of(plan, "scene-1"), *scene_of(plan, "scene-1"), *scene_of(plan, "scene-2")])
-    found = match(plan, observed)
-    assert len(found.frames) == 32
-    assert found.doubtful
-    assert "ambiguous" in kinds(found)
-
-
 def test_a_whole_scene_taken_twice() -> None:
     plan = plan_of("4", "1")
     first = [replace(press, slot=None) for press in scene_of(plan, "scene-1")]
@@ -286,18 +266,6 @@ def test_no_frames_at_all() -> None:
     found = match(plan_of("4"), Observed((), (), True))
     assert found.frames == {}
     assert len(found.missing) == 16
-
-
-def test_frames_of_another_plan() -> None:
-    observed, _ = develop([EXTRA] * 20)
-    found = match(plan_of("4"), observed)
-    assert found.frames == {}
-    assert kinds(found) == ["extra", "missing"]
-
-
-def test_repeated_must_be_known() -> None:
-    with pytest.raises(ArgumentError, match="repeated must be 'last' or 'first'"):
-        match(plan_of("4"), Observed((), (), True), repeated="best")  # type: ignore[arg-type]
 
 
 # --- scenes that were metered again -----------------------------------------------------------------------------------

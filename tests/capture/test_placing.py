@@ -10,6 +10,7 @@ import pytest
 from capture.capture_errors import MappingError
 from capture.placing import Placement, check_free, copy, link, write_new
 from eldata.base.files import sha256_of
+from eldata.records import FrameRecord
 from tests.syncing import OnDisk
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,7 +22,8 @@ def placement(tmp_path: Path) -> Placement:
     source.parent.mkdir()
     source.write_bytes(os.urandom(100_000))
     os.utime(source, (1_700_000_000, 1_700_000_000))
-    return Placement(source, tmp_path / "data" / "scene-1" / "IMG_0001.ARW", sha256_of(source))
+    record = FrameRecord("scene-1/IMG_0001.ARW", "reference", "Acme", sha256=sha256_of(source))
+    return Placement(source, tmp_path / "data" / record.path, record)
 
 
 @pytest.mark.parametrize("work", [copy, link])

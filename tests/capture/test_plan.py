@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture.calibration import CalibrationPlan, default_isos, plan_calibration
+from capture.calibration import default_isos, plan_calibration
 from capture.camera import EXAMPLE
 from capture.capture_errors import CameraError, ImpossibleShotError, PlanError
 from capture.plan import CALIBRATION, Plan, make_plan
@@ -21,6 +21,7 @@ from capture.shutter import Shutter
 from eldata.base.files import sha256_of
 from tests.capture.simulated import CAMERA, plan_of
 from tests.cases import in_one_test
+from tests.shared import there
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -228,8 +229,7 @@ def test_flats_never_clip_and_come_in_pairs(dial: str, step: Fraction) -> None:
     clips = float(clips_at_s) if named is None else named.true_s
     for first, second in zip(flats[::2], flats[1::2], strict=True):
         assert replace(first, number=second.number) == second
-        level = first.level
-        assert level is not None
+        level = there(first.level)
         share = first.setting.true_s * first.iso / 100 / clips
         assert share <= float(level) * (1 + 1e-9)
         assert first.setting != camera.fastest
@@ -384,22 +384,6 @@ def test_every_field_is_checked(place: tuple[Any, ...], wrong: object, tmp_path:
     assert "\n" not in str(caught.value)
 
 
-@in_one_test("place", [place for place in places(CONTENT) if isinstance(place[-1], str)])
-def test_every_field_is_needed(place: tuple[Any, ...], tmp_path: Path) -> None:
-    content = copy.deepcopy(CONTENT)
-    at = content
-    for key in place[:-1]:
-        at = at[key]
-    del at[place[-1]]
-    path = tmp_path / "plan.json"
-    path.write_text(json.dumps(content))
-    if place[-1] in ("cfa", "true_times"):
-        Plan.load(path)  # these have defaults
-        return
-    with pytest.raises(PlanError, match=r"found nothing$|is missing$"):
-        Plan.load(path)
-
-
 @in_one_test(
     "place, value, words",
     [
@@ -417,8 +401,3 @@ def test_shots_changed_by_hand_are_found(place: tuple[Any, ...], value: object, 
     with pytest.raises(PlanError) as caught:
         Plan.load(path)
     assert words in str(caught.value)
-
-
-def test_calibration_frames_alone_are_a_plan() -> None:
-    frames: CalibrationPlan = plan_calibration(CAMERA, 100, (100,), Fraction(1, 2))
-    assert len(make_plan(CAMERA, RELEASED, {}, frames).shots) == 10 + 12

@@ -24,8 +24,8 @@ from eldata.manifest import load_manifest
 from eldata.noise import DarkShading
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
-from tests.capture.simulated import CAMERA, START, Taken, as_planned, shoot, whole_plan
-from tests.capture.test_append import Nights, night
+from tests.capture.simulated import CAMERA, START, Nights, Taken, as_planned, shoot, whole_plan
+from tests.capture.test_append import night
 from tests.capture.test_whole_path import description
 
 if TYPE_CHECKING:
@@ -109,8 +109,7 @@ def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path, capsys: py
         taken = START + timedelta(seconds=10 * shot.number)
         write_dng(card / f"DSC{shot.number}.dng", mosaic, camera.sensor, exposure, taken=taken, compression="none")
     nights = Nights(tmp_path)
-    command = ["manifest", str(tmp_path / "plan.json"), str(card), "-o", str(nights.csv), "--copy-to", str(nights.data)]
-    assert main([*command, "--jobs", "1"]) == 0
+    assert nights.add(plan, card, options=()) == 0
     report = check(nights.csv, tmp_path / "data")
     pairs = report.groups[0].pairs
     noisy = [shot for shot in shots if shot.role == "noisy"]
@@ -287,7 +286,6 @@ def test_eldata_calibrate_takes_the_dark_frames(
     dark_at = ((800, Fraction(4)),)
     frames = plan_calibration(told, 100, (100, 800), Fraction(1), bias_frames=4, flat_levels=levels, dark=dark_at)
     plan = make_plan(told, LRID, {}, frames)
-    plan.save(nights.folder / "plan.json")
     card = nights.folder / "card"
     card.mkdir()
     for shot in frames.shots:
@@ -299,8 +297,7 @@ def test_eldata_calibrate_takes_the_dark_frames(
         taken = START + timedelta(seconds=10 * shot.number)
         exposure = Exposure(Fraction(shot.iso), shot.setting.nominal_s)
         write_dng(card / f"DSC{shot.number:04d}.dng", mosaic, camera.sensor, exposure, taken=taken)
-    command = ["manifest", str(nights.folder / "plan.json"), str(card), "-o", str(nights.csv)]
-    assert main([*command, "--copy-to", str(nights.data), "--jobs", "1"]) == 0
+    assert nights.add(plan, card, options=()) == 0
     folder = nights.data / told.name
     shading = nights.folder / "shading.npz"
     dark = ["--dark-shading", str(shading), "--dark-current", str(folder / "dark-4s")]

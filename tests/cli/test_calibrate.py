@@ -11,11 +11,12 @@ import pytest
 from eldata.noise import CameraProfile, DarkShading
 from tests.calibration.trees import CAMERA, SIZE, FrameTree, made_tree, relative, rewritten
 from tests.cli.conftest import room_for
+from tests.cli.test_usage import assert_one_line
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tests.cli.conftest import Cli, Outcome
+    from tests.cli.conftest import Cli
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -32,16 +33,6 @@ def pristine(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
 def tree(pristine: FrameTree, tmp_path: Path) -> FrameTree:
     """A copy that a test may change."""
     return pristine.copy(tmp_path / "tree")
-
-
-def assert_one_line(outcome: Outcome, *words: str) -> None:
-    assert outcome.code == 2
-    assert outcome.out == ""
-    assert outcome.err.startswith("eldata calibrate: ")
-    assert outcome.err.count("\n") == 1
-    assert "unexpected" not in outcome.err
-    for word in words:
-        assert word in outcome.err
 
 
 # --- all well -------------------------------------------------------------------------------------------------------

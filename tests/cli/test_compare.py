@@ -14,6 +14,7 @@ from eldata.cli import compare as command
 from eldata.evaluation.saved import saved_result
 from eldata.protocols import PROTOCOLS
 from tests.cli.conftest import Outcome, assert_golden
+from tests.cli.test_usage import assert_one_line
 from tests.reports.evaluations import result_data, table_of, written
 
 if TYPE_CHECKING:
@@ -191,35 +192,27 @@ def test_the_same_path_of_another_factor_is_warned_of(compare: Callable[..., Out
 # --- what is refused ----------------------------------------------------------------------------------------------
 
 
-def assert_refused(outcome: Outcome, *words: str) -> None:
-    assert (outcome.code, outcome.out) == (2, "")
-    assert outcome.err.count("\n") == 1
-    assert "--debug" not in outcome.err
-    for word in words:
-        assert word in outcome.err
-
-
 def test_nothing_in_common(compare: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
     other = written(tmp_path / "sid.json", result_data(cameras=["Sony"], dataset="sid-sony", protocol="sid"))
-    assert_refused(compare(files[0], other), "no image is common", "96 of eld", "48 of sid-sony")
-    assert_refused(compare(files[0], other, "--html", tmp_path / "x.html"), "no image is common")
+    assert_one_line(compare(files[0], other), "no image is common", "96 of eld", "48 of sid-sony")
+    assert_one_line(compare(files[0], other, "--html", tmp_path / "x.html"), "no image is common")
     assert not (tmp_path / "x.html").exists()
 
 
 def test_one_result_names_and_files(compare: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
-    assert_refused(compare(files[0]), "two results or more")
-    assert_refused(compare(files[0], files[0]), "two results are called 'base'", "--name")
-    assert_refused(compare(*files[:2], "--name", "a"), "found 1 for 2 files")
-    assert_refused(compare(files[0], tmp_path / "none.json"), "none.json", "No such file")
-    assert_refused(compare(*files[:2], "--format", "word"), "--format", "word", "latex")
-    assert_refused(compare(*files[:2], "--html", tmp_path / "no" / "page.html"), "cannot write", "page.html")
-    assert_refused(compare(*files[:2], "--json", tmp_path / "no" / "x.json"), "cannot write", "x.json")
+    assert_one_line(compare(files[0]), "two results or more")
+    assert_one_line(compare(files[0], files[0]), "two results are called 'base'", "--name")
+    assert_one_line(compare(*files[:2], "--name", "a"), "found 1 for 2 files")
+    assert_one_line(compare(files[0], tmp_path / "none.json"), "none.json", "No such file")
+    assert_one_line(compare(*files[:2], "--format", "word"), "--format", "word", "latex")
+    assert_one_line(compare(*files[:2], "--html", tmp_path / "no" / "page.html"), "cannot write", "page.html")
+    assert_one_line(compare(*files[:2], "--json", tmp_path / "no" / "x.json"), "cannot write", "x.json")
 
 
 def test_several_protocols_need_a_choice(compare: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
     many = written(tmp_path / "many.json", {"results": [result_data(), result_data(protocol="eld-uncorrected")]})
-    assert_refused(compare(files[0], many), "many.json", "eld, eld-uncorrected", "--protocol")
-    assert_refused(compare(files[0], many, "--protocol", "sid"), "no result of protocol 'sid'", "only of eld")
+    assert_one_line(compare(files[0], many), "many.json", "eld, eld-uncorrected", "--protocol")
+    assert_one_line(compare(files[0], many, "--protocol", "sid"), "no result of protocol 'sid'", "only of eld")
     outcome = compare(files[1], many, "--protocol", "eld")
     assert (outcome.code, outcome.err) == (0, "")
 

@@ -11,6 +11,7 @@ import pytest
 
 from capture.cli import main as capture
 from eldata.base.completion import SHELLS
+from tests.shared import there
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -64,8 +65,7 @@ def assert_completed(program: str, script: str, expected_words: Mapping[tuple[st
         words = " ".join((program, *typed))
         lines += [f"COMP_WORDS=({words}); COMP_CWORD={len(typed)}; COMPREPLY=(); COMP_LINE='{words}'"]
         lines += [f"_shtab_{program}", 'echo "${COMPREPLY[@]}"']
-    bash = shutil.which("bash")
-    assert bash is not None
+    bash = there(shutil.which("bash"))
     done = subprocess.run([bash, "-c", "\n".join(lines)], capture_output=True, text=True, timeout=PATIENCE_S)
     found = {typed: sorted(line.split()) for typed, line in zip(expected_words, done.stdout.splitlines(), strict=True)}
     assert found == {typed: sorted(expected) for typed, expected in expected_words.items()}

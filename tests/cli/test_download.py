@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import functools
 import json
-import subprocess
-import sys
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -15,13 +13,12 @@ from eldata.manifest.card import Download
 from tests.cli.test_usage import assert_one_line
 from tests.download import server
 from tests.download.helpers import HASTY, contents, make_shelf, sevenzipped, tree, zipped
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from tests.cli.conftest import Cli, Outcome
+    from tests.cli.conftest import Cli
 
 FILES = contents()
 PACKED = {f"SID/{name}": content for name, content in FILES.items()}
@@ -59,14 +56,6 @@ def small(site: server.Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def know(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *downloads: Download) -> None:
     shelf = make_shelf(tmp_path / "shelf", *downloads)
     monkeypatch.setattr(catalogue, "shipped_folder", lambda: shelf.folder)
-
-
-def one_line(outcome: Outcome, *words: str) -> None:
-    """As assert_one_line, after the terms on stdout."""
-    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
-    assert "--debug shows where" not in outcome.err
-    for word in ("eldata download: ", *words):
-        assert word in outcome.err
 
 
 # --- fetching ---------------------------------------------------------------------------------------------------------
@@ -227,15 +216,3 @@ def test_wrong_usage(eldata: Cli) -> None:
     assert_one_line(eldata("download", "led"), "'led'", "eld, ")
     assert_one_line(eldata("download", "eld", "--yes", "--from", "x"), "--from", "--yes")
     assert_one_line(eldata("download", "eld", "--from", "none.7z"), "none.7z", "No such file")
-
-
-def test_neither_torch_nor_rawpy_is_loaded(tmp_path: Path) -> None:
-    code = (
-        "import sys; from eldata.cli.main import main\n"
-        "for line in ('download --help', 'info --help', 'info', 'download eld'): main(line.split())\n"
-        "print('LOADED', *(name for name in ('torch', 'rawpy', 'py7zr', 'requests', 'pooch') if name in sys.modules))"
-    )
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.splitlines()[-1] == "LOADED"

@@ -6,14 +6,14 @@ import csv
 import json
 import shutil
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from eldata.base.pixels import rgb_frame
 from eldata.datasets.published.drv import DRVDataset
-from eldata.evaluation import evaluate, evaluate_all, load_results, save_clip_prediction
+from eldata.evaluation import evaluate, load_results, save_clip_prediction
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.table import save_records
 from eldata.protocols.kinds import CLIPS
@@ -103,48 +103,6 @@ def test_the_noisy_input_of_raws(tmp_path: Path) -> None:
     assert baseline.scores == own.scores
 
 
-def test_every_protocol(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
-    files = ("--csv", tmp_path / "all.csv", "--json", tmp_path / "all.json")
-    text = run(eldata, drv, predictions, "--protocol", "all", *CHOSEN, *files)
-    combined = evaluate_all(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
-    names = ["drv-rgb", "drv-rgb-uncorrected"]
-    assert [result.protocol.name for result in combined.results] == names
-    for result in combined.results:
-        assert result == evaluate(
-            predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"], protocol=result.protocol.name
-        )
-    assert text == combined.format_text() + "\n"
-    assert [line.split()[0] for line in text.splitlines() if line.startswith(("PSNR", "SSIM", "ST-RRED"))] == [
-        "PSNR",
-        "SSIM",
-        "ST-RRED",
-    ]
-    assert "By the protocol alone, on shared videos, the same predictions lie up to" in text
-    assert "drv-rgb-uncorrected: rescaling: one factor per image -> none" in text
-    assert [result.scores for result in load_results(tmp_path / "all.json")] == [
-        result.scores for result in combined.results
-    ]
-    with (tmp_path / "all.csv").open(newline="", encoding="utf-8") as file:
-        assert [row["protocol"] for row in csv.DictReader(file)] == [names[0]] * 2 + [names[1]] * 2
-
-
-def test_each_prediction_is_read_once_for_all_protocols(
-    drv: SmallDrv, predictions: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from eldata.evaluation import frames
-    from eldata.evaluation.predictions import load_colours as genuine
-
-    loaded = []
-
-    def load(path: Path, shape: tuple[int, int, int], pixels: Literal["rgb", "srgb"]) -> object:
-        loaded.append(path)
-        return genuine(path, shape, pixels)
-
-    monkeypatch.setattr(frames, "load_colours", load)
-    evaluate_all(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
-    assert len(loaded) == len(set(loaded)) == 10
-
-
 # --- which clips ------------------------------------------------------------------------------------------------------
 
 
@@ -221,23 +179,6 @@ def test_images_and_clips_do_not_compare(eldata: Cli, drv: SmallDrv, predictions
     outcome = eldata("compare", written(tmp_path / "eld.json", result_data()), tmp_path / "drv.json")
     assert outcome.code == 2
     assert "eld has scores of images, drv of videos; these do not compare" in outcome.err
-
-
-def test_the_manifest_is_read_once(
-    eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from eldata.manifest import catalogue, table
-
-    read: list[Path] = []
-    genuine = table.load_table
-
-    def load(path: Path, content: bytes | None = None) -> object:
-        read.append(path)
-        return genuine(path, content)
-
-    monkeypatch.setattr(catalogue, "load_table", load)
-    run(eldata, drv, predictions, *CHOSEN, "--html", tmp_path / "a.html", "--compare")
-    assert [path for path in read if path == drv.csv] == [drv.csv]
 
 
 def test_published_numbers(eldata: Cli, drv: SmallDrv, predictions: Path) -> None:

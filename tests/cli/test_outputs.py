@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import re
 import shutil
@@ -111,7 +110,20 @@ SAME_KIND = {
 }
 
 
-@pytest.mark.parametrize("program", ["eldata", "capture"])
+PROGRAMS = {"eldata": (eldata_main, eldata_parser), "capture": (capture_main, capture_parser)}
+
+
+def of_program(
+    program: str,
+) -> tuple[Callable[[list[str]], int], argparse.ArgumentParser, list[tuple[str, Output]]]:
+    """A program, its parser, and every output of its commands."""
+    main, parser = PROGRAMS[program][0], PROGRAMS[program][1]()
+    outputs = [(command, action) for command, action in options_of(parser) if isinstance(action, Output)]
+    assert len(outputs) > 12
+    return main, parser, outputs
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
 def test_no_file_that_is_there_is_replaced_unless_the_option_wrote_it(
     program: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -121,9 +133,7 @@ def test_no_file_that_is_there_is_replaced_unless_the_option_wrote_it(
     before = {name: path.read_bytes() for name, path in files.items()}
     (tmp_path / "cwd").mkdir()
     monkeypatch.chdir(tmp_path / "cwd")
-    parser, main = (eldata_parser(), eldata_main) if program == "eldata" else (capture_parser(), capture_main)
-    outputs = [(command, action) for command, action in options_of(parser) if isinstance(action, Output)]
-    assert len(outputs) > 12
+    main, parser, outputs = of_program(program)
     accepted = set()
     for turn, (command, action) in enumerate(outputs):
         option = action.option_strings[-1]
@@ -210,48 +220,34 @@ def test_a_folder_of_results_replaces_no_manifest(eldata: Cli, own: Tree, predic
 
 # --- before the work ----------------------------------------------------------------------------------------------
 
-ARGUMENTS = {
-    "evaluate": ["preds", "--manifest", "none.csv"],
-    "compare": ["none.json", "none.json"],
-    "verify": ["none.csv"],
-    "lock": ["none.csv"],
-    "calibrate": ["none"],
-    "profile show": ["none"],
-    "profile estimate": ["none"],
-    "noise check": ["none", "--frames", "none"],
-    "protocols": ["none"],
-    "info": ["none"],
-    "download": ["none"],
-}
 
-
-@pytest.mark.parametrize(
-    ("command", "option"),
-    [
-        *((command, "--json") for command in ARGUMENTS),
-        *(("evaluate", option) for option in ("--csv", "--html")),
-        *(("calibrate", option) for option in ("-o", "--output", "--html")),
-        ("compare", "--html"),
-        ("profile show", "--html"),
-        ("profile estimate", "-o"),
-        ("noise check", "--html"),
-    ],
-)
-def test_a_place_to_write_to_is_tried_before_the_input_is_read(command: str, option: str, eldata: Cli) -> None:
-    given = [*command.split(), *ARGUMENTS[command]]
-    Path("folder").mkdir()
-    for target, problem in (
-        ("folder", "is a folder, not a file"),
-        ("no/x", "there is no folder no; make it first"),
-        (os.devnull, "is a device, not a file"),
-    ):
-        outcome = eldata(*given, option, target)
-        assert (outcome.code, outcome.out) == (2, "")
-        assert outcome.err == f"eldata {command}: cannot write {target}: {problem}\n"
-    outcome = eldata(*given, option, "")
-    assert outcome.err == f"eldata {command}: cannot write {option}: expected the name of a file, found nothing\n"
-    assert "cannot write" not in eldata(*given, option, "x").err, "it is the input that is wrong now"
-    assert [path.name for path in Path.cwd().iterdir()] == ["folder"]
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_place_to_write_to_is_tried_before_the_input_is_read(
+    program: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of every output of every command."""
+    monkeypatch.chdir(tmp_path)
+    Path("folder.csv").mkdir()
+    main, parser, outputs = of_program(program)
+    for command, action in outputs:
+        given = [*command.split()[1:], *needed(parser, command), action.option_strings[-1]]
+        problems = {
+            "folder.csv": "cannot write folder.csv: is a folder, not a file",
+            "no/x.csv": "cannot write no/x.csv: there is no folder no; make it first",
+            os.devnull: f"cannot write {os.devnull}: is a device, not a file",
+            "": f"cannot write {action.option_strings[-1]}: expected the name of a file, found nothing",
+        }
+        if command == "capture manifest":  # which makes the folder, and takes no other name than a table's
+            problems = {"folder.csv": problems["folder.csv"]}
+        elif action.nargs == "?":  # and of no name, to be printed
+            del problems[""]
+        for target, problem in problems.items():
+            assert main([*given, target]) == 2
+            assert capsys.readouterr() == ("", f"{command}: {problem}\n"), (command, given)
+        assert [path.name for path in Path.cwd().iterdir()] == ["folder.csv"]
+        main([*given, "x.csv"])
+        assert "cannot write" not in capsys.readouterr().err, "it is the input that is wrong now"
+        Path("x.csv").unlink(missing_ok=True)
 
 
 @in_one_test("second", ["x.csv", "folder/../x.csv", "link/x.csv", "{absolute}"])
@@ -294,51 +290,6 @@ def test_a_full_disk_costs_an_evaluation_neither_its_table_nor_its_other_files(
     )
     assert Path("x.csv").read_text() == Path("whole.csv").read_text()
     assert sorted(path.name for path in Path.cwd().iterdir()) == ["whole.csv", "x.csv"]
-
-
-def test_a_page_that_cannot_be_drawn_costs_no_numbers(
-    eldata: Cli, tree: Tree, predictions: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(*_: object, **__: object) -> None:
-        raise RuntimeError("no font")
-
-    monkeypatch.setattr("eldata.reports.evaluation.write_evaluation_page", broken)
-    arguments = ("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
-    outcome = eldata(*arguments, "--html", "x.html", "--json", "x.json")
-    assert outcome.code == 2
-    assert "12 of 12 pairs" in outcome.out
-    assert outcome.err == "eldata evaluate: unexpected RuntimeError: no font; --debug shows where\n"
-    assert len(json.loads(Path("x.json").read_text())["images"]) == 12
-
-
-def refuse(path: str, *_: object) -> None:
-    raise EldataError(f"cannot write {path}: No space left on device")
-
-
-@pytest.mark.parametrize("command", ["verify", "lock"])
-def test_what_was_found_is_shown_though_the_json_cannot_be_written(
-    command: str, eldata: Cli, own: Tree, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("eldata.base.console.write_json", refuse)
-    outcome = eldata(command, own.manifest, "--root", own.root, "--jobs", "1", "--json", "x.json")
-    assert outcome.code == 2
-    assert "32" in outcome.out
-    assert outcome.err == f"eldata {command}: cannot write x.json: No space left on device\n"
-
-
-def test_a_comparison_is_shown_though_its_files_cannot_be_written(eldata: Cli, tree: Tree, predictions: Path) -> None:
-    arguments = ("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
-    for protocol, name in (("eld", "a.json"), ("eld-uncorrected", "b.json")):
-        assert eldata(*arguments, "--protocol", protocol, "--json", name).code == 0
-    whole = eldata("compare", "a.json", "b.json")
-    with room_for(100):
-        outcome = eldata("compare", "a.json", "b.json", "--json", "x.json", "--html", "x.html")
-    assert (outcome.code, outcome.out) == (2, whole.out)
-    last = outcome.err.splitlines()[-1]
-    assert (
-        last
-        == "eldata compare: cannot write x.json: No space left on device; cannot write x.html: No space left on device"
-    )
 
 
 def test_every_step_is_taken_and_what_failed_is_raised() -> None:

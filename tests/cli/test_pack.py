@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import shutil
 import signal
-import subprocess
-import sys
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,7 +13,6 @@ import pytest
 from eldata.datasets import DarkFrames
 from eldata.datasets.packed import PackedClips, PackedStore
 from eldata.sources.store import source_of_dataset
-from eldata.sources.store.journal import journaled
 from tests.cli.test_usage import assert_one_line
 from tests.datasets.test_dark_frames import written
 from tests.drv_tree import small_drv, write_raw_clip
@@ -88,11 +84,6 @@ def test_what_is_no_store(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
     assert_one_line(eldata("verify", store), "is truncated", "copy or pack it again")
 
 
-def test_two_writers(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
-    with journaled(tmp_path / "store.h5.part"):
-        assert_one_line(eldata(*command(tree, tmp_path / "store.h5")), "another process is writing it")
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -108,35 +99,6 @@ def test_wrong_usage_is_one_line(arguments: list[str], words: list[str], eldata:
 
 
 # --- processes of their own ---------------------------------------------------------------------------------------
-
-
-def start(arguments: list[str], limit_bytes: int | None = None) -> subprocess.Popen[str]:
-    def limit() -> None:
-        if limit_bytes is not None:
-            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-            resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes))
-
-    return subprocess.Popen(
-        [sys.executable, "-m", "eldata.cli.main", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=limit,  # noqa: PLW1509 # the limit must hold in the child alone
-    )
-
-
-def test_no_room_is_one_line_and_the_command_goes_on(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
-    """A limit on the size of files, which the operating system enforces as it does the disk's."""
-    store = tmp_path / "store.h5"
-    process = start(command(tree, store), limit_bytes=200_000)
-    out, err = process.communicate(timeout=PATIENCE_S)
-    assert (process.returncode, out, err.count("\n")) == (2, "", 1)
-    assert f"cannot write {store}.part: File too large; what is finished is kept there: make room" in err
-    again = eldata(*command(tree, store))
-    assert again.code == 0
-    assert "of them before" in again.out
-    assert eldata("verify", store, "--level", "full").code == 0
 
 
 @pytest.mark.kill

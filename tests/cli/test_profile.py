@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +12,6 @@ from eldata.calibration.acceptance import theory as diagnostics
 from eldata.noise.profile import CameraProfile
 from eldata.noise.profile_files import shipped_profiles
 from tests.cases import in_one_test
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -168,20 +165,6 @@ def test_unusable_input_is_one_line_and_exit_code_2(profile: Profile, line: str,
     assert words in done.err
     assert done.err.count("\n") == 1
     assert "unexpected" not in done.err
-
-
-def test_what_is_loaded() -> None:
-    """No help loads anything heavy, and what shows a profile without a page draws nothing."""
-    code = (
-        "import sys; from eldata.cli.main import main\n"
-        "for command in ('--help', 'show --help', 'list --help', 'estimate --help', 'show SonyA7S2 --model U'):\n"
-        "    main(['profile', *command.split()])\n"
-        "    heavy = ('torch', 'rawpy', 'matplotlib', 'jinja2', 'numba')\n"
-        "    print('LOADED', *(name for name in heavy if name in sys.modules))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
-    loaded = [line for line in done.stdout.splitlines() if line.startswith("LOADED")]
-    assert loaded == ["LOADED"] * 4 + ["LOADED numba"], done.stderr
 
 
 def test_import(profile: Profile) -> None:

@@ -95,13 +95,6 @@ def test_evaluate_all(eldata: Cli, tree: Tree, predictions: Path, tmp_path: Path
     assert len(json.loads((tmp_path / "all.json").read_text())["results"]) == 5
 
 
-def test_evaluate_the_input(eldata: Cli, tree: Tree) -> None:
-    arguments = ("--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
-    outcome = eldata("evaluate", "--baseline", "input", *arguments)
-    assert outcome.code == 0
-    assert outcome.out.startswith("eld-demo, protocol eld: 12 of 12 pairs\n")
-
-
 def test_evaluate_under_a_file(eldata: Cli, tree: Tree, predictions: Path, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('base = "eld"\nname = "mine"\ntitle = "Levels of the file"\nlevels = "metadata"\n')

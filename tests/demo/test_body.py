@@ -155,13 +155,6 @@ def test_a_mosaic_row_shares_one_normal_draw(sensor: Sensor) -> None:
     assert columns.mean(axis=0).var() == pytest.approx(rest * sensor.width / sensor.height, rel=5 * math.sqrt(2 / 768))
 
 
-def test_rows_are_drawn_anew_in_each_frame() -> None:
-    one, generator = body(), rng(7)
-    noise = replace(NOISE, sigma_row_dn=5.0)
-    first, second = (one.bias_frame(noise, generator).astype(np.float64).mean(axis=1) for _ in range(2))
-    assert abs(np.corrcoef(first[::2], second[::2])[0, 1]) < 5 / math.sqrt(256)
-
-
 # --- what stays -----------------------------------------------------------------------------------------------------
 
 
@@ -243,11 +236,3 @@ def test_frames_end_at_0_and_white() -> None:
     assert (dark == 0).mean() == pytest.approx(below, abs=5 * math.sqrt(0.25 / dark.size))
     bright = body(low).flat_frame(NOISE, 50_000.0, rng(11))
     assert (bright == 4000).all()
-
-
-def test_the_generators_decide() -> None:
-    one, same, other = body(features=PATTERN), body(features=PATTERN), body(features=PATTERN, seed=1)
-    np.testing.assert_array_equal(one.pattern_dn, same.pattern_dn)
-    assert (one.pattern_dn != other.pattern_dn).mean() > 0.99
-    np.testing.assert_array_equal(one.flat_frame(NOISE, 900.0, rng(1)), same.flat_frame(NOISE, 900.0, rng(1)))
-    assert (one.bias_frame(NOISE, rng(1)) != one.bias_frame(NOISE, rng(2))).mean() > 0.5

@@ -105,31 +105,3 @@ def test_light_beyond_the_range_is_white_and_whole_dn() -> None:
     mosaic = shot.photograph(np.ones((3, 64, 64), np.float32), Fraction(10), 100, np.random.default_rng(0))
     assert mosaic.dtype == np.uint16
     assert (mosaic == BETA.sensor.white_level_dn).all()
-
-
-def test_white_is_nine_tenths_of_the_range_at_the_metered_exposure() -> None:
-    green = ALPHA.with_size(64, 64).electrons(np.ones((3, 64, 64), np.float32), Fraction(1))[0, 1]
-    assert green * ALPHA.base_gain_dn_per_e == pytest.approx(0.9 * (16383 - 512), rel=1e-6)
-
-
-def test_gain_grows_with_iso() -> None:
-    assert ALPHA.gain_dn_per_e(100) == ALPHA.base_gain_dn_per_e
-    assert ALPHA.gain_dn_per_e(3200) == pytest.approx(32 * ALPHA.base_gain_dn_per_e)
-
-
-def test_the_cameras_differ_in_what_a_loader_could_take_for_granted() -> None:
-    assert ALPHA.sensor.cfa != BETA.sensor.cfa
-    assert ALPHA.sensor.white_level_dn != BETA.sensor.white_level_dn
-    assert ALPHA.sensor.black_level_dn != BETA.sensor.black_level_dn
-    assert len(set(BETA.sensor.black_level_dn)) > 1
-    assert ALPHA.sensor.white_balance != BETA.sensor.white_balance
-    assert ALPHA.sensor.xyz_to_camera != BETA.sensor.xyz_to_camera
-
-
-def test_the_generator_decides_the_noise() -> None:
-    shot, scene = ALPHA.with_size(64, 64), np.full((3, 64, 64), 0.2, np.float32)
-    first, same, other = (
-        shot.photograph(scene, Fraction(1, 100), 800, np.random.default_rng(seed)) for seed in (1, 1, 2)
-    )
-    assert np.array_equal(first, same)
-    assert not np.array_equal(first, other)

@@ -190,12 +190,6 @@ def test_a_foreign_folder_is_refused_and_left_alone(kind: str, tmp_path: Path) -
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_scenes_must_be_positive(tmp_path: Path) -> None:
-    with pytest.raises(EldataError, match=r"scenes.*1 or more"):
-        run_demo(tmp_path / "x", scenes=0)
-    assert not (tmp_path / "x").exists()
-
-
 def test_contact_sheet_places_its_pictures(tmp_path: Path) -> None:
     colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 0), (0, 255, 255), (255, 0, 255)]
     pictures = [np.full((20, 50, 3), colour, np.uint8) for colour in colours]

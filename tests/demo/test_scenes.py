@@ -3,7 +3,6 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import pytest
 
 from eldata.demo import scenes
 from tests.cases import in_one_test
@@ -62,49 +61,6 @@ def test_patch_centres_hold_the_declared_colours_times_the_light(number: int) ->
     np.testing.assert_allclose(np.sort(found, axis=0), np.sort(declared, axis=0), rtol=1e-6)
     for row, column, colour in stage.patches:
         np.testing.assert_allclose(radiance[:, row, column], colour * stage.light[:, row, column], rtol=1e-5)
-
-
-def test_light_is_gentle_and_positive() -> None:
-    light = scenes._painted(1, 128, 192).light
-    assert light.min() > 0
-    assert 0.9 < light.max() <= 1
-    assert light.max() / light.min() > 4
-    assert np.abs(np.diff(np.log(light), axis=2)).max() < 0.05
-
-
-def test_grey_wedge_halves_every_second_step() -> None:
-    stage = scenes._Stage(1, 256, 384)
-    greys = stage.wedge(np.arange(11) + 0.5, 0.09)
-    np.testing.assert_allclose(greys, scenes.WHITE * 2.0 ** (-np.arange(11) / 2), rtol=1e-6)
-
-
-def test_bars_reach_ink_and_paper_and_fade_where_pixels_are_too_coarse() -> None:
-    stage = scenes._Stage(2, 128, 192)
-    coarse = stage.waves(np.linspace(0, 4, 400), 0.1)
-    assert {np.round(coarse.min(), 4), np.round(coarse.max(), 4)} == {scenes.INK, scenes.WHITE}
-    finest = stage.waves(np.linspace(0, 4, 400), 1 / stage.scale)  # one pixel per line pair
-    assert np.ptp(finest) == pytest.approx(0, abs=1e-6)
-
-
-def test_text_darkens_paper_and_lightens_the_dark_panel() -> None:
-    for paper, ink in ((0.9, 0.02), (0.02, 0.9)):
-        stage = scenes._Stage(4, 128, 192)
-        stage.colour[:] = paper
-        stage.write(0, 0, 0.3, "eldata", ink, "mm")
-        changed = np.abs(stage.colour[0] - paper) > 0.5
-        assert 0.005 < changed.mean() < 0.2
-        rows, columns = np.nonzero(changed)
-        assert abs(rows.mean() - 64) < 8
-        assert abs(columns.mean() - 96) < 8
-
-
-def test_texture_is_normalised_and_band_limited() -> None:
-    texture = scenes._texture(np.random.default_rng(3), 512, 512)
-    assert texture.mean() == pytest.approx(0, abs=1e-3)
-    assert texture.std() == pytest.approx(1, abs=1e-3)
-    power = np.abs(np.fft.fft2(texture)) ** 2
-    frequency = np.hypot(np.fft.fftfreq(512)[:, None], np.fft.fftfreq(512)[None, :])
-    assert power[frequency > 0.45].sum() < 1e-3 * power.sum()
 
 
 def test_titles() -> None:

@@ -135,23 +135,8 @@ def png_bomb(data: bytes, random: Random, other: bytes) -> bytes:
 
 
 _DESCRIPTIONS = (
-    *(
-        "<f4",
-        ">f4",
-        "<f8",
-        "|O",
-        "<U9999999",
-        "|S0",
-        "<f2",
-        "|b1",
-        "<c16",
-        "<M8[s]",
-        "|V8",
-        "<u2",
-        "f4,f4",
-        "<f16",
-        "x",
-    ),
+    *("<f4", ">f4", "<f8", "|O", "<U9999999", "|S0", "<f2", "|b1", "<c16", "<M8[s]", "|V8", "<u2", "f4,f4"),
+    *("<f16", "x"),
 )
 _SHAPES = ("(4, 30, 32)", "()", "(0,)", "(-1,)", "(1073741824, 4)", "(2305843009213693952, 8)", "(4.0, 2)", "(True,)")
 _HEADERS = ("{", "[]", "{'descr': '<f4'}", "{'shape': (1,)}", "(" * 900, "__import__('os')", "9" * 300, "{**{}}")
@@ -229,18 +214,8 @@ def zip_record(data: bytes, random: Random, other: bytes) -> bytes:
 
 
 _NAMES = (
-    *(
-        b"../../outside",
-        b"/etc/outside",
-        b"a/../b",
-        b"C:\\x",
-        b"\x1b[2J",
-        b"\xe2\x80\xaeexe",
-        b"\xff\xfe",
-        b"a\0b",
-        b"",
-    ),
-    *(b"n" * 90, b"CON", b"a/" * 40, b".", b"Sony/long/00001_00_10s.ARW"),
+    *(b"../../outside", b"/etc/outside", b"a/../b", b"C:\\x", b"\x1b[2J", b"\xe2\x80\xaeexe", b"\xff\xfe"),
+    *(b"a\0b", b"", b"n" * 90, b"CON", b"a/" * 40, b".", b"Sony/long/00001_00_10s.ARW"),
 )
 
 
@@ -261,15 +236,10 @@ def named(data: bytes, random: Random, other: bytes) -> bytes:
 _TAR_FIELDS = ((0, 100), (100, 8), (108, 8), (116, 8), (124, 12), (136, 12), (156, 1), (157, 100), (257, 8), (345, 155))
 _OCTAL = (b"7" * 11, b"-1", b"\x80" + b"\0" * 10 + b"\x7f", b"\xff" * 11, b"999", b"", b"0x1", b"0" * 12, b" " * 11)
 _PAX = (
-    *(
-        "GNU.sparse.major=1",
-        "GNU.sparse.map=1,x",
-        "GNU.sparse.size=x",
-        "GNU.sparse.map=0,9,9",
-        "GNU.sparse.realsize=-1",
-    ),
-    *("size=x", "size=-5", "size=99999999999999999999", "path=../x", "path=" + "n" * 5000, "path=\x1b[2J", "mtime=nan"),
-    *("linkpath=/etc/passwd", "hdrcharset=BINARY", "=", "GNU.sparse.name=", "GNU.sparse.numblocks=2", "uid=x"),
+    *("GNU.sparse.major=1", "GNU.sparse.map=1,x", "GNU.sparse.size=x", "GNU.sparse.map=0,9,9"),
+    *("GNU.sparse.realsize=-1", "size=x", "size=-5", "size=99999999999999999999", "path=../x"),
+    *("path=" + "n" * 5000, "path=\x1b[2J", "mtime=nan", "linkpath=/etc/passwd", "hdrcharset=BINARY", "="),
+    *("GNU.sparse.name=", "GNU.sparse.numblocks=2", "uid=x"),
 )
 
 

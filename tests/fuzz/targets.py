@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -53,6 +54,11 @@ class Kind:
     nameless: frozenset[str] = frozenset()
     truth: Callable[[object], NDArray[Any]] | None = None
     isolated: bool = False
+
+
+def called(name: str, path: Path) -> object:
+    """Hand a path to ``module:function``, which is imported when it is first used."""
+    return resolve_name(name)(path)
 
 
 # --- raws ---------------------------------------------------------------------------------------------------------
@@ -123,31 +129,7 @@ def _shard(path: Path) -> object:
     return problems
 
 
-def _shading(path: Path) -> object:
-    from eldata.noise import DarkShading
-
-    return DarkShading.load(path)
-
-
 # --- text ---------------------------------------------------------------------------------------------------------
-
-
-def _manifest(path: Path) -> object:
-    from eldata.manifest.table import load_records
-
-    return load_records(path)
-
-
-def _card(path: Path) -> object:
-    from eldata.manifest.card import load_card
-
-    return load_card(path)
-
-
-def _profile(path: Path) -> object:
-    from eldata.noise.profile import CameraProfile
-
-    return CameraProfile.load(path)
 
 
 def _parameters(path: Path) -> object:
@@ -158,12 +140,6 @@ def _parameters(path: Path) -> object:
         return profiles_from_published("SonyA7S2", found)
     except ProfileError as error:  # it is handed no path, and names the camera
         raise FileError(path, str(error)) from error
-
-
-def _protocol(path: Path) -> object:
-    from eldata.protocols.named import load_protocol
-
-    return load_protocol(path)
 
 
 def _published_table(path: Path) -> object:
@@ -180,36 +156,6 @@ def _published_sources(path: Path) -> object:
         path.rename(path.with_name("sources.json"))
     (path.parent / "one.csv").write_bytes(seeds.table())
     return load_published(path.parent)
-
-
-def _result(path: Path) -> object:
-    from eldata.evaluation.saved import load_results
-
-    return load_results(path)
-
-
-def _response(path: Path, name: str) -> object:
-    from eldata.isp import response_files
-
-    return getattr(response_files, name)(path)
-
-
-def _scenes(path: Path) -> object:
-    from manifests.sid_scenes import load_scenes
-
-    return load_scenes(path)
-
-
-def _camera(path: Path) -> object:
-    from capture.camera import CameraDescription
-
-    return CameraDescription.load(path)
-
-
-def _plan(path: Path) -> object:
-    from capture.plan import Plan
-
-    return Plan.load(path)
 
 
 def _progress(path: Path) -> object:
@@ -300,21 +246,28 @@ def _drill(path: Path) -> object:
     return np.zeros(3, np.uint16) if word == "silent" else Fraction(1)
 
 
-_DRILL_WORDS = (
-    *("crash", "exit", "hang", "wait", "memory", "too much", "exception", "message", "two lines", "refused", "escaped"),
-    "read",
-)
+# --- all ----------------------------------------------------------------------------------------------------------
+
+DRILL: Final = {
+    "crash": "crash",
+    "exit": "crash",
+    "hang": "hang",
+    "wait": "hang",
+    "memory": "memory",
+    "too much": "memory",
+    "exception": "exception",
+    "message": "message",
+    "two lines": "message",
+    "refused": "refused",
+    "escaped": "escaped",
+    "read": "read",
+}
+"""What a reader is told to do, and what is to be found of it."""
 
 
 def _drill_seeds() -> list[Seed]:
-    return [seeds.Seed(f"{word}.txt", "drill", word.encode()) for word in _DRILL_WORDS]
+    return [seeds.Seed(f"{word}.txt", "drill", word.encode()) for word in DRILL]
 
-
-def _unchanged(data: bytes, random: object, other: bytes) -> bytes:
-    return data
-
-
-# --- all ----------------------------------------------------------------------------------------------------------
 
 _TIFF = (*tiffs.CHANGES, containers.jpeg)
 _WHOLE_NPY = (containers.npy, containers.npy)
@@ -335,17 +288,17 @@ KINDS: dict[str, Kind] = {
     "texts": Kind(
         seeds.texts,
         {
-            "manifest": _manifest,
-            "card": _card,
-            "profile": _profile,
+            "manifest": partial(called, "eldata.manifest.table:load_records"),
+            "card": partial(called, "eldata.manifest.card:load_card"),
+            "profile": partial(called, "eldata.noise.profile:CameraProfile.load"),
             "parameters": _parameters,
-            "protocol": _protocol,
-            "result": _result,
+            "protocol": partial(called, "eldata.protocols.named:load_protocol"),
+            "result": partial(called, "eldata.evaluation.saved:load_results"),
             "published": _published_table,
             "sources": _published_sources,
-            "scenes": _scenes,
-            "camera": _camera,
-            "plan": _plan,
+            "scenes": partial(called, "manifests.sid_scenes:load_scenes"),
+            "camera": partial(called, "capture.camera:CameraDescription.load"),
+            "plan": partial(called, "capture.plan:Plan.load"),
             "progress": _progress,
             "mapping": _mapping,
             "scheduler": _scheduler,
@@ -354,7 +307,7 @@ KINDS: dict[str, Kind] = {
             "facts": _facts,
             "store": _store_facts,
             **{
-                name: partial(_response, name=name)
+                name: partial(called, f"eldata.isp.response_files:{name}")
                 for name in ("read_response_table", "read_published_response", "read_dorf", "read_curve_model")
             },
         },
@@ -382,14 +335,16 @@ KINDS: dict[str, Kind] = {
     ),
     "stores": Kind(seeds.stores, {"store": _store}, {}),
     "shards": Kind(seeds.shards, {"shard": _shard}, {".tar": (containers.tar_record, containers.npy)}),
-    "shadings": Kind(seeds.shadings, {"shading": _shading}, {"": (containers.zip_record, containers.npy)}),
-    "drill": Kind(_drill_seeds, {"drill": _drill}, {"": (_unchanged,)}),
+    "shadings": Kind(
+        seeds.shadings,
+        {"shading": partial(called, "eldata.noise:DarkShading.load")},
+        {"": (containers.zip_record, containers.npy)},
+    ),
+    "drill": Kind(_drill_seeds, {"drill": _drill}, {}),
 }
 
 
 def changes_of(kind: Kind, name: str) -> tuple[Change, ...]:
     """What may be done to a file of this name: half of it suits the format, half knows nothing of it."""
     own = kind.own.get(Path(name).suffix.lower(), kind.own.get("", ()))
-    if own == (_unchanged,):
-        return own
     return (*bytewise.CHANGES, *own * max(1, len(bytewise.CHANGES) // max(1, len(own))))

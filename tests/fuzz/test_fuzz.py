@@ -15,27 +15,11 @@ from tests.fuzz.__main__ import ROUND, main, summary
 from tests.fuzz.child import Task, outcome_of
 from tests.fuzz.running import Fuzzing, Limits
 from tests.fuzz.seeds import raws
-from tests.fuzz.targets import KINDS
+from tests.fuzz.targets import DRILL, KINDS
 from tests.fuzz.trials import PLACES, load_seeds, save_seeds, trial
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-# Of the drill: a reader that does what its file says.
-EXPECTED = {
-    "crash": "crash",
-    "exit": "crash",
-    "hang": "hang",
-    "wait": "hang",
-    "memory": "memory",
-    "too much": "memory",
-    "exception": "exception",
-    "message": "message",
-    "two lines": "message",
-    "refused": "refused",
-    "escaped": "escaped",
-    "read": "read",
-}
 
 # A file without its pixels, one whose levels do not say of what, and methods of compression that are refused.
 REFUSED = {"raw-real-canon-eos-r6.cr3", "raw-field-pidng-black4-nodim.dng", "bzip2.zip", "lzma.zip"}
@@ -49,7 +33,7 @@ def fuzzing(folder: Path, limits: Limits | None = None) -> Fuzzing:
 def drill(tmp_path_factory: pytest.TempPathFactory) -> Fuzzing:
     """Every failure once, each found by a limit that a busy machine cannot reach by being busy."""
     run = fuzzing(tmp_path_factory.mktemp("drill"), Limits(busy_s=1.0, waiting_s=2.0, most_bytes=64 << 20))
-    run.run({"drill": len(EXPECTED)})
+    run.run({"drill": len(DRILL)})
     return run
 
 
@@ -60,8 +44,8 @@ def test_every_failure_is_seen_and_its_file_is_kept(drill: Fuzzing) -> None:
         for folder in drill.failures.iterdir()
     }
     words = {word: name.split("-")[1] for word, name in kept.items()}
-    assert words == {word: outcome for word, outcome in EXPECTED.items() if outcome not in ("read", "refused")}
-    assert drill.tallies["drill"].trials == len(EXPECTED)
+    assert words == {word: outcome for word, outcome in DRILL.items() if outcome not in ("read", "refused")}
+    assert drill.tallies["drill"].trials == len(DRILL)
     assert drill.tallies["drill"].words["read"] == drill.tallies["drill"].words["refused"] == 1
     for word, name in kept.items():
         assert (drill.failures / name / "input.txt").read_text() == word

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 _RULE = re.compile(r"^ *-{2,} {2,}-{2,}", re.MULTILINE)
 _ROW = re.compile(r"^ *\S+(?: \S+)* {2,}\S+(?: \S+)* {2,}\S", re.MULTILINE)
 _SECOND = re.compile(r"^( *\S+(?: \S+)* {2,})[^\s#]", re.MULTILINE)
+_PART = re.compile(r"(?<=::)|(?<=[/_.(])(?=\w)")
+_FITS, _SHORT = 88, 20  # characters: of a line at full size; of a name that need not be broken
 
 
 def has_columns(text: str) -> bool:
@@ -26,10 +28,20 @@ def has_columns(text: str) -> bool:
 
 
 def mark(_app: Sphinx, doctree: nodes.document, _docname: str) -> None:
-    """Give them the class that the style knows."""
+    """Give them the classes that the style knows; long names in tables break behind their parts."""
     for block in doctree.findall(nodes.literal_block):
-        if has_columns(block.astext()):
+        text = block.astext()
+        if has_columns(text):
             block["classes"].append("columns")
+            if max(map(len, text.splitlines())) > _FITS:
+                block["classes"].append("wide")
+    for entry in doctree.findall(nodes.entry):
+        for name in list(entry.findall(nodes.literal)):
+            if len(name.astext()) > _SHORT:
+                parts = [part for part in _PART.split(name.astext()) if part]
+                name.children = []
+                for part in parts:
+                    name += [nodes.Text(part), nodes.raw("", "<wbr>", format="html")]
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -135,9 +135,7 @@ def score_each(
     for image, of in zip(images, protocols, strict=True):
         places = [place_of(image.pair, frame) for frame in frames_of(image.pair)]
         files = None if request.predictions is None else find_predictions(request.predictions, places).files
-        for protocol in of:
-            plan = ScoringPlan(protocol, (image.pair,), None, {})
-            contenders.append(Contender(plan, 0, files, is_looked_at=protocol is of[0]))
+        contenders += [Contender(ScoringPlan(protocol, (image.pair,)), 0, files, protocol is of[0]) for protocol in of]
     return score_plans(request, Originals.opened(request.files, request.store), contenders)
 
 

@@ -223,18 +223,8 @@ class CombinedResult:
 
     def _repr_html_(self) -> str:
         first = self.results[0]
-        heads = ("protocol", first.kind.counted, *(metric.heading for metric in first.kind.metrics))
-        rows = [
-            (
-                result.protocol.name,
-                result.whole.coverage,
-                *(
-                    metric.format(result.whole.values[metric.name]) if result.scored else "-"
-                    for metric in first.kind.metrics
-                ),
-            )
-            for result in self.results
-        ]
+        heads = ("protocol", *first.kind.heads)
+        rows = [(result.protocol.name, *result.whole.texts(first.kind)) for result in self.results]
         notes = [
             *problem_lines(self.problems),
             *(f"not scored: {one.protocol}: {one.reason}" for one in self.not_scored),

@@ -323,8 +323,8 @@ def _found(request: Request, plans: Sequence[ScoringPlan]) -> list[FoundPredicti
 
 def _own_pairs(plan: ScoringPlan) -> str:
     """Return why a set of the user's own may lack predictions of pairs that its protocol does not choose elsewhere."""
-    name = plan.protocol.name
-    return f", and {name} scores this set's own pairs, not its {', '.join(plan.set_aside)}" if plan.set_aside else ""
+    name, set_aside = plan.protocol.name, plan.facts.get("set_aside")
+    return f", and {name} scores this set's own pairs, not its {', '.join(set_aside)}" if set_aside else ""
 
 
 def _of_its_space(request: Request, folder: Path, plan: ScoringPlan, found: FoundPredictions) -> FoundPredictions:
@@ -359,11 +359,9 @@ def shading_notes(request: Request) -> list[str]:
 def notes_of(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult, scored: PlanScores) -> list[str]:
     """Return what a reader of a result's table should know: of its pairs, its predictions, its levels and factors."""
     notes, scores = [], result.scores
-    if plan.set_aside:
+    if set_aside := plan.facts.get("set_aside"):
         factors = ", ".join(f"x{ratio:g}" for ratio in plan.facts["ratios"])
-        notes.append(
-            f"this set's own pairs are scored ({factors}), not those of the protocol: {', '.join(plan.set_aside)}"
-        )
+        notes.append(f"this set's own pairs are scored ({factors}), not those of the protocol: {', '.join(set_aside)}")
     if found.unscored:
         notes.append(f"not scored, because this evaluation leaves their frames out: {found.unscored} predictions")
     notes += [
@@ -440,9 +438,7 @@ def provenance_of(request: Request, plan: ScoringPlan, scored: PlanScores) -> di
         "eldata": __version__,
         **{name: version(name) for name in ("numpy", "numba", "rawpy", "exifread")},
         "protocol_digest": plan.protocol.digest,
-        "subset": plan.subset,
         **plan.facts,
-        "excluded_flags": plan.excluded,
         "equal_choices": {name: [choice for choice in CHOICES[name] if choice in equal[name]] for name in equal},
         **({} if request.dark_shading is None else {"dark_shading": plan.protocol.dark_shading}),
         **({} if request.task is None else {"task": request.task.provenance}),

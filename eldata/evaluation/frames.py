@@ -248,8 +248,7 @@ class ComparedFrame:
     def prediction(self, protocol: Protocol) -> NDArray[Any]:
         """Return the prediction of the whole frame, or of what both frames show, which it may be of alone."""
         found = self._whole(protocol)
-        is_shifted = not isinstance(self._pair, ClipRecord) and self._pair.measured_shift_px is not None
-        is_cut = is_shifted and found.shape != self.reference.target(protocol).shape
+        is_cut = found.shape != self.reference.target(protocol).shape
         return found if is_cut else self._shown_by_both("noisy", protocol, found)
 
     def _whole(self, protocol: Protocol) -> NDArray[Any]:
@@ -422,8 +421,9 @@ def _score_codes(
 
 def as_scored(prediction: NDArray[Any], rules: ScoringRules, factor: float, dtype: Any) -> NDArray[Any]:
     """Return a prediction clamped and multiplied as rules have it, (C, h, w); the arithmetic is float64."""
-    low, high, _, final_low, final_high = rules.treatment(factor)
+    from eldata.metrics.similarity import treated
+
     result = np.empty(prediction.shape, dtype)
     for channel, plane in enumerate(prediction):  # the float64 intermediates are 8 bytes per pixel
-        result[channel] = np.clip(np.clip(plane.astype(np.float64), low, high) * factor, final_low, final_high)
+        result[channel] = treated(plane, rules.treatment(factor))
     return result

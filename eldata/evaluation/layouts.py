@@ -92,12 +92,7 @@ def layout_in_words(folder: Path, names: Sequence[str], expected: Expected) -> s
 
 def nearest_in_words(names: Sequence[str], places: Iterable[str]) -> str | None:
     """Return what a file's name would have to be, of the first file of which it can be told, or ``None``."""
-    words = _Words(places)
-    for name in names[:_MOST_EXAMINED]:
-        meant, _ = words.meant(name)
-        if len(meant) == 1:
-            return f"{name} would be {_target(meant[0], name)}"
-    return None
+    return _nearest(names, Expected(tuple(places), {}, {}), ambiguous=False)
 
 
 # --- the nearest layout -----------------------------------------------------------------------------------------------
@@ -133,8 +128,8 @@ def _other_folder(folder: Path, names: Sequence[str], expected: Expected) -> str
     return None
 
 
-def _nearest(names: Sequence[str], expected: Expected) -> str | None:
-    """Return an example: a file, and what its name would have to be."""
+def _nearest(names: Sequence[str], expected: Expected, *, ambiguous: bool = True) -> str | None:
+    """Return an example: a file, and what its name would have to be, or else, if wanted, what it could be."""
     noisy, references = _Words(expected.places), _Words(expected.references)
     unclear = None
     for name in names[:_MOST_EXAMINED]:
@@ -148,7 +143,7 @@ def _nearest(names: Sequence[str], expected: Expected) -> str | None:
             )
         if len(meant) == 1:
             return f"{name} would be {_target(meant[0], name)}"
-        if meant and unclear is None:
+        if meant and ambiguous and unclear is None:
             several = _listed([_target(place, name) for place in meant], "or")
             unclear = f"{name} could be {several}: its name does not tell which"
     return unclear

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from eldata.evaluation.scores import UnitScore
     from eldata.manifest.catalogue import FrameFiles
     from eldata.plots.scores import Strip
-    from eldata.protocols.kinds import Kind
     from eldata.records import Sensor
 
 Grouping = Literal["camera", "iso"]
@@ -73,16 +72,6 @@ def scores_in_order(scores: Iterable[UnitScore], dataset: str) -> tuple[UnitScor
     scores = tuple(scores)
     places = {name: place for place, name in enumerate(cameras_in_order((one.camera for one in scores), dataset))}
     return tuple(sorted(scores, key=lambda one: (places[one.camera], natural(one.scene), natural(one.path))))
-
-
-def scenes_of(scores: Iterable[UnitScore]) -> list[str]:
-    """Return the names of scenes once each, scene 2 before scene 10."""
-    return sorted({score.scene for score in scores}, key=natural)
-
-
-def finite_scores(scores: Iterable[UnitScore], kind: Kind) -> tuple[UnitScore, ...]:
-    """Return the scores whose metrics are all finite."""
-    return tuple(score for score in scores if all(math.isfinite(score.values[metric.name]) for metric in kind.metrics))
 
 
 def worst_and_best(scores: Iterable[UnitScore], each: int) -> tuple[list[UnitScore], list[UnitScore]]:
@@ -200,10 +189,6 @@ class SeenImage:
     def brighter(self) -> float:
         """What the pictures of input, predictions and reference are multiplied by to be seen; 1 of renderings."""
         return 1.0 if self.amplified is None else brightening(self.reference)
-
-    def place_of_difference(self, most: tuple[int, int]) -> tuple[slice, slice]:
-        """Return where methods differ most, of so many rows and columns at most (:func:`place_of_difference`)."""
-        return place_of_difference(self.errors, most)
 
     def rendered(self, values: NDArray[Any]) -> NDArray[np.uint8]:
         """Return (C, h, w) as (h, w, 3) of 8 bits, brighter: packed raw as a quick rendering, colours as they are."""

@@ -118,8 +118,18 @@ class Originals:
         return rgb_frame(self.place(path))
 
     def rendered(self, path: str) -> NDArray[np.float32]:
-        """Return LibRaw's rendering of a raw file, (3, H, W) in [0, 1]; of files alone."""
-        return rendered_reference(self.place(path))
+        """Return LibRaw's rendering of a raw file, (3, H, W) in [0, 1] of 256 levels; of files alone.
+
+        Raises
+        ------
+        RawFileError
+            If the file cannot be rendered (:func:`eldata.isp.libraw.render_libraw`).
+        """
+        from eldata.isp.libraw import render_libraw
+
+        pixels = np.ascontiguousarray(render_libraw(self.place(path)).transpose(2, 0, 1)).astype(np.float32)
+        pixels /= np.float32(255)
+        return pixels
 
 
 def _stored_frame(store: Path, held: StoredFrame) -> RawFrame:
@@ -230,21 +240,6 @@ def less_shading(frame: RawFrame, shading: DarkShading, name: str) -> RawFrame:
     """
     less = Frame.of_raw(frame.mosaic, frame.sensor, name, frame.exposure).less(shading)
     return replace(frame, mosaic=less.read(slice(None), slice(None)).copy())
-
-
-def rendered_reference(path: Path) -> NDArray[np.float32]:
-    """Return LibRaw's rendering of a raw file, (3, H, W) float32 in [0, 1], of 256 levels.
-
-    Raises
-    ------
-    RawFileError
-        If the file cannot be rendered (:func:`eldata.isp.libraw.render_libraw`).
-    """
-    from eldata.isp.libraw import render_libraw
-
-    pixels = np.ascontiguousarray(render_libraw(path).transpose(2, 0, 1)).astype(np.float32)
-    pixels /= np.float32(255)
-    return pixels
 
 
 # --- is a store one of these files? -----------------------------------------------------------------------------------

@@ -46,21 +46,14 @@ class ScoringPlan:
     ----------
     protocol, pairs
         Pairs of frames in the manifest's order, or windows of clips.
-    subset
-        Name of the subset on the card that they are of, if any.
-    excluded
-        Number of pairs that were left out for each of the flags asked for.
-    set_aside
-        What of the protocol's own choice of pairs was not applied, in words, because the set is the user's own.
     facts
-        What else of the choice the provenance states.
+        What of the choice the provenance states, such as the subset on the card, and how many pairs were left out for
+        each of the flags asked for. ``set_aside``: what of the protocol's own choice of pairs was not applied, in
+        words, because the set is the user's own.
     """
 
     protocol: Protocol
     pairs: tuple[Pair, ...]
-    subset: str | None
-    excluded: dict[str, int]
-    set_aside: tuple[str, ...] = ()
     facts: dict[str, Any] = field(default_factory=dict)
 
 
@@ -166,18 +159,14 @@ def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> Scoring
         select_pairs, records, subsets, cameras=cameras, scenes=scenes, ratios=ratios or None, subset=subset
     )
     candidates, pairs = choose(), choose(exclude_flags=request.exclude_flags)
-    return ScoringPlan(
-        protocol=protocol,
-        pairs=pairs,
-        subset=subset,
-        excluded=_excluded(request, (pair.flags for pair in candidates)),
-        set_aside=tuple(set_aside),
-        facts={
-            "ratios": sorted({float(pair.ratio) for pair in pairs}),
-            "set_aside": set_aside,
-            "included_flags": _counted(pair.flags for pair in pairs),
-        },
-    )
+    facts = {
+        "subset": subset,
+        "ratios": sorted({float(pair.ratio) for pair in pairs}),
+        "set_aside": set_aside,
+        "included_flags": _counted(pair.flags for pair in pairs),
+        "excluded_flags": _excluded(request, (pair.flags for pair in candidates)),
+    }
+    return ScoringPlan(protocol, pairs, facts)
 
 
 def _set_aside(protocol: Protocol, ratios: tuple[int | float, ...]) -> list[str]:
@@ -264,8 +253,11 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
         if is_png(window.path) != (protocol.pixels == "rgb"):
             raise ArgumentError(f"{window.path}: protocol {protocol.name!r} scores {protocol.pixels} frames")
     ids = None if request.ids is None else sorted(request.ids)
-    facts = {"ids": ids, "layout": str(Layout.of(listed)), "included_flags": _counted(kept.values())}
-    return ScoringPlan(protocol, found, subset, _excluded(request, there.values()), facts=facts)
+    flags = {
+        "included_flags": _counted(kept.values()),
+        "excluded_flags": _excluded(request, there.values()),
+    }
+    return ScoringPlan(protocol, found, {"subset": subset, "ids": ids, "layout": str(Layout.of(listed)), **flags})
 
 
 def _clip_subset(request: Request) -> str | None:

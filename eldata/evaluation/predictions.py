@@ -19,9 +19,7 @@ import numpy as np
 from eldata.base.array_files import declared_array, read_array
 from eldata.base.files import atomic_write, file_problem
 from eldata.errors import ArgumentError, PredictionError, RawFileError
-from eldata.evaluation.layouts import (
-    stem_of,
-)
+from eldata.evaluation.layouts import stem_of
 from eldata.evaluation.originals import normalised_frame
 from eldata.evaluation.pairs import place_of
 from eldata.protocols.named import protocols_for

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from eldata.evaluation.tasks import TaskFunction
     from eldata.manifest.catalogue import FrameFiles
 
-_PLACES = ("predictions",)  # of the provenance: where files lay, which decides no score
 _SHOWN = 12  # differing scores
 
 
@@ -246,7 +245,7 @@ def _condition_differences(saved: EvaluationResult, again: EvaluationResult) -> 
     return tuple(
         ChangedValue(name, before.get(name), after.get(name))
         for name in dict.fromkeys((*before, *after))
-        if name not in _PLACES and before.get(name) != after.get(name)
+        if name != "predictions" and before.get(name) != after.get(name)  # where they lay decides no score
     )
 
 

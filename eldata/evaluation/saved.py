@@ -69,7 +69,9 @@ def _result(top: Fields) -> EvaluationResult:
         provenance.text(name)
     protocol.text("name")
     stated = StatedProtocol(own, dict(protocol.data))
-    _check_digest(provenance, stated)
+    if provenance.text("protocol_digest") != stated.digest:
+        expected = f"the digest of the fields in protocol, {stated.digest} (was one of them edited?)"
+        raise provenance.wrong("protocol_digest", expected, provenance.data["protocol_digest"])
     provenance.optional("subset", provenance.text)
     provenance.inside("excluded_flags")
     provenance.flag("scenes_shared")
@@ -85,13 +87,12 @@ def _result(top: Fields) -> EvaluationResult:
         seen.add(score.path)
     if coverage.whole("scored") != len(scores):
         raise coverage.wrong("scored", f"the number of {kind.units}, {len(scores)}", coverage.data["scored"])
-    expected = coverage.whole(kind.counted, at_least=len(scores))
     return EvaluationResult(
         protocol=stated,
         provenance=dict(provenance.data),
         scores=scores,
         table=_table(top, kind),
-        expected=expected,
+        expected=coverage.whole(kind.counted, at_least=len(scores)),
         missing=coverage.texts("missing"),
         problems=tuple(
             EvaluationProblem(one.text("path", unseen=True), one.text("reason", unseen=True))  # of any file's name
@@ -113,16 +114,6 @@ def _suspicion(one: Fields) -> Suspicion:
         without_db=one.optional("without_db", one.number),
         example=one.text("example", unseen=True),
     )
-
-
-def _check_digest(provenance: Fields, stated: StatedProtocol) -> None:
-    """Raise :class:`FileError` unless the digest is of the protocol's fields."""
-    if provenance.text("protocol_digest") != stated.digest:
-        raise provenance.wrong(
-            "protocol_digest",
-            f"the digest of the fields in protocol, {stated.digest} (was one of them edited?)",
-            provenance.data["protocol_digest"],
-        )
 
 
 def _score(one: Fields, kind: Kind) -> UnitScore:

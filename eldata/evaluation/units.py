@@ -198,7 +198,10 @@ def _units(originals: Originals, contenders: Sequence[Contender]) -> list[_Unit]
     scoring: dict[str, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
     pairs: dict[str, Pair] = {}
     looked = [
-        frozenset() if one.files is None or not one.is_looked_at else _looked_at(one.plan.pairs) for one in contenders
+        chosen_frames((pair.path, pair.camera, ratio_of(pair), iso_of(pair)) for pair in one.plan.pairs)
+        if one.files is not None and one.is_looked_at
+        else frozenset()
+        for one in contenders
     ]
     for number, one in enumerate(contenders):
         for pair in filter(one.has, one.plan.pairs):
@@ -220,11 +223,6 @@ def _units(originals: Originals, contenders: Sequence[Contender]) -> list[_Unit]
 def _frames(reference: str, members: Sequence[_Member]) -> list[str]:
     """Return the dataset's frames that a unit may ask for."""
     return list(dict.fromkeys((reference, *(frame for member in members for frame in files_of(member.pair)))))
-
-
-def _looked_at(pairs: Sequence[Pair]) -> frozenset[str]:
-    """Return the paths of the pairs whose predictions are looked at for mistakes."""
-    return chosen_frames((pair.path, pair.camera, ratio_of(pair), iso_of(pair)) for pair in pairs)
 
 
 def _unusable(unit: _Unit, reason: str) -> list[tuple[int, str, PlanScores]]:

@@ -1,8 +1,8 @@
 from .image_score import Score as Score
 from .image_score import psnr as psnr
+from .image_score import rescale as rescale
+from .image_score import rescale_factor as rescale_factor
 from .image_score import score as score
-from .rescaling import rescale as rescale
-from .rescaling import rescale_factor as rescale_factor
 from .similarity import ssim as ssim
 from .st_rred import PEAK_8_BIT as PEAK_8_BIT
 from .st_rred import PEAK_ELD as PEAK_ELD

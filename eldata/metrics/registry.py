@@ -6,9 +6,16 @@ and help read the entry. Nothing heavy is imported here: help shows it.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Literal
 
 from eldata.base.numbers import Figure, by_name
+
+Rescaling = Literal["none", "scalar"]
+RescalingMask = Literal["unsaturated", "all"]
+PredictionClamp = Literal["both", "before", "none"]
+Rounding = Literal["none", "8-bit", "8-bit-truncated"]
+SsimWindow = Literal["uniform-7", "gaussian-11", "gaussian-11-volume"]
+Covariance = Literal["sample", "population"]
 
 OF_FRAMES: Final = by_name(
     (
@@ -66,5 +73,5 @@ RESCALE: Final = Figure(
     meaning="the factor that the protocol multiplied a prediction by; 1 if it does not rescale",
     decimals=3,
     needs=("a prediction", "its reference"),
-    computed_by="eldata.metrics.rescaling:rescale_factor",
+    computed_by="eldata.metrics.image_score:rescale_factor",
 )

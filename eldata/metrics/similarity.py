@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, TypeAlias, get_args
 
 import numpy as np
 
@@ -17,17 +17,12 @@ from eldata.metrics._kernels import (
     error_and_similarity,
     gaussian_error_and_similarity,
 )
+from eldata.metrics.registry import Covariance, SsimWindow
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.metrics._images import Band, Block, Image, Pair
-
-SsimWindow = Literal["uniform-7", "gaussian-11", "gaussian-11-volume"]
-SSIM_WINDOWS: tuple[SsimWindow, ...] = get_args(SsimWindow)
-
-Covariance = Literal["sample", "population"]
-COVARIANCES: tuple[Covariance, ...] = get_args(Covariance)
+    from eldata.metrics._images import Array, Band, Block, Image, Pair
 
 # What happens to a prediction's values as they are read: clamped to [first, second], multiplied by the third, clamped
 # to [fourth, fifth].
@@ -36,6 +31,12 @@ AS_IT_IS: Treatment = (-math.inf, math.inf, 1.0, -math.inf, math.inf)
 
 _K1 = 0.01
 _K2 = 0.03
+
+
+def treated(values: Array, treatment: Treatment) -> NDArray[np.float64]:
+    """Return values as they are compared, in float64."""
+    low, high, factor, final_low, final_high = treatment
+    return np.clip(np.clip(values.astype(np.float64), low, high) * factor, final_low, final_high)
 
 
 def ssim(
@@ -102,8 +103,8 @@ def ssim(
 
 def check_windowing(window: str, covariance: str) -> None:
     """Raise :class:`ArgumentError` if the window or the covariance is unknown."""
-    check_choice("window", window, SSIM_WINDOWS)
-    check_choice("covariance", covariance, COVARIANCES)
+    check_choice("window", window, get_args(SsimWindow))
+    check_choice("covariance", covariance, get_args(Covariance))
 
 
 def side_of(window: SsimWindow) -> int:
@@ -185,9 +186,7 @@ def _in_volume(
         prediction, reference = block(images.prediction, rows), block(images.reference, rows)
         similarity = gaussian_error_and_similarity(prediction, reference, 0, treatment, mixing, c1, c2, scale)[1]
         inside = np.s_[:, RADIUS:-RADIUS, RADIUS:-RADIUS]
-        low, high, factor, final_low, final_high = treatment
-        treated = np.clip(np.clip(prediction[inside].astype(np.float64), low, high) * factor, final_low, final_high)
-        return float(np.square(treated - reference[inside]).sum()), similarity
+        return float(np.square(treated(prediction[inside], treatment) - reference[inside]).sum()), similarity
 
     error, similarity = totals(images.over_row_bands(work, threads))
     return error / images.prediction.size, similarity / images.prediction.size

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin, 
 from eldata.base.tables import block, facts
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, check_choice
+from eldata.metrics.registry import Covariance, PredictionClamp, Rescaling, RescalingMask, Rounding, SsimWindow  # noqa: TC001
 from eldata.protocols.digests import NEUTRAL, SCORED, fields_digest
 from eldata.protocols.kinds import CLIPS, IMAGES, Kind
 
@@ -23,13 +24,7 @@ Amplification = Literal["metadata", "nominal", "measured"]
 Space = Literal["raw", "srgb"]
 Pixels = Literal["packed", "srgb", "rgb"]
 Rendering = Literal["none", "libraw", "eld-isp"]
-Rescaling = Literal["none", "scalar"]
-RescalingMask = Literal["unsaturated", "all"]
-PredictionClamp = Literal["both", "before", "none"]
-Rounding = Literal["none", "8-bit", "8-bit-truncated"]
 Quantisation = Literal["none", "dn-truncated"]
-SsimWindow = Literal["uniform-7", "gaussian-11", "gaussian-11-volume"]
-Covariance = Literal["sample", "population"]
 SsimPlanes = Literal["packed", "mosaic"]
 
 ANY_DATASET = "any"
@@ -268,12 +263,20 @@ class Protocol:
             raise ArgumentError(f"ratios must be positive; found {list(self.ratios)}")
 
     def __repr__(self) -> str:
-        name, title = in_line(self.name), in_line(self.title)
-        return f"{type(self).__name__}({name!r}, {title!r}, {self.digest[:15]})"
+        return _in_line(self)
 
     def _repr_html_(self) -> str:
-        stated = [(name, _shown(value)) for name, value in self.as_dict().items() if value not in ("", [], None)]
-        return block(f"Protocol {self.name}", facts([*stated, ("digest", self.digest)]))
+        return _html(self)
+
+
+def _in_line(protocol: Protocol | StatedProtocol) -> str:
+    name, title = in_line(protocol.name), in_line(protocol.title)
+    return f"{type(protocol).__name__}({name!r}, {title!r}, {protocol.digest[:15]})"
+
+
+def _html(protocol: Protocol | StatedProtocol) -> str:
+    stated = [(name, _shown(value)) for name, value in protocol.as_dict().items() if value not in ("", [], None)]
+    return block(f"Protocol {protocol.name}", facts([*stated, ("digest", protocol.digest)]))
 
 
 def _shown(value: Any) -> str:
@@ -346,12 +349,10 @@ class StatedProtocol:
         return self.fields
 
     def __repr__(self) -> str:
-        name, title = in_line(self.name), in_line(self.title)
-        return f"{type(self).__name__}({name!r}, {title!r}, {self.digest[:15]})"
+        return _in_line(self)
 
     def _repr_html_(self) -> str:
-        stated = [(name, _shown(value)) for name, value in self.as_dict().items() if value not in ("", [], None)]
-        return block(f"Protocol {self.name}", facts([*stated, ("digest", self.digest)]))
+        return _html(self)
 
 
 CHOICES: dict[str, tuple[str, ...]] = {

@@ -18,7 +18,8 @@ from eldata.evaluation.comparison.tables import (
     statistics_note,
     summary_of,
 )
-from eldata.evaluation.looking import scenes_of, scores_in_order
+from eldata.evaluation.looking import scores_in_order
+from eldata.evaluation.scores import natural
 from eldata.plots.pictures import heat_gradient
 from eldata.plots.scores import draw_points, mean_gains, short
 from eldata.reports.evaluation import FACTS, Cell, Table, fact_cells, field_text, number_cell
@@ -237,7 +238,7 @@ def _facets(comparison: Comparison) -> dict[str, list[str]]:
     scores = [of[0] for of in comparison.images]
     found = {
         "camera": [score.camera for score in scores_in_order(scores, comparison.methods[0].result.dataset)],
-        "scene": scenes_of(scores),
+        "scene": sorted((score.scene for score in scores), key=natural),
     }
     if not comparison.kind.is_of_clips:
         isos, factors = zip(*(fact_cells(score, comparison.kind) for score in scores), strict=True)

@@ -18,7 +18,6 @@ from eldata.errors import ArgumentError
 from eldata.evaluation.looking import (
     INTERVAL,
     TOO_FEW,
-    finite_scores,
     interval_note,
     scores_in_order,
     strips_of,
@@ -316,7 +315,7 @@ def _facts(image: ShownImage, result: EvaluationResult) -> str:
 
 def score_plots(scores: Sequence[UnitScore], kind: Kind, *, rescaled: bool, scenes_shared: bool) -> tuple[Plot, ...]:
     """Return the plots of a result; none of no scores. Those of the rescaling only if the protocol rescales."""
-    finite = finite_scores(scores, kind)
+    finite = [score for score in scores if all(math.isfinite(score.values[one.name]) for one in kind.metrics)]
     if not finite:
         return ()
     left_out = len(scores) - len(finite)

@@ -13,6 +13,7 @@ from urllib.parse import quote
 
 from eldata.base.workers import Workers
 from eldata.errors import EldataError
+from eldata.evaluation.looking import place_of_difference
 from eldata.plots.pictures import block_means, error_limit, heat, jpeg_of
 
 if TYPE_CHECKING:
@@ -245,7 +246,7 @@ def _draw_beside(task: tuple[int, ScoredImage, Path, bool]) -> DrawnImage:
     number, image, folder, whole = task
     seen = image.decoded()
     height, width = seen.reference.shape[1:]
-    part = (slice(0, height), slice(0, width)) if whole else seen.place_of_difference(CROP)
+    part = (slice(0, height), slice(0, width)) if whole else place_of_difference(seen.errors, CROP)
     limit = error_limit([error[part] for error in seen.errors])
     layers = _draw_layers(seen, part, limit, _QUALITY_BESIDE)
     drawn = DrawnImage(number, tuple(layers), part, (height, width), seen.brighter, limit)

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from eldata.evaluation import EvaluationResult
     from eldata.evaluation.request import EvaluationOptions
     from eldata.protocols import Protocol
+    from tests.evaluation.published_code import Score
 
 SIZE = (64, 96)
 
@@ -44,6 +46,16 @@ class Tree:
     @property
     def manifest(self) -> Path:
         return self.folder / "manifests" / "eld-demo.csv"
+
+    @property
+    def where(self) -> dict[str, Any]:
+        """What every evaluation of it is given."""
+        return {"manifest": self.manifest, "root": self.root}
+
+    @property
+    def arguments(self) -> list[str]:
+        """The same for a command; of small frames, starting workers is what takes time."""
+        return ["--manifest", str(self.manifest), "--root", str(self.root), "--jobs", "1"]
 
     @property
     def pairs(self) -> list[oracle.Pair]:
@@ -88,3 +100,17 @@ def place(
         written[pair.path] = prediction.astype(np.float32)
         np.save(path, written[pair.path])
     return written
+
+
+def assert_equal(result: EvaluationResult, of: Callable[[PairRecord], Score]) -> None:
+    """Hold each score and factor against those of another route, to 1e-6 dB, and 1e-6."""
+    assert not result.problems
+    assert len(result.images) == len(result.pairs) > 0
+    off = []
+    for pair, image in zip(result.pairs, result.images, strict=True):
+        score = of(pair)
+        factor = 1.0 if np.isnan(score.factor) else score.factor
+        off.append((image.psnr_db - score.psnr_db, image.ssim - score.ssim, image.rescale - factor))
+    largest = np.abs(off).max(axis=0)
+    print(f"{result.protocol.name}: {len(off)} pairs, largest differences of PSNR, SSIM and factor {largest}")
+    assert np.all(largest <= 1e-6), result.protocol.name

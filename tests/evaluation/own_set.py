@@ -6,13 +6,14 @@ import zlib
 from collections import Counter
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.evaluation import save_prediction
 from eldata.manifest.card import CameraCard, Card, cfa_word, save_card
 from eldata.manifest.table import save_records
-from eldata.raw.cfa import packing_sites
+from eldata.raw.cfa import pack, packing_sites
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, FrameRecord, Sensor
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 GBRG: Cfa = ((3, 2), (0, 1))
 BLACK = (510.0, 511.0, 513.0, 514.0)
 WHITE = 15300.0
+SIZE = (60, 84)
 WHITE_BALANCE = (2.1, 1.0, 1.6, 1.0)
 MATRIX = ((0.7, -0.2, -0.05), (-0.4, 1.2, 0.2), (-0.05, 0.15, 0.6))
 
@@ -70,13 +72,23 @@ class OwnSet:
     def files(self) -> Path:
         return self.root / "MINE"
 
+    @property
+    def where(self) -> dict[str, Any]:
+        """What every evaluation of it is given."""
+        return {"manifest": self.manifest, "root": self.root}
+
+    @property
+    def arguments(self) -> list[str]:
+        """The same for a command; of small frames, starting workers is what takes time."""
+        return ["--manifest", str(self.manifest), "--root", str(self.root), "--jobs", "1"]
+
 
 def build_own_set(
     folder: Path,
     *,
     ratios: tuple[int, ...] = (50, 100),
     scenes: int = 1,
-    size: tuple[int, int] = (60, 84),
+    size: tuple[int, int] = SIZE,
     cfa: Cfa = GBRG,
     black: tuple[float, ...] = BLACK,
 ) -> OwnSet:
@@ -122,3 +134,14 @@ def build_own_set(
     save_card(folder / "mine.json", card)
     save_records(folder / "mine.csv", sorted(records, key=lambda record: record.path))
     return OwnSet(folder / "mine.csv", root)
+
+
+def predict(own: OwnSet, folder: Path, sigma: float, *, reverse: bool = False) -> Path:
+    """A prediction of each noisy frame: its reference with noise; ``reverse``: its channels the other way round."""
+    for number, path in enumerate(sorted(own.files.glob("*/x*.dng"))):
+        place = path.relative_to(own.files)
+        mosaic = mosaic_of(f"{place.parent.as_posix()}/clean.dng", SIZE, bright=True).astype(np.float64)
+        values = (mosaic - 512) / (15300 - 512) + np.random.default_rng(number).normal(0, sigma, SIZE)
+        packed = pack(values, GBRG)
+        save_prediction(folder, place.as_posix(), (packed[::-1] if reverse else packed).astype(np.float32))
+    return folder

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -62,16 +61,6 @@ def preds(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- all in one pass --------------------------------------------------------------------------------------------------
 
 
-def test_all_equals_single_runs(own: OwnSet, preds: Path) -> None:
-    combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
-    names = ["raw", "eld", "eld-uncorrected", "led-sid", "lrd-sid", "eld-srgb"]
-    assert [result.protocol.name for result in combined.results] == names
-    for result in combined.results:
-        assert result == evaluate(preds, manifest=own.manifest, root=own.root, protocol=result.protocol.name)
-    assert len({image.psnr_db for result in combined.results for image in result.images}) == 24
-    assert combined.scored == 4
-
-
 def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for the white level per channel, for which rawpy decodes once more."""
     from eldata.evaluation import frames
@@ -90,13 +79,13 @@ def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest
 
     monkeypatch.setattr(reading, "read_raw", read)
     monkeypatch.setattr(frames, "load_prediction", load)
-    evaluate_all(preds, manifest=own.manifest, root=own.root)
+    evaluate_all(preds, **own.where)
     assert sorted(decoded) == ["s0/clean.dng", "s1/clean.dng"]
     assert len(loaded) == len(set(loaded)) == 4
 
 
 def test_shifts_are_of_the_same_pairs(own: OwnSet, preds: Path) -> None:
-    combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
+    combined = evaluate_all(preds, **own.where)
     raw, _, uncorrected = combined.results[:3]
     expected = np.mean([b.psnr_db - a.psnr_db for a, b in zip(raw.images, uncorrected.images, strict=True)])
     shift, shared = combined.shift(uncorrected, "psnr_db")
@@ -110,7 +99,7 @@ def test_shifts_are_of_the_same_pairs(own: OwnSet, preds: Path) -> None:
 
 
 def test_what_is_suspect_under_a_protocol_alone_is_not_laid_to_it(own: OwnSet, preds: Path) -> None:
-    combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
+    combined = evaluate_all(preds, **own.where)
     known, new = (
         Suspicion(words, "", 2, 2, 30.0, 35.0, "s0/x100.dng")
         for words in ("as if packed R, G1, G2, B", "as if normalised with 1023")
@@ -125,7 +114,7 @@ def test_what_is_suspect_under_a_protocol_alone_is_not_laid_to_it(own: OwnSet, p
 
 
 def test_text_says_what_distinguishes_the_protocols(own: OwnSet, preds: Path) -> None:
-    told = evaluate_all(preds, manifest=own.manifest, root=own.root).format_text()
+    told = evaluate_all(preds, **own.where).format_text()
     assert max(map(len, told.splitlines())) <= 80
     text = " ".join(told.split())
     assert told.startswith("mine, 6 protocols\n")
@@ -135,7 +124,7 @@ def test_text_says_what_distinguishes_the_protocols(own: OwnSet, preds: Path) ->
 
 
 def test_files_of_all(own: OwnSet, preds: Path, tmp_path: Path) -> None:
-    combined = evaluate_all(preds, manifest=own.manifest, root=own.root)
+    combined = evaluate_all(preds, **own.where)
     combined.write_json(tmp_path / "all.json")
     combined.write_csv(tmp_path / "all.csv")
     data = json.loads((tmp_path / "all.json").read_text(encoding="utf-8"))
@@ -156,10 +145,10 @@ def test_problems_are_told_once(own: OwnSet, tmp_path: Path) -> None:
     predict(own, tmp_path, scenes=2)
     (tmp_path / "s0/x50.npy").unlink()
     np.save(tmp_path / "s1/x50.npy", np.zeros((1, 2, 4), np.float32))
-    combined = evaluate_all(tmp_path, manifest=own.manifest, root=own.root)
+    combined = evaluate_all(tmp_path, **own.where)
     assert combined.scored == 0
     assert [problem.path for problem in combined.problems] == ["s0/x50.dng"]  # nothing was scored, so none was loaded
-    partly = evaluate_all(tmp_path, manifest=own.manifest, root=own.root, allow_missing=True)
+    partly = evaluate_all(tmp_path, **own.where, allow_missing=True)
     assert [problem.path for problem in partly.problems] == [str(tmp_path / "s1/x50.npy")]
     assert partly.scored == 2
     assert "INCOMPLETE: 2 pairs are not in the means of raw," in partly.format_text()
@@ -167,20 +156,14 @@ def test_problems_are_told_once(own: OwnSet, tmp_path: Path) -> None:
 
 def test_evaluate_takes_one_protocol(own: OwnSet, preds: Path) -> None:
     with pytest.raises(ArgumentError, match="evaluate_all"):
-        evaluate(preds, manifest=own.manifest, root=own.root, protocol="all")
+        evaluate(preds, **own.where, protocol="all")
     with pytest.raises(EldataError, match="no such folder"):
-        evaluate_all(preds / "nowhere", manifest=own.manifest, root=own.root)
+        evaluate_all(preds / "nowhere", **own.where)
     for arguments in ({"predictions": None}, {"predictions": preds, "baseline": "input"}):
         with pytest.raises(ArgumentError, match="a folder of predictions or a baseline"):
-            evaluate(manifest=own.manifest, root=own.root, **arguments)
+            evaluate(**own.where, **arguments)
     with pytest.raises(ArgumentError, match="'sid2018' scores renderings"):
-        evaluate(None, manifest=own.manifest, root=own.root, protocol="sid2018", baseline="input")
-
-
-def test_all_of_the_input(own: OwnSet) -> None:
-    combined = evaluate_all(None, manifest=own.manifest, root=own.root, baseline="input")
-    alone = evaluate(None, manifest=own.manifest, root=own.root, protocol="led-sid", baseline="input")
-    assert next(result for result in combined.results if result.protocol.name == "led-sid") == alone
+        evaluate(None, **own.where, protocol="sid2018", baseline="input")
 
 
 # --- one score under several names ------------------------------------------------------------------------------------
@@ -260,7 +243,7 @@ def test_the_input_has_its_amplification_too(sony: tuple[Path, Path], own: OwnSe
     save_records(tmp_path / "mine.csv", other)
     result = evaluate(None, manifest=tmp_path / "mine.csv", root=own.root, protocol="eld", baseline="input")
     assert result.provenance["equal_choices"] == {"levels": ["published"], "amplification": ["metadata"]}
-    result = evaluate(None, manifest=own.manifest, root=own.root, protocol="eld", baseline="input")
+    result = evaluate(None, **own.where, protocol="eld", baseline="input")
     assert result.provenance["equal_choices"] == {"levels": ["published"], "amplification": both}
     sid = replace(result, protocol=replace(PROTOCOLS["eld"], amplification="nominal"))
     assert result.scored_unlike(sid) == []
@@ -281,7 +264,7 @@ def test_levels_of_a_dng_count(own: OwnSet, tmp_path: Path) -> None:
         write_dng((preds / place).with_suffix(".dng"), frame.mosaic, sensor, frame.exposure)
 
     def equal(own: OwnSet, protocol: str) -> dict[str, list[str]]:
-        result = evaluate(preds, manifest=own.manifest, root=own.root, protocol=protocol)
+        result = evaluate(preds, **own.where, protocol=protocol)
         assert result.scored == 4
         found: dict[str, list[str]] = result.provenance["equal_choices"]
         return found
@@ -322,7 +305,7 @@ def test_another_white_level_than_the_files_is_said(
     )
     for ratio in (50, 100):
         save_prediction(tmp_path / "p", f"s0/x{ratio}.dng", np.full((4, 30, 42), 0.02, np.float32))
-    place = ["--manifest", str(ten_bits.manifest), "--root", str(ten_bits.root), "--jobs", "1", "--protocol"]
+    place = [*ten_bits.arguments, "--protocol"]
     for given in (["--baseline", "input"], [str(tmp_path / "p")]):
         written = ["--json", str(tmp_path / "r.json"), "--html", str(tmp_path / "r.html")]
         assert main(["evaluate", *given, *place, "eld", *written]) == 0
@@ -342,13 +325,13 @@ def test_two_percent_of_the_white_level_are_usual(white_dn: float, is_said: bool
     for path in own.files.rglob("*.dng"):
         frame = read_raw(path)
         write_dng(path, frame.mosaic, replace(frame.sensor, white_level_dn=white_dn), frame.exposure)
-    result = evaluate(None, manifest=own.manifest, root=own.root, protocol="eld", baseline="input")
+    result = evaluate(None, **own.where, protocol="eld", baseline="input")
     assert any(f"saturate at {white_dn:g} DN" in note for note in result.notes) == is_said
 
 
 def test_white_levels_of_several_cameras_are_one_line(tree: Tree) -> None:
     """The demo's: of its two cameras one saturates 7 % below 16383. Its card names ``eld``."""
-    result = evaluate(None, manifest=tree.manifest, root=tree.root, baseline="input")
+    result = evaluate(None, **tree.where, baseline="input")
     assert result.protocol == PROTOCOLS["eld"]
     (note,) = [note for note in result.notes if "saturate" in note]
     assert note.startswith("the files of DemoBeta saturate at 15303 DN, and the protocol divides by 16383:")
@@ -356,7 +339,7 @@ def test_white_levels_of_several_cameras_are_one_line(tree: Tree) -> None:
 
 @pytest.mark.parametrize("name", [name for name, one in PROTOCOLS.items() if one.space == "raw" and one.kind is IMAGES])
 def test_any_protocol_scores_whatever_factors_a_set_has(name: str, own: OwnSet, preds: Path) -> None:
-    result = evaluate(preds, manifest=own.manifest, root=own.root, protocol=name)
+    result = evaluate(preds, **own.where, protocol=name)
     assert result.provenance["ratios"] == [50, 100]
     protocol = PROTOCOLS[name]
     chooses = protocol.ratios or protocol.cameras or protocol.scenes or protocol.subset
@@ -378,24 +361,10 @@ def test_a_set_with_all_of_the_protocols_factors_is_scored_at_them(
 ) -> None:
     own = build_own_set(tmp_path, ratios=ratios)
     preds = predict(own, tmp_path / "p", ratios=ratios)
-    result = evaluate(preds, manifest=own.manifest, root=own.root, protocol="eld")
+    result = evaluate(preds, **own.where, protocol="eld")
     assert result.provenance["ratios"] == scored
     assert result.provenance["set_aside"] == set_aside
     assert {image.ratio for image in result.images} == set(scored)
-
-
-def test_a_protocol_of_ones_own(own: OwnSet, preds: Path, tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text('base = "eld"\nname = "inner"\ntitle = "Without the edges"\nregion = "border-3"\n')
-    result = evaluate(preds, manifest=own.manifest, root=own.root, protocol=path)
-    assert (result.protocol.name, result.scored) == ("inner", 4)
-    assert result.provenance["protocol_digest"] == result.protocol.digest
-    assert evaluate(preds, manifest=own.manifest, root=own.root, protocol=str(path)) == result
-    pair = result.pairs[0]
-    prediction, target = np.load((preds / pair.path).with_suffix(".npy")), oracle.reference(own.files / pair.reference)
-    expected = oracle.score(prediction[:, 3:-3, 3:-3], target[:, 3:-3, 3:-3], corrected=True)
-    assert result.images[0].psnr_db == pytest.approx(expected.psnr_db, abs=1e-6, rel=0)
-    assert "Without the edges" in result.format_text()
 
 
 # --- one bad file -----------------------------------------------------------------------------------------------------
@@ -416,11 +385,11 @@ def test_a_reference_that_cannot_be_decoded_is_the_problem_of_its_pairs(tmp_path
     own = build_own_set(tmp_path, scenes=2)
     predict(own, tmp_path / "p", scenes=2)
     spoil_pixels(own.files / "s0/clean.dng")
-    found = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root)
+    found = evaluate(tmp_path / "p", **own.where)
     assert [problem.path for problem in found.problems] == ["s0/x100.dng", "s0/x50.dng"]
     assert "its reference s0/clean.dng cannot be used: damaged: its last row" in str(found.problems[0])
     assert found.scored == 0
-    rest = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, allow_missing=True)
+    rest = evaluate(tmp_path / "p", **own.where, allow_missing=True)
     assert [image.scene for image in rest.images] == ["s1", "s1"]
     assert rest.problems == found.problems
 
@@ -428,21 +397,12 @@ def test_a_reference_that_cannot_be_decoded_is_the_problem_of_its_pairs(tmp_path
 def test_a_noisy_frame_that_cannot_be_decoded_is_the_problem_of_its_pair(tmp_path: Path) -> None:
     own = build_own_set(tmp_path)
     spoil_pixels(own.files / "s0/x50.dng")
-    found = evaluate(None, manifest=own.manifest, root=own.root, baseline="input", allow_missing=True)
+    found = evaluate(None, **own.where, baseline="input", allow_missing=True)
     assert [problem.path for problem in found.problems] == [str(own.files / "s0/x50.dng")]
     assert [image.ratio for image in found.images] == [100]
 
 
 # --- executors --------------------------------------------------------------------------------------------------------
-
-
-def test_an_executor_of_the_callers(own: OwnSet, preds: Path) -> None:
-    expected = evaluate(preds, manifest=own.manifest, root=own.root)
-    with ThreadPoolExecutor(2) as executor:
-        assert evaluate(preds, manifest=own.manifest, root=own.root, workers=executor) == expected
-        combined = evaluate_all(preds, manifest=own.manifest, root=own.root, workers=executor)
-        assert executor.submit(int, "7").result() == 7  # it was not shut down
-    assert combined.results[0] == expected
 
 
 # --- errors of our own ------------------------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ def planted(clean: Tree, tmp_path_factory: pytest.TempPathFactory) -> tuple[Tree
 def scored(tree: Tree, predictions: Path | None = None, **options: Any) -> EvaluationResult:
     given: dict[str, Any] = {"protocol": "eld", "cameras": [CAMERA], **options}
     baseline: Any = None if predictions else "input"
-    return evaluate(predictions, manifest=tree.manifest, root=tree.root, baseline=baseline, **given)
+    return evaluate(predictions, **tree.where, baseline=baseline, **given)
 
 
 def test_the_baseline_is_corrected_and_the_result_says_so(
@@ -91,7 +91,7 @@ def test_of_predictions_it_is_stated(planted: tuple[Tree, Path], tmp_path: Path)
     assert stated.scored_unlike(plain) == [], "the same scores of given predictions; comparisons name the inputs"
     assert any("dark shading" in words for words in compare([Method("a", plain), Method("b", stated)]).warnings)
     page = tmp_path / "p.html"
-    arguments = [*map(str, (tmp_path / "preds", "--manifest", tree.manifest, "--root", tree.root))]
+    arguments = [str(tmp_path / "preds"), *tree.arguments]
     assert main(["evaluate", *arguments, "--camera", CAMERA, "--dark-shading", str(file), "--html", str(page)]) == 0
     assert f"input less dark shading {DarkShading.load(file).digest[:15]}" in page.read_text()
 
@@ -104,8 +104,7 @@ def test_predictions_are_made_of_corrected_inputs(clean: Tree, planted: tuple[Tr
             BaselineDenoiser("input"),
             "",
             tmp_path / name,
-            manifest=of.manifest,
-            root=of.root,
+            **of.where,
             dark_shading=shading,
             **given,
         )
@@ -127,9 +126,7 @@ def test_predictions_are_made_of_corrected_inputs(clean: Tree, planted: tuple[Tr
     assert scored(tree, made).scores == right.scores
     (made / "predictions.json").write_bytes(settings)
     with pytest.raises(EldataError, match="begun with another dark shading"):  # not continued with inputs as they are
-        write_predictions(
-            BaselineDenoiser("input"), "", tmp_path / "corrected", manifest=tree.manifest, root=tree.root, **given
-        )
+        write_predictions(BaselineDenoiser("input"), "", tmp_path / "corrected", **tree.where, **given)
 
 
 def test_a_shading_that_is_not_of_these_inputs(planted: tuple[Tree, Path], tmp_path: Path) -> None:
@@ -169,7 +166,7 @@ def test_pictures_are_of_what_each_result_states(planted: tuple[Tree, Path], tmp
     for method in methods:
         method.result.write_json(tmp_path / f"{method.name}.json")
     files = [str(tmp_path / f"{method.name}.json") for method in methods]
-    arguments = ["--manifest", str(tree.manifest), "--root", str(tree.root), "--dark-shading", str(file), "--jobs", "1"]
+    arguments = [*tree.arguments, "--dark-shading", str(file)]
     assert main(["compare", *files, *arguments, "--html", str(tmp_path / "page.html"), "--pictures"]) == 0
     comparison = compare(methods)
     assert len(list((tmp_path / "page-pictures").glob("*-input.jpg"))) == len(comparison.images)

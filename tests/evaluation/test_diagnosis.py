@@ -246,8 +246,7 @@ def test_an_evaluation_says_what_would_explain_its_score(larger: Tree, tmp_path:
     wrong, right = tmp_path / "wrong", tmp_path / "right"
     written = place(wrong, larger, reordered)
     place(right, larger, lambda _target, name: written[name][[0, 1, 3, 2]])
-    options: dict[str, Any] = {"manifest": larger.manifest, "root": larger.root}
-    result, honest = evaluate(wrong, **options), evaluate(right, **options)
+    result, honest = evaluate(wrong, **larger.where), evaluate(right, **larger.where)
     assert honest.suspicions == ()
     assert "suspicions" not in honest.as_dict()
     assert "SUSPECT" not in honest.format_text()
@@ -270,13 +269,13 @@ def test_one_camera_of_two(larger: Tree, tmp_path: Path) -> None:
         return reordered(target, name)[[0, 1, 3, 2] if "Alpha" in name else slice(None)]
 
     place(tmp_path, larger, of_beta)
-    result = evaluate(tmp_path, manifest=larger.manifest, root=larger.root)
+    result = evaluate(tmp_path, **larger.where)
     assert [(one.words, one.where) for one in result.suspicions] == [("as if packed R, G1, G2, B", "DemoBeta")]
 
 
 def test_strict_refuses(larger: Tree, tmp_path: Path) -> None:
     place(tmp_path, larger, reordered)
-    options: dict[str, Any] = {"manifest": larger.manifest, "root": larger.root, "strict": True}
+    options: dict[str, Any] = larger.where | {"strict": True}
     for allow_missing in (False, True):
         result = evaluate(tmp_path, allow_missing=allow_missing, **options)
         assert result.scores == ()
@@ -291,7 +290,7 @@ def test_strict_refuses(larger: Tree, tmp_path: Path) -> None:
 
 def test_all_protocols_say_it_once(larger: Tree, tmp_path: Path) -> None:
     place(tmp_path, larger, reordered)
-    combined = evaluate_all(tmp_path, manifest=larger.manifest, root=larger.root)
+    combined = evaluate_all(tmp_path, **larger.where)
     assert all(len(result.suspicions) == 1 for result in combined.results)
     text = " ".join(combined.format_text().split())
     assert text.count("SUSPECT") == 1
@@ -299,13 +298,13 @@ def test_all_protocols_say_it_once(larger: Tree, tmp_path: Path) -> None:
 
 
 def test_the_input_itself_is_not_looked_at(larger: Tree) -> None:
-    assert evaluate(None, manifest=larger.manifest, root=larger.root, baseline="input").suspicions == ()
+    assert evaluate(None, **larger.where, baseline="input").suspicions == ()
 
 
 def test_on_the_command_line(larger: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A line and exit code 0; with --strict a problem, no table, and exit code 1."""
     place(tmp_path, larger, reordered)
-    command = ["evaluate", str(tmp_path), "--manifest", str(larger.manifest), "--root", str(larger.root), "--jobs", "1"]
+    command = ["evaluate", str(tmp_path), *larger.arguments]
     assert main(command) == 0
     told = capsys.readouterr().out
     assert "\nSUSPECT: as if packed R, G1, G2, B: " in told

@@ -23,8 +23,8 @@ from eldata.protocols.kinds import IMAGES
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
 from tests.evaluation import oracle, published_code
-from tests.evaluation.helpers import scored_pairs
-from tests.evaluation.own_set import MATRIX, WHITE_BALANCE, OwnSet, build_own_set, mosaic_of, sensor_of
+from tests.evaluation.helpers import assert_equal, scored_pairs
+from tests.evaluation.own_set import MATRIX, WHITE_BALANCE, build_own_set, mosaic_of, sensor_of
 from tests.raw.helpers import BAYER, CFAS, indices_of, is_xtrans, levels_of, reference_pack, xtrans_at
 
 if TYPE_CHECKING:
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from tests.evaluation.published_code import Route, Score
     from tests.raw.helpers import Cfa
 
-PSNR_TOLERANCE_DB = 1e-6
-SSIM_TOLERANCE = 1e-6
 
 # --- trees: published names, sensors that change from scene to scene --------------------------------------------------
 
@@ -199,30 +197,6 @@ def build(
     return made
 
 
-def worst(result: EvaluationResult, of: Callable[[PairRecord], Score]) -> tuple[int, float, float, float]:
-    """How many pairs were compared with another route, and the largest differences of PSNR, SSIM and factor."""
-    assert not result.problems
-    assert len(result.images) == len(result.pairs) > 0
-    off = [(0.0, 0.0, 0.0)]
-    for pair, image in zip(result.pairs, result.images, strict=True):
-        score = of(pair)
-        factor = 1.0 if np.isnan(score.factor) else score.factor
-        off.append((image.psnr_db - score.psnr_db, image.ssim - score.ssim, image.rescale - factor))
-    psnr_db, ssim, factor = (float(largest) for largest in np.abs(off).max(axis=0))
-    assert not np.isnan((psnr_db, ssim, factor)).any()
-    return len(result.images), psnr_db, ssim, factor
-
-
-def assert_equal(result: EvaluationResult, of: Callable[[PairRecord], Score]) -> None:
-    count, psnr_db, ssim, factor = worst(result, of)
-    print(
-        f"{result.protocol.name}: {count} pairs, largest difference {psnr_db:.1e} dB, {ssim:.1e}, factor {factor:.1e}"
-    )
-    assert psnr_db <= PSNR_TOLERANCE_DB, result.protocol.name
-    assert ssim <= SSIM_TOLERANCE, result.protocol.name
-    assert factor <= 1e-6, result.protocol.name
-
-
 def assert_published_predictions(
     pairs: Pairs, protocol: str, routes: dict[str, Route] = published_code.BAYER
 ) -> EvaluationResult:
@@ -365,6 +339,9 @@ def test_each_protocol_has_as_many_pairs_as_were_published() -> None:
         ("sid-fuji", "sid2018"): 94,
     }
     assert {of: len(scored_pairs(*of)) for of in counts} == counts
+    assert {pair.scene for pair in scored_pairs("eld", "led-eld")} == {f"scene-{number}" for number in range(3, 11)}
+    for name in ("led-sid", "sid2018"):
+        assert {pair.split for pair in scored_pairs("sid-sony", name)} == {"test"}
 
 
 def test_the_trees_have_what_the_comparison_must_cover(eld: Pairs, sid: Pairs) -> None:
@@ -448,34 +425,21 @@ WHOLE = ["raw", *ELD_COUNTS, *SID_COUNTS]
 ODD_LEVELS = {3: (1019.0,) * 3, 4: (497.0, 509.0, 516.0, 530.0)}  # by their number
 
 
-def own_xtrans(name: str, top: int, left: int) -> Route:
-    """A protocol's way on X-Trans that its code does not know: the SID code's packing, where its period begins."""
+def own_route(name: str, cfa: str, pattern: Cfa) -> Route:
+    """A protocol's way on patterns that its code does not know.
 
-    def arranged(mosaic: NDArray[np.float32], raw: rawpy.RawPy) -> NDArray[np.float32]:
-        packed: NDArray[np.float32] = published_code.xtrans(mosaic[top:, left:], raw)
-        return packed
-
-    def target(raw: rawpy.RawPy) -> NDArray[np.float32]:
-        black = 512 if name.startswith(("pmn", "sony")) else raw.black_level_per_channel[0]
-        white = raw.white_level if name.startswith(("led", "lrd", "raw")) else 16383
-        return published_code.unit((arranged(published_code.dn(raw), raw) - black) / np.float32(white - black))
-
-    return replace(published_code.BAYER[name], arranged=arranged, target=target)
-
-
-def own_blocks(name: str, pattern: Cfa) -> Route:
-    """A protocol's way on quad-Bayer and nona-Bayer, which no code knows: packed in strided slices.
-
-    The pixels are LibRaw's; it does not understand the pattern, so the levels are those that the file was written with.
+    X-Trans: the SID code's packing, where its period begins. Quad-Bayer and nona-Bayer: packed in strided slices; the
+    pixels are LibRaw's, which does not understand the pattern, so the levels are those that the file was written with.
     """
-    levels = np.array([ODD_LEVELS[4][index] for index in indices_of(pattern)], np.float32)[:, None, None]
+    top, left = (-int(digit) % 6 for digit in cfa[-2:])
 
     def arranged(mosaic: NDArray[np.float32], raw: rawpy.RawPy) -> NDArray[np.float32]:
-        del raw
-        return reference_pack(mosaic, pattern)
+        packed = published_code.xtrans(mosaic[top:, left:], raw) if is_xtrans(pattern) else None
+        return reference_pack(mosaic, pattern) if packed is None else packed
 
     def target(raw: rawpy.RawPy) -> NDArray[np.float32]:
-        black = np.float32(512) if name.startswith(("pmn", "sony")) else levels
+        stated = np.array([ODD_LEVELS[levels_of(pattern)][index] for index in indices_of(pattern)], np.float32)
+        black = np.float32(512) if name.startswith(("pmn", "sony")) else stated[:, None, None]
         white = np.float32(raw.white_level if name.startswith(("led", "lrd", "raw")) else 16383)
         return published_code.unit((arranged(published_code.dn(raw), raw) - black) / (white - black))
 
@@ -494,13 +458,8 @@ def test_a_set_of_ones_own_in_every_cfa(cfa: str, tmp_path: Path) -> None:
     for path, mosaic in written.items():
         save_prediction(tmp_path / "p", path, mosaic)
     for name in WHOLE if cfa in BAYER else set(WHOLE) - {"eld-srgb"}:  # ELD's pipeline is of Bayer
-        if cfa in BAYER:
-            route = published_code.BAYER[name]
-        elif is_xtrans(pattern):
-            route = own_xtrans(name, *(-int(digit) % 6 for digit in cfa[-2:]))
-        else:
-            route = own_blocks(name, pattern)
-        result = evaluate(tmp_path / "p", manifest=own.manifest, root=own.root, protocol=name)
+        route = published_code.BAYER[name] if cfa in BAYER else own_route(name, cfa, pattern)
+        result = evaluate(tmp_path / "p", **own.where, protocol=name)
         assert result.scored == 2
         scores = {path: route.of_prediction(mosaic, reference) for path, mosaic in written.items()}
         assert_equal(result, lambda pair: scores[pair.path])  # noqa: B023 (called here)
@@ -551,51 +510,6 @@ def test_predictions_in_srgb_of_the_centre(large: Pairs, tmp_path: Path) -> None
         assert result.scored == 4
 
 
-@pytest.fixture(scope="module")
-def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[OwnSet, dict[str, NDArray[np.uint8]]]:
-    folder = tmp_path_factory.mktemp("rendered")
-    own = build_own_set(folder, scenes=2)
-    made = {}
-    generator = np.random.default_rng(5)
-    for scene in ("s0", "s1"):
-        clean = published_code.sid_reference(own.files / scene / "clean.dng").astype(np.float64)
-        for ratio in (50, 100):
-            noisy = np.clip(0.95 * clean + generator.normal(0, 6, clean.shape), 0, 255)
-            made[f"{scene}/x{ratio}.dng"] = np.rint(noisy).astype(np.uint8)
-    return own, made
-
-
-def test_renderings_under_sid2018(rendered: tuple[OwnSet, dict[str, NDArray[np.uint8]]], tmp_path: Path) -> None:
-    own, made = rendered
-    for path, pixels in made.items():
-        target = (tmp_path / path).with_suffix(".png")
-        target.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(pixels).save(target)
-    result = evaluate(tmp_path, manifest=own.manifest, root=own.root, protocol="sid2018")
-    assert len(result.images) == 4
-    assert_equal(result, lambda pair: published_code.sid_score(made[pair.path], own.files / pair.reference))
-    combined = evaluate_all(tmp_path, manifest=own.manifest, root=own.root)
-    assert [one.protocol.name for one in combined.results] == ["sid2018"]
-    assert combined.results[0].images == result.images
-    assert {one.reason for one in combined.not_scored} == {
-        "scores packed raw; the predictions are sRGB",
-        "scores renderings in sRGB of a pixel for each packed one; the predictions are sRGB",
-    }
-
-
-def test_finer_predictions_are_rounded_to_8_bits(
-    rendered: tuple[OwnSet, dict[str, NDArray[np.uint8]]], tmp_path: Path
-) -> None:
-    own, made = rendered
-    for path, pixels in made.items():
-        (tmp_path / path).parent.mkdir(exist_ok=True)
-        np.save((tmp_path / path).with_suffix(".npy"), (pixels + 0.4) / 255)
-    result = evaluate(tmp_path, manifest=own.manifest, root=own.root, protocol="sid2018")
-    first = result.pairs[0]
-    expected = published_code.sid_score(made[first.path], own.files / first.reference).psnr_db
-    assert result.images[0].psnr_db == pytest.approx(expected, abs=PSNR_TOLERANCE_DB, rel=0)
-
-
 def save_renderings(pairs: Pairs, folder: Path) -> dict[str, NDArray[np.uint8]]:
     """Save a rendering of each pair that is scored."""
     codes = {}
@@ -618,6 +532,12 @@ def test_renderings_in_each_phase(sid: Pairs, tmp_path: Path) -> None:
     codes = save_renderings(sid, tmp_path)
     assert len(codes) == 14
     assert_published_renderings(sid, tmp_path, codes)
+    combined = evaluate_all(tmp_path, manifest=sid.csv, root=sid.root, allow_missing=True)
+    assert [one.protocol.name for one in combined.results] == ["sid2018"]
+    assert {one.reason for one in combined.not_scored} == {
+        "scores packed raw; the predictions are sRGB",
+        "scores renderings in sRGB of a pixel for each packed one; the predictions are sRGB",
+    }
 
 
 @pytest.fixture(scope="module")

@@ -55,20 +55,19 @@ def check_each(found: Explanation, protocol: str, predictions: Path | None, **op
 
 @pytest.mark.parametrize("protocol", ["eld", "led-eld", "eld-srgb"])
 def test_each_choice_scores_as_a_protocol_that_makes_it(protocol: str, tree: Tree, predictions: Path) -> None:
-    options: dict[str, Any] = {"manifest": tree.manifest, "root": tree.root}
-    found = explain(predictions, frame=FRAME, protocol=protocol, **options)
-    fields = check_each(found, protocol, predictions, **options)
+    found = explain(predictions, frame=FRAME, protocol=protocol, **tree.where)
+    fields = check_each(found, protocol, predictions, **tree.where)
     assert {"levels", "reference_clip", "rescaling", "ssim_window"} <= set(fields)
 
 
 def test_of_the_input_what_it_was_made_with_counts(tree: Tree) -> None:
-    options: dict[str, Any] = {"manifest": tree.manifest, "root": tree.root, "baseline": "input"}
+    options: dict[str, Any] = tree.where | {"baseline": "input"}
     found = explain(None, frame=FRAME, **options)
     assert {"input_clip", "amplification"} <= set(check_each(found, "eld", None, **options))
 
 
 def test_no_value_of_a_shipped_protocol_is_dropped(tree: Tree, predictions: Path) -> None:
-    found = explain(predictions, manifest=tree.manifest, root=tree.root)
+    found = explain(predictions, **tree.where)
     shipped = [protocol for protocol in PROTOCOLS.values() if protocol.kind is IMAGES]
     for name in FIELDS:
         if hasattr(PROTOCOLS["eld"], name) and name not in (*CHOOSING, "psnr", "ssim", "pixels", "dark_shading"):
@@ -108,7 +107,7 @@ def test_a_store_and_other_processes_tell_the_same(tmp_path: Path) -> None:
     own = build_own_set(tmp_path, scenes=2)
     store = tmp_path / "mine.h5"
     build_store(source_of_dataset("mine", root=own.root, manifest=own.manifest), store, compression="lz4")
-    options: dict[str, Any] = {"manifest": own.manifest, "root": own.root, "baseline": "input"}
+    options: dict[str, Any] = own.where | {"baseline": "input"}
     found = explain(None, **options)
     assert explain(None, store=store, **options) == found
     assert explain(None, workers=2, **options) == found
@@ -119,18 +118,17 @@ def test_a_store_and_other_processes_tell_the_same(tmp_path: Path) -> None:
 
 def test_a_prediction_that_is_too_bright_is_seen(tree: Tree, tmp_path: Path) -> None:
     place(tmp_path / "bright", tree, lambda target, _: 1.1 * target)
-    options: dict[str, Any] = {"manifest": tree.manifest, "root": tree.root}
-    found = explain(tmp_path / "bright", protocol="eld-uncorrected", **options)
+    found = explain(tmp_path / "bright", protocol="eld-uncorrected", **tree.where)
     (factor,) = [one for one in found.alternatives if one.name == "rescaling"]
     assert factor.numbers["rescale"] == pytest.approx(1 / 1.1, rel=0.01)  # some of it is clamped
     assert factor.numbers["psnr_db"] > found.numbers["psnr_db"] + 10
     assert f"here {factor.numbers['rescale']:.4g}" in " ".join(found.text.split())
-    assert dict(explain(tmp_path / "bright", **options).steps)["factor"].startswith("0.9")
+    assert dict(explain(tmp_path / "bright", **tree.where).steps)["factor"].startswith("0.9")
 
 
 def test_a_prediction_that_was_clipped_is_seen(tree: Tree, tmp_path: Path) -> None:
     place(tmp_path / "clipped", tree, lambda target, _: np.clip(target, 0, np.quantile(target, 0.75)))
-    found = explain(tmp_path / "clipped", manifest=tree.manifest, root=tree.root)
+    found = explain(tmp_path / "clipped", **tree.where)
     ends = dict(found.steps)["prediction has"]
     assert "and 25." in ends
     assert "and 25." not in dict(found.steps)["reference has"]
@@ -141,7 +139,7 @@ def test_a_wrong_ratio_is_seen(tmp_path: Path) -> None:
     own = build_own_set(tmp_path, ratios=(50,))
     table = own.manifest.read_text(encoding="utf-8")
     own.manifest.write_text(table.replace(",50,", ",52,"), encoding="utf-8")
-    found = explain(None, manifest=own.manifest, root=own.root, baseline="input", protocol="eld-uncorrected")
+    found = explain(None, **own.where, baseline="input", protocol="eld-uncorrected")
     assert "50 by the files' exposures, 52 by the manifest" in dict(found.steps)["exposure ratio"]
     (nominal,) = [one for one in found.alternatives if one.name == "amplification" and one.value == "nominal"]
     assert nominal.numbers["psnr_db"] != found.numbers["psnr_db"]
@@ -153,7 +151,7 @@ def test_a_wrong_ratio_is_seen(tmp_path: Path) -> None:
 def test_the_command_prints_writes_and_shows_it(
     tree: Tree, predictions: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    common = [str(predictions), "--manifest", str(tree.manifest), "--root", str(tree.root), "--jobs", "1"]
+    common = [str(predictions), *tree.arguments]
     saved, page = tmp_path / "result.json", tmp_path / "page.html"
     assert main(["evaluate", *common, "--explain", "--json", str(saved), "--html", str(page)]) == 0
     told = capsys.readouterr().out
@@ -179,11 +177,11 @@ def test_the_command_prints_writes_and_shows_it(
 
 
 def test_what_cannot_be_explained_is_refused(tree: Tree, predictions: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    common = ["--manifest", str(tree.manifest), "--root", str(tree.root), "--jobs", "1"]
+    common = tree.arguments
     assert main(["evaluate", str(predictions), *common, "--explain", FRAME.replace("9", "8")]) == 2
     out, err = capsys.readouterr()
     assert "12 of 12 pairs" in out, "the evaluation is not lost"
     assert "did you mean" in err
     assert main(["evaluate", str(predictions), str(predictions), *common, "--explain"]) == 2
     with pytest.raises(ArgumentError, match="2 images are called so"):
-        explain(predictions, frame="IMG_0009.dng", manifest=tree.manifest, root=tree.root)
+        explain(predictions, frame="IMG_0009.dng", **tree.where)

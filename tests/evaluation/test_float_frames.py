@@ -57,7 +57,7 @@ def rewritten(own: OwnSet, folder: Path, which: str, scale: float = 1.0, hot: fl
 
 
 def scored(own: OwnSet, protocol: str) -> EvaluationResult:
-    return evaluate(None, baseline="input", manifest=own.manifest, root=own.root, protocol=protocol)
+    return evaluate(None, baseline="input", **own.where, protocol=protocol)
 
 
 def figures(result: EvaluationResult) -> list[tuple[str, float, float]]:

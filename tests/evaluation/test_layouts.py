@@ -39,7 +39,7 @@ def moved(predictions: Path, tmp_path: Path) -> Callable[[Callable[[str], str]],
 
 
 def run(folder: Path, tree: Tree, cameras: list[str] | None = None, *, allow_missing: bool = False) -> EvaluationResult:
-    return evaluate(folder, manifest=tree.manifest, root=tree.root, cameras=cameras, allow_missing=allow_missing)
+    return evaluate(folder, **tree.where, cameras=cameras, allow_missing=allow_missing)
 
 
 def in_camera(name: str) -> str:
@@ -47,78 +47,47 @@ def in_camera(name: str) -> str:
     return name.partition("/")[2]
 
 
+def renamed(old: str, new: str) -> Callable[[str], str]:
+    return lambda name: name.replace(old, new)
+
+
+WHICH = f"could be {FIRST}.npy or DemoBeta/scene-1/IMG_0004.npy: its name does not tell which"
+NPY, OF_ONE = "12 .npy files", "6 .npy files"
+
 # How the predictions are called, what is found, what the message says of the nearest layout.
 LAYOUTS: dict[str, tuple[Callable[[str], str], str, str]] = {
-    "flat": (
-        lambda name: name.replace("/", "_"),
-        "12 .npy files",
-        f"DemoAlpha_scene-1_IMG_0004.npy would be {FIRST}.npy",
-    ),
-    "flat-with-hyphens": (
-        lambda name: name.replace("/", "-"),
-        "12 .npy files",
-        f"DemoAlpha-scene-1-IMG_0004.npy would be {FIRST}.npy",
-    ),
-    "flat-without-camera": (
-        lambda name: in_camera(name).replace("/", "_"),
-        "6 .npy files",
-        f"scene-1_IMG_0004.npy could be {FIRST}.npy or DemoBeta/scene-1/IMG_0004.npy: its name does not tell which",
-    ),
-    "names-of-frames": (
-        lambda name: PurePosixPath(name).name,
-        "6 .npy files",
-        f"IMG_0004.npy could be {FIRST}.npy or DemoBeta/scene-1/IMG_0004.npy: its name does not tell which",
-    ),
-    "without-scenes": (
-        lambda name: f"{name.partition('/')[0]}/{PurePosixPath(name).name}",
-        "12 .npy files",
-        f"DemoAlpha/IMG_0004.npy would be {FIRST}.npy",
-    ),
-    "lower-case": (str.lower, "12 .npy files", f"demoalpha/scene-1/img_0004.npy would be {FIRST}.npy"),
+    "flat": (renamed("/", "_"), NPY, f"DemoAlpha_scene-1_IMG_0004.npy would be {FIRST}.npy"),
+    "flat-with-hyphens": (renamed("/", "-"), NPY, f"DemoAlpha-scene-1-IMG_0004.npy would be {FIRST}.npy"),
+    "flat-without-camera": (lambda name: in_camera(name).replace("/", "_"), OF_ONE, f"scene-1_IMG_0004.npy {WHICH}"),
+    "names-of-frames": (lambda name: PurePosixPath(name).name, OF_ONE, f"IMG_0004.npy {WHICH}"),
+    "without-scenes": (renamed("scene-1/", ""), NPY, f"DemoAlpha/IMG_0004.npy would be {FIRST}.npy"),
+    "lower-case": (str.lower, NPY, f"demoalpha/scene-1/img_0004.npy would be {FIRST}.npy"),
     "without-zeros-and-signs": (
         lambda name: name.replace("_000", "").replace("_00", "").replace("scene-", "scene"),
-        "12 .npy files",
+        NPY,
         "DemoAlpha/scene1/IMG10.npy would be DemoAlpha/scene-1/IMG_0010.npy",
     ),
-    "a-word-more": (
-        lambda name: name.replace(".npy", "_out.npy"),
-        "12 .npy files",
-        f"{FIRST}_out.npy would be {FIRST}.npy",
-    ),
+    "a-word-more": (renamed(".npy", "_out.npy"), NPY, f"{FIRST}_out.npy would be {FIRST}.npy"),
     "words-before": (
         lambda name: "unet-" + name.replace("/", " "),
-        "12 .npy files",
+        NPY,
         f"unet-DemoAlpha scene-1 IMG_0004.npy would be {FIRST}.npy",
     ),
     "another-order": (
         lambda name: "_".join(reversed(name.removesuffix(".npy").split("/"))) + ".npy",
-        "12 .npy files",
+        NPY,
         f"IMG_0004_scene-1_DemoAlpha.npy would be {FIRST}.npy",
     ),
-    "pt": (lambda name: name.replace(".npy", ".pt"), "12 .pt files", f"{FIRST}.pt would be {FIRST}.npy"),
-    "flat-pt": (
-        lambda name: name.replace(".npy", ".pt").replace("/", "_"),
-        "12 .pt files",
-        f"DemoAlpha_scene-1_IMG_0004.pt would be {FIRST}.npy",
-    ),
-    "jpg": (lambda name: name.replace(".npy", ".JPG"), "12 .jpg files", f"{FIRST}.JPG would be {FIRST}.npy"),
-    "no-extension": (
-        lambda name: name.replace(".npy", ""),
-        "12 files without an extension",
-        f"{FIRST} would be {FIRST}.npy",
-    ),
-    "one-folder-more": (lambda name: f"ELD/{name}", "12 .npy files", "they lie below ELD: give {folder}/ELD as the"),
-    "two-folders-more": (lambda name: f"a/b/{name}", "12 .npy files", "they lie below a/b: give {folder}/a/b as the"),
+    "pt": (renamed(".npy", ".pt"), "12 .pt files", f"{FIRST}.pt would be {FIRST}.npy"),
+    "jpg": (renamed(".npy", ".JPG"), "12 .jpg files", f"{FIRST}.JPG would be {FIRST}.npy"),
+    "no-extension": (renamed(".npy", ""), "12 files without an extension", f"{FIRST} would be {FIRST}.npy"),
+    "two-folders-more": (lambda name: f"a/b/{name}", NPY, "they lie below a/b: give {folder}/a/b as the"),
     "a-folder-a-camera": (
         lambda name: f"{name[4:5]}/{name}",
-        "12 .npy files",
+        NPY,
         "each of {folder}/A and {folder}/B holds some: give one of them as the folder",
     ),
-    "strangers": (
-        lambda name: f"{name[4:5]}{name[-6:]}",
-        "12 .npy files",
-        "is it the right folder, and the right dataset?",
-    ),
+    "strangers": (lambda name: f"{name[4:5]}{name[-6:]}", NPY, "is it the right folder, and the right dataset?"),
 }
 
 
@@ -211,7 +180,7 @@ def test_predictions_beside_raw_files_that_are_no_predictions_are_found(tmp_path
 
 def test_predictions_of_another_space_are_one_message(tree: Tree, predictions: Path, tmp_path: Path) -> None:
     """And not one for each frame that the protocol would score besides."""
-    (problem,) = evaluate(predictions, manifest=tree.manifest, root=tree.root, protocol="sid2018").problems
+    (problem,) = evaluate(predictions, **tree.where, protocol="sid2018").problems
     assert problem.reason == (
         f"protocol sid2018 scores renderings in sRGB, and these are raw frames, such as {FIRST}.npy; give protocol "
         "eld or eld-uncorrected or pmn-eld or sony-eld or led-eld or lrd-eld or eld-srgb"
@@ -221,13 +190,13 @@ def test_predictions_of_another_space_are_one_message(tree: Tree, predictions: P
     (problem,) = run(tmp_path / "srgb", tree).problems
     assert problem.reason.startswith("protocol eld scores raw frames, and these are renderings in sRGB, such as ")
     assert problem.reason.endswith("; give protocol eld-raw2rgb or eld-rgb2rgb")
-    combined = evaluate_all(tmp_path / "srgb", manifest=tree.manifest, root=tree.root)
+    combined = evaluate_all(tmp_path / "srgb", **tree.where)
     assert [result.protocol.name for result in combined.results] == ["eld-raw2rgb"]
 
 
 def test_why_more_frames_are_wanted_than_were_predicted_is_said(predictions: Path, tree: Tree) -> None:
     """A set of one's own without all of a protocol's factors is scored whole."""
-    problems = evaluate(predictions, manifest=tree.manifest, root=tree.root, protocol="sid").problems
+    problems = evaluate(predictions, **tree.where, protocol="sid").problems
     (reason,) = {problem.reason for problem in problems}
     assert reason.startswith(
         "has no prediction, and sid scores this set's own pairs, not its factors x100, x250, x300; add it, or score "
@@ -246,7 +215,7 @@ def test_names_of_references_are_told(tree: Tree, predictions: Path, tmp_path: P
 
 def test_all_protocols_share_the_message(tree: Tree, moved: Callable[[Callable[[str], str]], Path]) -> None:
     folder = moved(lambda name: name.replace("/", "_"))
-    result = evaluate_all(folder, manifest=tree.manifest, root=tree.root)
+    result = evaluate_all(folder, **tree.where)
     assert len(result.results) > 2
     assert len(result.problems) == 1
 

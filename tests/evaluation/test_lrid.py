@@ -15,19 +15,18 @@ import pytest
 from eldata.calibration.camera import calibrate
 from eldata.calibration.shading_fit import dark_shading
 from eldata.datasets import CalibrationFrames, LRIDDataset
-from eldata.evaluation import EvaluationResult, evaluate, save_prediction
+from eldata.evaluation import evaluate, save_prediction
 from eldata.manifest.catalogue import shipped_card, shipped_manifest
 from eldata.manifest.verify import verify
 from eldata.protocols import PROTOCOLS, default_protocol, get_protocol
 from eldata.raw.reading import read_raw
+from tests.evaluation.helpers import assert_equal
 from tests.evaluation.published_code import BAYER
 from tests.lrid_tree import DARK_MS, SENSOR, write_frames
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
-    from tests.evaluation.published_code import Score
 
 ROUTE = BAYER["pmn-lrid"]
 COUNTS = {"indoor-first": 45, "outdoor-first": 18}
@@ -46,24 +45,13 @@ def lrid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def assert_equal(result: EvaluationResult, of: Callable[[str, str], Score]) -> None:
-    assert not result.problems
-    off = []
-    for pair, image in zip(result.pairs, result.images, strict=True):
-        score = of(pair.path, pair.reference)
-        assert 0.01 < score.ssim < 0.9999
-        off.append((abs(image.psnr_db - score.psnr_db), abs(image.ssim - score.ssim)))
-    print(f"{len(off)} pairs, largest differences {max(a for a, _ in off):.1e} dB, {max(b for _, b in off):.1e}")
-    assert np.max(off) <= 1e-6
-
-
 @pytest.mark.parametrize("protocol", ["pmn-lrid", "sony-lrid"])
 @pytest.mark.parametrize("subset", COUNTS)
 def test_the_input_has_the_scores_of_the_published_arithmetic(subset: str, protocol: str, lrid: Path) -> None:
     result = evaluate(None, "lrid", root=lrid, baseline="input", subset=subset, protocol=protocol)
     assert len(result.images) == COUNTS[subset]
     files = lrid / "LRID"
-    assert_equal(result, lambda path, reference: BAYER[protocol].of_input(files / path, files / reference))
+    assert_equal(result, lambda pair: BAYER[protocol].of_input(files / pair.path, files / pair.reference))
     assert any("black 64, white 1023 was taken for every file" in note for note in result.notes), "not the file's"
     gains = (1, 2, 4, 8, 16) if subset == "indoor-first" else (1, 2, 4)
     assert [row.ratio for row in result.table if row.ratio is not None] == list(gains)
@@ -79,7 +67,7 @@ def test_predictions_have_the_scores_of_the_published_arithmetic(lrid: Path) -> 
     result = evaluate(lrid / "preds", "lrid", root=lrid)
     assert result.protocol.name == "pmn-lrid"
     assert len(result.images) == COUNTS["indoor-first"], "the first subset is that of --mode eval"
-    assert_equal(result, lambda path, reference: ROUTE.of_prediction(mosaics[path], files / reference))
+    assert_equal(result, lambda pair: ROUTE.of_prediction(mosaics[pair.path], files / pair.reference))
     assert not any("taken for every file" in note for note in result.notes), "the card's levels are those"
 
 

@@ -19,34 +19,17 @@ from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate_methods, units
 from eldata.evaluation.comparison.folders import named_folders, requests_of
 from eldata.evaluation.evaluate import perform_each
-from eldata.raw.cfa import pack
-from tests.evaluation.own_set import GBRG, OwnSet, build_own_set, mosaic_of
+from tests.evaluation.own_set import OwnSet, build_own_set, predict
 
 if TYPE_CHECKING:
     from eldata.evaluation import EvaluationResult
     from eldata.evaluation.frames import ComparedFrame
 
-SIZE = (60, 84)
-
 
 @pytest.fixture(scope="module")
 def own(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
     """Three scenes of a reference and two noisy frames. Not to be changed."""
-    return build_own_set(tmp_path_factory.mktemp("own"), scenes=3, size=SIZE)
-
-
-def predict(own: OwnSet, folder: Path, sigma: float, *, reverse: bool = False) -> Path:
-    """A prediction of each noisy frame: its reference with noise; ``reverse``: its channels the other way round."""
-    for number, path in enumerate(sorted(own.files.glob("*/x*.dng"))):
-        place = path.relative_to(own.files)
-        mosaic = mosaic_of(f"{place.parent.as_posix()}/clean.dng", SIZE, bright=True).astype(np.float64)
-        values = (mosaic - 512) / (15300 - 512) + np.random.default_rng(number).normal(0, sigma, SIZE)
-        packed = pack(values, GBRG)
-        packed = packed[::-1] if reverse else packed
-        file = folder / place.with_suffix(".npy")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        np.save(file, packed.astype(np.float32))
-    return folder
+    return build_own_set(tmp_path_factory.mktemp("own"), scenes=3)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +44,7 @@ def folders(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
 
 
 def alone(own: OwnSet, folder: Path, **options: Any) -> EvaluationResult:
-    return evaluate(folder, manifest=own.manifest, root=own.root, **options)
+    return evaluate(folder, **own.where, **options)
 
 
 def as_text(result: EvaluationResult) -> str:
@@ -71,7 +54,7 @@ def as_text(result: EvaluationResult) -> str:
 @pytest.mark.parametrize("allow_missing", [False, True])
 def test_each_as_alone(own: OwnSet, folders: dict[str, Path], allow_missing: bool) -> None:
     """JSON equal in every byte; a folder that lacks frames costs the others nothing."""
-    found = evaluate_methods(folders, manifest=own.manifest, root=own.root, allow_missing=allow_missing)
+    found = evaluate_methods(folders, **own.where, allow_missing=allow_missing)
     assert list(found) == ["good", "swapped", "broken"]
     for name, folder in folders.items():
         assert as_text(found[name]) == as_text(alone(own, folder, allow_missing=allow_missing)), name
@@ -81,19 +64,18 @@ def test_each_as_alone(own: OwnSet, folders: dict[str, Path], allow_missing: boo
 
 
 def test_under_all_protocols(own: OwnSet, folders: dict[str, Path]) -> None:
-    options: Any = {"manifest": own.manifest, "root": own.root}
     chosen = {name: folders[name] for name in ("good", "swapped")}
+    options: Any = own.where
     for name, combined in zip(chosen, perform_each(requests_of(chosen, "", "all", options)), strict=True):
-        expected = evaluate_all(folders[name], **options)
+        expected = evaluate_all(folders[name], **own.where)
         assert json.dumps(combined.as_dict()) == json.dumps(expected.as_dict())
 
 
 def test_workers_change_nothing(own: OwnSet, folders: dict[str, Path]) -> None:
-    options: Any = {"manifest": own.manifest, "root": own.root}
-    expected = [as_text(result) for result in evaluate_methods(folders, **options).values()]
+    expected = [as_text(result) for result in evaluate_methods(folders, **own.where).values()]
     with ThreadPoolExecutor(2) as executor:
         for workers in (2, executor):
-            found = evaluate_methods(folders, **options, workers=workers)
+            found = evaluate_methods(folders, **own.where, workers=workers)
             assert [as_text(result) for result in found.values()] == expected
 
 
@@ -109,7 +91,7 @@ def test_each_raw_is_decoded_once(own: OwnSet, folders: dict[str, Path]) -> None
 
     chosen = [folders["good"], folders["swapped"]]
     with patch.object(reading, "read_raw", counted):
-        evaluate_methods(chosen, manifest=own.manifest, root=own.root)
+        evaluate_methods(chosen, **own.where)
     assert read["clean.dng"] == 3
     assert max(read[name] for name in ("x50.dng", "x100.dng")) <= 3  # one of each scene
 
@@ -123,7 +105,7 @@ def test_a_unit_that_one_folder_loses(own: OwnSet, folders: dict[str, Path]) -> 
             raise OSError("the disk is gone")  # as a dead worker, it is no problem of one file
         take(scorer, frame)
 
-    options: Any = {"manifest": own.manifest, "root": own.root, "allow_missing": True}
+    options: Any = own.where | {"allow_missing": True}
     with patch.object(units._Scorer, "take", failing):
         found = evaluate_methods([folders["good"], folders["swapped"]], **options)
         expected = alone(own, folders["swapped"], allow_missing=True)
@@ -144,7 +126,7 @@ def test_predictions_are_in_memory_one_at_a_time(tmp_path: Path) -> None:
 
     def peak(chosen: list[Path]) -> int:
         tracemalloc.start()
-        evaluate_methods(chosen, manifest=own.manifest, root=own.root)
+        evaluate_methods(chosen, **own.where)
         found = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return found

@@ -147,7 +147,7 @@ def alpha(tree: Tree, predictions: Path, tmp_path: Path) -> Path:
 
 
 def run(folder: Path, tree: Tree, *, allow_missing: bool = False) -> EvaluationResult:
-    return evaluate(folder, manifest=tree.manifest, root=tree.root, cameras=["DemoAlpha"], allow_missing=allow_missing)
+    return evaluate(folder, **tree.where, cameras=["DemoAlpha"], allow_missing=allow_missing)
 
 
 def good() -> NDArray[np.float32]:
@@ -362,15 +362,6 @@ def test_a_pickle_is_refused_and_never_run(
 # --- finding --------------------------------------------------------------------------------------------------
 
 
-def test_missing_predictions_are_named(tree: Tree, alpha: Path) -> None:
-    (alpha / VICTIM).with_suffix(".npy").unlink()
-    result = run(alpha, tree)
-    assert [problem.path for problem in result.problems] == [VICTIM]
-    assert "no prediction" in result.problems[0].reason
-    assert "--allow-missing" in result.problems[0].reason
-    assert result.images == ()
-
-
 def test_extra_predictions_are_named(tree: Tree, alpha: Path) -> None:
     extra = ["DemoAlpha/scene-1/IMG_0017.npy", "DemoAlpha/scene-9/IMG_0004.npy", "IMG_0004.tif"]
     for name in extra:
@@ -457,7 +448,7 @@ def test_a_few_hot_pixels_are_no_scale_problem(tree: Tree, alpha: Path) -> None:
 @pytest.mark.parametrize("factor", [0.1, 1 / 255])
 def test_a_dark_scale_is_noted_because_rescaling_hides_it(factor: float, tree: Tree, tmp_path: Path) -> None:
     place(tmp_path, tree, lambda target, _: target * factor + 1e-4)
-    result = evaluate(tmp_path, manifest=tree.manifest, root=tree.root)
+    result = evaluate(tmp_path, **tree.where)
     (note,) = (note for note in result.notes if "saturate" not in note)
     assert "12 of 12 predictions" in note
     assert "scale" in note

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import re
-from dataclasses import MISSING, FrozenInstanceError, fields, replace
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -63,11 +63,6 @@ def test_a_digest_can_be_computed_by_anybody() -> None:
     }
     text = json.dumps(fields, sort_keys=True)
     assert PROTOCOLS["eld"].digest == f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
-
-
-def test_protocol_cannot_be_changed() -> None:
-    with pytest.raises(FrozenInstanceError):
-        get_protocol("eld").rescaling = "none"  # type: ignore[misc]
 
 
 # Another value for every field of a protocol that decides a score.
@@ -170,47 +165,25 @@ def test_a_family_is_one_protocol_a_dataset(family: str) -> None:
             get_protocol(family, dataset)
 
 
+SRGB_OF_SID = "sid-srgb sid-raw2rgb sid-rgb2rgb sid2018"
+
+
 @pytest.mark.parametrize(
     ("dataset", "names"),
     [
-        (
-            "eld",
-            [
-                *("eld", "eld-uncorrected", "pmn-eld", "sony-eld", "led-eld", "lrd-eld"),
-                *("eld-srgb", "eld-raw2rgb", "eld-rgb2rgb"),
-            ],
-        ),
-        (
-            "sid-sony",
-            [
-                "sid",
-                "sid-uncorrected",
-                "eld-cvpr20",
-                "sid-tpami",
-                "pmn-sid",
-                "sony-sid",
-                "led-sid",
-                "lrd-sid",
-                "sid-srgb",
-                "sid-raw2rgb",
-                "sid-rgb2rgb",
-                "sid2018",
-            ],
-        ),
-        ("sid-fuji", ["sid", "sid-uncorrected", "sid2018"]),
+        ("eld", "eld eld-uncorrected pmn-eld sony-eld led-eld lrd-eld eld-srgb eld-raw2rgb eld-rgb2rgb"),
+        ("sid-sony", "sid sid-uncorrected eld-cvpr20 sid-tpami pmn-sid sony-sid led-sid lrd-sid " + SRGB_OF_SID),
+        ("sid-fuji", "sid sid-uncorrected sid2018"),
         (
             "mine",
-            [
-                *("raw", "eld", "eld-uncorrected", "eld-cvpr20", "led-sid", "lrd-sid"),
-                *("sid-srgb", "sid-raw2rgb", "eld-srgb", "eld-raw2rgb", "sid2018"),
-            ],
+            "raw eld eld-uncorrected eld-cvpr20 led-sid lrd-sid sid-srgb sid-raw2rgb eld-srgb eld-raw2rgb sid2018",
         ),
     ],
 )
-def test_protocols_for_a_dataset(dataset: str, names: list[str]) -> None:
-    assert [protocol.name for protocol in protocols_for(dataset)] == names
+def test_protocols_for_a_dataset(dataset: str, names: str) -> None:
+    assert [protocol.name for protocol in protocols_for(dataset)] == names.split()
     if dataset != "mine":
-        assert default_protocol(shipped_card(dataset)).name == names[0]
+        assert default_protocol(shipped_card(dataset)).name == names.split(maxsplit=1)[0]
 
 
 def test_the_card_names_the_default() -> None:
@@ -224,29 +197,6 @@ def test_the_card_names_the_default() -> None:
 
 
 # --- pairs ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("name", "dataset", "counts"),
-    [
-        ("eld", "eld", {100: 120, 200: 120}),
-        ("lrd-eld", "eld", {100: 30, 200: 30}),
-        ("led-eld", "eld", {100: 48, 200: 48}),
-        ("eld-cvpr20", "sid-sony", {100: 15, 250: 15, 300: 15}),
-        ("sid-tpami", "sid-sony", {100: 40, 250: 40, 300: 49}),
-        ("led-sid", "sid-sony", {100: 29, 250: 29, 300: 35}),
-        ("sid2018", "sid-sony", {100: 29, 250: 29, 300: 35}),
-        ("sid2018", "sid-fuji", {100: 41, 250: 27, 300: 26}),
-    ],
-)
-def test_pairs_of_the_published_sets(name: str, dataset: str, counts: dict[int, int]) -> None:
-    scored = scored_pairs(dataset, name)
-    found = [int(pair.ratio) for pair in scored]
-    assert {ratio: found.count(ratio) for ratio in sorted(set(found))} == counts
-    if name == "led-eld":
-        assert {pair.scene for pair in scored} == {f"scene-{number}" for number in range(3, 11)}
-    if name in ("led-sid", "sid2018"):
-        assert {pair.split for pair in scored} == {"test"}
 
 
 def test_a_protocol_that_fixes_its_pairs_takes_no_others() -> None:
@@ -403,27 +353,20 @@ def test_any_dataset_and_all_factors(tmp_path: Path) -> None:
     ("text", "said"),
     [
         (START + "regoin = 'full'\n", r"field regoin: is unknown \(did you mean region\?\); known are base, name"),
-        (START + 'family = "pmn"\n', r"field family: is unknown"),
         (
             START + 'rescaling_region = "whole"\n',
             r"rescaling_region must be 'full', 'centre-N' or 'border-N', or 'scored'; found 'whole'",
         ),
         (START + "region = 3\n", r"field region: expected a text, found 3"),
         (START + 'region = "middle"\n', r"region must be 'full', 'centre-N' or 'border-N'; found 'middle'"),
-        (START + 'region = "centre-0"\n', r"region must be"),
         (START + 'levels = "16383"\n', r"levels: expected one of 'metadata', 'published'"),
-        (START + "rescaling = true\n", r"rescaling: expected one of 'none', 'scalar', found true"),
         (START + 'ratios = ["100"]\n', r"field ratios\[0\]: expected a finite number above 0, found '100'"),
-        (START + "ratios = [0]\n", r"field ratios\[0\]: expected a finite number above 0, found 0"),
         (
             START + "ratios = 100\n",
             r"ratios: expected a list of positive numbers, such as \[100, 200\]; \[\] for all, found 100",
         ),
-        (START + 'cameras = "A"\n', r"cameras: expected a list of names"),
         (START + 'mse_offset = "small"\n', r"mse_offset: expected a finite number, found 'small'"),
         (START + "mse_offset = -1.0\n", r"mse_offset must be finite and not negative"),
-        (START + "mse_offset = nan\n", r"field mse_offset: expected a finite number, found nan"),
-        (START + "data_range = 0\n", r"data_range must be positive"),
         (START + 'space = "srgb"\n', r"rendering 'none' does not go with space 'srgb'"),
         (START + 'space = "srgb"\nrendering = "eld-isp"\n', r"rounding must be '8-bit-truncated'"),
         (RGB + 'rounding = "8-bit"\n', r"of predictions in srgb rounding must be 'none'"),
@@ -436,11 +379,9 @@ def test_any_dataset_and_all_factors(tmp_path: Path) -> None:
         (START + 'prediction_space = "srgb"\n', r"prediction_space 'srgb' needs a reference to compare with"),
         (START + 'input_space = "srgb"\n', r"input_space 'srgb' goes with rendering 'eld-isp'"),
         ('base = "eld"\ntitle = "x"\n', r"field name: is missing; a protocol needs base, name and title"),
-        ('name = "x"\ntitle = "x"\n', r"field base: is missing; a protocol needs base"),
         ('base = "ELD"\nname = "x"\ntitle = "x"\n', r"field base: expected one of 'raw', 'eld', .*, found 'ELD'"),
         ('base = "drv-rgb"\nname = "x"\ntitle = "x"\n', r"base: 'drv-rgb' scores clips; .* starts from one of images"),
         ('base = "eld"\nname = "sid"\ntitle = "x"\n', r"name: 'sid' is the name of a shipped protocol"),
-        ('base = "eld"\nname = "all"\ntitle = "x"\n', r"name: 'all' is the name of a shipped"),
         ('base = "eld"\nname = "led"\ntitle = "x"\n', r"name: 'led' is the name of a shipped"),
         ('base = "eld"\nname = ""\ntitle = "x"\n', r"field name: expected a text, found ''"),
         ('base = "eld"\nname = "a\\nb"\ntitle = "x"\n', r"name: expected printable text"),

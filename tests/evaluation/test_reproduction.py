@@ -62,7 +62,7 @@ def preds(own: OwnSet, tmp_path: Path) -> Path:
 
 
 def saved(own: OwnSet, preds: Path, out: Path, **options: Any) -> Path:
-    evaluate(preds, manifest=own.manifest, root=own.root, **options).write_json(out)
+    evaluate(preds, **own.where, **options).write_json(out)
     return out
 
 
@@ -87,7 +87,7 @@ def test_the_same_to_the_last_digit(own: OwnSet, preds: Path, tmp_path: Path, ch
         next(preds.rglob("*.npy")).unlink()
     path = saved(own, preds, tmp_path / "r.json", **options.get(choice, {}))
     mine.unlink()
-    found = reproduce(path, manifest=own.manifest, root=own.root)
+    found = reproduce(path, **own.where)
     assert found.same
     assert found.conditions == ()
     assert found.again.protocol.digest == found.saved.digest
@@ -96,10 +96,10 @@ def test_the_same_to_the_last_digit(own: OwnSet, preds: Path, tmp_path: Path, ch
 
 
 def test_the_input_itself(own: OwnSet, tmp_path: Path) -> None:
-    result = evaluate(None, manifest=own.manifest, root=own.root, baseline="input")
+    result = evaluate(None, **own.where, baseline="input")
     result.write_json(tmp_path / "r.json")
-    assert reproduce(tmp_path / "r.json", manifest=own.manifest, root=own.root).same
-    assert reproduce(result, manifest=own.manifest, root=own.root).same
+    assert reproduce(tmp_path / "r.json", **own.where).same
+    assert reproduce(result, **own.where).same
 
 
 def test_one_other_prediction_is_named_and_nothing_else(own: OwnSet, preds: Path, tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_one_other_prediction_is_named_and_nothing_else(own: OwnSet, preds: Path
     pixels = np.load(file)
     pixels[0, 3, 4] = np.nextafter(pixels[0, 3, 4], np.float32(2))
     np.save(file, pixels)
-    found = reproduce(path, manifest=own.manifest, root=own.root)
+    found = reproduce(path, **own.where)
     name = found.saved.scores[2].name
     assert not found.same
     assert {one.where.rpartition(": ")[0] for one in found.scores} == {name}
@@ -127,7 +127,7 @@ def test_what_the_numbers_depend_on_is_held_against_it(own: OwnSet, preds: Path,
         data["provenance"] |= {"numpy": "1.0.0", "manifest_sha256": "sha256:0"}
         data["images"][1]["ssim"] = float(np.nextafter(before, 2))
 
-    found = reproduce(changed(path, other), manifest=own.manifest, root=own.root)
+    found = reproduce(changed(path, other), **own.where)
     assert [(one.found, one.saved) for one in found.scores] == [(before, float(np.nextafter(before, 2)))]
     assert [(one.where, one.saved) for one in found.conditions] == [
         ("manifest_sha256", "sha256:0"),
@@ -141,7 +141,7 @@ def test_a_prediction_that_is_gone_is_a_problem(own: OwnSet, preds: Path, tmp_pa
     path = saved(own, preds, tmp_path / "r.json")
     file = min(preds.rglob("*.npy"))
     file.unlink()
-    found = reproduce(path, manifest=own.manifest, root=own.root)
+    found = reproduce(path, **own.where)
     assert not found.same
     assert "nothing was scored: 1 problem" in found.format_text()
     assert file.stem in found.format_text()
@@ -149,10 +149,9 @@ def test_a_prediction_that_is_gone_is_a_problem(own: OwnSet, preds: Path, tmp_pa
 
 def test_the_command(own: OwnSet, preds: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of all protocols at once, from predictions that lie elsewhere now."""
-    evaluate_all(preds, manifest=own.manifest, root=own.root).write_json(tmp_path / "r.json")
+    evaluate_all(preds, **own.where).write_json(tmp_path / "r.json")
     elsewhere = preds.rename(tmp_path / "elsewhere")
-    command = ["reproduce", str(tmp_path / "r.json"), "--manifest", str(own.manifest), "--root", str(own.root)]
-    command += ["--jobs", "1"]  # of small frames, starting workers is what takes time
+    command = ["reproduce", str(tmp_path / "r.json"), *own.arguments]
     assert main(command) == 2
     assert "preds" in capsys.readouterr().err
     command += ["--predictions", str(elsewhere), "--json", str(tmp_path / "again.json")]
@@ -168,9 +167,9 @@ def test_what_is_needed_and_not_there_is_named(own: OwnSet, preds: Path, tmp_pat
     path = saved(own, preds, tmp_path / "r.json")
     with pytest.raises(ArgumentError, match=r"not a set that eldata knows; give its manifest with --manifest"):
         reproduce(path, root=own.root)
-    evaluate_all(preds, manifest=own.manifest, root=own.root).write_json(tmp_path / "all.json")
+    evaluate_all(preds, **own.where).write_json(tmp_path / "all.json")
     with pytest.raises(ArgumentError, match=r"results of several protocols \(raw, .*\)"):
-        reproduce(tmp_path / "all.json", manifest=own.manifest, root=own.root)
+        reproduce(tmp_path / "all.json", **own.where)
 
     def unknown(data: dict[str, Any]) -> None:
         from eldata.protocols.protocol import StatedProtocol
@@ -178,9 +177,9 @@ def test_what_is_needed_and_not_there_is_named(own: OwnSet, preds: Path, tmp_pat
         data["protocol"]["sharpening"] = "much"
         data["provenance"]["protocol_digest"] = StatedProtocol(result.kind, data["protocol"]).digest
 
-    result = evaluate(None, manifest=own.manifest, root=own.root, baseline="input")
+    result = evaluate(None, **own.where, baseline="input")
     with pytest.raises(ArgumentError, match="of another version of eldata, which may have scored otherwise"):
-        reproduce(changed(path, unknown), manifest=own.manifest, root=own.root)
-    empty = evaluate(tmp_path, manifest=own.manifest, root=own.root)
+        reproduce(changed(path, unknown), **own.where)
+    empty = evaluate(tmp_path, **own.where)
     with pytest.raises(ArgumentError, match="nothing was scored"):
-        reproduce(empty, manifest=own.manifest, root=own.root)
+        reproduce(empty, **own.where)

@@ -24,6 +24,7 @@ from eldata.manifest.table import load_records, save_records
 from eldata.protocols import PROTOCOLS
 from eldata.raw import read_raw, write_dng
 from tests.evaluation import published_code
+from tests.evaluation.helpers import assert_equal
 from tests.evaluation.own_set import OwnSet, build_own_set
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation import EvaluationResult
     from eldata.records import PairRecord
 
 NOISY_BALANCE = (1.4, 1.0, 2.5, 1.0)
@@ -65,15 +65,6 @@ def shown(own: OwnSet, reference: str, name: str) -> NDArray[np.float32]:
     return (0.9 * clean + noise).astype(np.float32)
 
 
-def assert_scores(result: EvaluationResult, own: OwnSet, given: dict[str, NDArray[Any]]) -> None:
-    assert len(result.images) == 4
-    for pair, image in zip(result.pairs, result.images, strict=True):
-        score = score_of(own, pair, given[pair.path])
-        assert (image.psnr_db, image.ssim, image.rescale) == pytest.approx(
-            (score.psnr_db, score.ssim, score.factor), abs=1e-6, rel=0
-        )
-
-
 def score_of(own: OwnSet, pair: PairRecord, output: NDArray[Any]) -> published_code.Score:
     reference = own.files / pair.reference
     return published_code.eld_rgb_score(output, packed(reference), reference)
@@ -97,18 +88,18 @@ def test_predictions_of_three_channels(form: str, own: OwnSet, tmp_path: Path) -
                 np.save(file, image)
             given[path] = image
     for name in WAYS:
-        assert_scores(evaluate(tmp_path, manifest=own.manifest, root=own.root, protocol=name), own, given)
+        assert_equal(evaluate(tmp_path, **own.where, protocol=name), lambda pair: score_of(own, pair, given[pair.path]))
 
 
 @pytest.mark.parametrize("name", WAYS)
 def test_the_input_is_the_amplified_frame_in_its_own_colours(name: str, own: OwnSet) -> None:
-    result = evaluate(None, manifest=own.manifest, root=own.root, protocol=name, baseline="input")
+    result = evaluate(None, **own.where, protocol=name, baseline="input")
     given = {}
     for pair in result.pairs:
         noisy, reference = own.files / pair.path, own.files / pair.reference
         amplified = packed(noisy, published_code.ratio_by_exif(noisy, reference))
         given[pair.path] = published_code.eld_rendered(amplified, noisy)
-    assert_scores(result, own, given)
+    assert_equal(result, lambda pair: score_of(own, pair, given[pair.path]))
 
 
 # --- what does not go together ----------------------------------------------------------------------------------------
@@ -122,7 +113,7 @@ def test_the_protocol_that_takes_them_is_named(own: OwnSet, tmp_path: Path) -> N
                 save_prediction(tmp_path / look, f"{scene}/x{ratio}.dng", np.zeros(shape, np.float32))
 
     def refused(look: str, protocol: str) -> str:
-        (problem,) = evaluate(tmp_path / look, manifest=own.manifest, root=own.root, protocol=protocol).problems
+        (problem,) = evaluate(tmp_path / look, **own.where, protocol=protocol).problems
         return problem.reason.partition("; ")[2]
 
     assert refused("binned", "eld") == "give protocol sid-raw2rgb or eld-raw2rgb"
@@ -148,25 +139,22 @@ class Same(torch.nn.Module):
         return image
 
 
-def place(own: OwnSet) -> list[str]:
-    return ["--manifest", str(own.manifest), "--root", str(own.root)]
-
-
 def test_networks_to_srgb_are_run_and_scored(own: OwnSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    where = [text for name, path in own.where.items() for text in (f"--{name}", str(path))]
     for name, network in (("eld-raw2rgb", Green), ("eld-rgb2rgb", Same)):
         model = f"{__name__}:{network.__name__}"
         out = str(tmp_path / name)
-        assert main(["predict", model, *place(own), "--protocol", name, "-o", out]) == 0
+        assert main(["predict", model, *where, "--protocol", name, "-o", out]) == 0
         assert np.load(tmp_path / name / "s0" / "x50.npy").shape == (3, 30, 42)
-        assert main(["evaluate", out, *place(own), "--protocol", name]) == 0
+        assert main(["evaluate", out, *own.arguments, "--protocol", name]) == 0
     stated = json.loads((tmp_path / "eld-rgb2rgb" / SETTINGS).read_text(encoding="utf-8"))
     assert [stated[name] for name in ("input_space", "prediction_space", "response")] == ["sRGB", "sRGB", "gamma 2.2"]
-    scored: dict[str, Any] = {"manifest": own.manifest, "root": own.root, "protocol": "eld-rgb2rgb"}
+    scored = {**own.where, "protocol": "eld-rgb2rgb"}
     ours, theirs = evaluate(tmp_path / "eld-rgb2rgb", **scored), evaluate(None, baseline="input", **scored)
     expected = [one.psnr_db for one in theirs.images]
     assert [one.psnr_db for one in ours.images] == pytest.approx(expected, abs=1e-5, rel=0)  # files of float32
     capsys.readouterr()
-    assert main(["evaluate", str(tmp_path / "eld-rgb2rgb"), *place(own), "--protocol", "eld-raw2rgb"]) == 2
+    assert main(["evaluate", str(tmp_path / "eld-rgb2rgb"), *own.arguments, "--protocol", "eld-raw2rgb"]) == 2
     assert "network's input: sRGB, and protocol 'eld-raw2rgb' has packed raw (input_space)" in capsys.readouterr().err
     (tmp_path / "mine.toml").write_text(
         'base = "eld-rgb2rgb"\nname = "x"\ntitle = "x"\nresponse = "gamma-1.8"\n', encoding="utf-8"
@@ -181,8 +169,7 @@ def test_a_network_of_other_channels_is_refused(own: OwnSet, tmp_path: Path) -> 
             load_network(f"{__name__}:{network.__name__}", device="cpu"),
             "",
             tmp_path / protocol,
-            manifest=own.manifest,
-            root=own.root,
+            **own.where,
             protocol=protocol,
         )
         assert report.written == 0
@@ -190,7 +177,7 @@ def test_a_network_of_other_channels_is_refused(own: OwnSet, tmp_path: Path) -> 
         assert takers in problem
     with pytest.raises(ArgumentError, match="'sid2018' scores renderings"):
         write_predictions(
-            load_network(f"{__name__}:Same"), "", tmp_path / "p", manifest=own.manifest, root=own.root,
+            load_network(f"{__name__}:Same"), "", tmp_path / "p", **own.where,
             protocol="sid2018",
         )  # fmt: skip
 
@@ -267,4 +254,4 @@ def test_a_protocol_states_its_response_curve(own: OwnSet, tmp_path: Path) -> No
     assert len({gamma, table, model, PROTOCOLS["eld-rgb2rgb"].digest}) == 4
     result.write_json(tmp_path / "r.json")  # of the last protocol, whose curve's file is not needed again
     (tmp_path / "emor.txt").unlink()
-    assert reproduce(tmp_path / "r.json", manifest=own.manifest, root=own.root).same
+    assert reproduce(tmp_path / "r.json", **own.where).same

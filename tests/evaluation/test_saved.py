@@ -32,7 +32,7 @@ def as_read_back(result: EvaluationResult, path: Path) -> EvaluationResult:
 
 
 def test_what_evaluate_wrote_is_read_back(tree: Tree, predictions: Path, tmp_path: Path) -> None:
-    result = evaluate(predictions, manifest=tree.manifest, root=tree.root)
+    result = evaluate(predictions, **tree.where)
     result.write_json(tmp_path / "a.json")
     (saved,) = load_results(tmp_path / "a.json")
     assert saved == as_read_back(result, tmp_path / "a.json")

@@ -6,7 +6,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
@@ -21,20 +21,18 @@ from eldata.integrations.torchmetrics import ProtocolScore
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.table import save_records
 from eldata.sources.store import build_store, open_store, source_of_dataset
-from tests.evaluation.own_set import GBRG, OwnSet, build_own_set, mosaic_of
+from tests.evaluation.own_set import GBRG, OwnSet, build_own_set, predict
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from eldata.evaluation import EvaluationResult
 
-SIZE = (60, 84)
-
 
 @pytest.fixture(scope="module")
 def own(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
     """Two scenes of a reference and two noisy frames. Not to be changed."""
-    return build_own_set(tmp_path_factory.mktemp("own"), scenes=2, size=SIZE)
+    return build_own_set(tmp_path_factory.mktemp("own"), scenes=2)
 
 
 @pytest.fixture(scope="module")
@@ -46,14 +44,7 @@ def store(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def preds(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("preds") / "ours"
-    for number, path in enumerate(sorted(own.files.glob("*/x*.dng"))):
-        place = path.relative_to(own.files)
-        mosaic = mosaic_of(f"{place.parent.as_posix()}/clean.dng", SIZE, bright=True).astype(np.float64)
-        values = (mosaic - 512) / (15300 - 512) + np.random.default_rng(number).normal(0, 0.01, SIZE)
-        (folder / place.parent).mkdir(parents=True, exist_ok=True)
-        np.save(folder / place.with_suffix(".npy"), values.astype(np.float32))
-    return folder
+    return predict(own, tmp_path_factory.mktemp("preds") / "ours", 0.01)
 
 
 def without_store(result: EvaluationResult) -> str:
@@ -64,7 +55,7 @@ def without_store(result: EvaluationResult) -> str:
 
 def test_scores_are_those_of_the_files(own: OwnSet, store: Path, preds: Path, tmp_path: Path) -> None:
     """Under every protocol, with the files away; the store is named, by what it holds."""
-    files = evaluate_all(preds, manifest=own.manifest, root=own.root)
+    files = evaluate_all(preds, **own.where)
     stored = evaluate_all(preds, manifest=own.manifest, root=tmp_path / "nowhere", store=store)
     assert len(files.results) > 1
     for one, other in zip(files.results, stored.results, strict=True):
@@ -75,18 +66,15 @@ def test_scores_are_those_of_the_files(own: OwnSet, store: Path, preds: Path, tm
     refused = {one.protocol: one.reason for one in stored.not_scored}
     assert "renderings of the raw files, which a store does not hold" in refused["sid2018"]
     for protocol in ("led-eld", "lrd-eld", "pmn-eld"):  # with levels of each channel, of the file, of the literature
-        one, other = (
-            evaluate(preds, manifest=own.manifest, root=own.root, protocol=protocol, store=of) for of in (None, store)
-        )
+        one, other = (evaluate(preds, **own.where, protocol=protocol, store=of) for of in (None, store))
         assert without_store(one) == without_store(other)
 
 
 def test_the_input_and_several_methods(own: OwnSet, store: Path, preds: Path) -> None:
-    options: Any = {"manifest": own.manifest, "root": own.root}
-    scored = evaluate(None, **options, baseline="input", store=store)
-    assert without_store(scored) == without_store(evaluate(None, **options, baseline="input"))
-    (found,) = evaluate_methods([preds], **options, store=store, workers=2).values()
-    assert without_store(found) == without_store(evaluate(preds, **options))
+    scored = evaluate(None, **own.where, baseline="input", store=store)
+    assert without_store(scored) == without_store(evaluate(None, **own.where, baseline="input"))
+    (found,) = evaluate_methods([preds], **own.where, store=store, workers=2).values()
+    assert without_store(found) == without_store(evaluate(preds, **own.where))
 
 
 def test_protocol_score_over_a_store(own: OwnSet, store: Path) -> None:

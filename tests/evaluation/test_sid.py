@@ -141,7 +141,7 @@ def test_unknown_names(
 
 def test_a_set_without_subsets_has_none(tree: Tree, predictions: Path) -> None:
     with pytest.raises(ArgumentError, match="known are none"):
-        evaluate(predictions, manifest=tree.manifest, root=tree.root, subset="all")
+        evaluate(predictions, **tree.where, subset="all")
 
 
 # --- one folder for both cameras ----------------------------------------------------------------------------------

@@ -101,8 +101,7 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
 
 
 def scored(own: OwnSet, name: str = "preds", **options: Any) -> EvaluationResult:
-    given: dict[str, Any] = {"protocol": "eld", "manifest": own.manifest, "root": own.root}
-    return evaluate(own.root.parent / name, **given | options)
+    return evaluate(own.root.parent / name, **{"protocol": "eld"} | own.where | options)
 
 
 def test_it_stands_beside_the_scores_everywhere(own: OwnSet, tmp_path: Path) -> None:
@@ -162,9 +161,7 @@ def test_renderings_have_the_levels_that_the_protocol_compares(own: OwnSet, tmp_
         path.parent.mkdir(exist_ok=True)
         np.save(path, np.clip(clean + generator.normal(0, 6, clean.shape), 0, 255) / 255)  # not of 256 levels
     for images in ("compared", "srgb"):
-        found = evaluate(
-            tmp_path, manifest=own.manifest, root=own.root, protocol="sid2018", task=Task(gap_of_means, images)
-        )
+        found = evaluate(tmp_path, **own.where, protocol="sid2018", task=Task(gap_of_means, images))
         assert len(found.images) == 4
         for image in found.images:
             codes = np.floor(255 * np.load((tmp_path / image.path).with_suffix(".npy")) + 0.5)
@@ -251,7 +248,7 @@ def test_frames_are_counted_in_whole_numbers(frames: Any) -> None:
 
 def test_every_protocol_at_once_is_refused(own: OwnSet) -> None:
     with pytest.raises(ArgumentError, match="--task goes with one protocol, not with --protocol all"):
-        evaluate_all(own.root.parent / "preds", manifest=own.manifest, root=own.root, task=worst)
+        evaluate_all(own.root.parent / "preds", **own.where, task=worst)
 
 
 def test_the_command(
@@ -260,8 +257,8 @@ def test_the_command(
     (tmp_path / "mine_of_test_tasks.py").write_text("def zero(p, g):\n    return 0\n1 / (__name__ == 'x')\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", [path for path in sys.path if path])
-    given = ["evaluate", str(own.root.parent / "preds"), "--manifest", str(own.manifest), "--root", str(own.root)]
-    given += ["--protocol", "eld", "--jobs", "1", "--csv", str(tmp_path / "scores.csv")]
+    given = ["evaluate", str(own.root.parent / "preds"), *own.arguments, "--protocol", "eld"]
+    given += ["--csv", str(tmp_path / "scores.csv")]
     assert main([*given, "--task", "mine_of_test_tasks:zero"]) == 2
     assert "mine_of_test_tasks cannot be imported: ZeroDivisionError: division by zero\n" in capsys.readouterr().err
     (tmp_path / "mine_of_test_tasks.py").write_text("def zero(p, g):\n    return 0\n")

@@ -61,10 +61,9 @@ def test_one_score_passes_few_modules(own: OwnSet, predictions: Path) -> None:
         units_passed.append(passed)
         return result
 
-    options: Any = {"manifest": own.manifest, "root": own.root}
-    evaluate(predictions, **options)  # what is computed once, such as kernels
-    whole, _ = modules_called(lambda: evaluate(predictions, **options))
+    evaluate(predictions, **own.where)  # what is computed once, such as kernels
+    whole, _ = modules_called(lambda: evaluate(predictions, **own.where))
     with patch.object(units, "_score_unit", scored):
-        evaluate(predictions, **options)
+        evaluate(predictions, **own.where)
     assert len(whole) <= 57, sorted(whole)
     assert max(map(len, units_passed)) <= 38

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
+import subprocess
+import sys
+import tracemalloc
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +16,7 @@ import pytest
 from skimage.metrics import structural_similarity
 
 from eldata.errors import ArgumentError
-from eldata.metrics import score
+from eldata.metrics import Score, score
 from eldata.metrics.image_score import ScoringRules, as_compared, factor_by, score_by
 
 Image = npt.NDArray[np.floating[Any]]
@@ -142,3 +145,81 @@ def test_images_as_they_are_compared(rounding: Any, clamp: Any) -> None:
     for image, other in zip(found, expected[:2], strict=True):
         assert image.dtype == (np.float64 if rounding == "none" else np.float32)
         np.testing.assert_allclose(image, other, rtol=1e-7, atol=1e-12)
+
+
+# --- by ELD's rules -------------------------------------------------------------------------------------------------
+
+
+def test_identical() -> None:
+    _, g = images(np.float32)
+    g = np.clip(g, 0, 1)
+    assert score(g, g, rescaling="scalar") == Score(psnr_db=math.inf, ssim=1.0, rescale=1.0)
+
+
+def test_dark_prediction_scores_alike() -> None:
+    _, g = images(np.float32)
+    dark = np.full_like(g, -0.25)
+    assert score(dark, g, rescaling="scalar") == score(dark, g, rescaling="none")
+    assert score(dark, g, rescaling="none").psnr_db == pytest.approx(
+        -10 * math.log10((g.astype(np.float64) ** 2).mean()), abs=1e-9
+    )
+
+
+def test_saturated_reference() -> None:
+    g = np.ones((2, 20, 20), np.float32)
+    p = np.full_like(g, 0.75)
+    result = score(p, g, rescaling="scalar")
+    assert result.rescale == 1.0
+    assert result.psnr_db == pytest.approx(20 * math.log10(4), abs=1e-12)
+    assert result.ssim == pytest.approx((1.5 + 1e-4) / (1.5625 + 1e-4), abs=1e-12)
+
+
+def test_refusals_of_score() -> None:
+    image = np.zeros((9, 9), np.float32)
+    with pytest.raises(ArgumentError, match="rescaling must be one of 'none', 'scalar'; found 'affine'"):
+        score(image, image, rescaling="affine")  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="at least 7 x 7"):
+        score(image[:6], image[:6], rescaling="none")
+
+
+@pytest.mark.memory
+@pytest.mark.parametrize("contiguous", [True, False])
+def test_memory_of_a_full_frame(contiguous: bool) -> None:
+    shape = (4, 1416, 2120)
+    p = np.full(shape, 0.25, np.float32)
+    g = np.full(shape if contiguous else (*shape[1:], 4), 0.5, np.float32)
+    g = g if contiguous else g.transpose(2, 0, 1)
+    score(p[:, :9, :9], g[:, :9, :9], rescaling="scalar")  # compiles
+    tracemalloc.start()
+    score(p, g, rescaling="scalar", threads=4)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < (1e6 if contiguous else 20e6)  # one image is 48 MB
+
+
+PEAK = """
+import resource, numpy as np
+from eldata.metrics import Score, score
+shape = (4, 1416, 2120)
+p, g = np.full(shape, 0.25, np.float32), np.full(shape, 0.5, np.float32)
+score(p[:, :9, :9], g[:, :9, :9], rescaling="scalar")
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+score(p, g, rescaling="scalar", threads=4)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+
+
+@pytest.mark.memory
+def test_peak_of_a_process() -> None:
+    """What the kernels allocate themselves does not show in tracemalloc."""
+    child = subprocess.run([sys.executable, "-c", PEAK], capture_output=True, text=True, check=True)
+    assert int(child.stdout) < 20_000  # kB
+
+
+def test_torch_is_not_imported_for_numpy() -> None:
+    code = (
+        "import sys, numpy as np; from eldata.metrics import psnr; psnr(np.zeros((9, 9)), np.ones((9, 9)));"
+        "print('torch' in sys.modules)"
+    )
+    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert child.stdout.strip() == "False"

@@ -1,6 +1,9 @@
+"""SSIM with every window and either covariance, against scikit-image and scipy."""
+
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -8,22 +11,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.ndimage import correlate1d
 from skimage.metrics import structural_similarity
 
 from eldata.errors import ArgumentError
-from eldata.metrics import ssim
+from eldata.metrics import _images, ssim
 
 Image = npt.NDArray[np.float64]
 
 
-def oracle(p: npt.ArrayLike, g: npt.ArrayLike, data_range: float = 1.0) -> float:
+def oracle(
+    p: npt.ArrayLike, g: npt.ArrayLike, data_range: float = 1.0, *, gaussian: bool = False, covariance: str = "sample"
+) -> float:
     p64, g64 = np.asarray(p, np.float64), np.asarray(g, np.float64)
+    windows: dict[str, Any] = {"gaussian_weights": True, "sigma": 1.5} if gaussian else {}
     axis = 0 if p64.ndim == 3 else None
-    return float(
-        structural_similarity(  # type: ignore[no-untyped-call]
-            g64, p64, data_range=data_range, channel_axis=axis
-        )
-    )
+    shared = {"data_range": data_range, "channel_axis": axis, "use_sample_covariance": covariance == "sample"}
+    return float(structural_similarity(g64, p64, **shared, **windows))  # type: ignore[no-untyped-call]
 
 
 def direct(p: Image, g: Image) -> float:
@@ -131,3 +135,115 @@ def test_too_small(shape: tuple[int, ...]) -> None:
 def test_bad_data_range(data_range: float) -> None:
     with pytest.raises(ArgumentError, match="data_range"):
         ssim(np.zeros((8, 8)), np.zeros((8, 8)), data_range=data_range)
+
+
+# --- Gaussian windows -----------------------------------------------------------------------------------------------
+
+
+def in_volume(p: Image, g: Image) -> float:
+    """What MATLAB's ssim does with colour: a Gaussian over all three axes, edges replicated, mean of the whole map."""
+    taps = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
+    taps /= taps.sum()
+
+    def smooth(values: Image) -> Image:
+        for axis in range(3):
+            values = correlate1d(values, taps, axis=axis, mode="nearest")
+        return values
+
+    ux, uy = smooth(p), smooth(g)
+    vx, vy, vxy = smooth(p * p) - ux**2, smooth(g * g) - uy**2, smooth(p * g) - ux * uy
+    c1, c2 = 0.01**2, 0.03**2
+    return float(np.mean((2 * ux * uy + c1) * (2 * vxy + c2) / ((ux**2 + uy**2 + c1) * (vx + vy + c2))))
+
+
+def images(shape: tuple[int, ...], dtype: npt.DTypeLike = np.float64) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    rng = np.random.default_rng(2)
+    g = rng.random(shape).astype(dtype)
+    return (0.7 * g + rng.normal(0.1, 0.1, shape)).astype(dtype), g
+
+
+# One band of rows and one strip of columns hold 266 x 266 values: sizes on either side. Odd and even heights: windows
+# are taken two at a time.
+GAUSSIAN_SHAPES = [(11, 11), (1, 12, 40), (3, 40, 11), (2, 266, 266), (2, 267, 267), (1, 541, 530), (4, 33, 57)]
+
+
+@pytest.mark.parametrize("shape", GAUSSIAN_SHAPES)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("covariance", ["population", "sample"])
+def test_gaussian_equals_scikit_image(shape: tuple[int, ...], dtype: npt.DTypeLike, covariance: Any) -> None:
+    p, g = images(shape, dtype)
+    expected = oracle(p, g, gaussian=True, covariance=covariance)
+    assert ssim(p, g, window="gaussian-11", covariance=covariance) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(7, 7), (2, 263, 300)])
+def test_population_covariance_of_the_uniform_window(shape: tuple[int, ...]) -> None:
+    p, g = images(shape)
+    expected = oracle(p, g, covariance="population")
+    assert ssim(p, g, covariance="population") == pytest.approx(expected, abs=1e-12)
+    assert ssim(p, g) != ssim(p, g, covariance="population")
+
+
+@pytest.mark.parametrize("shape", [(3, 11, 12), (3, 256, 266), (3, 257, 267), (3, 600, 40), (1, 40, 50), (4, 40, 50)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_volume_equals_scipy(shape: tuple[int, ...], dtype: npt.DTypeLike) -> None:
+    p, g = images(shape, dtype)
+    found = ssim(p, g, window="gaussian-11-volume", covariance="population")
+    assert found == pytest.approx(in_volume(p.astype(np.float64), g.astype(np.float64)), abs=1e-12)
+    assert abs(found - ssim(p, g, window="gaussian-11", covariance="population")) > 1e-4
+
+
+@pytest.mark.parametrize("window", ["gaussian-11", "gaussian-11-volume"])
+def test_data_range_of_gaussian_windows(window: Any) -> None:
+    p, g = images((3, 30, 41))
+    for scale in (0.2, 255.0):
+        scaled = ssim(scale * p, scale * g, data_range=scale, window=window)
+        assert scaled == pytest.approx(ssim(p, g, window=window), abs=1e-12)
+
+
+@pytest.mark.parametrize("window", ["gaussian-11", "gaussian-11-volume"])
+def test_cancellation_in_gaussian_windows(window: Any) -> None:
+    """Bright, nearly flat images: the variance is a small difference of large sums."""
+    rng = np.random.default_rng(6)
+    g = 1.0 - 1e-6 * rng.random((3, 300, 150))
+    p = g + 1e-6 * rng.normal(0, 1, g.shape)
+    expected = in_volume(p, g) if window.endswith("volume") else oracle(p, g, gaussian=True, covariance="population")
+    assert ssim(p, g, window=window, covariance="population") == pytest.approx(expected, abs=1e-11)
+
+
+@pytest.mark.parametrize("window", ["gaussian-11", "gaussian-11-volume"])
+def test_threads_do_not_change_a_bit(window: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_images, "_LEAST_FOR_THREADS_WINDOWED", 0)
+    p, g = images((3, 600, 150), np.float32)
+    found = {ssim(p, g, window=window, threads=threads) for threads in (1, 2, 3, None)}
+    assert len(found) == 1
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 3), st.integers(11, 20), st.integers(11, 20), st.integers(0, 2**32 - 1))
+def test_properties_of_gaussian_windows(channels: int, height: int, width: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    p, g = rng.random((2, channels, height, width))
+    for window in ("gaussian-11", "gaussian-11-volume"):
+        assert ssim(p, p, window=window) == 1.0
+        value = ssim(p, g, window=window)
+        assert -1.0 <= value <= 1.0
+        assert value == pytest.approx(ssim(g, p, window=window), abs=1e-13)
+
+
+def test_nan_comes_through() -> None:
+    p, g = images((3, 20, 20))
+    p[1, 4, 5] = np.nan
+    assert math.isnan(ssim(p, g, window="gaussian-11"))
+    assert math.isnan(ssim(p, g, window="gaussian-11-volume"))
+
+
+def test_refusals() -> None:
+    image = np.zeros((3, 10, 12))
+    for window in ("gaussian-11", "gaussian-11-volume"):
+        with pytest.raises(ArgumentError, match="at least 11 x 11"):
+            ssim(image, image, window=window)
+    with pytest.raises(ArgumentError, match="window must be one of 'uniform-7'"):
+        ssim(image, image, window="7x7")  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="covariance must be one of 'sample'"):
+        ssim(image, image, covariance="both")  # type: ignore[arg-type]

@@ -15,7 +15,6 @@ from eldata.cli.main import main
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import images_of, place_of_difference
-from eldata.evaluation.originals import rendered_reference
 from eldata.evaluation.reproduction import units_again
 from eldata.evaluation.saved import load_results
 from eldata.evaluation.scores import cameras_in_order, natural
@@ -23,6 +22,7 @@ from eldata.evaluation.statistics import holm
 from eldata.reports import pictures
 from eldata.reports.comparison import write_comparison_page
 from tests.capture.checklist_browser import Browser, Page
+from tests.evaluation import published_code
 from tests.evaluation.helpers import Tree, perturbed, place, small_tree
 from tests.reports.pages import assert_well_formed, checked
 
@@ -71,11 +71,11 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Compared:
     files = []
     for name, make in (("near", perturbed), ("far", far_off)):
         place(folder / name, tree, make)
-        evaluate(folder / name, manifest=tree.manifest, root=tree.root).write_json(folder / f"{name}.json")
+        evaluate(folder / name, **tree.where).write_json(folder / f"{name}.json")
         files.append(folder / f"{name}.json")
     methods = [Method(path.stem, load_results(path)[0]) for path in files]
     comparison = compare(methods)
-    dataset, units = units_again(methods[0].result, manifest=tree.manifest, root=tree.root)
+    dataset, units = units_again(methods[0].result, **tree.where)
     images = images_of(
         comparison.results,
         comparison.images,
@@ -131,16 +131,14 @@ def test_renderings_are_compared_as_they_are(compared: Compared, tmp_path: Path)
     for name, factor in (("dark", 0.9), ("darker", 0.5)):
 
         def darkened(_target: NDArray[np.float64], path: str, by: float = factor) -> NDArray[np.float32]:
-            return rendered_reference(tree.files / references[path]) * np.float32(by)
+            return published_code.sid_reference(tree.files / references[path]).transpose(2, 0, 1) * np.float32(by / 255)
 
         place(tmp_path / name, tree, darkened)
-        found = evaluate(
-            tmp_path / name, manifest=tree.manifest, root=tree.root, protocol="sid2018", allow_missing=True
-        )
+        found = evaluate(tmp_path / name, **tree.where, protocol="sid2018", allow_missing=True)
         methods.append(Method(name, found))
     comparison = compare(methods)
     assert comparison.images
-    dataset, units = units_again(methods[0].result, manifest=tree.manifest, root=tree.root)
+    dataset, units = units_again(methods[0].result, **tree.where)
     folders = [tmp_path / method.name for method in methods]
     images = images_of(comparison.results, comparison.images, dataset_folder=dataset, predictions=folders, units=units)
     write_comparison_page(comparison, tmp_path / "page.html", images=images)

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError, EldataError, PredictionError
 from eldata.evaluation.combined import CombinedResult
 from eldata.evaluation.comparison import Method, compare
@@ -32,6 +31,7 @@ from eldata.reports import pictures
 from eldata.reports.comparison import comparison_page
 from eldata.reports.evaluation import EACH, evaluation_page, score_plots, write_evaluation_page
 from eldata.reports.pictures import CROP, Layer, ShownImage, ShownImages, show_images
+from tests.evaluation import published_code
 from tests.evaluation.helpers import Tree, place, small_tree
 from tests.reports.evaluations import result, result_data, table_of
 from tests.reports.pages import HOSTILE, assert_well_formed, checked
@@ -60,7 +60,7 @@ def predictions(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def evaluated(tree: Tree, predictions: Path) -> EvaluationResult:
-    return evaluate(predictions, manifest=tree.manifest, root=tree.root)
+    return evaluate(predictions, **tree.where)
 
 
 @pytest.fixture(scope="module")
@@ -277,22 +277,6 @@ def test_errors(evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_
     assert not (tmp_path / "a.html").exists()
 
 
-def test_what_is_shown_is_not_saved_and_read_again(
-    evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """JSON is written and parsed at the file alone."""
-
-    def refuse(*_: object, **__: object) -> None:
-        raise AssertionError("a result was serialised")
-
-    monkeypatch.setattr(type(evaluated), "as_dict", refuse)
-    write_evaluation_page([evaluated], tmp_path / "a.html", dataset_folder=tree.files, predictions=predictions)
-    for form in FORMATS:
-        assert evaluated.format(form)
-    methods = [Method(name, evaluated) for name in ("a", "b")]
-    assert comparison_page(compare(methods))
-
-
 # --- pictures -----------------------------------------------------------------------------------------------------
 
 
@@ -346,7 +330,7 @@ def test_errors_are_bright_where_they_are(
         return made
 
     place(folder, tree, spoilt)
-    one = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol="eld-uncorrected")
+    one = evaluate(folder, **tree.where, protocol="eld-uncorrected")
     shown = show_images(worst_and_best_images(one, EACH, dataset_folder=tree.files, predictions=folder))
     for image in shown.images:
         error = pixels(image.layers[-1]).mean(axis=2)
@@ -378,7 +362,7 @@ def test_a_crop_comes_with_the_whole(
 
 
 def test_the_input_as_a_baseline(tree: Tree, tmp_path: Path) -> None:
-    one = evaluate(None, manifest=tree.manifest, root=tree.root, baseline="input")
+    one = evaluate(None, **tree.where, baseline="input")
     shown = show_images(worst_and_best_images(one, EACH, dataset_folder=tree.files, predictions=None))
     for image in shown.images:
         layers = {layer.key: layer for layer in image.layers}
@@ -391,16 +375,14 @@ def test_the_input_as_a_baseline(tree: Tree, tmp_path: Path) -> None:
 
 def test_renderings_are_shown_as_they_are(tree: Tree, tmp_path: Path) -> None:
     """Under a protocol of sRGB: predictions that are the reference's rendering, a little darker."""
-    from eldata.evaluation.originals import rendered_reference
-
     folder = tmp_path / "preds"
 
     def dark(_target: NDArray[np.float64], name: str) -> NDArray[np.float32]:
         reference = next(pair.reference for pair in tree.pairs if pair.path == name)
-        return rendered_reference(tree.files / reference) * np.float32(0.9)
+        return published_code.sid_reference(tree.files / reference).transpose(2, 0, 1) * np.float32(0.9 / 255)
 
     place(folder, tree, dark)
-    one = evaluate(folder, manifest=tree.manifest, root=tree.root, protocol="sid2018", allow_missing=True)
+    one = evaluate(folder, **tree.where, protocol="sid2018", allow_missing=True)
     assert one.images
     shown = show_images(worst_and_best_images(one, EACH, dataset_folder=tree.files, predictions=folder))
     for image in shown.images:

@@ -33,7 +33,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
     tree = small_tree(folder / "demo", scenes=1)
     place(folder / "preds", tree)
-    evaluated = evaluate(folder / "preds", manifest=tree.manifest, root=tree.root)
+    evaluated = evaluate(folder / "preds", **tree.where)
     paths = {name: folder / f"{name}.html" for name in ("evaluation", "comparison", "hostile", "hostile-comparison")}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pictures, "CROP", (24, 36))

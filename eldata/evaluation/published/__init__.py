@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _DIFFERENCES_SHOWN = 2
 # The noisy input's own scores, PSNR in dB and SSIM. They are published with two and four digits, of sums in float32,
 # which moves a score by up to 4e-7 and 3e-5 (docs/evaluation.md). What is near is less than any mistake that was tried
-# makes of them (tests/evaluation/test_published_input.py): the smallest is a white level 0.5 % off, 0.04 dB.
+# makes of them (tests/evaluation/test_published.py): the smallest is a white level 0.5 % off, 0.04 dB.
 _AS_PUBLISHED: Final = (0.005 + 4e-7, 0.00005 + 3e-5)
 _NEAR: Final = (0.02, 0.001)
 

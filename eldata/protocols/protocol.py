@@ -104,7 +104,10 @@ class Protocol:
     """
 
     kind: ClassVar[Kind] = IMAGES
-    """What is scored: words, metrics, columns."""
+    """What is scored, with its words, metrics and columns.
+
+    :meta hide-value:
+    """
 
     name: str
     title: str

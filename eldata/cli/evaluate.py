@@ -133,8 +133,8 @@ def add_options(parser: console.Parser) -> None:
         nargs="?",
         const="",
         help="tell of one image the steps from its files to its score, and what each other choice of a protocol would "
-        "make of it: of FRAME, its path or name in the CSV (default: of the one with the lowest PSNR). The page of --html "
-        "shows it of the worst and the median, too",
+        "make of it: of FRAME, its path or name in the CSV (default: of the one with the lowest PSNR). The page of "
+        "--html shows it of the worst and the median, too",
     )
     console.add_shared(parser, run, "root", "workers", json=RESULT)
 

@@ -94,15 +94,13 @@ def jumping(share: float, sigmas: float, duty: float, sign: int = 1) -> Planted:
     return Planted(f"pixels that jump {side}, {share:.1%} by {sigmas:g} sigma, {duty:.0%} of the time", fault)
 
 
-def _by_site(frame: NDArray[np.float64], camera: Camera, filtered: Callable[..., NDArray[np.float64]]) -> Frames:
+def _by_site(frames: Frames, camera: Camera, filtered: Callable[..., NDArray[np.float64]]) -> Frames:
     """Filter each site of the CFA's period by itself (X-Trans: pixels six apart)."""
-    result = frame.copy()
-    period = len(camera.cfa)
-    for row in range(period):
-        for column in range(period):
-            site = slice(row, None, period), slice(column, None, period)
-            result[site] = filtered(frame[site])
-    return [result]
+    results, period = [frame.copy() for frame in frames], len(camera.cfa)
+    for result in results:
+        for row, column in np.ndindex(period, period):
+            result[row::period, column::period] = filtered(result[row::period, column::period])
+    return results
 
 
 def blurred(share: float) -> Planted:
@@ -110,9 +108,7 @@ def blurred(share: float) -> Planted:
     weights = np.array([[0, share / 4, 0], [share / 4, 1 - share, share / 4], [0, share / 4, 0]])
 
     def fault(frames: Frames, camera: Camera, _: np.random.Generator) -> Frames:
-        return [
-            _by_site(frame, camera, lambda site: ndimage.convolve(site, weights, mode="nearest"))[0] for frame in frames
-        ]
+        return _by_site(frames, camera, lambda site: ndimage.convolve(site, weights, mode="nearest"))
 
     return Planted(f"blur of {share:g}", fault)
 
@@ -132,7 +128,7 @@ def star_eater(sigmas: float, *, both_sides: bool = False) -> Planted:
                 far |= site < ndimage.minimum_filter(site, footprint=around) - margin
             return np.where(far, median, site)
 
-        return [_by_site(frame, camera, eaten)[0] for frame in frames]
+        return _by_site(frames, camera, eaten)
 
     sides = "both sides" if both_sides else "bright side"
     return Planted(f"star-eater from {sigmas:g} sigma, {sides}", fault, of_values=True)

@@ -15,10 +15,9 @@ from eldata.calibration.audit.flat_checks import flat_findings
 from eldata.calibration.core.findings import given
 from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
 from eldata.calibration.joint import gain_steps
-from eldata.demo.body import Body, FixedFeatures, KnownNoise
+from eldata.demo.body import Body
 from eldata.errors import DatasetError
-from eldata.records import Sensor
-from tests.calibration.simulation import BAYER, XTRANS
+from tests.calibration.simulation import BAYER, XTRANS, Camera
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.core.findings import Finding
+    from eldata.demo.body import KnownNoise
 
     Pair = tuple[NDArray[np.uint16], NDArray[np.uint16]]
 
@@ -42,33 +42,18 @@ PATCHES = np.array(
 
 
 @dataclass(frozen=True)
-class Setting:
+class Setting(Camera):
     """A camera and its flats; the levels are shares of the range, in the middle of the frame."""
 
-    gain: float = 1.0
-    levels: Sequence[float] = (0.1, 0.3, 0.5, 0.7, 0.9)
-    prnu: float = 0.01
-    vignetting: float = 0.3
-    sigma_tl: float = 2.0
-    tukey_lambda: float = -0.05
-    sigma_row: float = 0.5
     shape: tuple[int, int] = (512, 768)
-    cfa: tuple[tuple[int, ...], ...] = BAYER
-
-    @property
-    def channels(self) -> int:
-        return max(map(max, self.cfa)) + 1
+    bias: tuple[float, ...] = (0.0,) * 4
+    hot_share: float = 0.0
+    vignetting: float = 0.3
+    levels: Sequence[float] = (0.1, 0.3, 0.5, 0.7, 0.9)
 
 
 def body_of(setting: Setting, generator: np.random.Generator) -> tuple[Body, KnownNoise]:
-    sensor = Sensor("eldata", "Study", setting.cfa, (BLACK,) * setting.channels, WHITE, *setting.shape)
-    features = FixedFeatures(
-        prnu=setting.prnu, dsnu_dn=0.6, column_pattern_dn=0.3, vignetting=setting.vignetting, gain_dn_per_e=setting.gain
-    )
-    noise = KnownNoise(
-        100, setting.gain, setting.tukey_lambda, setting.sigma_tl, setting.sigma_row, (0.0,) * setting.channels
-    )
-    return Body(sensor, features, generator), noise
+    return Body(setting.sensor, setting.features, generator), setting.noise
 
 
 def clean(setting: Setting, generator: np.random.Generator, drift: float = 0.0) -> list[Pair]:
@@ -95,24 +80,32 @@ def unequal(step: float) -> Callable[..., list[Pair]]:
     return lambda setting, generator: clean(setting, generator, step)
 
 
-def flickering(depth: float) -> Callable[..., list[Pair]]:
-    """The second frame has bands of light."""
+def relit(
+    light: Callable[[Setting, np.random.Generator], NDArray[np.float64]], most: float
+) -> Callable[..., list[Pair]]:
+    """Each frame has light of its own, that of the lens times this; ``most``: what it may be."""
 
     def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
         body, noise = body_of(setting, generator)
         steady = body.light
-        pairs = []
-        for share in setting.levels:
-            frames = []
-            for _ in range(2):
-                phase = generator.uniform(0, 2 * np.pi)
-                bands = 1 + depth * np.sin(np.arange(setting.shape[0])[:, None] / 40 + phase)
-                body.light = (steady * bands).astype(np.float32)
-                frames.append(body.flat_frame(noise, share * (WHITE - BLACK) / (1 + depth), generator))
-            pairs.append((frames[0], frames[1]))
-        return pairs
+
+        def frame(share: float) -> NDArray[np.uint16]:
+            body.light = (steady * light(setting, generator)).astype(np.float32)
+            return body.flat_frame(noise, share * (WHITE - BLACK) / most, generator)
+
+        return [(frame(share), frame(share)) for share in setting.levels]
 
     return make
+
+
+def flickering(depth: float) -> Callable[..., list[Pair]]:
+    """Both frames have bands of light, at different places."""
+
+    def bands(setting: Setting, generator: np.random.Generator) -> NDArray[np.float64]:
+        phase = generator.uniform(0, 2 * np.pi)
+        return np.asarray(1 + depth * np.sin(np.arange(setting.shape[0])[:, None] / 40 + phase))
+
+    return relit(bands, 1 + depth)
 
 
 def chart_light(shape: tuple[int, int], shift: tuple[float, float], blur: float = 1.5) -> NDArray[np.float32]:
@@ -140,20 +133,11 @@ def chart_light(shape: tuple[int, int], shift: tuple[float, float], blur: float 
 def chart(pixels: float) -> Callable[..., list[Pair]]:
     """Pairs of a chart that moves between any two frames by so many pixels, one standard deviation."""
 
-    def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
-        body, noise = body_of(setting, generator)
-        shading = body.light
-        pairs = []
-        for share in setting.levels:
-            frames = []
-            for _ in range(2):
-                shift = pixels * generator.standard_normal(2)
-                body.light = shading * chart_light(setting.shape, (float(shift[0]), float(shift[1])))
-                frames.append(body.flat_frame(noise, share * (WHITE - BLACK), generator))
-            pairs.append((frames[0], frames[1]))
-        return pairs
+    def moved(setting: Setting, generator: np.random.Generator) -> NDArray[np.float64]:
+        shift = pixels * generator.standard_normal(2)
+        return chart_light(setting.shape, (float(shift[0]), float(shift[1]))).astype(np.float64)
 
-    return make
+    return relit(moved, 1.0)
 
 
 def bent(share: float) -> Callable[..., list[Pair]]:
@@ -250,7 +234,7 @@ class Outcome:
 
 def outcome(setting: Setting, pairs: Sequence[Pair]) -> Outcome:
     """K as a share of the truth, from pairs as a calibration takes them."""
-    flats = FlatPairs(setting.cfa, (BLACK,) * setting.channels, WHITE)
+    flats = FlatPairs(setting.cfa, setting.sensor.black_level_dn, WHITE)
     for first, second in pairs:
         flats.add(first, second)
     try:
@@ -266,7 +250,7 @@ def outcome(setting: Setting, pairs: Sequence[Pair]) -> Outcome:
 def drawn(generator: np.random.Generator) -> Setting:
     """A sound camera and honest flats, over the ranges of the shipped profiles."""
     gain = float(np.exp(generator.uniform(math.log(0.09), math.log(29))))
-    return Setting(
+    setting = Setting(
         gain=gain,
         levels=tuple(generator.uniform(0.07, 0.95, generator.integers(4, 9))),
         prnu=float(generator.uniform(0.002, 0.02)),
@@ -275,8 +259,8 @@ def drawn(generator: np.random.Generator) -> Setting:
         tukey_lambda=float(generator.uniform(-0.24, 0.2)),
         sigma_row=float(0.4 * gain**0.5 * generator.uniform(0.5, 1.5)),
         shape=(384, 576),
-        cfa=BAYER if generator.random() < 0.8 else XTRANS,
     )
+    return setting if generator.random() < 0.8 else replace(setting, cfa=XTRANS, bias=(0.0,) * 3)
 
 
 def alarms(cameras: int) -> Counter[str]:

@@ -52,6 +52,18 @@ def record(role: Role, number: int, exposure_s: Fraction | None = None) -> Frame
     return FrameRecord(f"{role}/{number}.dng", role, "Simulated", iso=Fraction(ISO), exposure_s=exposure_s)
 
 
+def iso_frames(bias: int, pairs: int) -> IsoFrames:
+    """So many bias frames and pairs of flats, each pair of another exposure, whose frames are 0 and 1, 2 and 3, ..."""
+    flats = [record("flat", number, Fraction(1 + number // 2, 1000)) for number in range(2 * pairs)]
+    return IsoFrames(
+        iso=Fraction(ISO),
+        bias=tuple(record("bias", number) for number in range(bias)),
+        pairs=tuple(map(FlatPair, flats[::2], flats[1::2])),
+        single=(),
+        bias_exposure_s=Fraction(1, 8000),
+    )
+
+
 def calibrated_in_memory(
     sensor: Sensor,
     bias: int,
@@ -60,16 +72,9 @@ def calibrated_in_memory(
     workers: Workers = IN_THIS_PROCESS,
     **options: Any,
 ) -> IsoCalibration:
-    """Calibrate an ISO of so many bias frames and pairs of flats, whose frames are 0 and 1, 2 and 3, and so on."""
+    """Calibrate an ISO of so many frames as :func:`iso_frames` numbers them."""
     frames = cast("CalibrationFrames", FramesInMemory(sensor, take))
-    chosen = IsoFrames(
-        iso=Fraction(ISO),
-        bias=tuple(record("bias", number) for number in range(bias)),
-        pairs=tuple(FlatPair(record("flat", 2 * pair), record("flat", 2 * pair + 1)) for pair in range(pairs)),
-        single=(),
-        bias_exposure_s=Fraction(1, 8000),
-    )
-    found = calibrate_iso(frames, chosen, workers, **options)
+    found = calibrate_iso(frames, iso_frames(bias, pairs), workers, **options)
     assert isinstance(found, IsoCalibration)
     return found
 

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from eldata.calibration.acceptance.comparison import check_iso_noise
-from eldata.calibration.audit.frames import IsoFrames
-from eldata.datasets.calibration_frames import FlatPair
 from eldata.noise.mosaic import pack_whole, unpack_whole
 from eldata.noise.parameters import NoiseParameters
 from tests.calibration.faults import NONE, Planted, digitised
-from tests.calibration.in_memory import ISO, FramesInMemory, record
+from tests.calibration.in_memory import ISO, FramesInMemory, calibrated_in_memory, iso_frames
 from tests.calibration.simulation import Body, Camera
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from eldata.calibration.acceptance.results import IsoAcceptance
+    from eldata.calibration.iso_results import IsoCalibration
 
 
 @dataclass
@@ -72,6 +72,16 @@ def truth(camera: Camera) -> NoiseParameters:
     return NoiseParameters(camera.gain, camera.tukey_lambda, camera.sigma_tl, sigma, camera.sigma_row, bias, iso=ISO)  # type: ignore[arg-type] # four numbers
 
 
+def calibrated(specimen: Specimen, light_dn: Sequence[float], *stream: int) -> IsoCalibration:
+    """Measure a specimen with its structure: of ten bias frames, one of them kept out, and a pair of each light."""
+
+    def take(role: str, number: int) -> NDArray[np.uint16]:
+        light = light_dn[number // 2] if role == "flat" else 0.0
+        return specimen.frame(light, np.random.default_rng([*stream, 9, role == "flat", number]))
+
+    return calibrated_in_memory(specimen.camera.sensor, 10, len(light_dn), take, structure=True)
+
+
 def judged(
     model: Any,
     specimen: Specimen,
@@ -93,14 +103,5 @@ def judged(
         return specimen.frame(light, np.random.default_rng([seed, 3, role == "flat", number]))
 
     frames = cast("Any", FramesInMemory(specimen.camera.sensor, take))
-    chosen = IsoFrames(
-        iso=Fraction(ISO),
-        bias=tuple(record("bias", number) for number in range(bias)),
-        pairs=tuple(
-            FlatPair(*(record("flat", number, Fraction(1 + pair, 1000)) for number in (2 * pair, 2 * pair + 1)))
-            for pair in range(len(flats))
-        ),
-        single=(),
-        bias_exposure_s=Fraction(1, 8000),
-    )
+    chosen = iso_frames(bias, len(flats))
     return check_iso_noise(model, parameters or truth(specimen.camera), frames, chosen, seed=seed, **options)

@@ -46,6 +46,7 @@ class Camera:
     column_pattern: float = 0.3
     hot_share: float = 1e-4
     shading: float = 0.0
+    vignetting: float = 0.5
 
     def with_(self, **changes: object) -> Camera:
         return replace(self, **changes)  # type: ignore[arg-type] # of the tests' own making
@@ -68,14 +69,14 @@ class Camera:
 
     @property
     def features(self) -> FixedFeatures:
-        """The figures in DN hold at this camera's own gain; the light falls to a half in the corners."""
+        """The figures in DN hold at this camera's own gain."""
         return FixedFeatures(
             prnu=self.prnu,
             dsnu_dn=self.dsnu,
             column_pattern_dn=self.column_pattern,
             hot_share=self.hot_share,
             bias_shading_dn=self.shading,
-            vignetting=0.5,
+            vignetting=self.vignetting,
             gain_dn_per_e=self.gain,
         )
 

@@ -13,13 +13,10 @@ import numpy as np
 
 from eldata.base.tables import text_table
 from tests.calibration.faults import NONE, Planted, column_noise, drift, telegraph, together
-from tests.calibration.in_memory import calibrated_in_memory
-from tests.calibration.judged import Specimen
+from tests.calibration.judged import Specimen, calibrated
 from tests.calibration.simulation import Camera
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from eldata.calibration.audit.structure import MeasuredStructure
 
 CAMERA = Camera(shape=(288, 384), hot_share=0.0)
@@ -29,11 +26,7 @@ PLANTED = 8
 
 
 def measured(specimen: Specimen) -> MeasuredStructure:
-    def take(role: str, number: int) -> NDArray[np.uint16]:
-        light = LIGHT_DN[number // 2] if role == "flat" else 0.0
-        return specimen.frame(light, np.random.default_rng([specimen.seed, 9, role == "flat", number]))
-
-    found = calibrated_in_memory(specimen.camera.sensor, 10, len(LIGHT_DN), take, structure=True).structure
+    found = calibrated(specimen, LIGHT_DN, specimen.seed).structure
     assert found is not None
     return found
 

@@ -126,20 +126,6 @@ def test_the_profile_holds_what_was_measured(found: Calibration) -> None:
     assert sum(note.startswith("ISO 400: 5 bias frames were used") for note in profile.notes) == 1
 
 
-def test_everything_as_plain_json(found: Calibration) -> None:
-    """Standard JSON: no nan, no numpy types."""
-    data = json.loads(json.dumps(found.as_dict(), allow_nan=False))
-    assert [one["iso"] for one in data["isos"]] == [100.0, 400.0, 1600.0]
-    one, measured = data["isos"][1], found.isos[1]
-    assert one["gain_dn_per_e"] == measured.gain_dn_per_e
-    assert one["tukey_lambda_error"] == measured.read.tukey_lambda_error
-    assert one["colour_bias_dn"] == list(measured.bias.bias_dn)
-    assert one["reproduction"]["pixels"] == pytest.approx(SIZE[0] * SIZE[1], rel=0.01)
-    assert data["fits"]["row_fit"]["points"] == 3
-    assert data["profile"]["camera"] == CAMERA
-    assert data["remarks"] == list(found.all_remarks)
-
-
 def test_the_text_shows_every_figure(found: Calibration) -> None:
     text = found.format_text()
     blocks = text.split("\n\n")
@@ -156,6 +142,7 @@ def test_the_text_shows_every_figure(found: Calibration) -> None:
         assert error == pytest.approx(one.transfer.gain_error, rel=0.17)
     assert len(blocks[1].splitlines()) == 3 + 3
     assert [line.split()[0] for line in blocks[2].splitlines()[2:]] == ["sigma_TL", "sigma_G", "sigma_row"]
+    assert found.as_dict()["fits"]["row_fit"]["points"] == 3
     assert len(blocks[3].splitlines()) == 3 + 3
     assert [line.strip() for line in blocks[4].splitlines()[1:]] == list(found.all_remarks)
     assert max(map(len, text.split("remarks")[0].splitlines())) < 160
@@ -278,24 +265,11 @@ def test_wrong_gains(pristine: FrameTree, found: Calibration) -> None:
     for gain in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(ArgumentError, match="K at ISO 100 must be finite and above 0"):
             calibrate(pristine.root, gains={100: gain})
-    with pytest.raises(ArgumentError, match="K is stated at ISO 50, of which there are no frames"):
-        calibrate(pristine.root, gains={50: 1.0})
     elsewhere = replace(
         found.profile, iso_range=(25600.0, 51200.0), rows=(replace(found.profile.rows[0], iso=25600.0),)
     )
     with pytest.raises(ArgumentError, match=r"knows K at none of the frames' ISOs \(100, 400, 1600\)"):
         calibrate(pristine.root, gains=elsewhere)
-
-
-def test_four_bias_frames_leave_none_to_compare_with(tree: FrameTree) -> None:
-    for path in tree.files("bias", 400)[4:]:
-        path.unlink()
-    few = calibrate(tree.root, isos=[400])
-    assert few.isos[0].bias_frames == 4
-    assert few.isos[0].reproduction is None
-    assert few.reproduction_table()[1] == []
-    assert "kept out" not in few.format_text()
-    assert_true(few.isos[0], tree.truth["isos"][1])
 
 
 # --- special cameras --------------------------------------------------------------------------------------------------
@@ -352,15 +326,11 @@ def test_levels_that_differ_are_left_open(blue: float, black: float | None, foun
 # --- wrong usage ------------------------------------------------------------------------------------------------------
 
 
-def test_wrong_arguments(pristine: FrameTree, tmp_path: Path) -> None:
+def test_wrong_arguments(pristine: FrameTree) -> None:
     with pytest.raises(ArgumentError, match="isos is for a folder"):
         calibrate(pristine.frames(), isos=[100])
     with pytest.raises(ArgumentError, match="workers must be 1 or more"):
         calibrate(pristine.root, workers=0)
-    with pytest.raises(DatasetError, match="no such folder"):
-        calibrate(tmp_path / "none")
-    with pytest.raises(DatasetError, match="no frames of ISO 200"):
-        calibrate(pristine.root, isos=[200])
 
 
 # --- the round trip ---------------------------------------------------------------------------------------------------

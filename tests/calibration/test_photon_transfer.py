@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -38,26 +36,11 @@ def test_the_spatial_method_is_right_on_ideal_flats() -> None:
     assert spatial_photon_transfer(single).gain_dn_per_e == pytest.approx(1.0, rel=0.01)
 
 
-@pytest.mark.parametrize(
-    ("changes", "levels", "options", "most"),
-    [
-        # 2 % between the frames of each pair would add (0.02 x 6000)^2 / 4 DN^2 if it were left in.
-        pytest.param({}, [500, 3000, 6000, 9000], {"drift": 0.02}, None, id="drift of the light"),
-        pytest.param({"white": 6000.0}, [500, 1500, 3000, 4500, 5400, 7000], {}, None, id="saturated levels"),
-        pytest.param({}, [1000, 8000], {"shaded": False}, 0.05, id="even flats of two exposures"),
-    ],
-)
-def test_gain_within_its_errors(
-    changes: dict[str, Any], levels: list[float], options: dict[str, Any], most: float | None
-) -> None:
-    body = Body(Camera(shape=(512, 768)).with_(**changes), np.random.default_rng(2))
-    found = transferred(body, levels, body.hot, **options)
-    assert abs(found.gain_dn_per_e - 1) < 4 * found.gain_error < (most or 1)
-    if "white" in changes:
-        assert found.left_out > 0.15
-        assert max(line.signal_dn.max() for line in found.channels) < 5380
-    if most is not None:
-        assert all(abs(line.chi2_per_dof - 1) < 1 for line in found.channels)
+def test_even_flats_of_two_exposures() -> None:
+    body = Body(Camera(shape=(512, 768)), np.random.default_rng(2))
+    found = transferred(body, [1000, 8000], body.hot, shaded=False)
+    assert abs(found.gain_dn_per_e - 1) < 4 * found.gain_error < 0.05
+    assert all(abs(line.chi2_per_dof - 1) < 1 for line in found.channels)
 
 
 def test_a_channel_that_is_hardly_known_hardly_counts() -> None:

@@ -17,6 +17,7 @@ from eldata.sources.frames import Frame
 from tests.calibration.trees import made_tree, rewritten
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -69,13 +70,18 @@ def made(generator: np.random.Generator) -> Truth:
     )
 
 
+def pattern_of(frames: Iterable[NDArray[np.uint16]]) -> FixedPattern:
+    stack = BiasStack(CFA)
+    for frame in frames:
+        stack.add(frame)
+    return fixed_pattern(stack)
+
+
 def fitted(truth: Truth, generator: np.random.Generator, starts: tuple[int, ...]) -> DarkShading:
     fit = ShadingFit(starts)
     for iso in generator.permutation(SPEEDS).tolist():  # in any order
-        stack = BiasStack(CFA)
-        for _ in range(FRAMES):
-            stack.add(truth.frame(iso, generator))
-        fit.add(iso, fixed_pattern(stack), BLACK, (0.1,) * 4)
+        frames = (truth.frame(iso, generator) for _ in range(FRAMES))
+        fit.add(iso, pattern_of(frames), BLACK, (0.1,) * 4)
     return fit.shading("Simulated", "a test")
 
 
@@ -145,10 +151,7 @@ def test_what_is_left_of_the_noise(truth: Truth) -> None:
     fit, kept = ShadingFit(), {}
     for iso in (800, 1600):
         frames = [truth.frame(iso, generator) for _ in range(4)]
-        stack = BiasStack(CFA)
-        for frame in frames:
-            stack.add(frame)
-        fit.add(iso, fixed_pattern(stack), BLACK, (0.1,) * 4)
+        fit.add(iso, pattern_of(frames), BLACK, (0.1,) * 4)
         kept[iso] = frames[0], truth.frame(iso, generator)
     shading = fit.shading("Simulated", "a test")
     for iso, (within, without) in kept.items():
@@ -170,18 +173,13 @@ def with_current(planted: float, seed: int) -> tuple[DarkShading, NDArray[np.flo
     for iso in (800, 3200):
         gain = iso / 800
 
-        def mean_of(exposure_s: float, gain: float = gain) -> FixedPattern:
-            stack = BiasStack(CFA)
-            for _ in range(FRAMES):
-                electrons = generator.poisson(rate * exposure_s)
-                stack.add(
-                    np.rint(BLACK_DN + pattern + gain * (electrons + generator.normal(0, 2, SHAPE))).astype(np.uint16)
-                )
-            return fixed_pattern(stack)
+        def frame(exposure_s: float, gain: float = gain) -> NDArray[np.uint16]:
+            electrons = generator.poisson(rate * exposure_s) + generator.normal(0, 2, SHAPE)
+            return np.rint(BLACK_DN + pattern + gain * electrons).astype(np.uint16)
 
-        fit.add(iso, mean_of(1 / 100), BLACK, (0.1,) * 4, 1 / 100)
+        fit.add(iso, pattern_of(frame(1 / 100) for _ in range(FRAMES)), BLACK, (0.1,) * 4, 1 / 100)
         for exposure_s in (30.0, 10.0):  # in any order
-            fit.add_longer(mean_of(exposure_s), BLACK, exposure_s)
+            fit.add_longer(pattern_of(frame(exposure_s) for _ in range(FRAMES)), BLACK, exposure_s)
     return fit.shading("Simulated", "a test"), rate / 800
 
 
@@ -211,24 +209,22 @@ def test_dark_current_that_noise_hides_is_left_out() -> None:
 def test_a_fit_refuses_what_does_not_go_together() -> None:
     generator = np.random.default_rng(3)
 
-    def pattern(shape: tuple[int, int]) -> object:
-        stack = BiasStack(CFA)
-        for _ in range(4):
-            stack.add(generator.normal(512, 3, shape).astype(np.uint16))
-        return fixed_pattern(stack)
-
+    small, other = (
+        pattern_of(generator.normal(512, 3, shape).astype(np.uint16) for _ in range(4))
+        for shape in ((32, 32), (32, 36))
+    )
     fit = ShadingFit()
     with pytest.raises(ArgumentError, match="add the bias frames of the ISO first"):
-        fit.add_longer(pattern((32, 32)), BLACK, 1.0)  # type: ignore[arg-type]
+        fit.add_longer(small, BLACK, 1.0)
     with pytest.raises(DatasetError, match="Simulated: no ISO gives a dark shading: there are none"):
         fit.shading("Simulated", "a test")
-    fit.add(100, pattern((32, 32)), BLACK, (0.1,) * 4)  # type: ignore[arg-type]
+    fit.add(100, small, BLACK, (0.1,) * 4)
     with pytest.raises(ArgumentError, match="ISO 100 was added before"):
-        fit.add(100, pattern((32, 32)), BLACK, (0.1,) * 4)  # type: ignore[arg-type]
+        fit.add(100, small, BLACK, (0.1,) * 4)
     with pytest.raises(ArgumentError, match="ISO 200: the frames have"):
-        fit.add(200, pattern((32, 36)), BLACK, (0.1,) * 4)  # type: ignore[arg-type]
+        fit.add(200, other, BLACK, (0.1,) * 4)
     with pytest.raises(DatasetError, match="and the time of the bias frames is unknown"):
-        fit.add_longer(pattern((32, 32)), BLACK, 1.0)  # type: ignore[arg-type]
+        fit.add_longer(small, BLACK, 1.0)
     alone = fit.shading("Simulated", "a test")
     assert not alone.slope_dn.any(), "one ISO has no slope"
     assert alone.error_dn(100) == pytest.approx(alone.isos[0].sigma_dn / 2)

@@ -49,15 +49,8 @@ def test_r_squared_is_that_of_every_pixel(name: str) -> None:
     assert found.r_squared_gauss == pytest.approx(normal**2, abs=1e-3)
     assert found.r_squared_tl == pytest.approx(tukey**2, abs=2e-3)
     assert found.r_squared_tl >= found.r_squared_gauss - 1e-4
-
-
-def test_the_shape_is_the_best_one() -> None:
-    camera = CAMERAS["heavy tails"]
-    frames = Body(camera, np.random.default_rng(4)).bias_frames(5)
-    fixed = stacked(camera, frames)
-    found = single_frame_plot(frames[0], fixed)
-    residuals = residuals_of(frames[0], camera.channel, fixed.defects)
-    assert found.tukey_lambda == pytest.approx(stats.ppcc_max(residuals, brack=(-0.3, 0.1)), abs=0.02)
+    if name == "heavy tails":
+        assert found.tukey_lambda == pytest.approx(stats.ppcc_max(residuals, brack=(-0.3, 0.1)), abs=0.02)
 
 
 def test_it_is_not_the_estimates_own() -> None:

@@ -17,8 +17,8 @@ from eldata.calibration.camera import joined
 from eldata.cli.main import main
 from eldata.noise import CameraProfile, NoiseModel
 from tests.calibration.faults import NONE, column_noise, drift, telegraph, together, wave
-from tests.calibration.in_memory import ISO, calibrated_in_memory
-from tests.calibration.judged import Specimen, judged
+from tests.calibration.in_memory import ISO
+from tests.calibration.judged import Specimen, calibrated, judged
 from tests.calibration.simulation import Camera
 from tests.calibration.trees import made_tree
 
@@ -27,23 +27,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.iso_results import IsoCalibration
-
 # Its own shape of the read noise, so that what telegraph pixels do to it shows.
 CAMERA = Camera(shape=(288, 384), dsnu=0.0, column_pattern=0.0, hot_share=0.0, prnu=0.01, tukey_lambda=0.1)
 LIGHT_DN = (800.0, 2500.0, 5000.0, 9000.0)
 ERRORS = 4.5
 PRNU = 0.008  # of the demo
-
-
-def calibrated(specimen: Specimen, pairs: int = len(LIGHT_DN)) -> IsoCalibration:
-    """Of nine bias frames and one kept out."""
-
-    def take(role: str, number: int) -> NDArray[np.uint16]:
-        light = LIGHT_DN[number // 2] if role == "flat" else 0.0
-        return specimen.frame(light, np.random.default_rng([9, role == "flat", number]))
-
-    return calibrated_in_memory(specimen.camera.sensor, 10, pairs, take, structure=True)
 
 
 def drift_power(camera: Camera, frequency: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -58,7 +46,7 @@ def drift_power(camera: Camera, frequency: NDArray[np.float64]) -> NDArray[np.fl
 def test_every_figure_is_found_and_made() -> None:
     """Columns, drift, telegraph pixels and PRNU at once: the model misses each without its component."""
     specimen = Specimen(CAMERA, together(column_noise(0.4), drift(1.0), telegraph(0.01, 6.0)), seed=3)
-    one = calibrated(specimen)
+    one = calibrated(specimen, LIGHT_DN)
     found = one.structure
     assert found is not None
     assert found.telegraph is not None
@@ -107,7 +95,7 @@ def missed(specimen: Specimen, spec: str, parameters: Any) -> set[str]:
 def test_a_wave_in_the_rows() -> None:
     """Of 21.7 rows and 1 DN; its phase differs from frame to frame."""
     specimen = Specimen(CAMERA, wave(2.0, 21.7), seed=4)
-    one = calibrated(specimen, pairs=2)
+    one = calibrated(specimen, LIGHT_DN[:2])
     assert one.structure is not None
     assert one.structure.row_spectrum is not None
     (found,) = one.structure.row_spectrum.waves
@@ -125,7 +113,7 @@ def test_a_wave_in_the_rows() -> None:
 def test_nothing_is_found_where_there_is_nothing() -> None:
     """Read noise of heavy tails, with a fixed pattern that stays; structure_study has more cameras."""
     camera = CAMERA.with_(prnu=0.0, dsnu=0.6, column_pattern=0.3, tukey_lambda=-0.2)
-    found = calibrated(Specimen(camera, NONE, seed=6)).structure
+    found = calibrated(Specimen(camera, NONE, seed=6), LIGHT_DN).structure
     assert found is not None
     assert (found.sigma_column_dn, found.prnu) == (0.0, 0.0)
     assert found.telegraph is not None

@@ -46,6 +46,7 @@ def test_a_profile_and_figures(eldata: Cli, pristine: FrameTree, tmp_path: Path)
     assert outcome.out.startswith(f"{CAMERA}: eldata ")
     for words in ("12 bias and 12 flat frames at 3 ISOs", "K [DN/e-]", "fit over ln K", "remarks", "±"):
         assert words in outcome.out
+    assert "a bias frame kept out" not in outcome.out, "of four there is none to spare"
     assert f"look at it with eldata profile show {tmp_path / 'p.json'}" in outcome.out
     assert not list(tmp_path.glob(".*")), "no temporary file is left"
 

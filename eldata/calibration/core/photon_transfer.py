@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,15 +29,6 @@ if TYPE_CHECKING:
 
 _LEVELS = 512  # from black to saturation
 CLIPPED_SHARE = 0.01  # of a level's segments; more, and the level is left out
-# A segment of n pixels, whose mean is SNR times its noise, knows the ratio of its two frames to sqrt(2 / n) / SNR. The
-# ratio's error adds 1 / (n SNR^2) of the variance: below 1e-4 from an SNR of 20 on. What a wrong ratio would leave of a
-# fixed pattern of share p is (p SNR d)^2 of it, with d the error of the whole frames' ratio: below 4e-4 up to there, at
-# p = 2 % and d = 5 %.
-_BRIGHT = 20.0
-# Of a segment, how far smooth light may be off a parabola: a block by all of it, the segments across the rows by half
-# of it in all, which is what a step of so much leaves there. A lens that darkens the corners of a frame of 96 x 96
-# pixels to a half is off by 0.9 and 0.7 %; light that falls like a normal curve of 90 pixels by 2 and 0.2 %.
-_STEP = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,33 +154,28 @@ class FlatPairs(FlatSums):
         ratio, so that what stays in the pixels cancels. Where a segment has an edge in it, as on a colour chart, it is
         left out: a camera that moves a tenth of a pixel would be seen there.
         """
-        from eldata.calibration.core._flat_kernels import SEGMENT, pair_segments, segment_means
+        from eldata.calibration.core._kernels import channel_histograms
+        from eldata.calibration.core.flat_segments import ROWS, SEGMENT, pair_segments
 
         self._check(first)
         defects = self._check(second)
         self._saturation = None
-        if first.shape[1] < SEGMENT:
-            raise ArgumentError(f"flat frames must be {SEGMENT} pixels wide or more; found {first.shape[1]}")
-        means = np.empty((len(first), first.shape[1] // SEGMENT, self.channels), dtype=np.float32)
-        noise = np.empty_like(means)
-        segment_means(first, second, defects, self.pattern, means, noise)
-        pair_segments(
-            first,
-            second,
-            defects,
-            self.pattern,
-            self.black,
-            self.limit_dn,
-            self._level_dn,
-            means,
-            noise,
-            self._ratios(first, second, defects),
-            _BRIGHT,
-            _STEP,
-            self._counts,
-            self._segments,
-            self._sums,
-        )
+        height, width = first.shape
+        if width < SEGMENT:
+            raise ArgumentError(f"flat frames must be {SEGMENT} pixels wide or more; found {width}")
+        width -= width % SEGMENT
+        for frame in (first, second):
+            channel_histograms(frame[:, :width], defects[:, :width], self.pattern, self._counts[None])
+        ratios, every = self._ratios(first, second, defects), np.arange(_LEVELS)
+        for top, channel in product(range(0, height, ROWS), range(self.channels)):
+            options = {"black": self.black[channel], "limit": self.limit_dn, "ratio": ratios[channel]}
+            signal, kind, figures = pair_segments(first, second, defects, self.pattern, channel, top, **options)
+            level = np.clip((signal / self._level_dn).astype(np.int64), 0, _LEVELS - 1)
+            np.add.at(self._segments[channel], (level, kind), 1)
+            places, sums = np.append(every, level[kind == 0]), self._sums[channel]
+            for index, added in enumerate(figures):
+                # One after another onto what there is, so that the sums do not depend on the cut into pieces.
+                sums[:, index] = np.bincount(places, np.append(sums[:, index], added))
 
     def _ratios(self, first: Mosaic, second: Mosaic, defects: Mask) -> Values:
         """Return the light of the first frame over that of the second, by channel; 1 where it is not well known."""

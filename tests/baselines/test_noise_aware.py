@@ -16,11 +16,11 @@ import torch
 from safetensors.torch import load_file
 
 from eldata.base.workers import Workers
-from eldata.baselines import noise_aware, unet
+from eldata.baselines import unet
 from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_parameters, stabilised
-from eldata.baselines.noise_aware import NoiseAwareUNet, remove_noise, stabilise, undo
+from eldata.baselines.noisy_frames import denoise
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
-from eldata.baselines.told_noise import denoise
+from eldata.baselines.unet import NoiseAwareUNet, remove_noise, stabilise, undo
 from eldata.datasets import Arrays, SyntheticPairs
 from eldata.demo.camera import CAMERAS
 from eldata.demo.evaluation import known_profile
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "train_noise_aware.py"
-WEIGHTS = Path(noise_aware.__file__).with_name("noise_aware.safetensors")
+WEIGHTS = Path(unet.__file__).with_name("noise_aware.safetensors")
 NOISY = 4  # of the tree's frames, at factor 100
 LINES = {"shot noise": (0.05, 1e-6), "both": (0.01, 1e-4), "read noise": (1e-6, 0.01), "read noise alone": (0.0, 0.01)}
 
@@ -156,7 +156,7 @@ def test_tiles_are_not_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the overlap is as far as it sees, so that tiles make what the whole frame makes."""
     image = np.random.default_rng(0).random((4, 300, 700)).astype(np.float32)
     whole = remove_noise(image, 0.05, 1e-3, ())
-    monkeypatch.setattr(noise_aware, "_TILE", 512)
+    monkeypatch.setattr(unet, "_TILE", 512)
     np.testing.assert_allclose(remove_noise(image, 0.05, 1e-3, ()), whole, atol=1e-5)
 
 

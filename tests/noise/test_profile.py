@@ -16,7 +16,7 @@ import torch
 from scipy import stats
 
 from eldata.baselines.classical import noise_of_parameters
-from eldata.baselines.told_noise import typical
+from eldata.baselines.noisy_frames import typical
 from eldata.calibration.acceptance.theory import diagnose
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters, shipped_profiles

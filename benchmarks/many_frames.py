@@ -15,8 +15,7 @@ from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.table import table_text
 from eldata.raw.cfa import bayer_cfa
 from eldata.records import Exposure, FrameRecord, PairRecord, Sensor
-from eldata.sources.shards.index import INDEX, Facts, Shard, ShardIndex, Side, index_text, key_of
-from eldata.sources.shards.members import to_bytes
+from eldata.sources.shards.index import INDEX, Facts, Shard, ShardIndex, Side, index_text, key_of, to_bytes
 from eldata.sources.shards.writing import _written
 from eldata.sources.store.build import FactsWriter, _begin, _header, finish, pixels_digest, write_frame
 from eldata.sources.store.format import PackedFile, StoredFrame, frame_key

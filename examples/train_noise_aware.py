@@ -38,8 +38,7 @@ from eldata import SyntheticPairs
 from eldata.base.files import atomic_write
 from eldata.base.workers import Workers
 from eldata.baselines import Training
-from eldata.baselines.noise_aware import NoiseAwareUNet
-from eldata.baselines.unet import save_weights
+from eldata.baselines.unet import NoiseAwareUNet, save_weights
 from eldata.datasets import Arrays, training_loader
 from eldata.demo.benchmark_frames import TRAINING_PICTURES, picture_radiance, pictures_of
 from eldata.demo.camera import CAMERAS, METERED_SHARE, mosaic_light

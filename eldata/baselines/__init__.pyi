@@ -3,11 +3,11 @@ from .exported import save_network as save_network
 from .networks import NetworkDenoiser as NetworkDenoiser
 from .networks import load_network as load_network
 from .noisy_frames import NoisyFrame as NoisyFrame
+from .noisy_frames import denoise as denoise
 from .predicting import BaselineDenoiser as BaselineDenoiser
 from .predicting import Denoiser as Denoiser
 from .predicting import write_predictions as write_predictions
 from .tiling import tiled as tiled
-from .told_noise import denoise as denoise
 from .training import Training as Training
 from .training import absolute_error as absolute_error
 from .training import clip_error as clip_error

@@ -321,7 +321,7 @@ class Baseline:
             _imported(module)
         found = {package: version(package) for package in self.needs.values()}
         if self.has_weights:
-            from eldata.baselines.noise_aware import weights_digest
+            from eldata.baselines.unet import weights_digest
 
             found["weights_sha256"] = weights_digest()
         return found
@@ -395,7 +395,7 @@ def _bm3d_of_white(image: Values) -> Values:
 
 
 def _network(image: Values, line: SignalNoise | None) -> Values:
-    from eldata.baselines.noise_aware import remove_noise
+    from eldata.baselines.unet import remove_noise
 
     line = _known(line)
     return remove_noise(image, line.slope, line.offset, line.black)

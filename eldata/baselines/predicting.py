@@ -16,9 +16,8 @@ from eldata.base.files import inside, remove_leftovers
 from eldata.base.numbers import counted
 from eldata.base.workers import Failed, require_files
 from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_patches
-from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames
+from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames, estimate_line, line_of_profile
 from eldata.baselines.prediction_folder import ANSWERS, begun, remarks_on
-from eldata.baselines.told_noise import estimate_line, line_of_profile
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.evaluation.layouts import stem_of
 from eldata.evaluation.pairs import files_of, frames_of, place_of

@@ -25,7 +25,7 @@ def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.cli.main import parser
     from eldata.manifest.catalogue import carded_names, known_names, shipped_card
-    from eldata.noise.profile_files import shipped_profiles
+    from eldata.noise.gain_modes import shipped_profiles
     from eldata.protocols.named import FAMILIES, PROTOCOLS
 
     protocols = (*PROTOCOLS, *FAMILIES)

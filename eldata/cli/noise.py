@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.datasets.synthetic.dark_frames import DarkFrames
-    from eldata.noise.components import Components
+    from eldata.noise.structure import Components
 
 
 def add_options(parser: console.Parser) -> None:
@@ -82,7 +82,7 @@ def check_components(spec: str, dark_frames: str | None, dark_shading: str | Non
         If not, or the spec is malformed.
     """
     from eldata.errors import ArgumentError
-    from eldata.noise.components import parse_components
+    from eldata.noise.structure import parse_components
 
     parts = parse_components(spec)
     for name, has, given, option, what, example in (

@@ -79,7 +79,7 @@ def _is_store(path: str) -> bool:
 
 
 def _of_store(arguments: console.Arguments, path: str, workers: Workers) -> VerifyReport:
-    from eldata.sources.store.checks import verify_store
+    from eldata.sources.store.build import verify_store
 
     _refuse_choices(arguments, "a store is checked whole")
     return verify_store(path, level=arguments.level, workers=workers)

@@ -5,17 +5,14 @@ from .clean import CleanClips as CleanClips
 from .clean import CleanFrames as CleanFrames
 from .clean import CleanSource as CleanSource
 from .clean import ClipSource as ClipSource
-from .dn_batches import DnPairs as DnPairs
-from .dn_batches import normalise_batch as normalise_batch
 from .loading import describe as describe
 from .loading import evaluation_loader as evaluation_loader
 from .loading import set_epoch as set_epoch
 from .loading import training_loader as training_loader
-from .noise2noise import Noise2Noise as Noise2Noise
 from .packed import PackedClips as PackedClips
 from .packed import PackedStore as PackedStore
-from .published.crvd import CRVDDataset as CRVDDataset
-from .published.drv import DRVDataset as DRVDataset
+from .published.clips import CRVDDataset as CRVDDataset
+from .published.clips import DRVDataset as DRVDataset
 from .published.pairs import ELDDataset as ELDDataset
 from .published.pairs import LRDDataset as LRDDataset
 from .published.pairs import LRIDDataset as LRIDDataset
@@ -33,3 +30,6 @@ from .synthetic.arrays import Arrays as Arrays
 from .synthetic.dark_frames import DarkFrames as DarkFrames
 from .synthetic.pairs import SyntheticClips as SyntheticClips
 from .synthetic.pairs import SyntheticPairs as SyntheticPairs
+from .views import DnPairs as DnPairs
+from .views import Noise2Noise as Noise2Noise
+from .views import normalise_batch as normalise_batch

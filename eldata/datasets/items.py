@@ -59,6 +59,35 @@ class SharedNumber:
         self._value.fill_(value)
 
 
+class Epochs:
+    """What has items that are drawn anew in each epoch."""
+
+    def __init__(self) -> None:
+        self._epoch = SharedNumber()
+
+    @property
+    def epoch(self) -> int:
+        """The current epoch."""
+        return self._epoch.value
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch whose items are drawn from now on, in running workers too.
+
+        Raises
+        ------
+        ArgumentError
+            If it is not a whole number from 0 up to below 2^32.
+        """
+        self._epoch.set(checked_epoch(epoch))
+
+
+def checked_index(index: int, length: int) -> int:
+    """Return the index of one of so many items, those from the end counted; of another raise :class:`IndexError`."""
+    if not -length <= index < length:
+        raise IndexError(f"index {index} is outside of {length} items")
+    return index % length
+
+
 class Part(NamedTuple):
     """What is read for an item: the crop of a frame, times ``gain``, into a tensor or one place of it.
 
@@ -264,7 +293,7 @@ class Cropping(TypedDict, total=False):
     seed: int
 
 
-class CroppedItems(ReadItems[Item, Sample]):
+class CroppedItems(Epochs, ReadItems[Item, Sample]):
     """Items that are crops, drawn from (seed, epoch, index).
 
     Parameters
@@ -294,7 +323,7 @@ class CroppedItems(ReadItems[Item, Sample]):
                 f"crop={crop}, {crops[0]}={crops[1]}"
             )
         self.seed = seed
-        self._epoch = SharedNumber()
+        super().__init__()
         self._starts: list[int] | None = None  # of a grid: the first item of each record, and their number
 
     def _lay_grid(self, frames: Iterable[Frame]) -> None:
@@ -335,22 +364,5 @@ class CroppedItems(ReadItems[Item, Sample]):
 
     def item(self, index: int) -> Item:
         """Draw an item from (seed, epoch, index)."""
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"index {index} is outside of {len(self)} items")
-        index %= len(self)
+        index = checked_index(index, len(self))
         return self.drawn(index, item_generator(self.seed, self.epoch, index))
-
-    @property
-    def epoch(self) -> int:
-        """The current epoch."""
-        return self._epoch.value
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch whose items are drawn from now on, in running workers too.
-
-        Raises
-        ------
-        ArgumentError
-            If it is not a whole number from 0 up to below 2^32.
-        """
-        self._epoch.set(checked_epoch(epoch))

@@ -9,7 +9,7 @@ from eldata.base.memory import no_search_for_cycles
 from eldata.datasets.base import PairCropping, PairOptions, SourcePairs
 from eldata.datasets.choices import Representation, understood
 from eldata.datasets.clips import ClipWindows, WindowOptions
-from eldata.datasets.dn_batches import DnPairs
+from eldata.datasets.views import DnPairs
 from eldata.errors import DatasetError
 from eldata.manifest.pairs import Choice
 from eldata.sources.store.read import StoreFrames
@@ -72,7 +72,7 @@ class PackedStore(SourcePairs):
             )
 
     def in_dn(self) -> DnPairs:
-        """Return the same items in DN, for :func:`~eldata.datasets.dn_batches.normalise_batch` after the DataLoader.
+        """Return the same items in DN, for :func:`~eldata.datasets.views.normalise_batch` after the DataLoader.
 
         Raises
         ------
@@ -90,8 +90,8 @@ class PackedClips(ClipWindows):
 
     The clips are those that have a reference, or with ``dynamic`` those that have none, such as DRV's dynamic ones.
     Each item is a window of consecutive frames and their one reference, all cut at the same random place and turned the
-    same way. The values are those of :class:`~eldata.datasets.published.drv.DRVDataset` on the files, bit for bit. Item
-    i of epoch e depends on (seed, e, i) alone, as in :class:`PackedStore`.
+    same way. The values are those of :class:`~eldata.datasets.published.clips.DRVDataset` on the files, bit for bit.
+    Item i of epoch e depends on (seed, e, i) alone, as in :class:`PackedStore`.
 
     Parameters
     ----------

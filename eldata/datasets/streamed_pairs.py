@@ -14,19 +14,17 @@ import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
 
 from eldata.base.arguments import spell_keywords
-from eldata.base.seeds import checked_epoch, checked_seed, item_generator, purpose_sequence
-from eldata.datasets.augmentation import Orientation
+from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.datasets.base import OpenedPair, PairItem, PairItems, Sample
 from eldata.datasets.choices import Representation, chosen_shading, shading_text, understood
-from eldata.datasets.crops import Crop
-from eldata.datasets.items import SharedNumber
+from eldata.datasets.crops import Crop, Orientation
+from eldata.datasets.items import Epochs, SharedNumber
 from eldata.datasets.ranks import Rank, current_rank
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import packed_shape
 from eldata.sources.frames import Frame, stated_ratio
 from eldata.sources.shards import splitting
-from eldata.sources.shards.reading import read_samples
-from eldata.sources.shards.remote import Folder
+from eldata.sources.shards.reading import Folder, read_samples
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -34,7 +32,7 @@ if TYPE_CHECKING:
 
     from eldata.protocols.protocol import Amplification
     from eldata.raw.levels import Clip, FrameLevels
-    from eldata.sources.shards.members import StoredSample
+    from eldata.sources.shards.index import StoredSample
 
 # Keep these random numbers apart from those of the items, which are seeded by (seed, epoch, index).
 _SHARDS, _BUFFER = 1, 2
@@ -63,7 +61,7 @@ class _Crops(PairItems):
         return self.items[index]
 
 
-class StreamedPairs(IterableDataset[Sample]):
+class StreamedPairs(Epochs, IterableDataset[Sample]):
     """Pairs from shards that ``eldata shard`` wrote: yields :class:`~eldata.datasets.base.Sample`.
 
     Values are those of :class:`~eldata.datasets.packed.PackedStore` at the same place, bit for bit. Each item
@@ -149,7 +147,6 @@ class StreamedPairs(IterableDataset[Sample]):
         self.amplification: Amplification = given.get("amplification", "metadata")
         self.dark_shading = chosen_shading(given)
         self.rank = rank
-        self._epoch = SharedNumber()
         self._first_batch = SharedNumber()
         self._order: Literal["shuffled", "stored"] = "shuffled"
         self._parts: Literal["exact", "even"] = "exact"
@@ -174,21 +171,6 @@ class StreamedPairs(IterableDataset[Sample]):
         changed = copy.copy(self)
         changed.__dict__.update(changes, _epoch=self._epoch)
         return changed
-
-    @property
-    def epoch(self) -> int:
-        """The current epoch."""
-        return self._epoch.value
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch that the next iteration gives, in running workers too.
-
-        Raises
-        ------
-        ArgumentError
-            If it is not a whole number from 0 up to below 2^32.
-        """
-        self._epoch.set(checked_epoch(epoch))
 
     def set_first_batch(self, number: int) -> None:
         """Choose from which of its rank's batches on the next iteration gives an epoch: for training alone."""

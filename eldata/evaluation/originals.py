@@ -259,7 +259,7 @@ def store_of(manifest: Manifest, folder: Path, store: Path, records: Sequence[Fr
     DatasetError
         If it lacks a frame, holds other than whole mosaics in DN, or was packed from other files.
     """
-    from eldata.sources.store.checks import structure_problems
+    from eldata.sources.store.build import structure_problems
     from eldata.sources.store.read import open_store
 
     opened = open_store(store)

@@ -47,8 +47,9 @@ from eldata.protocols import get_protocol
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
+    from eldata.baselines.training import EpochReport
     from eldata.datasets import CleanSource
     from eldata.raw.levels import Clip
 
@@ -63,37 +64,59 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Train, or go on with a training; print each epoch's loss and, if asked for, the protocol's score."""
-    rank, device = start_ranks(options.device)
+    device = start_ranks(options.device)
     data = training_data(options)
-    options.output.mkdir(parents=True, exist_ok=True)
-    loader = training_loader(data, options.batch_size, seed=options.seed, device=device, workers=options.workers)
     sample = next(iter(data))
     channels, made = sample["input"].shape[0], sample["target"].shape[0]
     network = UNet(made, inputs=channels, width=options.width, depth=options.depth, seed=options.seed)
+
+    def shown(report: EpochReport, steps: int) -> dict[str, float]:
+        is_due = options.validate and ((report.epoch + 1) % options.validate_every == 0 or report.step == steps)
+        return {"items/s": report.items_per_s} | (validate(network, options, device) if is_due else {})
+
+    train(options, device, data, network, absolute_error, {"depth": options.depth}, shown)
+    return keep_and_show(options, network, channels, scored_set(options))
+
+
+def train(
+    options: argparse.Namespace,
+    device: torch.device,
+    data: Dataset[Any],
+    network: torch.nn.Module,
+    loss: Callable[..., torch.Tensor],
+    settings: Mapping[str, str | int | float],
+    more: Callable[[EpochReport, int], Mapping[str, float]],
+) -> None:
+    """Train a network, or go on with a training; print each epoch's loss, and ``more`` of the epoch and all steps."""
+    options.output.mkdir(parents=True, exist_ok=True)
+    loader = training_loader(data, options.batch_size, seed=options.seed, device=device, workers=options.workers)
     training = Training(
         network,
         loader,
         steps=options.epochs * len(loader),
         learning_rate=options.learning_rate,
-        loss=absolute_error,
+        loss=loss,
         device=device,
         precision=options.precision,
-        settings={"data": repr(data), "width": options.width, "depth": options.depth, "seed": options.seed},
+        settings={"data": repr(data), "width": options.width, "seed": options.seed, **settings},
     )
-    if rank == 0:
+    is_first = not distributed.is_initialized() or distributed.get_rank() == 0
+    if is_first:
         curve = curves_in(options.output)
         print(data, describe(loader), f"{sum(map(torch.numel, network.parameters())):,} parameters", sep="\n")
     for report in training.epochs(options.output / "checkpoint.pt", save_every=SAVE_EVERY):
-        shown = {"loss": report.loss, "items/s": report.items_per_s}
-        if options.validate and ((report.epoch + 1) % options.validate_every == 0 or report.step == training.steps):
-            shown |= validate(network, options, device)
-        if rank == 0:
+        shown = {"loss": report.loss, **more(report, training.steps)}
+        if is_first:
             print(report, *(f"{name} {shown[name]:.4f}" for name in ("psnr_db", "ssim") if name in shown), sep=", ")
             for name, value in shown.items():
                 curve(name, value, report.step)
-    if rank == 0:
+
+
+def keep_and_show(options: argparse.Namespace, network: torch.nn.Module, channels: int, chosen: Sequence[str]) -> int:
+    """Keep a trained network, and show the commands that predict with it and score that on the ``chosen`` set."""
+    if not distributed.is_initialized() or distributed.get_rank() == 0:
         keep(network, options.output, channels, options.input_clip)
-        show_next(options.output, *scored_set(options))
+        show_next(options.output, *chosen)
     if distributed.is_initialized():
         distributed.destroy_process_group()
     return console.OK
@@ -283,13 +306,12 @@ def curves_in(folder: Path) -> Callable[[str, float, int], object]:
 # --- processes and options --------------------------------------------------------------------------------------------
 
 
-def start_ranks(kind: str) -> tuple[int, torch.device]:
+def start_ranks(kind: str) -> torch.device:
     """Join the processes that torchrun started, if it did; each takes a GPU of its own."""
     is_cuda = kind == "cuda" or (kind == "auto" and torch.cuda.is_available())
     if "WORLD_SIZE" in os.environ:
         distributed.init_process_group("nccl" if is_cuda else "gloo")
-    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0"))) if is_cuda else torch.device("cpu")
-    return distributed.get_rank() if distributed.is_initialized() else 0, device
+    return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0"))) if is_cuda else torch.device("cpu")
 
 
 def parser() -> console.Parser:

@@ -21,25 +21,20 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import torch
-from torch import distributed
-
 from eldata import DRVDataset, SyntheticClips
 from eldata.base import console
-from eldata.baselines import FastDVDnet, Training, UNet, clip_error
-from eldata.datasets import CleanClips, CleanFrames, describe, training_loader
+from eldata.baselines import FastDVDnet, UNet, clip_error
+from eldata.datasets import CleanClips, CleanFrames
 from eldata.datasets.packed import PackedClips
 from eldata.errors import ArgumentError
 from eldata.examples.train_denoiser import (
-    SAVE_EVERY,
     Stills,
     add_training_options,
-    curves_in,
-    keep,
+    keep_and_show,
     noise_of,
     program,
-    show_next,
     start_ranks,
+    train,
 )
 
 if TYPE_CHECKING:
@@ -58,42 +53,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Train, or go on with a training; print each epoch's loss."""
-    rank, device = start_ranks(options.device)
+    device = start_ranks(options.device)
     kind, depth = NETWORKS[options.network]
     data = training_clips(options, frames=kind.window + 1)  # two windows: one more frame
-    options.output.mkdir(parents=True, exist_ok=True)
-    loader = training_loader(data, options.batch_size, seed=options.seed, device=device, workers=options.workers)
     channels = next(iter(data))["input"].shape[1]
     depth = depth if options.depth is None else options.depth
     network = kind(channels, width=options.width, depth=depth, seed=options.seed)
-    training = Training(
-        network,
-        loader,
-        steps=options.epochs * len(loader),
-        learning_rate=options.learning_rate,
-        loss=partial(clip_error, window=network.window, weight=options.consistency),
-        device=device,
-        precision=options.precision,
-        settings={
-            "data": repr(data),
-            "consistency": options.consistency,
-            **{name: getattr(options, name) for name in ("network", "width", "seed")},
-            "depth": depth,
-        },
-    )
-    if rank == 0:
-        curve = curves_in(options.output)
-        print(data, describe(loader), f"{sum(map(torch.numel, network.parameters())):,} parameters", sep="\n")
-    for report in training.epochs(options.output / "checkpoint.pt", save_every=SAVE_EVERY):
-        if rank == 0:
-            print(report)
-            curve("loss", report.loss, report.step)
-    if rank == 0:
-        keep(network, options.output, channels, options.input_clip)
-        show_next(options.output, *(("--dataset", "drv") if channels == 3 else ("--manifest", "drv-raw.csv")))
-    if distributed.is_initialized():
-        distributed.destroy_process_group()
-    return console.OK
+    loss = partial(clip_error, window=network.window, weight=options.consistency)
+    settings = {"consistency": options.consistency, "network": options.network, "depth": depth}
+    train(options, device, data, network, loss, settings, lambda *_: {})
+    scored = ("--dataset", "drv") if channels == 3 else ("--manifest", "drv-raw.csv")
+    return keep_and_show(options, network, channels, scored)
 
 
 def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:

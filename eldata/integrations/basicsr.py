@@ -18,6 +18,7 @@ from torch.utils.data import Dataset
 from eldata.base.seeds import item_generator
 from eldata.datasets.base import PairDataset, PairItem, SourcePairs
 from eldata.datasets.crops import Crop
+from eldata.datasets.items import checked_index
 from eldata.datasets.packed import PackedStore
 from eldata.datasets.registry import dataset_class, dataset_names, open_dataset
 from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean
@@ -169,9 +170,7 @@ class EldataPairs(Dataset[BatchSample]):
 
     def __getitem__(self, index: int) -> BatchSample:
         """Read an item: in training of a place that torch's random numbers draw, else the whole frame or its middle."""
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"index {index} is outside of {len(self)} items")
-        index %= len(self)
+        index = checked_index(index, len(self))
         draw = int(torch.randint(_DRAWS, ())) if self.phase == "train" else 0
         sample: BatchSample = self._sample(index, item_generator(0, draw, index))
         return sample

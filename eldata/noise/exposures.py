@@ -19,10 +19,9 @@ from eldata.noise.structure import known_structure
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.noise.components import Components
     from eldata.noise.dark_shading import DarkShading
     from eldata.noise.parameters import NoiseParameters
-    from eldata.noise.structure import NoiseStructure
+    from eldata.noise.structure import Components, NoiseStructure
 
 
 _LOWEST_SHAPE = -0.49  # lambda, whose variance ends at -1/2

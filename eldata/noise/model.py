@@ -25,7 +25,6 @@ import numpy as np
 
 from eldata.base.numbers import checked_number, checked_whole
 from eldata.errors import ArgumentError, check_choice
-from eldata.noise.components import Components, parse_components
 from eldata.noise.dark_shading import DarkShading
 from eldata.noise.exposures import (
     Adc,
@@ -43,7 +42,7 @@ from eldata.noise.exposures import (
 )
 from eldata.noise.mosaic import first_place, pack_whole, packed_rows, region_anywhere, unpack_whole, whole_shape
 from eldata.noise.parameters import Generator, NoiseParameters, key_from
-from eldata.noise.structure import known_structure
+from eldata.noise.structure import Components, known_structure, parse_components
 from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
@@ -62,7 +61,7 @@ _FIRST, _SIDES = -2, 1 << 20  # of places on a sensor
 
 
 class NoiseModel:
-    """The noise model with the components of a spec (:mod:`eldata.noise.components`).
+    """The noise model with the components of a spec (:mod:`eldata.noise.structure`).
 
     Parameters
     ----------

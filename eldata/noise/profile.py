@@ -19,6 +19,7 @@ from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, ProfileError, check_choice
 from eldata.noise.gain_modes import (
     GAIN_ROUNDING,
+    OF_ONE_MODE,
     SIGMA_TITLES,
     SIGMAS,
     GainMode,
@@ -31,11 +32,13 @@ from eldata.noise.gain_modes import (
     gains_by_iso,
     iso_between,
     modes_problem,
+    profile_path,
+    read_profile,
     rows_nearest,
     rows_of,
+    schema_of,
 )
 from eldata.noise.parameters import Generator, NoiseParameters, draw_numbers
-from eldata.noise.profile_files import OF_ONE_MODE, profile_path, read_profile, schema_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -16,8 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from scipy.ndimage import gaussian_filter
-from torch.utils.flop_counter import FlopCounterMode
 
 from eldata.base.files import wait_for_lock, write_json
 from eldata.baselines import FastDVDnet, NetworkDenoiser, Training, UNet, clip_error, load_network, save_network
@@ -29,13 +27,12 @@ from eldata.baselines.training import consistent_error
 from eldata.baselines.unet import draw_weights
 from eldata.cli.main import main
 from eldata.datasets import Arrays, CleanClips, SyntheticClips, training_loader
-from eldata.datasets.published.drv import DRVDataset
+from eldata.datasets.published.clips import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.request import SETTINGS
 from eldata.manifest.clips import Clip
 from eldata.manifest.drv import scan_raw
-from eldata.metrics.st_rred import raw_to_grey, st_rred
 from tests.cases import in_one_test
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 from tests.waiting import PATIENCE_S
@@ -61,7 +58,6 @@ def network(window):
 HERE = "tests.baselines.test_clips"
 CLIPS = ("0007", "0013")
 SIZE = (48, 56)
-STUDY_STEPS = 120
 
 
 # --- the loss ---------------------------------------------------------------------------------------------------------
@@ -490,74 +486,3 @@ def test_the_same_work_may_be_done_by_several(tmp_path: Path) -> None:
     second.__exit__(None, None, None)
     with begun(tmp_path / "p", {**same, "denoiser": "two"}):
         assert json.loads((tmp_path / "p" / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "two"
-
-
-# --- what it is good for ----------------------------------------------------------------------------------------------
-
-
-def moving_clips(count: int, seed: int, frames: int = 9, side: int = 64) -> list[NDArray[np.float32]]:
-    """Blobs with edges of several sizes and colours, which all move by some whole packed pixels a frame."""
-    rng = np.random.default_rng(seed)
-    clips = []
-    for _ in range(count):
-        room = side + 2 * frames
-        scene = np.full((4, room, room), 0.03)
-        for size in (2, 4, 8):
-            field = gaussian_filter(rng.normal(size=(room, room)), size)
-            shape = 1 / (1 + np.exp(-12 * field / field.std() + 6))
-            scene += rng.uniform(0.05, 0.3, (4, 1, 1)) * shape
-        down, right = rng.integers(-2, 3, 2)
-        places = [(frames + down * (t - frames // 2), frames + right * (t - frames // 2)) for t in range(frames)]
-        clips.append(np.stack([scene[:, y : y + side, x : x + side] for y, x in places]).astype(np.float32))
-    return clips
-
-
-def scores(predicted: NDArray[Any], clips: list[NDArray[np.float32]]) -> tuple[NDArray[Any], float]:
-    """PSNR of each clip, dB, and the mean ST-RRED."""
-    clean = np.stack(clips)[:, 2:-2]
-    psnr = -10 * np.log10(np.mean((predicted - clean) ** 2, axis=(1, 2, 3, 4)))
-    grey = [[np.stack([raw_to_grey(frame) for frame in clip]) for clip in one] for one in (predicted, clean)]
-    rred = [st_rred(found, true, peak=1.0).st_rred for found, true in zip(*grey, strict=True)]
-    return psnr, float(np.mean(rred))
-
-
-@pytest.mark.study
-def test_five_frames_and_one_at_equal_cost() -> None:
-    """On 12 moving clips of 5 frames (2 to 6): both gain in PSNR over the input; which is better is printed.
-
-    FastDVDnet of width 8 costs what a U-Net of twice its width does: four blocks a frame. 120 steps are few.
-    """
-    torch.random.set_rng_state(torch.Generator().manual_seed(0).get_state())
-    networks: dict[str, Any] = {"one frame": UNet(4, width=16, depth=2), "five frames": FastDVDnet(4, width=8)}
-    source = CleanClips(Arrays(clip, range_dn=15871.0) for clip in moving_clips(24, seed=1))
-    tested = moving_clips(12, seed=2)
-    options: dict[str, Any] = {"frames": 9, "crop": 64, "augment": False, "ratio": 200.0, "iso": 3200, "clip": "none"}
-    clean = CleanClips(Arrays(clip, range_dn=15871.0) for clip in tested)
-    exposed = SyntheticClips(clean, "SonyA7S2", seed=7, **options)
-    noisy = torch.stack([exposed[number]["input"] for number in range(len(tested))])
-    found = {"input": scores(noisy[:, 2:-2].numpy(), tested)}
-    cost = {}
-    for name, network in networks.items():
-        options |= {"frames": network.window + 1, "crop": 32, "augment": True}
-        data = SyntheticClips(source, "SonyA7S2", windows_per_clip=4, seed=3, **options)
-        loader = training_loader(data, 4, seed=1, workers=0)
-        loss = partial(clip_error, window=network.window)
-        list(Training(network, loader, steps=STUDY_STEPS, learning_rate=2e-3, loss=loss).epochs())
-        network.eval()
-        with torch.inference_mode(), FlopCounterMode(display=False) as flops:
-            if network.window == 1:
-                made = torch.stack([network(frame) for frame in noisy[:, 2:-2].unbind(1)], dim=1)
-            else:
-                made = torch.stack([network(noisy[:, k : k + 5]) for k in range(5)], dim=1)
-        cost[name] = flops.get_total_flops() / made[:, :, 0].numel() / 1000
-        found[name] = scores(made.numpy(), tested)
-        print(f"{name}: {cost[name]:.2f} thousand operations a packed pixel")
-    for name, (psnr, rred) in found.items():
-        print(f"{name}: {psnr.mean():.2f} dB, ST-RRED {rred:.3f}")
-    for better, than in (("one frame", "input"), ("five frames", "input"), ("five frames", "one frame")):
-        gain = found[better][0] - found[than][0]
-        error = gain.std(ddof=1) / np.sqrt(len(gain))
-        print(f"{better} over {than}: {gain.mean():+.2f} dB, standard error {error:.2f}")
-        if than == "input":
-            assert gain.mean() > 3 * error
-    assert cost["five frames"] == pytest.approx(cost["one frame"], rel=0.15)

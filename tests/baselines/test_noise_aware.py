@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import importlib.util
-import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,16 +15,16 @@ import torch
 from safetensors.torch import load_file
 
 from eldata.base.workers import Workers
-from eldata.baselines import noise_aware, unet
+from eldata.baselines import unet
 from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_parameters, stabilised
-from eldata.baselines.noise_aware import NoiseAwareUNet, remove_noise, stabilise, undo
+from eldata.baselines.noisy_frames import denoise
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
-from eldata.baselines.told_noise import denoise
+from eldata.baselines.unet import NoiseAwareUNet, remove_noise, stabilise, undo
 from eldata.datasets import Arrays, SyntheticPairs
 from eldata.demo.camera import CAMERAS
 from eldata.demo.evaluation import known_profile
 from eldata.demo.scenes import scene_radiance
-from eldata.errors import ArgumentError, DatasetError, FileError
+from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import LED_RANGES, NoiseModel, NoiseParameters, VirtualCameras
 from eldata.noise.parameters import tukey_lambda_variance
 from eldata.raw import read_raw
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "train_noise_aware.py"
-WEIGHTS = Path(noise_aware.__file__).with_name("noise_aware.safetensors")
+WEIGHTS = Path(unet.__file__).with_name("noise_aware.safetensors")
 NOISY = 4  # of the tree's frames, at factor 100
 LINES = {"shot noise": (0.05, 1e-6), "both": (0.01, 1e-4), "read noise": (1e-6, 0.01), "read noise alone": (0.0, 0.01)}
 
@@ -60,16 +59,6 @@ def test_before_its_training_it_returns_its_input() -> None:
         torch.testing.assert_close(
             NoiseAwareUNet(widths=(4, 6), blocks=(1, 1))(noisy, slope, offset), noisy, rtol=1e-5, atol=1e-6
         )
-
-
-def test_noise_has_one_deviation_behind_the_transform() -> None:
-    """4,096 draws each of 64 signals from 20 electrons: that of one has an error of 0.011; the transform's is 0.01."""
-    generator = np.random.default_rng(0)
-    signals, slope, sigma = np.geomspace(20, 2000, 64)[:, None], 0.001, 0.003
-    noisy = slope * generator.poisson(signals, (64, 4096)) + generator.normal(0, sigma, (64, 4096))
-    values, _ = stabilise(torch.from_numpy(noisy), torch.tensor(slope), torch.tensor(sigma**2))
-    assert np.std(values.numpy(), axis=1) == pytest.approx(1, abs=0.01 + 5 * 0.011)
-    assert float(values.std(dim=1).mean()) == pytest.approx(1, abs=0.01 + 5 * 0.0014)
 
 
 @pytest.fixture
@@ -156,7 +145,7 @@ def test_tiles_are_not_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the overlap is as far as it sees, so that tiles make what the whole frame makes."""
     image = np.random.default_rng(0).random((4, 300, 700)).astype(np.float32)
     whole = remove_noise(image, 0.05, 1e-3, ())
-    monkeypatch.setattr(noise_aware, "_TILE", 512)
+    monkeypatch.setattr(unet, "_TILE", 512)
     np.testing.assert_allclose(remove_noise(image, 0.05, 1e-3, ()), whole, atol=1e-5)
 
 
@@ -173,15 +162,6 @@ def test_what_black_is_off_by_is_taken_off() -> None:
 def test_other_mosaics_are_refused() -> None:
     with pytest.raises(DatasetError, match="4 channels; found 9"):
         BASELINES["network"].denoise(np.zeros((9, 32, 32), np.float32), SignalNoise(0.1, 0.01))
-
-
-def test_a_damaged_installation_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    place = tmp_path / "baselines" / WEIGHTS.name
-    place.parent.mkdir()
-    shutil.copy(WEIGHTS.with_name("reference.safetensors"), place)
-    monkeypatch.setattr(unet, "files", lambda _: place.parent)
-    with pytest.raises(FileError, match="install eldata again"):
-        unet.load_weights(NoiseAwareUNet(), WEIGHTS.name)
 
 
 def test_denoise_makes_what_the_command_makes(demo_tree: Path, tmp_path: Path) -> None:

@@ -22,8 +22,8 @@ import torch
 
 from eldata.baselines.classical import BASELINES
 from eldata.baselines.networks import load_network
+from eldata.baselines.noisy_frames import typical
 from eldata.baselines.predicting import BaselineDenoiser, PredictionReport, write_predictions
-from eldata.baselines.told_noise import typical
 from eldata.cli.baseline import NAMES
 from eldata.cli.main import main
 from eldata.datasets.published.pairs import ELDDataset

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.calibration.acceptance import theory as diagnostics
+from eldata.noise.gain_modes import shipped_profiles
 from eldata.noise.profile import CameraProfile
-from eldata.noise.profile_files import shipped_profiles
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from eldata.datasets.augmentation import ORIENTATIONS, Orientation, copy_oriented, oriented, turned_levels
+from eldata.datasets.crops import ORIENTATIONS, Orientation, copy_oriented, oriented, turned_levels
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import XTRANS_CFA, pack
 from eldata.raw.levels import packed_black_level_dn

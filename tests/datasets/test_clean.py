@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 import eldata.raw.reading
-from eldata.datasets.augmentation import oriented
 from eldata.datasets.clean import CleanFrames
-from eldata.datasets.crops import Crop
+from eldata.datasets.crops import Crop, oriented
 from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError

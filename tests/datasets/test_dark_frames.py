@@ -19,9 +19,9 @@ from eldata.datasets.clean import CleanFrames
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import Adc, CameraProfile, DarkShading, NoiseModel, NoiseParameters, ShadingIso
 from eldata.noise.compiled import expose_compiled
-from eldata.noise.components import parse_components
 from eldata.noise.exposures import DarkCrops, Exposures
 from eldata.noise.on_device import expose_on_device
+from eldata.noise.structure import parse_components
 from eldata.raw import pack, read_raw, write_dng
 from eldata.records import Exposure
 from eldata.sources.store import build_store, source_of_folder
@@ -237,73 +237,6 @@ def test_frames_of_a_clip_have_dark_frames_of_their_own_from_one_place(bias: Pat
             np.testing.assert_allclose(dn, above_black(name)[:, rows, columns], rtol=2e-6, atol=1e-4)
     with pytest.raises(ArgumentError, match=r"windows of 3 frames, .* need 6 dark frames of an ISO; ISO 1600 has 3"):
         SyntheticClips(clips, "SonyA7S2", model=model, **options | {"frames": 3})
-
-
-# --- statistics -------------------------------------------------------------------------------------------------------
-
-
-def sensor_frames(count: int, generator: np.random.Generator) -> NDArray[np.uint16]:
-    """A sensor with what formulas leave out: pattern, banding, rows, correlation, telegraph pixels, drift."""
-    pattern = np.random.default_rng(99).normal(0, 1.5, (SIDE * 2, SIDE * 2))
-    blinking = np.random.default_rng(98).random(pattern.shape) < 0.02
-    white = generator.normal(0, 3, (count, SIDE * 2, SIDE * 2 + 1))
-    frames = 0.8 * white[..., 1:] + 0.6 * white[..., :-1]  # of variance 9, correlation 0.48 along rows
-    frames += generator.normal(0, 1, (count, SIDE * 2, 1))
-    frames += np.sin(0.7 * np.arange(SIDE * 2)[:, None] + generator.uniform(0, 6.28, (count, 1, 1)))
-    frames += 20 * (blinking & (generator.random(frames.shape) < 0.3)) + pattern
-    frames += generator.normal(0, 0.3, (count, 1, 1))
-    return np.rint(frames + 512).astype(np.uint16)
-
-
-def figures(frames: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of each mosaic: mean, variance, fourth moment, correlations at lags, energy of rows, a line of the spectrum."""
-    centred = frames - frames.mean((1, 2), keepdims=True)
-    rows = centred.mean(2)
-    spectrum = np.abs(np.fft.rfft(rows, axis=1)) ** 2
-    lags = [(0, 1), (0, 2), (1, 0), (2, 0), (1, 1)]
-    products = [
-        (centred[:, y:, x:] * centred[:, : frames.shape[1] - y, : frames.shape[2] - x]).mean((1, 2)) for y, x in lags
-    ]
-    band = spectrum[:, round(0.7 * SIDE * 2 / 6.2832)]
-    return np.array([frames.mean((1, 2)), centred.var((1, 2)), (centred**4).mean((1, 2)), rows.var(1), band, *products])
-
-
-@pytest.mark.parametrize("dither", [False, True])
-def test_synthetic_frames_have_the_statistics_of_frames_that_were_kept_out(dither: bool, tmp_path: Path) -> None:
-    """48 frames and 48 others: ten figures, Welch's t below 6 (about 1e-7 each if seeds were not fixed).
-
-    The dither adds 1/12 to the variance, and to the fourth moment 6 v / 12 + 1/80, and nothing to what pixels share.
-    """
-    generator = np.random.default_rng(5)
-    frames, others = sensor_frames(48, generator), sensor_frames(48, generator)
-    place = tmp_path / "Nocturne" / "bias" / "ISO400"
-    place.mkdir(parents=True)
-    sensor = make_sensor(BAYER["RGGB"], SIDE * 2, SIDE * 2, black_level_dn=(512.0,) * 4)
-    for number, mosaic in enumerate(frames):
-        write_dng(place / f"{number:02d}.dng", mosaic, sensor, Exposure(Fraction(400), Fraction(1, 4000)))
-    dark = DarkFrames(tmp_path / "Nocturne", dither=dither)
-    source = Mosaics([np.full((SIDE * 2, SIDE * 2), 512.0, np.float32)], BAYER["RGGB"], black=512.0, white=15871.0)
-    dataset = pairs(dark, source, crop=None, augment=False, crops_per_frame=48)
-    made = np.empty((48, SIDE * 2, SIDE * 2))
-    for index, item in enumerate(dataset):
-        dn = in_dn(item, 15871.0 - 512)
-        for channel, (y, x) in enumerate(((0, 0), (0, 1), (1, 1), (1, 0))):
-            made[index, y::2, x::2] = dn[channel]
-    ours, theirs = figures(made), figures(others.astype(np.float64) - 512)
-    if dither:
-        theirs[2] += theirs[1] / 2 + 1 / 80
-        theirs[1] += 1 / 12
-    error = np.sqrt(ours.var(1, ddof=1) / 48 + theirs.var(1, ddof=1) / 48)
-    off = np.abs(ours.mean(1) - theirs.mean(1)) / error
-    assert off.max() < 6, off
-    parametric = NoiseModel("G")  # the same figures do tell a model that lacks most of it
-    p = replace(PARAMETERS, sigma_gauss_dn=float(np.sqrt(theirs[1].mean())))
-    white = np.zeros((48, 4, SIDE, SIDE), np.float32)
-    plain = parametric(white, parameters=p, ratio=1.0, range_dn=1.0, generator=np.random.default_rng(3))
-    for channel, (y, x) in enumerate(((0, 0), (0, 1), (1, 1), (1, 0))):
-        made[:, y::2, x::2] = plain[:, channel]
-    away = np.abs(figures(made).mean(1) - theirs.mean(1)) / error
-    assert (away > 6).sum() >= 6, away
 
 
 # --- refused by name --------------------------------------------------------------------------------------------------

@@ -12,8 +12,8 @@ from torch.utils.data import DataLoader
 
 from eldata import DRVDataset, PackedClips, PackedStore, StreamedPairs
 from eldata.datasets import PairDataset, SourcePairs, normalise_batch, raw2rgb
-from eldata.datasets.dn_batches import _by_torch, _images
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
+from eldata.datasets.views import _by_torch, _images
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import save_card
 from eldata.noise import CameraProfile

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may be there or not
 import pytest
 import torch
 from torch.utils.data import DataLoader
 
 from eldata.datasets import CleanClips, SyntheticClips
-from eldata.datasets.augmentation import ORIENTATIONS
 from eldata.datasets.clips import ClipSample, UnpairedClipSample
-from eldata.datasets.crops import Crop
+from eldata.datasets.crops import ORIENTATIONS, Crop
 from eldata.datasets.packed import PackedClips
-from eldata.datasets.published.drv import DRVDataset
+from eldata.datasets.published.clips import DRVDataset
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.dng import write_dng
 from eldata.sources.frames import Frame
@@ -154,21 +151,6 @@ def ours_clean(dataset: PackedClips, index: int) -> Any:
     return dataset.item(index).reference
 
 
-def test_turned_raw_windows_keep_their_colours(raw: Path) -> None:
-    """Every packed value of a turned crop occurs in the same colour of the frame that was not turned.
-
-    Not the greens of Bayer: which of them is which follows from the row, and each has a black level of its own.
-    """
-    turned = PackedClips(raw, crop=6, crops_per_window=6, seed=3, clip="none")
-    whole = PackedClips(raw, crop=None, augment=False, clip="none")
-    for index, sample in enumerate(turned):
-        other = whole[index % len(whole)]
-        bayer = sample["target"].shape[0] == 4
-        for channels in ([0], [2]) if bayer else ([0, 3], [2, 4], [1, 5, 6, 7, 8]):
-            assert torch.isin(sample["target"][channels], other["target"][channels]).all()
-            assert torch.isin(sample["input"][0, channels], other["input"][0, channels]).all()
-
-
 # --- determinism --------------------------------------------------------------------------------------------------
 
 
@@ -299,27 +281,3 @@ def test_clean_clips_are_those_of_the_raw_files(tmp_path: Path) -> None:
     gap = pack_folder(folder, tmp_path / "gap.h5").store
     with pytest.raises(DatasetError, match="expected the frames of one clip, numbered without a gap"):
         CleanClips(gap)
-
-
-# --- memory -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.memory
-def test_memory_does_not_grow_with_the_store(tmp_path: Path) -> None:
-    """A clip of 100 frames of 1.2 MB, every one read: 120 MB, or 10 MB if nothing is kept."""
-    drv = small_drv(tmp_path, ("M0003",), 1, size=(400, 500))
-    folder = drv.data / "VBM4D_rawRGB" / "M0003"
-    for number in range(2, 101):
-        os.link(folder / "0001.png", folder / f"{number:04d}.png")
-    dataset = PackedClips(pack_tree(drv, tmp_path / "store.h5", workers=2).store, dynamic=True, crop=256, window=2)
-    process = psutil.Process()
-
-    def read(indices: range) -> int:
-        for index in indices:
-            dataset[index]
-        info = process.memory_info()
-        resident: int = info.rss - info.shared  # what is mapped of the file is the system's to drop
-        return resident
-
-    after_few = read(range(5))
-    assert read(range(len(dataset))) - after_few < 24e6

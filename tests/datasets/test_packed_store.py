@@ -14,7 +14,7 @@ import torch
 from torch.utils.data import DataLoader, default_collate
 
 from eldata import PackedStore, SyntheticPairs
-from eldata.datasets import CleanFrames, PairDataset, dn_batches, normalise_batch
+from eldata.datasets import CleanFrames, PairDataset, normalise_batch, views
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import Subset, save_card
@@ -155,8 +155,8 @@ def test_a_batch_in_dn_becomes_the_raw_routes(
             same(normalise_batch(batch, clip=clip), wanted)
             # What runs on a device, here on the CPU.
             for side in ("input", "target"):
-                images = list(dn_batches._images(batch, side, clip if side == "input" else "both"))
-                assert torch.equal(dn_batches._by_torch(images), wanted[side])
+                images = list(views._images(batch, side, clip if side == "input" else "both"))
+                assert torch.equal(views._by_torch(images), wanted[side])
         same(normalise_batch(pairs.in_dn()[1], clip=clip), pairs[1])
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import pickle
 import re
 from collections import Counter
 from dataclasses import fields
@@ -288,15 +287,6 @@ def test_workers_give_the_same_samples(method: str, few: Callable[[str], Any]) -
     every: ConcatDataset[Any] = ConcatDataset(parts)
     loader = DataLoader(every, batch_size=None, num_workers=1, multiprocessing_context=method)
     assert same_samples(list(loader), [part[index] for part in parts for index in range(len(part))]) == len(every)
-
-
-@EVERY
-def test_a_pickled_dataset_gives_the_same_samples(name: str, few: Callable[[str], Any]) -> None:
-    """What spawning does, by dataset."""
-    dataset = few(name)
-    again = pickle.loads(pickle.dumps(dataset))
-    assert again.records == dataset.records
-    assert same_samples([again[0]], [dataset[0]]) == 1
 
 
 def same_samples(found: list[Any], expected: list[Any]) -> int:

@@ -20,21 +20,18 @@ from eldata.datasets.items import ReadItems
 from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs, SyntheticSample
 from eldata.errors import ArgumentError, DatasetError, ProfileError
-from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
+from eldata.noise import CameraProfile, NoiseModel
 from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA, pack, unpack
 from eldata.raw.levels import pack_normalised
 from eldata.sources.frames import Frame
-from eldata.sources.store import build_store, source_of_folder
 from tests.datasets.comparing import same
 from tests.datasets.methods import METHODS
-from tests.noise.helpers import Law
 from tests.raw.helpers import (
     BAYER,
     CFAS,
     EXPOSURE,
     NONA,
-    XTRANS_COLOURS,
     Cfa,
     colours_of,
     layout_of,
@@ -316,69 +313,7 @@ def test_float_frames_are_clipped_and_normalised() -> None:
     np.testing.assert_allclose(item["target"].numpy(), np.clip(pack(mosaic, BAYER["RGGB"]) / 1000, 0, 1), rtol=1e-6)
 
 
-@pytest.mark.parametrize(("name", "channels"), [("quad-13", 16), ("nona-52", 36)])
-def test_quad_and_nona_have_the_noise_of_the_model(name: str, channels: int, tmp_path: Path) -> None:
-    """From files, arrays and stores alike; row noise is one draw for each mosaic row of the crop."""
-    cfa = CFAS[name]
-    write_dng(tmp_path / "a.dng", random_mosaic(110, 120), make_sensor(cfa, 110, 120), EXPOSURE)
-    build_store(source_of_folder(tmp_path), tmp_path / "a.h5")
-    sides = []
-    for source in (
-        CleanFrames(tmp_path),
-        CleanFrames(tmp_path / "a.h5"),
-        arrays(np.full((1, channels, 18, 20), 0.5, np.float32), range_dn=1000.0, cfa=cfa),
-    ):
-        for augment in (False, True):
-            item = pairs(source, crop=6, augment=augment)[0]
-            assert item["input"].shape == item["target"].shape == (channels, 6, 6)
-            sides.append(item["input"].numpy())
-        rows = pairs(source, crop=6, augment=False, model=NoiseModel("R"), ratio=1.0, clip="none")[0]
-        noise = (rows["input"] - rows["target"]).numpy().astype(np.float64)
-        on_mosaic = unpack(noise, start_of(cfa))
-        assert np.ptp(on_mosaic, axis=1).max() < 1e-6  # what float32 leaves of the difference
-        assert len(np.unique(np.round(on_mosaic[:, 0], 7))) == 6 * len(cfa)
-    np.testing.assert_array_equal(sides[0], sides[2])
-    np.testing.assert_array_equal(sides[1], sides[3])
-
-
 # --- the noise ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("channels", [4, 9])
-def test_the_items_parameters_are_those_of_its_noise(channels: int) -> None:
-    """8 flat items of 24576 pixels in each channel: means within 5 standard errors of the closed form.
-
-    The variance is that of the component with the fewest draws, the rows: 5 standard errors of it as well.
-    """
-    cfa = BAYER["RGGB"] if channels == 4 else XTRANS_CFA
-    height, width, range_dn, clean = 3072, 8, 15871.0, 0.5
-    source = arrays(np.full((1, channels, height, width), clean, np.float32), range_dn=range_dn, cfa=cfa)
-    options: Any = {"clip": "none", "crop": None, "augment": False, "crops_per_frame": 8}
-    dataset = pairs(source, ("SonyA7S2", "CanonEOS70D"), **options)
-    gains = set()
-    for item in items(dataset):
-        bias = item["colour_bias_dn"].tolist()
-        numbers = {name: item[name] for name in NUMBERS}  # type: ignore[literal-required]
-        parameters = NoiseParameters(**numbers, colour_bias_dn=(bias[0], bias[1], bias[2], bias[3]))
-        gains.add(parameters.gain_dn_per_e)
-        signal_e = clean * range_dn / (item["ratio"] * parameters.gain_dn_per_e)
-        green = (bias[1] + bias[3]) / 2
-        of_channel = bias if channels == 4 else [{"R": bias[0], "G": green, "B": bias[2]}[c] for c in XTRANS_COLOURS]
-        dn = item["input"].numpy().astype(np.float64) * range_dn / item["ratio"]
-        assert torch.allclose(item["target"], torch.tensor(clean))
-        pixels, rows = height * width, height
-        squares = []
-        for channel, value in zip(dn, of_channel, strict=True):
-            law = Law.of("P*+G*+B+R+U", parameters, signal_e, value)
-            assert abs(channel.mean() - law.mean) < 5 * law.mean_error(pixels, rows)
-            squares.append(np.mean((channel - law.mean) ** 2))
-        law = Law.of("P*+G*+B+R+U", parameters, signal_e)
-        # X-Trans: 9 channels of 3072 packed rows come from 9216 mosaic rows.
-        error = law.variance_error(channels * pixels, (2 if channels == 4 else 3) * rows)
-        assert abs(np.mean(squares) - law.variance - law.row_variance) < 5 * error
-        expected = NoiseModel().expected_variance_dn2(signal_e, parameters)
-        assert expected == pytest.approx(law.variance + law.row_variance)
-    assert len(gains) == 8
 
 
 def flat(**options: Any) -> SyntheticPairs:
@@ -419,17 +354,6 @@ def test_a_profile_by_name_path_or_object(tmp_path: Path) -> None:
     path = tmp_path / "mine.json"
     for profiles in (profile, [profile], ("SonyA7S2",), str(path), path, [path]):
         same(flat(profiles=profiles)[0], wanted)
-
-
-def test_the_iso_and_the_row_are_passed_on() -> None:
-    sony = CameraProfile.load("SonyA7S2")
-    gain = sony.gain_at_iso(800)
-    near = {(row.tukey_lambda, row.colour_bias_dn) for row in sony.rows if row.iso == 800}
-    found = items(flat(iso=800, row="nearest-gain", crops_per_frame=40))
-    assert {item["gain_dn_per_e"] for item in found} == {gain}
-    assert {(item["tukey_lambda"], tuple(item["colour_bias_dn"].tolist())) for item in found} == near
-    everywhere = {item["tukey_lambda"] for item in items(flat(iso=800, crops_per_frame=100))}
-    assert everywhere == {row.tukey_lambda for row in sony.rows}
 
 
 def test_an_iso_between_two_that_were_measured() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from eldata.cli.main import main
-from eldata.datasets.published.drv import DRVDataset
+from eldata.datasets.published.clips import DRVDataset
 from eldata.errors import ArgumentError
 from eldata.evaluation import evaluate, explain, save_clip_prediction
 from eldata.manifest.drv import scan_raw

@@ -18,7 +18,7 @@ from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.integrations import basicsr
 from eldata.integrations.basicsr import EldataPairs, EldataReferences, MissingBasicSRError, register
-from tests.integrations.published_sets import eld_like, sid_like
+from tests.integrations.published_sets import sid_like
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -122,15 +122,6 @@ def test_references_equal_leds_clean_frames(crop: int | None, tmp_path: Path) ->
     assert {training[0]["ratio"] for _ in range(60)} == {100, 101, 102}  # one is missing with 3 (2/3)^60, below 1e-10
     with pytest.raises(ArgumentError, match="two whole numbers"):
         EldataReferences(options(VALIDATION) | where | {"ratio_range": [300, 100]})
-
-
-def test_the_ratio_of_eld_is_that_of_the_files(tmp_path: Path) -> None:
-    manifest = eld_like(tmp_path)
-    where = {"data_pair_list": str(manifest.path), "dataroot": str(tmp_path / "data/OWN"), "amplification": "metadata"}
-    for sample in EldataPairs(options(VALIDATION) | where):
-        record = next(one for one in manifest.records if one.path == sample["lq_path"])
-        assert record.ratio is not None
-        assert float(sample["ratio"]) == float(record.ratio)
 
 
 def test_the_middle_in_validation_and_random_places_in_training(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import exifread
-import lmdb
 import numpy as np
 import pytest
 import rawpy
@@ -173,54 +172,9 @@ def test_elds_evaluation_finds_each_frame_and_its_reference(references: tuple[in
         assert (camera / "scene-1/IMG_0007.DNG").samefile(kept), "numbers that fit are kept"
 
 
-def test_elds_lmdb_holds_the_same_patches(tmp_path: Path) -> None:
-    """``create_lmdb_train`` of util/lmdb_data.py, and ``LMDBDataset`` that reads it: patches of 16 bits."""
-    manifest, size = sid_like(tmp_path), 8
-    camera = written("eld", tmp_path, manifest) / "Own"
-    names = [line.split(" ") for line in lines(camera.parent / "Own_train.txt")]
-    assert [len(fields) for fields in names] == [2] * 6
-    environment = lmdb.open(str(tmp_path / "input.db"), map_size=1 << 24)
-    with environment.begin(write=True) as transaction:
-        key = 0
-        for noisy, clean in sorted(map(tuple, names)):
-            ratio = min(float(clean.split("_")[-1][:-5]) / float(noisy.split("_")[-1][:-5]), 300)
-            packed = np.clip(eld_pack(camera / "short" / noisy) * ratio, 0, 1)
-            for patch in eld_patches((packed * 65535).astype(np.uint16), size):
-                transaction.put(f"{key:08}".encode("ascii"), patch.tobytes())
-                key += 1
-    own = dataset(tmp_path, manifest, levels="published", amplification="nominal")
-    with environment.begin() as transaction:
-        key = 0
-        for noisy, _ in sorted(map(tuple, names)):
-            sample = own[os.path.realpath(camera / "short" / noisy)]["input"].numpy()
-            for patch in eld_patches(sample, size):
-                stored = np.frombuffer(bytes(transaction.get(f"{key:08}".encode("ascii")) or b""), np.uint16).reshape(
-                    4, size, size
-                )
-                assert np.array_equal(
-                    np.clip(stored / 65535, 0, 1).astype(np.float32),
-                    np.clip((patch * 65535).astype(np.uint16) / 65535, 0, 1).astype(np.float32),
-                )
-                key += 1
-        assert transaction.stat()["entries"] == key > 0
-    environment.close()
-
-
-def eld_patches(image: NDArray[Any], size: int) -> list[NDArray[Any]]:
-    """``crop_center`` to whole patches, then ``Data2Volume``: row by row, no overlap."""
-    _, height, width = image.shape
-    rows, columns = height // size * size, width // size * size
-    top, left = height // 2 - rows // 2, width // 2 - columns // 2
-    image = image[:, top : top + rows, left : left + columns]
-    return [
-        np.ascontiguousarray(image[:, y : y + size, x : x + size])
-        for y in range(0, rows, size)
-        for x in range(0, columns, size)
-    ]
-
-
 def test_elds_list_of_pairs_and_ratios(tmp_path: Path) -> None:
     out = written("eld", tmp_path, sid_like(tmp_path))
+    assert {line.count(" ") for line in lines(out / "Own_train.txt")} == {1}, "two frames, and nothing else"
     fields = [line.split(" ") for line in lines(out / "Own_paired.txt")]
     assert [sum(int(one[2]) == ratio for one in fields) for ratio in (100, 250, 300)] == [6, 6, 6]
     assert {name.name for name in out.glob("*.txt")} == {

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pytest
-import rawpy
 import yaml
 
 pytest.importorskip("datasets", reason="needs datasets, which only the tests use")
@@ -151,16 +150,6 @@ def test_both_libraries_give_the_same_from_the_same_files(kind: str, own: OwnSet
             assert np.array_equal(sample["target"][0], np.clip(clean, 0, 1))
             names += sample["path"]
     assert set(names) == {one.path for one in own.manifest.records if one.role == "noisy"}
-
-
-def test_whole_frames_are_the_files_as_libraw_reads_them(own: OwnSet, tmp_path: Path) -> None:
-    out = laid_out(own, tmp_path)
-    for split in SPLITS:
-        for one in load_dataset(str(out), split=split, streaming=True):
-            for name, path in (("input.npy", "path"), ("target.npy", "reference")):
-                with rawpy.imread(str(own.file.parent / "data/OWN" / one["json"]["record"][path])) as raw:
-                    assert one[name].dtype == np.uint16
-                    assert np.array_equal(one[name], raw.raw_image_visible)
 
 
 def test_a_downloaded_copy_has_splits_and_the_values_of_the_store(own: OwnSet, tmp_path: Path, cache: str) -> None:

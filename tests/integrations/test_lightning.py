@@ -164,30 +164,3 @@ def test_without_lightning_it_says_so() -> None:
         pytest.raises(ImportError, match=r"pip install 'eldata\[lightning\]'"),
     ):
         reload(module)
-
-
-@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.study)])
-def test_torchdatas_loader_goes_on_in_the_middle_of_an_epoch(workers: int, store: Path) -> None:
-    """``StatefulDataLoader`` over a dataset of ours: its items are those of (seed, epoch, index), whoever asks."""
-    torchdata = pytest.importorskip("torchdata.stateful_dataloader", reason="needs torchdata")
-
-    def loader() -> Any:
-        dataset = PackedStore(store, crop=16, seed=3, crops_per_frame=1)
-        dataset.set_epoch(2)
-        generator = torch.Generator().manual_seed(4)
-        context = "spawn" if workers else None
-        return torchdata.StatefulDataLoader(
-            dataset, 4, shuffle=True, generator=generator, num_workers=workers, multiprocessing_context=context
-        )
-
-    whole = [batch["input"].clone() for batch in loader()]
-    cut = loader()
-    steps = iter(cut)
-    begun = [next(steps)["input"].clone() for _ in range(2)]
-    state = cut.state_dict()
-    del steps
-    again = loader()
-    again.load_state_dict(state)
-    both = [*begun, *(batch["input"].clone() for batch in again)]
-    assert len(both) == len(whole) == 6
-    assert all(torch.equal(one, other) for one, other in zip(both, whole, strict=True))

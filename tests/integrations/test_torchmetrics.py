@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import math
-import pickle
 import shutil
 import subprocess
 import sys
@@ -30,7 +28,6 @@ from tests.evaluation.helpers import Tree, place
 pytest.importorskip("torchmetrics", reason="needs eldata[torchmetrics]")
 
 import torchmetrics
-from torchmetrics.functional.image import peak_signal_noise_ratio
 
 from eldata.integrations.torchmetrics import PSNR, SSIM, ProtocolScore
 from tests.waiting import PATIENCE_S
@@ -105,22 +102,6 @@ def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[
         assert numbers(metric.compute()) == {"psnr_db": row.psnr_db, "ssim": row.ssim}
 
 
-def test_the_datasets_references_are_those_of_the_protocol(tree: Tree, placed: tuple[Path, dict[str, Any]]) -> None:
-    """What a training loop has at hand, ``ds[i]["target"]``, batched by the default collate."""
-    from eldata.datasets import ELDDataset
-
-    folder, predictions = placed
-    dataset = ELDDataset(tree.files, manifest=tree.manifest)
-    wanted = [index for index, record in enumerate(dataset.records) if record.ratio >= 100]
-    metric = ProtocolScore("eld")
-    for batch in torch.utils.data.DataLoader(torch.utils.data.Subset(dataset, wanted), batch_size=5):
-        prediction = torch.stack([torch.from_numpy(predictions[path]) for path in batch["path"]])
-        metric.update(prediction, batch["target"])
-    result = evaluate(folder, manifest=tree.manifest, root=tree.root)
-    (overall,) = [row for row in result.table if row.camera is None and row.ratio is None]
-    assert numbers(metric.compute()) == {"psnr_db": overall.psnr_db, "ssim": overall.ssim}
-
-
 @pytest.mark.parametrize("clip", ["upper", "none"])
 def test_the_score_is_that_of_evaluate_whatever_the_clip_of_the_input(
     clip: Any, tree: Tree, placed: tuple[Path, dict[str, Any]], tmp_path: Path
@@ -167,18 +148,6 @@ def test_the_sum_is_exact() -> None:
     metric.__dict__["psnr_db"] = [torch.tensor([score], dtype=torch.float64) for score in scores]
     assert sum(scores) / 4 != 0.3125
     assert float(metric._mean("psnr_db")) == 0.3125
-
-
-def test_psnr_is_that_of_torchmetrics() -> None:
-    """Of each image: theirs takes a batch for one image. It computes log(10) and 10 / log(10) in float32."""
-    preds, target = (tensor.double() for tensor in images(3))
-    ours = PSNR()
-    ours.update(preds, target)
-    theirs = [
-        float(peak_signal_noise_ratio(prediction, reference, data_range=1.0))
-        for prediction, reference in zip(preds, target, strict=True)
-    ]
-    assert float(ours.compute()) == pytest.approx(np.mean(theirs), rel=2 * 2**-24)
 
 
 # Of those that score alike, one: rules, and where they hold.
@@ -273,58 +242,6 @@ def test_forward_gives_the_batch_and_keeps_all(module: Any) -> None:
     assert numbers(metric.compute()) == numbers(whole.compute())
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_reset_forgets(module: Any) -> None:
-    preds, target = images(3)
-    metric, fresh = module(), module()
-    metric.update(preds, target)
-    metric.reset()
-    metric.update(preds[:1], target[:1])
-    fresh.update(preds[:1], target[:1])
-    assert numbers(metric.compute()) == numbers(fresh.compute())
-
-
-@pytest.mark.parametrize("module", MODULES)
-def test_state_dict_goes_on_where_it_was(module: Any, tmp_path: Path) -> None:
-    """Through a checkpoint file without pickles; states are in it if they are asked for, as torchmetrics has it."""
-    preds, target = images(4)
-    metric, other, whole = module(), module(), module()
-    metric.update(preds[:3], target[:3])
-    assert metric.state_dict() == {}
-    metric.persistent(mode=True)
-    torch.save(metric.state_dict(), tmp_path / "state.pt")
-    other.persistent(mode=True)
-    other.load_state_dict(torch.load(tmp_path / "state.pt", weights_only=True))
-    other.update(preds[3:], target[3:])
-    whole.update(preds, target)
-    assert numbers(other.compute()) == numbers(whole.compute())
-
-
-@pytest.mark.parametrize("module", MODULES)
-@pytest.mark.parametrize(
-    "copied", [copy.deepcopy, lambda metric: pickle.loads(pickle.dumps(metric)), lambda m: m.clone()]
-)
-def test_copies(module: Any, copied: Callable[[Any], Any]) -> None:
-    preds, target = images(3)
-    metric = module()
-    metric.update(preds[:2], target[:2])
-    other = copied(metric)
-    other.update(preds[2:], target[2:])
-    whole = module()
-    whole.update(preds, target)
-    assert numbers(other.compute()) == numbers(whole.compute())
-    assert numbers(metric.compute()) != numbers(whole.compute())
-
-
-def test_in_a_collection() -> None:
-    preds, target = images(3)
-    collection = torchmetrics.MetricCollection({"psnr": PSNR(), "ssim": SSIM(), "eld": ProtocolScore("eld")})
-    collection.update(preds, target)
-    found = {name: float(value) for name, value in collection.compute().items()}
-    assert set(found) == {"psnr", "ssim", "eld_psnr_db", "eld_ssim"}
-    assert found["psnr"] == exact_mean([metrics.psnr(p, g) for p, g in zip(preds, target, strict=True)])
-
-
 def test_a_collection_keeps_protocols_apart() -> None:
     """After a perfect first batch the scores of both are equal; torchmetrics would go on with one for both."""
     preds, target = images(3)
@@ -339,13 +256,6 @@ def test_a_collection_keeps_protocols_apart() -> None:
     for name in names:
         assert float(found[f"{name}_ssim"]) == numbers(alone[name].compute())["ssim"]
     assert float(found["eld_ssim"]) != float(found["eld-uncorrected_ssim"])
-
-
-@pytest.mark.parametrize("module", MODULES)
-def test_what_it_says_of_itself(module: Any) -> None:
-    assert module.higher_is_better is True
-    assert module.is_differentiable is False
-    assert module.full_state_update is False
 
 
 @pytest.mark.parametrize("module", MODULES)

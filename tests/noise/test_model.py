@@ -196,17 +196,6 @@ def test_the_clean_data_is_not_written_to() -> None:
     np.testing.assert_array_equal(tensor.detach().numpy(), FLAT)
 
 
-@in_one_test("spec", [*PAPER_MODELS, "P", "P*", "B"])
-@in_one_test("clip", ["none", "both"])
-def test_nan_stays_where_it_is(spec: str, clip: Any) -> None:
-    clean = np.full((4, 16, 16), 0.25, np.float32)
-    holes = np.zeros(clean.shape, bool)
-    holes[1, 3, 5] = holes[2, 0] = holes[3, 15, 15] = True
-    result = noisy(np.where(holes, np.float32(np.nan), clean), model=NoiseModel(spec, clip=clip))
-    np.testing.assert_array_equal(np.isnan(result), holes)
-    np.testing.assert_array_equal(result[~holes], noisy(clean, model=NoiseModel(spec, clip=clip))[~holes])
-
-
 # --- determinism ----------------------------------------------------------------------------------------------------
 
 

@@ -10,10 +10,10 @@ import torch
 
 from eldata.errors import ArgumentError
 from eldata.noise import NoiseModel, NoiseParameters
-from eldata.noise.mosaic import channel_bias_dn, pack_whole, packed_rows, unpack_whole
-from eldata.raw.cfa import pack, packed_area
+from eldata.noise.mosaic import channel_bias_dn, pack_whole, unpack_whole
+from eldata.raw.cfa import pack
 from tests.cases import in_one_test
-from tests.raw.helpers import BAYER, CFAS, NONA, QUAD, XTRANS, XTRANS_COLOURS, Cfa, levels_of
+from tests.raw.helpers import BAYER, CFAS, XTRANS_COLOURS, levels_of
 
 RANGE = 15000.0
 PARAMETERS = NoiseParameters(1.5, -0.1, 2.0, 3.0, 4.0, (10.0, 20.0, 30.0, 40.0))
@@ -65,24 +65,6 @@ def test_rows_and_biases_are_those_of_the_mosaic(name: str) -> None:
     np.testing.assert_allclose(bias, levels[index], rtol=1e-5)
 
 
-def test_arrays_and_cpu_tensors_agree() -> None:
-    clean = np.random.default_rng(0).random((3, 21, 30)).astype(np.float32)
-
-    def options() -> dict[str, Any]:
-        generator = np.random.default_rng(5)
-        return {
-            "cfa": BAYER["GRBG"],
-            "parameters": PARAMETERS,
-            "ratio": 150.0,
-            "range_dn": RANGE,
-            "generator": generator,
-        }
-
-    from_array = NoiseModel().on_mosaic(clean, **options())
-    from_tensor = NoiseModel().on_mosaic(torch.from_numpy(clean), **options())
-    np.testing.assert_array_equal(from_array, from_tensor.numpy())
-
-
 def test_errors() -> None:
     options: dict[str, Any] = {
         "parameters": PARAMETERS,
@@ -99,48 +81,6 @@ def test_errors() -> None:
 
 
 # --- rows under packed data -----------------------------------------------------------------------------------------
-
-
-def rows_by_layout(channels: int, height: int, width: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """The mosaic row of each packed entry, as the layout's text says."""
-    layout = packed_rows(channels)
-    rows = np.empty((channels, height, width), dtype=np.int64)
-    for c, y, x in np.ndindex(rows.shape):
-        rows[c, y, x] = (y // layout.sub) * layout.period + layout.table[c, y % layout.sub, x % layout.sub]
-    return rows
-
-
-def row_numbers(height: int, width: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    return np.repeat(np.arange(height, dtype=np.int64)[:, None], width, axis=1)
-
-
-@in_one_test("name", XTRANS)
-def test_xtrans_rows(name: str) -> None:
-    cfa: Cfa = XTRANS[name]
-    mosaic = row_numbers(30, 36)
-    packed = pack(mosaic, cfa)
-    top = packed_area((30, 36), cfa).top
-    np.testing.assert_array_equal(rows_by_layout(9, *packed.shape[1:]), packed - top)
-
-
-@in_one_test("name", [*BAYER, *QUAD, *NONA])
-def test_entries_share_a_layout_row_just_if_they_share_a_mosaic_row(name: str) -> None:
-    cfa = {**BAYER, **QUAD, **NONA}[name]
-    real = pack(row_numbers(20, 14), cfa)
-    ours = rows_by_layout(*real.shape).ravel()
-    np.testing.assert_array_equal(ours[:, None] == ours, real.ravel()[:, None] == real.ravel())
-
-
-@in_one_test("cfa", [BAYER["RGGB"], BAYER["GRBG"], QUAD["quad-00"], NONA["nona-00"]])
-def test_rows_where_red_comes_first(cfa: Cfa) -> None:
-    real = pack(row_numbers(24, 18), cfa)
-    np.testing.assert_array_equal(rows_by_layout(*real.shape), real)
-
-
-@pytest.mark.parametrize("channels", [0, 1, 3, 5, 8, 10])
-def test_another_number_of_channels(channels: int) -> None:
-    with pytest.raises(ArgumentError, match=rf"4 \(Bayer\), .* channels; found {channels}"):
-        packed_rows(channels)
 
 
 def test_the_bias_of_each_channel() -> None:

@@ -22,10 +22,10 @@ from eldata.calibration.acceptance.theory import (
 )
 from eldata.calibration.acceptance.verdicts import SIGNALS_E, Diagnostics, TheoryCheck, parameter_rows
 from eldata.errors import ArgumentError
-from eldata.noise.components import PAPER_MODELS
+from eldata.noise.gain_modes import shipped_profiles
 from eldata.noise.parameters import NoiseParameters
 from eldata.noise.profile import CameraProfile
-from eldata.noise.profile_files import shipped_profiles
+from eldata.noise.structure import PAPER_MODELS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,7 +11,7 @@ from benchmarks.many_frames import write_small_shards, write_small_store
 from eldata import PackedStore, StreamedPairs
 from eldata.datasets import base, training_loader
 from eldata.records import Records
-from eldata.sources.shards import members, reading
+from eldata.sources.shards import index, reading
 from eldata.sources.store import verify_store
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def test_a_stream_reads_what_it_gives_and_its_buffer(
     """However many samples there are, and wherever in the epoch it begins."""
     shards = write_small_shards(tmp_path / "shards", samples)
     decoded: list[int] = []
-    from_bytes = members.from_bytes
+    from_bytes = index.from_bytes
 
     def counted(content: bytes) -> Any:
         decoded.append(len(content))

@@ -42,9 +42,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from eldata.calibration.core._frames import Values
-    from eldata.noise.components import Components
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile
+    from eldata.noise.structure import Components
 
 DRAWS = 300
 
@@ -117,7 +117,7 @@ def diagnose(
     parameters
         What the closed forms are evaluated at.
     spec
-        Components of the model (:mod:`eldata.noise.components`).
+        Components of the model (:mod:`eldata.noise.structure`).
     seed
         Of every frame; the same seed gives the same numbers.
     simulated

@@ -12,10 +12,10 @@ from eldata.noise.model import NoiseModel
 
 if TYPE_CHECKING:
     from eldata.calibration.core._frames import Values
-    from eldata.noise.components import Components
     from eldata.noise.gain_modes import GainMode, LogLogFit
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import CameraProfile
+    from eldata.noise.structure import Components
 
 CHANNELS = ("R", "G1", "B", "G2")
 SIGNALS_E = (0.0, 1.0, 3.0, 10.0, 30.0, 60.0, 100.0, 150.0, 200.0, 300.0, 400.0, 500.0)

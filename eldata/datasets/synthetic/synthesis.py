@@ -31,9 +31,9 @@ from eldata.datasets.synthetic.journal import CleanFacts, WrittenScene, opened_j
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
 from eldata.manifest.writing import save_manifest
-from eldata.noise.components import parse_components
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.noise.model import NoiseModel
+from eldata.noise.structure import parse_components
 from eldata.raw.cfa import cfa_from, packed_area, packed_shape, packing_sites, unpack
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import pack_normalised, packed_black_level_dn

@@ -17,7 +17,13 @@ import numpy as np
 from eldata.base.arguments import spell_keywords
 from eldata.base.numbers import counted
 from eldata.errors import ArgumentError, RawFileError, check_choice
-from eldata.integrations.exports.frames import balance_multipliers, exported_pairs, matrix_to_srgb
+from eldata.integrations.exports.frames import (
+    ExportPlan,
+    balance_multipliers,
+    exported_pairs,
+    matrix_to_srgb,
+    write_export,
+)
 from eldata.integrations.exports.naming import (
     LARGEST_RATIO,
     eld_numbers,
@@ -25,7 +31,6 @@ from eldata.integrations.exports.naming import (
     plain_number,
     sid_names,
 )
-from eldata.integrations.exports.writing import ExportPlan, write_export
 from eldata.manifest.eld import nearest_reference
 from eldata.manifest.pairs import Choice
 from eldata.manifest.table import number_text
@@ -35,8 +40,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from eldata.base.workers import AnyWorkers
-    from eldata.integrations.exports.frames import ExportFrame, ExportPair
-    from eldata.integrations.exports.writing import ExportReport, Linking
+    from eldata.integrations.exports.frames import ExportFrame, ExportPair, ExportReport, Linking
 
     PairsByCamera = Mapping[str, Sequence[ExportPair]]
 

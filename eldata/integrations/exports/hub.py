@@ -15,21 +15,20 @@ from eldata.base.fields import names_of
 from eldata.base.files import folder_problem, json_text
 from eldata.base.tables import csv_text
 from eldata.errors import ArgumentError, DatasetError
+from eldata.integrations.exports.frames import ExportPlan, write_export
 from eldata.integrations.exports.hub_card import PAIR_COLUMNS, HubLayout, HubSplit, hub_page
-from eldata.integrations.exports.writing import ExportPlan, write_export
 from eldata.manifest.catalogue import carded_names, known_manifest, load_manifest, shipped_card
 from eldata.manifest.croissant import to_croissant
 from eldata.manifest.pairs import Choice, select_pairs
 from eldata.manifest.table import cell_text
 from eldata.records import PairRecord
 from eldata.sources.shards.index import INDEX
-from eldata.sources.shards.reading import read_samples
-from eldata.sources.shards.remote import Folder
+from eldata.sources.shards.reading import Folder, read_samples
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from eldata.integrations.exports.writing import ExportReport, Linking
+    from eldata.integrations.exports.frames import ExportReport, Linking
     from eldata.manifest.catalogue import Manifest
     from eldata.records import FrameRecord
     from eldata.sources.shards.index import ShardIndex

@@ -21,8 +21,19 @@ from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.pairs import Choice, refuse_shifted
 from eldata.raw.cfa import cfa_from, packed_area, packing_sites
 from eldata.sources.frames import checked_ratio
-from eldata.sources.shards.index import FORMAT, INDEX, VERSION, Facts, Shard, ShardIndex, Side, index_text, key_of
-from eldata.sources.shards.members import END, to_bytes
+from eldata.sources.shards.index import (
+    END,
+    FORMAT,
+    INDEX,
+    VERSION,
+    Facts,
+    Shard,
+    ShardIndex,
+    Side,
+    index_text,
+    key_of,
+    to_bytes,
+)
 from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:

@@ -1,5 +1,5 @@
 from .build import build_store as build_store
-from .checks import verify_store as verify_store
+from .build import verify_store as verify_store
 from .format import Store as Store
 from .read import open_store as open_store
 from .sources import Source as Source

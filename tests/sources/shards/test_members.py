@@ -16,8 +16,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eldata.records import Exposure, PairRecord
-from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts
-from eldata.sources.shards.members import END, MemberError, from_bytes, to_bytes
+from eldata.sources.shards.index import (
+    END,
+    Facts,
+    MemberError,
+    Side,
+    _npy,
+    facts_text,
+    from_bytes,
+    parse_facts,
+    to_bytes,
+)
 from tests.raw.helpers import BAYER, XTRANS, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
@@ -102,10 +111,9 @@ def test_webdataset_reads_them(tmp_path: Path) -> None:
 
 @given(st.integers(0, 300), st.integers(0, 300))
 def test_the_header_of_any_size_is_numpys(height: int, width: int) -> None:
-    from eldata.sources.shards import members
 
     pixels = np.zeros((height, width), np.uint16)
-    assert members._npy(pixels) == npy(pixels)
+    assert _npy(pixels) == npy(pixels)
 
 
 # --- what is refused ----------------------------------------------------------------------------------------------

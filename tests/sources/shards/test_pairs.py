@@ -20,7 +20,7 @@ from eldata.datasets.base import Sample
 from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
 from eldata.datasets.ranks import Rank
 from eldata.errors import ArgumentError, DatasetError
-from eldata.sources.shards import members, reading, write_shards
+from eldata.sources.shards import index, reading, write_shards
 from tests.sources.shards.helpers import identities, identity, unbatched
 from tests.waiting import PATIENCE_S
 
@@ -144,24 +144,6 @@ def test_at_most_one_batch_of_a_rank_is_smaller(tiles: Path) -> None:
 # --- order, epochs, restarts --------------------------------------------------------------------------------------
 
 
-def test_epochs_differ_and_a_restart_goes_on(tiles: Path) -> None:
-    def loader() -> DataLoader[Any]:
-        return training_loader(StreamedPairs(str(tiles), crop=10, seed=5), 4, workers=2)
-
-    running = loader()
-    epochs = []
-    for epoch in range(3):
-        set_epoch(running, epoch)
-        epochs.append(unbatched(running))
-    assert len({tuple(epoch) for epoch in epochs}) == 3
-    paths = [[one.split()[0] for one in epoch] for epoch in epochs]
-    assert paths[0] != paths[1]
-    assert Counter(paths[0]) == Counter(paths[1])
-    again = loader()
-    set_epoch(again, 2)
-    assert unbatched(again) == epochs[2]
-
-
 @pytest.mark.parametrize("workers", [0, 3])
 def test_an_epoch_goes_on_in_its_middle(workers: int, tiles: Path) -> None:
     """Whatever was given out before: 96 items of a rank in 13 batches of 7, of workers 6 and 7, or 4, 4 and 5."""
@@ -186,7 +168,7 @@ def test_an_epoch_goes_on_in_its_middle(workers: int, tiles: Path) -> None:
 def test_what_was_given_out_is_not_read_again(tiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 144 samples 96 were given out: the 48 others are read, those that lay in the buffer too, and no other."""
     read: list[int] = []
-    checked = members.from_bytes
+    checked = index.from_bytes
 
     def counted(content: bytes) -> Any:
         sample = checked(content)

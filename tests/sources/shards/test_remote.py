@@ -22,10 +22,9 @@ from eldata import StreamedPairs
 from eldata.datasets.loading import evaluation_loader, set_epoch, training_loader
 from eldata.datasets.ranks import Rank
 from eldata.errors import ArgumentError
-from eldata.sources.shards import ShardError, remote, verify_shards
-from eldata.sources.shards.index import INDEX, Shard, ShardIndex, index_text, parse_index
-from eldata.sources.shards.members import END
-from eldata.sources.shards.remote import Folder, Forward
+from eldata.sources.shards import ShardError, reading, verify_shards
+from eldata.sources.shards.index import END, INDEX, Shard, ShardIndex, index_text, parse_index
+from eldata.sources.shards.reading import Folder, Forward
 from tests.sources.shards.helpers import identities, unbatched
 from tests.sources.shards.server import serving
 from tests.sources.shards.test_members import INPUT, JSON, TARGET, made
@@ -80,7 +79,7 @@ def test_workers_read_from_a_web_server(tiles: Path) -> None:
 def test_a_rank_fetches_its_part_alone(tiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 144 samples the 72nd rank of 144 reads one; what is fetched at once is made as small as a sample."""
 
-    monkeypatch.setattr(remote, "_BLOCK_BYTES", 4096)
+    monkeypatch.setattr(reading, "_BLOCK_BYTES", 4096)
     with serving(tiles) as site:
         dataset = StreamedPairs(site.address, rank=Rank(71, 144))
         site.sent = 0
@@ -176,7 +175,7 @@ def test_bytes_that_are_not_those_of_the_index_are_an_error(failure: str, tiles:
 
 def test_a_restart_fetches_what_is_left_alone(tiles: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 144 samples 4 kB each are left; what was given out before is not fetched, but for parts of blocks."""
-    monkeypatch.setattr(remote, "_BLOCK_BYTES", 4096)
+    monkeypatch.setattr(reading, "_BLOCK_BYTES", 4096)
     with serving(tiles) as site:
         loader = training_loader(StreamedPairs(site.address, crop=8, shuffle_buffer=5), 4, workers=0)
         site.sent = 0

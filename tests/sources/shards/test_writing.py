@@ -17,7 +17,7 @@ from eldata.datasets import PackedStore
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.raw import read_raw
 from eldata.raw.cfa import packed_area
-from eldata.sources.shards import ShardError, members, verify_shards, write_shards, writing
+from eldata.sources.shards import ShardError, index, verify_shards, write_shards, writing
 from eldata.sources.shards.index import INDEX, index_text, parse_index
 from eldata.sources.shards.writing import BEGUN, grid
 from tests.cases import in_one_test
@@ -171,7 +171,7 @@ def test_the_same_call_goes_on(
     error: BaseException, eld: Path, tiles: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "shards"
-    real, left = members.to_bytes, iter(range(70))
+    real, left = index.to_bytes, iter(range(70))
 
     def failing(*arguments: Any) -> bytes:
         if next(left, None) is None:

@@ -1,16 +1,19 @@
-"""Batches in DN: half as much to send from a worker, normalised in the main process or on the device."""
+"""Pairs of a source given otherwise: in DN, half as much to send from a worker, or as two noisy frames of one scene."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections import defaultdict
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import torch
 
 from eldata.base.compiled import in_threads
-from eldata.datasets.base import SIDES, PairFacts, PairItem
+from eldata.base.seeds import item_generator
+from eldata.datasets.base import SIDES, PairFacts, PairItem, Sample
 from eldata.datasets.batches import Field, new_arrays
-from eldata.datasets.items import ReadItems
+from eldata.datasets.items import DrawnItem, Part, ReadItems, checked_index
 from eldata.errors import ArgumentError, check_choice
+from eldata.manifest.pairs import whole_shift_px
 from eldata.raw.cfa import packed_shape, packing_sites
 from eldata.raw.levels import CLIP_RANGES, pack_normalised, packed_black_level_dn
 
@@ -19,11 +22,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.datasets.base import SourcePairs
-    from eldata.datasets.items import Part
+    from eldata.datasets.base import OpenedPair, SourcePairs
+    from eldata.datasets.crops import Crop
     from eldata.raw.cfa import CfaRows
     from eldata.raw.levels import Clip
     from eldata.records import Sensor
+
+
+Item = TypeVar("Item", bound=DrawnItem)
+Sampled = TypeVar("Sampled")
 
 
 class DnSample(PairFacts):
@@ -44,7 +51,20 @@ class DnSample(PairFacts):
     target_white_dn: float
 
 
-class DnPairs(ReadItems[PairItem, DnSample]):
+class _OfPairs(ReadItems[Item, Sampled]):
+    """Items of a dataset of pairs, as a subclass gives them."""
+
+    def __init__(self, pairs: SourcePairs) -> None:
+        self.pairs = pairs
+        self.source, self.clip = pairs.source, pairs.clip
+
+    @property
+    def _may_differ(self) -> bool:
+        """As that of the pairs."""
+        return self.pairs._may_differ
+
+
+class DnPairs(_OfPairs[PairItem, DnSample]):
     """The items of a dataset of pairs in DN, for a DataLoader whose batches go through :func:`normalise_batch`.
 
     Sending a batch from a worker takes longer than reading it; uint16 is half as much to send. The conversion then runs
@@ -64,16 +84,10 @@ class DnPairs(ReadItems[PairItem, DnSample]):
                 "batches in DN are of whole DN, and less a dark shading the input has fractions of one; leave "
                 "dark_shading out, or take the normalised items"
             )
-        self.pairs = pairs
-        self.source = pairs.source
+        super().__init__(pairs)
 
     def __len__(self) -> int:
         return len(self.pairs)
-
-    @property
-    def _may_differ(self) -> bool:
-        """As that of the pairs."""
-        return self.pairs._may_differ
 
     def item(self, index: int) -> PairItem:
         """Draw an item of the pairs."""
@@ -207,3 +221,95 @@ def _by_torch(images: Sequence[_Image]) -> torch.Tensor:
         values.sub_(black).div_(white - black).clamp_(low, high)
         values.mul_(torch.tensor(image.gain, dtype=torch.float32, device=first.device)).clamp_(max=high)
     return packed
+
+
+# --- pairs of two noisy frames of one scene, for training without a clean one -----------------------------------------
+
+
+class _Item(NamedTuple):
+    """One item: a pair whose noisy frame is the input, and another one whose noisy frame is the target."""
+
+    pair: OpenedPair
+    other: OpenedPair
+    crop: Crop
+
+
+class Noise2Noise(_OfPairs[_Item, Sample]):
+    """Two noisy frames of one scene, ISO and ratio: the input, and in place of the clean target another one.
+
+    J. Lehtinen et al., ICML 2018, and the row of that name in K. Wei et al., TPAMI 2021. The samples are those of the
+    pairs but for ``target``, a noisy frame that is drawn for the item, amplified and clipped like the input; ``path``
+    is the input's. Targets whose negative read noise is clipped off are too bright where it is dark, and the network
+    learns that: give the pairs ``clip="none"``, and test on the same.
+
+    Parameters
+    ----------
+    pairs
+        Of a source that reads parts, such as :class:`~eldata.datasets.PackedStore`. Those whose scene has no other
+        noisy frame of their ISO and ratio are left out.
+
+    Raises
+    ------
+    ArgumentError
+        If the source decodes whole files, or no scene has two such frames.
+    """
+
+    def __init__(self, pairs: SourcePairs) -> None:
+        if not pairs.reads_parts:
+            raise ArgumentError("Noise2Noise reads two noisy frames of a scene at once: pack the dataset, eldata pack")
+        super().__init__(pairs)
+        groups: dict[object, list[int]] = defaultdict(list)
+        for number, record in enumerate(pairs.records):
+            like = record.camera, record.reference, record.iso, record.ratio, whole_shift_px(record)
+            groups[like].append(number)
+        self._groups = [group for group in groups.values() if len(group) > 1]
+        self._count = sum(map(len, self._groups))
+        self._members = [
+            (group, place, step)
+            for group in self._groups
+            for place in range(len(group))
+            for step in range(len(pairs._indices_of(group[place])))
+        ]
+        if not self._members:
+            raise ArgumentError(
+                "Noise2Noise needs two noisy frames of a scene at one ISO and ratio; of "
+                f"{len(pairs.records)} pairs none has another one"
+            )
+
+    def __len__(self) -> int:
+        return len(self._members) * self.pairs.crops_per_frame
+
+    def item(self, index: int) -> _Item:
+        """Draw an item from (seed, epoch, index): a crop of a pair, and another pair of its scene."""
+        index = checked_index(index, len(self))
+        group, place, step = self._members[index % len(self._members)]
+        generator = item_generator(self.pairs.seed, self.pairs.epoch, index)
+        other_place = (place + 1 + int(generator.integers(len(group) - 1))) % len(group)
+        pair, crop = self.pairs.drawn(self.pairs._indices_of(group[place])[step], generator)
+        other, _ = self.pairs.drawn(self.pairs._indices_of(group[other_place])[step], generator)
+        return _Item(pair, other, crop)
+
+    def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of input and target."""
+        return dict.fromkeys(SIDES, item.crop.packed_shape)
+
+    def _parts(self, item: _Item) -> Iterator[Part]:
+        """Yield both noisy frames, each times its ratio."""
+        for side, pair in (("input", item.pair), ("target", item.other)):
+            noisy = self.pairs._parts(PairItem(pair, item.crop))
+            yield from (part._replace(tensor=side) for part in noisy if part.tensor == "input")
+
+    def sensor(self, item: _Item) -> Sensor | None:
+        """Return the sensor of the pair's reference."""
+        return item.pair.target.sensor
+
+    def _outline(self) -> list[tuple[str, str]]:
+        """Return what the dataset is: two noisy frames of each of these pairs."""
+        return [("noisy frames", str(self._count)), *self.pairs._outline()]
+
+    def facts(self, item: _Item) -> dict[str, Any]:
+        """Return the fields of a :class:`~eldata.datasets.base.Sample` that are not tensors."""
+        return self.pairs.facts(PairItem(item.pair, item.crop))
+
+    def __repr__(self) -> str:
+        return f"Noise2Noise({self._count} noisy frames of {len(self._groups)} exposures; {self.pairs!r})"

@@ -12,7 +12,7 @@ RARE := study or browser or dask or kill or memory
 # would compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo docs docs-links test test-all test-rest lint bench fuzz licences lock test-lowest test-newest manifests clean
+.PHONY: help demo docs docs-links test test-all test-every test-rest lint bench fuzz licences lock test-lowest test-newest manifests clean
 
 help:  ## What there is to make
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*## /\t/' | expand -t 12
@@ -49,7 +49,9 @@ lint: $(STAMP)  ## Style and types
 test: lint  ## Style, types and every test that is quick, in about a quarter of an hour on two cores
 	$(PYTEST) -m 'not ($(RARE))'
 
-test-all: lint  ## The same in one run with long studies and tests of browser, Dask, kills and memory
+test-all: lint test-every  ## The same with long studies and tests of browser, Dask, kills and memory
+
+test-every: $(STAMP)
 	$(PYTEST)
 
 test-rest: $(STAMP)

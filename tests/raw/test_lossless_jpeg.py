@@ -9,6 +9,7 @@ import imagecodecs
 import numpy as np
 import pytest
 
+from eldata.raw import lossless_jpeg
 from eldata.raw.lossless_jpeg import Stream, find_stream
 from tests.cases import in_one_test
 from tests.raw.helpers import random_mosaic, write_plain_dng
@@ -130,12 +131,16 @@ def test_a_marker_among_the_codes(samples: NDArray[np.uint16]) -> None:
     )
 
 
-def test_markers_are_told_from_codes_and_restarts(samples: NDArray[np.uint16]) -> None:
+@pytest.mark.parametrize("piece", [1, 2, 7])
+def test_markers_lie_where_they_do_whatever_is_looked_at_together(
+    samples: NDArray[np.uint16], piece: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     content = encode(samples, restart_rows=2)
     changed = content[:600] + b"\xff\xff\x41" + content[603:]
-    assert [stream(whole).marker for whole in (content, content[:-2], changed)] == [
-        *((len(content) - 2, 0xD9), None, (601, 0x41))
-    ]
+    before = [stream(whole).marker for whole in (content, content[:-2], changed)]
+    monkeypatch.setattr(lossless_jpeg, "_PIECE", piece)
+    assert [stream(whole).marker for whole in (content, content[:-2], changed)] == before
+    assert before == [(len(content) - 2, 0xD9), None, (601, 0x41)]
 
 
 def test_a_restart_marker_that_is_not_there(samples: NDArray[np.uint16]) -> None:

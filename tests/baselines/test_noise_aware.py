@@ -28,6 +28,7 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import LED_RANGES, NoiseModel, NoiseParameters, VirtualCameras
 from eldata.noise.parameters import tukey_lambda_variance
 from eldata.raw import read_raw
+from eldata.raw.levels import packed_frame
 from tests.trees import frame, tree_in
 
 if TYPE_CHECKING:
@@ -174,6 +175,10 @@ def test_denoise_makes_what_the_command_makes(demo_tree: Path, tmp_path: Path) -
     noisy, pair = read_raw(tree.file(NOISY)), next(one for one in tree.manifest.records if one.path == frame(NOISY))
     ratio = float(pair.ratio or 0)
     np.testing.assert_allclose(denoise(noisy, profiles[0], ratio=ratio, levels="published"), made, atol=1e-6)
+    bias_dn = profiles[0].measured(float(noisy.exposure.iso or 0)).colour_bias_dn
+    taken = packed_frame(noisy, levels="published", clip="none", gain=ratio).mean(axis=(1, 2))
+    taken -= ratio * np.array(bias_dn) / 15871
+    np.testing.assert_allclose(made.mean(axis=(1, 2)), taken, rtol=0.03, err_msg="colours are not its input's")
     with pytest.raises(DatasetError, match="its ISO is not known"):
         denoise(replace(noisy, exposure=replace(noisy.exposure, iso=None)), profiles[0])
     with pytest.raises(ArgumentError, match="ratio"):

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 BIAS_FRAMES: Final = 10
 LEAST_BIAS_FRAMES: Final = 4  # below, eldata calibrate refuses
+_MOST_FRAMES: Final = 999  # more is a slip of the keys, and would be planned until memory ends
 DARK_FRAMES: Final = 4
 WARM: Final = "warm"
 FRAMES_PER_LEVEL: Final = 2
@@ -146,8 +147,8 @@ def plan_calibration(
     if not isos or list(isos) != sorted(set(isos)):
         raise PlanError(f"calibration ISOs: expected one or more, rising; found {list(isos)}")
     for what, count in (("bias frames per ISO", bias_frames), ("dark frames per ISO and time", dark_frames)):
-        if count < LEAST_BIAS_FRAMES:
-            raise PlanError(f"{what}: expected {LEAST_BIAS_FRAMES} or more, found {count}")
+        if not LEAST_BIAS_FRAMES <= count <= _MOST_FRAMES:
+            raise PlanError(f"{what}: expected {LEAST_BIAS_FRAMES} to {_MOST_FRAMES}, found {count}")
     if (
         not flat_levels
         or list(flat_levels) != sorted(set(flat_levels))

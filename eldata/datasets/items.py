@@ -60,7 +60,7 @@ class SharedNumber:
 
 
 class Epochs:
-    """What has items that are drawn anew in each epoch."""
+    """A dataset whose items are drawn anew in each epoch."""
 
     def __init__(self) -> None:
         self._epoch = SharedNumber()
@@ -71,7 +71,7 @@ class Epochs:
         return self._epoch.value
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch whose items are drawn from now on, in running workers too.
+        """Choose the epoch of items drawn from now on, of a stream from its next iteration on, in running workers too.
 
         Raises
         ------

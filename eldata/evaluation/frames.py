@@ -102,8 +102,10 @@ class Reference:
         raw = read_once(partial(originals.raw, path))
         self._raw = raw
         self._rgb, self._rendered = (read_once(partial(read, path)) for read in (originals.rgb, originals.rendered))
-        self._normalised = cache(lambda levels, clip: normalised_frame(raw(), levels, clip=clip))
-        self._shown = cache(lambda curve, *how: rendered_frame(self._normalised(*how), raw(), response_of(curve)))
+        # Not through self: in a circle with it, a frame lives on beside the next one until Python looks for circles.
+        normalised = cache(lambda levels, clip: normalised_frame(raw(), levels, clip=clip))
+        self._normalised = normalised
+        self._shown = cache(lambda curve, *how: rendered_frame(normalised(*how), raw(), response_of(curve)))
 
     @property
     def frame(self) -> RawFrame:

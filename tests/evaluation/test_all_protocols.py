@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+import gc
 import json
 import shutil
+import weakref
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -35,6 +37,9 @@ from tests.sid_tree import SENSORS, exposure_of, frames_of, mosaic_of
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
+    from eldata.records import RawFrame
     from tests.evaluation.helpers import Tree
 
 
@@ -82,6 +87,31 @@ def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest
     evaluate_all(preds, **own.where)
     assert sorted(decoded) == ["s0/clean.dng", "s1/clean.dng"]
     assert len(loaded) == len(set(loaded)) == 4
+
+
+def test_frames_are_gone_before_the_next_ones_are_read(
+    own: OwnSet, preds: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without Python's search for circles, in which frames of hundreds of megabytes would wait for it."""
+    from eldata.raw import reading
+
+    read: list[weakref.ref[NDArray[Any]]] = []
+    alive: list[int] = []
+    genuine = reading.read_raw
+
+    def watched(path: Path) -> RawFrame:
+        alive.append(sum(mosaic() is not None for mosaic in read))
+        frame = genuine(path)
+        read.append(weakref.ref(frame.mosaic))
+        return frame
+
+    monkeypatch.setattr(reading, "read_raw", watched)
+    gc.disable()
+    try:
+        evaluate_all(preds, **own.where)
+    finally:
+        gc.enable()
+    assert alive == [0, 0]
 
 
 def test_shifts_are_of_the_same_pairs(own: OwnSet, preds: Path) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from eldata.base.numbers import counted
 from eldata.calibration.core.figures import SCALES, SIGMA_ROW
 from eldata.calibration.core.findings import STEP
+from eldata.calibration.core.photon_transfer import straight_line
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.gain_modes import GainMode, LogLogFit, modes_problem
 
@@ -82,18 +83,16 @@ def fit_log_log(gains_dn_per_e: Sequence[float], scales_dn: Sequence[float]) -> 
             f"{counted(len(gains), 'measurement')} at {counted(len(set(gains.tolist())), 'gain')}"
         )
     x, y = np.log(gains), np.log(scales)
-    centred = x - x.mean()
-    lever = float(centred @ centred)
-    slope = float(centred @ y) / lever
-    intercept = float(y.mean() - slope * x.mean())
+    even = np.ones(len(x))
+    slope, intercept, (of_slope, of_intercept) = straight_line(x, y, even, even)
     squares = float(((y - slope * x - intercept) ** 2).sum())
     total = float(((y - y.mean()) ** 2).sum())
     freedom = len(x) - 2
     sigma = math.sqrt(squares / freedom)
     return LogLogEstimate(
         fit=LogLogFit(slope=slope, intercept=intercept, sigma=sigma),
-        slope_error=sigma / math.sqrt(lever),
-        intercept_error=sigma * math.sqrt(1 / len(x) + float(x.mean()) ** 2 / lever),
+        slope_error=sigma * math.sqrt(of_slope),
+        intercept_error=sigma * math.sqrt(of_intercept),
         sigma_error=sigma / math.sqrt(2 * freedom),
         r_squared=1 - squares / total if total > 0 else 1.0,
         points=len(x),

@@ -87,7 +87,7 @@ def run_show(arguments: console.Arguments) -> int:
         return console.OK
     from eldata.base.tables import text_table
     from eldata.calibration.acceptance.theory import diagnose, sample_parameters
-    from eldata.calibration.acceptance.verdicts import parameter_rows
+    from eldata.calibration.acceptance.verdicts import parameter_rows, table_rows
 
     parameters = sample_parameters(
         profile,
@@ -101,10 +101,7 @@ def run_show(arguments: console.Arguments) -> int:
     for symbol, value, unit in parameter_rows(parameters):
         lines.append(f"  {symbol:<10}{value:>10} {'' if unit == '1' else unit}".rstrip())
     header = ("check", "quantity", "unit", "expected", "found", "s.e.", "dev. [s.e.]", "verdict")
-    rows, shown = [], ""
-    for item in diagnostics.comparisons:
-        rows.append(("" if item.check == shown else item.check, item.symbol, item.unit, *item.cells()))
-        shown = item.check
+    rows = table_rows(diagnostics.comparisons)
     lines += ["", text_table(header, rows, left=(0, 1, 2, 7)), "", diagnostics.summary]
 
     def write_page() -> None:

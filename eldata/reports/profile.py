@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 
+_MEAN, _VARIANCE, _READ = "mean over signal", "variance over signal", "read noise alone"
+_BIAS, _ROWS = "bias frame, mean by channel", "bias frame, row means"
+
 
 def profile_page(diagnostics: Diagnostics) -> str:
     """Return the page; the same diagnostics give the same text."""
@@ -95,13 +98,14 @@ def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
         "over the gain: the profile's line with its bands of 1 and 2 standard deviations, and where "
         f"{len(diagnostics.draws)} sampled parameters fall."
     )
-    biases = "Mean of a bias frame in R, G1, B and G2, found and expected. " + _worst(diagnostics.colour_bias)
+    mean, variance, bias, rows = map(diagnostics.of, (_MEAN, _VARIANCE, _BIAS, _ROWS))
+    biases = f"Mean of a bias frame in R, G1, B and G2, found and expected. {_worst(bias)}"
     below = 2.6  # of the heights, with deviations in standard errors below
     wanted: list[tuple[str, str, Callable[..., None], float | None]] = [
-        ("mean", _over_signal_alt("Mean of D", diagnostics.mean), _draw_mean, below),
-        ("variance", _over_signal_alt("Variance of D", diagnostics.variance), _draw_variance, below),
+        ("mean", _over_signal_alt("Mean of D", mean), _draw_mean, below),
+        ("variance", _over_signal_alt("Variance of D", variance), _draw_variance, below),
         ("colour-bias", biases, _draw_colour_bias, below),
-        ("row-means", f"Normal probability plot of the row means. {_worst(diagnostics.rows)}", _draw_row_means, None),
+        ("row-means", f"Normal probability plot of the row means. {_worst(rows)}", _draw_row_means, None),
         ("read-fit", f"σ {read} {fit}", partial(_draw_fit, "read"), None),
         ("row-fit", f"σ row {fit}", partial(_draw_fit, "row"), None),
         ("lambda-rows", f"Lambda of the profile's {of_rows} by ISO.", _draw_lambda_rows, None),
@@ -113,7 +117,7 @@ def plots(diagnostics: Diagnostics) -> tuple[Plot, ...]:
         ),
     ]
     if diagnostics.quantiles_dn is not None:
-        alt = "Probability plot of the read noise alone against its model. " + _worst(diagnostics.read)
+        alt = "Probability plot of the read noise alone against its model. " + _worst(diagnostics.of(_READ))
         wanted.insert(4, ("read-noise", alt, partial(_draw_read_noise, diagnostics.quantiles_dn), below))
     return tuple(
         draw_plot("profile", kind, alt, partial(draw, diagnostics), ratio=ratio, words={"read": read})
@@ -187,18 +191,18 @@ def _draw_over_signal(
 
 
 def _draw_mean(diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
-    _draw_over_signal((main, below), diagnostics.mean, diagnostics.expected_mean_dn, "mean of D [DN]", theme)
+    _draw_over_signal((main, below), diagnostics.of(_MEAN), diagnostics.expected_mean_dn, "mean of D [DN]", theme)
 
 
 def _draw_variance(diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
     expected = diagnostics.expected_variance_dn2
-    _draw_over_signal((main, below), diagnostics.variance, expected, "variance of D [DN²]", theme)
+    _draw_over_signal((main, below), diagnostics.of(_VARIANCE), expected, "variance of D [DN²]", theme)
 
 
 def _draw_colour_bias(diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme) -> None:
     places = list(range(4))
-    _draw_deviations(below, diagnostics.colour_bias, places, theme)
-    for place, item in zip(places, diagnostics.colour_bias, strict=True):
+    _draw_deviations(below, diagnostics.of(_BIAS), places, theme)
+    for place, item in zip(places, diagnostics.of(_BIAS), strict=True):
         # matplotlib leaves labels with an underscore out of the legend: one entry for four channels.
         label = ("closed form", "simulated") if place == 0 else ("_", "_")
         main.hlines(item.expected, place - 0.3, place + 0.3, color=theme.theory, linewidth=2, label=label[0])
@@ -220,7 +224,7 @@ def _draw_row_means(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
         theme,
         expected=diagnostics.normal_quantiles[shown],
         found=means[shown],
-        line=(diagnostics.rows[0].expected, 0.0),
+        line=(diagnostics.of(_ROWS)[0].expected, 0.0),
         names=("closed form", "simulated"),
         labels=("normal quantile", "row mean [DN]"),
     )
@@ -229,7 +233,8 @@ def _draw_row_means(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
 def _draw_read_noise(
     quantiles_dn: NDArray[np.floating[Any]], diagnostics: Diagnostics, main: Axes, below: Axes, theme: Theme
 ) -> None:
-    _draw_deviations(below, diagnostics.read, [item.expected for item in diagnostics.read], theme)
+    comparisons = diagnostics.of(_READ)
+    _draw_deviations(below, comparisons, [item.expected for item in comparisons], theme)
     expected, found = quantiles_dn
     ends = expected[[0, -1]]
     main.plot(ends, ends, color=theme.theory, label="closed form")

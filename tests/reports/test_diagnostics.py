@@ -14,13 +14,9 @@ import scipy.integrate
 import scipy.stats
 
 from eldata.calibration.acceptance import theory as module
-from eldata.calibration.acceptance.theory import (
-    diagnose,
-    sample_parameters,
-    tukey_lambda_kurtosis,
-    tukey_lambda_quantile,
-)
+from eldata.calibration.acceptance.theory import diagnose, sample_parameters, tukey_lambda_kurtosis
 from eldata.calibration.acceptance.verdicts import SIGNALS_E, Diagnostics, TheoryCheck, parameter_rows
+from eldata.calibration.core._tukey_lambda import tukey_lambda_quantile
 from eldata.errors import ArgumentError
 from eldata.noise.gain_modes import shipped_profiles
 from eldata.noise.parameters import NoiseParameters
@@ -64,33 +60,41 @@ def frame_by_numpy(
 def test_expected_values_are_those_of_scipy(sony: CameraProfile) -> None:
     result = diagnose(sony, PARAMETERS)
     gain, read = 1.7, 1.3**2 * float(scipy.stats.tukeylambda.var(-0.06))
-    for signal, mean, variance in zip(SIGNALS_E, result.mean, result.variance, strict=True):
+    for signal, mean, variance in zip(
+        SIGNALS_E, result.of("mean over signal"), result.of("variance over signal"), strict=True
+    ):
         assert mean.expected == pytest.approx(gain * signal + 0.2)
         assert variance.expected == pytest.approx(gain**2 * signal + read + 0.36 + 1 / 12)
-    assert [item.expected for item in result.colour_bias] == [0.4, -0.2, 0.9, -0.3]
-    deviation, shared, apart = result.rows
+    assert [item.expected for item in result.of("bias frame, mean by channel")] == [0.4, -0.2, 0.9, -0.3]
+    deviation, shared, apart = result.of("bias frame, row means")
     assert deviation.expected == pytest.approx(math.sqrt(0.36 + (read + 1 / 12) / 1024))
     assert shared.expected == pytest.approx(0.36)
     assert apart.expected == 0
-    levels = [float(item.symbol.removeprefix("quantile ")) for item in result.read]
+    levels = [float(item.symbol.removeprefix("quantile ")) for item in result.of("read noise alone")]
     assert (levels[0], levels[-1]) == (0.0001, 0.9999)
     np.testing.assert_allclose(
-        [item.expected for item in result.read], 1.3 * scipy.stats.tukeylambda.ppf(levels, -0.06), atol=1e-12
+        [item.expected for item in result.of("read noise alone")],
+        1.3 * scipy.stats.tukeylambda.ppf(levels, -0.06),
+        atol=1e-12,
     )
-    rows = [item for item in result.parts if item.check == "row noise alone"]
+    rows = result.of("row noise alone")
     levels = [float(item.symbol.removeprefix("quantile ")) for item in rows]
     np.testing.assert_allclose([item.expected for item in rows], 0.6 * scipy.stats.norm.ppf(levels), atol=1e-12)
 
 
 def test_gaussian_read_noise_has_gaussian_quantiles(sony: CameraProfile) -> None:
     result = diagnose(sony, PARAMETERS, spec="G+P")
-    levels = [float(item.symbol.removeprefix("quantile ")) for item in result.read]
-    np.testing.assert_allclose([item.expected for item in result.read], 2.4 * scipy.stats.norm.ppf(levels), atol=1e-12)
+    levels = [float(item.symbol.removeprefix("quantile ")) for item in result.of("read noise alone")]
+    np.testing.assert_allclose(
+        [item.expected for item in result.of("read noise alone")], 2.4 * scipy.stats.norm.ppf(levels), atol=1e-12
+    )
     # s.e. by the textbook: sqrt(u (1 - u) / N) / density
     density = scipy.stats.norm.pdf(scipy.stats.norm.ppf(levels)) / 2.4
     errors = np.sqrt(np.multiply(levels, 1 - np.array(levels)) / (4 * 512 * 512)) / density
-    np.testing.assert_allclose([item.standard_error or 0.0 for item in result.read], errors, rtol=1e-6)
-    assert not result.parts
+    np.testing.assert_allclose(
+        [item.standard_error or 0.0 for item in result.of("read noise alone")], errors, rtol=1e-6
+    )
+    assert not result.of("row noise alone") + result.of("quantisation alone")
 
 
 @pytest.mark.parametrize("shape", [-0.2, -0.01, 0.0, 0.14, 1.0, 2.0])
@@ -133,26 +137,30 @@ def test_an_independent_simulation_agrees(sony: CameraProfile, monkeypatch: pyte
     result = diagnose(sony, PARAMETERS, spec=spec, seed=2)
     assert result.off == ()
     # The statistics, from the frames that were simulated: the flats come first, then the bias frame.
-    for (signal, frame), mean, variance in zip(frames, result.mean, result.variance, strict=False):
+    for (signal, frame), mean, variance in zip(
+        frames, result.of("mean over signal"), result.of("variance over signal"), strict=False
+    ):
         assert mean.symbol == f"at {signal:g} e-"
         assert mean.found == pytest.approx(np.mean(frame), rel=1e-12)
         by_channel = np.mean([np.var(channel) for channel in frame])
         assert variance.found == pytest.approx(by_channel, rel=2e-3)  # less what the sample's own mean takes
     _, bias = frames[len(SIGNALS_E)]
-    np.testing.assert_allclose([item.found for item in result.colour_bias], [channel.mean() for channel in bias])
+    np.testing.assert_allclose(
+        [item.found for item in result.of("bias frame, mean by channel")], [channel.mean() for channel in bias]
+    )
     red, green, blue, second_green = bias
     mosaic = np.concatenate([np.hstack([red, green]), np.hstack([blue, second_green])])
     mosaic -= np.repeat(
         [[red.mean() / 2 + green.mean() / 2], [blue.mean() / 2 + second_green.mean() / 2]], 1024, axis=0
     )
-    assert result.rows[0].found == pytest.approx(np.std(mosaic.mean(axis=1)), rel=1e-3)
-    assert result.rows[1].found == pytest.approx(
+    assert result.of("bias frame, row means")[0].found == pytest.approx(np.std(mosaic.mean(axis=1)), rel=1e-3)
+    assert result.of("bias frame, row means")[1].found == pytest.approx(
         np.mean([np.cov(red.mean(axis=1), green.mean(axis=1))[0, 1], np.cov(blue.mean(1), second_green.mean(1))[0, 1]])
     )
     np.testing.assert_allclose(result.row_means_dn, np.sort(mosaic.mean(axis=1)), atol=1e-9)
     _, read = frames[len(SIGNALS_E) + 1]
-    levels = [float(item.symbol.removeprefix("quantile ")) for item in result.read]
-    np.testing.assert_allclose([item.found for item in result.read], np.quantile(read, levels))
+    levels = [float(item.symbol.removeprefix("quantile ")) for item in result.of("read noise alone")]
+    np.testing.assert_allclose([item.found for item in result.of("read noise alone")], np.quantile(read, levels))
 
 
 @pytest.mark.study
@@ -191,7 +199,7 @@ def test_every_model_is_ok(sony: CameraProfile, spec: str) -> None:
     result = diagnose(sony, PARAMETERS, spec=spec)
     assert result.off == ()
     assert result.summary == f"all {len(result.comparisons)} comparisons within 4 standard errors"
-    assert bool(result.read) == ("G" in spec)
+    assert bool(result.of("read noise alone")) == ("G" in spec)
 
 
 # --- it notices ---------------------------------------------------------------------------------------------------
@@ -283,7 +291,7 @@ def test_cells(item: TheoryCheck, cells: tuple[str, ...]) -> None:
 def test_the_same_seed_gives_the_same_numbers(sony: CameraProfile, diagnostics: Diagnostics) -> None:
     again = diagnose(sony, sample_parameters(sony, 0))
     assert again.comparisons == diagnostics.comparisons
-    assert diagnose(sony, diagnostics.parameters, seed=1).mean != diagnostics.mean
+    assert diagnose(sony, diagnostics.parameters, seed=1).of("mean over signal") != diagnostics.of("mean over signal")
 
 
 def test_as_dict_is_plain(diagnostics: Diagnostics) -> None:

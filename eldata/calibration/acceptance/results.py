@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from eldata.calibration.acceptance.pairs import (
     tail_share,
     tail_threshold,
 )
-from eldata.calibration.acceptance.verdicts import LIMIT, TheoryCheck
+from eldata.calibration.acceptance.verdicts import LIMIT, TheoryCheck, table_rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -131,16 +130,8 @@ class IsoAcceptance:
     def rows(self) -> list[tuple[str, ...]]:
         """Return the cells of the table, as :data:`COLUMNS` names them."""
         return [
-            (
-                "" if index else check,
-                one.symbol,
-                one.unit,
-                *one.cells()[:4],
-                f"{one.held_out}, {one.simulated}",
-                one.verdict,
-            )
-            for check, group in groupby(self.statistics, lambda one: one.check)
-            for index, one in enumerate(group)
+            (*cells[:-1], f"{one.held_out}, {one.simulated}", one.verdict)
+            for one, cells in zip(self.statistics, table_rows(self.statistics), strict=True)
         ]
 
     def as_dict(self) -> dict[str, Any]:

@@ -34,6 +34,7 @@ from eldata.calibration.acceptance.verdicts import (
     read_fit,
     read_sigma_dn,
 )
+from eldata.calibration.core._tukey_lambda import tukey_lambda_quantile
 from eldata.errors import ArgumentError
 from eldata.noise.model import NoiseModel
 from eldata.noise.parameters import tukey_lambda_variance
@@ -129,8 +130,8 @@ def diagnose(
         If the spec or the seed is unusable.
     """
     one = _Examined(NoiseModel(spec), parameters, parameters if simulated is None else simulated, seed)
-    mean, variance = _over_signal(one)
-    bias, rows, row_means = _bias_frame(one)
+    over_signal = _over_signal(one)
+    bias, row_means = _bias_frame(one)
     read, quantiles = _read_noise(one)
     rng = _generator(seed, 5)
     draws = tuple(profile.sample(rng) for _ in range(DRAWS))
@@ -139,13 +140,7 @@ def diagnose(
         parameters=parameters,
         spec=one.parts.spec,
         seed=seed,
-        mean=mean,
-        variance=variance,
-        colour_bias=bias,
-        rows=rows,
-        read=read,
-        parts=tuple(_other_parts(one)),
-        fits=tuple(_against_fits(profile, one.parts, draws)),
+        comparisons=(*over_signal, *bias, *read, *_other_parts(one), *_against_fits(profile, one.parts, draws)),
         row_means_dn=row_means,
         quantiles_dn=quantiles,
         draws=draws,
@@ -211,16 +206,6 @@ def tukey_lambda_kurtosis(tukey_lambda: float) -> float:
     return float(tukeylambda.stats(tukey_lambda, moments="k"))  # type: ignore[call-overload] # the stubs misspell it
 
 
-def tukey_lambda_quantile(levels: Values, tukey_lambda: float) -> Values:
-    """Return quantiles ``(u^l - (1 - u)^l) / l`` of scale 1, and their limit ``ln(u / (1 - u))`` at l = 0."""
-    below, above = np.log(levels), np.log1p(-levels)
-    if tukey_lambda == 0:
-        logistic: Values = below - above
-        return logistic
-    result: Values = (np.expm1(tukey_lambda * below) - np.expm1(tukey_lambda * above)) / tukey_lambda
-    return result
-
-
 def _finite(variance: float) -> float | None:
     return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else None
 
@@ -245,7 +230,7 @@ def _frame(
     return noisy.astype(np.float64) * (_RANGE_DN / _RATIO)
 
 
-def _over_signal(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCheck, ...]]:
+def _over_signal(one: _Examined) -> list[TheoryCheck]:
     """Mean and variance of flats. Rows are the independent units: 2 h of them, of 2 w pixels each."""
     height, width = _FLAT
     count, n, r = 2 * height, 2 * width, one.row_variance
@@ -264,10 +249,10 @@ def _over_signal(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryC
         fourth = one.fourth_cumulant(signal)
         spread = _finite(((fourth + 2 * v * v + 4 * r * v) / n + 2 * r * r) / count + rounding**4)
         variances.append(TheoryCheck("variance over signal", label, "DN^2", one.variance(signal), found, spread))
-    return tuple(means), tuple(variances)
+    return [*means, *variances]
 
 
-def _bias_frame(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCheck, ...], Values]:
+def _bias_frame(one: _Examined) -> tuple[list[TheoryCheck], Values]:
     """Channel means and row means of a bias frame."""
     height, width = _BIAS
     frame = one.frame(0.0, _BIAS, 1)
@@ -275,10 +260,10 @@ def _bias_frame(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCh
     by_channel = frame.mean(axis=2)  # (4, h)
     error = math.hypot(math.sqrt((v / width + r) / height), rounding)
     check = "bias frame, mean by channel"
-    bias = tuple(
+    comparisons = [
         TheoryCheck(check, name, "DN", one.mean(0.0, channel), float(by_channel[channel].mean()), error)
         for channel, name in enumerate(CHANNELS)
-    )
+    ]
     centred = by_channel - by_channel.mean(axis=1, keepdims=True)
     red, green, blue, second_green = centred
     # R and G1 share a mosaic row, B and G2 the other.
@@ -293,12 +278,12 @@ def _bias_frame(one: _Examined) -> tuple[tuple[TheoryCheck, ...], tuple[TheoryCh
     # Of both covariances: R with B and G1 with G2 are two products of the same two draws.
     error = math.hypot(math.sqrt((2 * r * r + 2 * r * q + q * q) / count), rounding**2)
     check = "bias frame, row means"
-    rows = (
+    comparisons += (
         TheoryCheck(check, "standard deviation", "DN", math.sqrt(expected), found, _finite(spread + rounding**2)),
         TheoryCheck(check, "covariance, same row", "DN^2", r, shared, error),
         TheoryCheck(check, "covariance, other row", "DN^2", 0.0, apart, error),
     )
-    return bias, rows, row_means
+    return comparisons, row_means
 
 
 def _read_noise(one: _Examined) -> tuple[tuple[TheoryCheck, ...], Values | None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -11,6 +12,8 @@ import numpy as np
 from eldata.noise.model import NoiseModel
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from eldata.calibration.core._frames import Values
     from eldata.noise.gain_modes import GainMode, LogLogFit
     from eldata.noise.parameters import NoiseParameters
@@ -89,6 +92,15 @@ class TheoryCheck:
         return asdict(self) | {"deviation": self.deviation, "verdict": self.verdict}
 
 
+def table_rows(comparisons: Iterable[TheoryCheck]) -> list[tuple[str, ...]]:
+    """Return check, symbol, unit and cells of each comparison; of a check the first one alone names it."""
+    return [
+        ("" if index else check, one.symbol, one.unit, *one.cells())
+        for check, group in groupby(comparisons, lambda one: one.check)
+        for index, one in enumerate(group)
+    ]
+
+
 def parameter_rows(parameters: NoiseParameters) -> list[tuple[str, str, str]]:
     """Return symbol, value and unit of each parameter."""
     bias = zip(CHANNELS, parameters.colour_bias_dn, strict=True)
@@ -121,35 +133,23 @@ class Diagnostics:
     ----------
     profile, parameters, spec, seed
         What was examined.
-    mean, variance
-        Comparisons by signal, in the order of :data:`SIGNALS_E`.
-    colour_bias
-        Per-channel means of a bias frame.
-    rows
-        Row means of that frame: their standard deviation, and which channels share them.
-    read, parts
-        Quantiles of the read noise alone; of the row noise alone and of the quantisation noise alone.
-    fits
-        Sampled parameters against the profile's fits.
+    comparisons
+        Every one, in the order of the report: mean and variance by signal, in the order of :data:`SIGNALS_E`; a bias
+        frame's means by channel, and its row means; quantiles of the read noise, the row noise and the quantisation
+        alone; sampled parameters against the profile's fits.
     row_means_dn
         Sorted row means of the bias frame, each less its channels' mean.
     quantiles_dn
         (2, n) of the read noise alone, expected and found; ``None`` if the model has none.
     draws
-        Parameters as sampled from the profile, which ``fits`` is about.
+        Parameters as sampled from the profile, which the last comparisons are about.
     """
 
     profile: CameraProfile
     parameters: NoiseParameters
     spec: str
     seed: int
-    mean: tuple[TheoryCheck, ...]
-    variance: tuple[TheoryCheck, ...]
-    colour_bias: tuple[TheoryCheck, ...]
-    rows: tuple[TheoryCheck, ...]
-    read: tuple[TheoryCheck, ...]
-    parts: tuple[TheoryCheck, ...]
-    fits: tuple[TheoryCheck, ...]
+    comparisons: tuple[TheoryCheck, ...]
     row_means_dn: Values
     quantiles_dn: Values | None
     draws: tuple[NoiseParameters, ...]
@@ -176,11 +176,9 @@ class Diagnostics:
         """Return the closed-form variance of D, DN^2."""
         return self.model.expected_variance_dn2(signal_e, self.parameters)
 
-    @property
-    def comparisons(self) -> tuple[TheoryCheck, ...]:
-        """Every comparison, in the order of the report."""
-        groups = self.mean, self.variance, self.colour_bias, self.rows, self.read, self.parts, self.fits
-        return tuple(comparison for group in groups for comparison in group)
+    def of(self, check: str) -> tuple[TheoryCheck, ...]:
+        """Return the comparisons of one check."""
+        return tuple(comparison for comparison in self.comparisons if comparison.check == check)
 
     @property
     def off(self) -> tuple[TheoryCheck, ...]:

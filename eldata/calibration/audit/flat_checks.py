@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.calibration.core.findings import BENT, CHANNELS_GAINS, EDGES, FLATS_CORRELATED, SATURATION
+from eldata.calibration.core.photon_transfer import straight_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -128,21 +129,12 @@ def _bend(line: PhotonTransferLine) -> tuple[float, float]:
     if len(line.signal_dn) < 4:
         return 0.0, math.inf
     x, error = line.signal_dn, line.variance_error_dn2
-    weight = error**-2
-    centre = np.average(x, weights=weight)
-    square = (x - centre) ** 2
-    # The part of the square that no line follows.
-    design = np.stack([np.ones_like(x), x - centre])
-    normal = (design * weight) @ design.T
-    own = square - design.T @ np.linalg.solve(normal, (design * weight) @ square)
-    power = float(weight @ own**2)
-    if not power > 1e-12 * float(weight @ square**2):
-        return 0.0, math.inf
-    quadratic = float(weight @ (own * line.variance_dn2)) / power
-    _, tilt = np.linalg.solve(normal, (design * weight) @ square)
-    # v = ... + q (x - centre)^2: the line takes `tilt` q of it for slope; at x = 0 the parabola's own is -2 centre q.
-    lever = -(float(tilt) + 2 * float(centre))
-    return quadratic * lever / line.gain_dn_per_e, abs(lever) * power**-0.5 / line.gain_dn_per_e
+    powers = np.stack([x**2, x, np.ones_like(x)], axis=1) / error[:, None]
+    # Of v = a + b x + q x^2, b is the slope at no light; the line takes `tilt` q of the square for slope.
+    of_square = np.linalg.pinv(powers / np.abs(powers).max(axis=0))[0] / np.abs(powers[:, 0]).max()
+    tilt, _, _ = straight_line(x, x**2, error**-2, error**2)
+    q, q_error = float(of_square @ (line.variance_dn2 / error)), float(np.linalg.norm(of_square))
+    return -q * tilt / line.gain_dn_per_e, abs(tilt) * q_error / line.gain_dn_per_e
 
 
 def _agreement(transfer: PhotonTransfer) -> Iterator[Finding]:

@@ -60,6 +60,14 @@ def tukey_lambda_tail(x: Any, shape: float) -> Any:
     return 1.0 / (1.0 + np.exp(t))
 
 
+def tukey_lambda_quantile(levels: Values, shape: float, above: Values | None = None) -> Values:
+    """Return quantiles ``(u^l - v^l) / l`` of scale 1, v = 1 - u, and their limit ``ln(u / v)`` at l = 0."""
+    from scipy.special import boxcox
+
+    found: Values = boxcox(levels, shape) - boxcox(1 - levels if above is None else above, shape)
+    return found
+
+
 @kernel
 def smoothed_tails(x: Values, shape: float, scale: float, nodes: Values, weights: Values) -> Any:
     """Return P(scale X + U > x), U being the discrete distribution of nodes and weights."""
@@ -70,36 +78,6 @@ def smoothed_tails(x: Values, shape: float, scale: float, nodes: Values, weights
     return tails
 
 
-@kernel
-def tail_from_table(x: float, unit: float, step: float, table: Values) -> Any:
-    """Return a symmetric distribution's P(X > x) from ln P on a grid of even steps in arsinh(x / unit), by cubics."""
-    place = np.arcsinh(abs(x) / unit) / step
-    last = table.size - 3
-    i = min(max(int(place), 1), last)
-    f = min(place - i, 2.0)
-    a, b, c, d = table[i - 1], table[i], table[i + 1], table[i + 2]
-    value = (
-        -f * (f - 1.0) * (f - 2.0) / 6.0 * a
-        + (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0 * b
-        - (f + 1.0) * f * (f - 2.0) / 2.0 * c
-        + (f + 1.0) * f * (f - 1.0) / 6.0 * d
-    )
-    tail = np.exp(value)
-    return tail if x >= 0.0 else 1.0 - tail
-
-
-@kernel
-def mixture_tails(
-    edges: Values, own: float, nodes: Values, weights: Values, unit: float, step: float, table: Values
-) -> Any:
-    """Return P(own X + Z > edge) for each edge, with X from its table and Z discrete: nodes and weights."""
-    tails = np.zeros(edges.size)
-    for i in range(edges.size):
-        for j in range(nodes.size):
-            tails[i] += weights[j] * tail_from_table((edges[i] - nodes[j]) / own, unit, step, table)
-    return tails
-
-
 class TailTable:
     """Tails of ``scale X + U`` with X of a Tukey-lambda distribution and U discrete, from a table in steps of ``unit``.
 
@@ -107,15 +85,18 @@ class TailTable:
     """
 
     def __init__(self, unit: float, shape: float, scale: float, nodes: Nodes = NOTHING) -> None:
+        from scipy.interpolate import CubicSpline
+
         self.unit = unit
         tails = smoothed_tails(unit * np.sinh(_TABLE), shape, scale, *nodes)
-        self._logs = np.log(np.maximum(tails, 1e-40))
+        self._logs = CubicSpline(_TABLE, np.log(np.maximum(tails, 1e-40)))
 
     def tails(self, edges: Values, others: Nodes = NOTHING, own: float = 1.0) -> Values:
         """Return P(own times the sum + Z > edge) for each edge, Z discrete."""
-        found: Values = mixture_tails(
-            np.ascontiguousarray(edges), own, *others, self.unit, float(_TABLE[1]), self._logs
-        )
+        values, chances = others
+        away = np.subtract.outer(edges, values) / (own * self.unit)
+        beyond = np.exp(self._logs(np.minimum(np.arcsinh(np.abs(away)), _TABLE[-1])))
+        found: Values = np.where(away < 0, 1 - beyond, beyond) @ chances
         return found
 
 
@@ -205,9 +186,8 @@ def correlation(values: Values, counts: Values, shape: float) -> tuple[float, fl
     inside = 0.0
     means = blocks[1:-1] / weights[1:-1]
     for node, share in zip((_LEGENDRE[0] + 1) / 2, _LEGENDRE[1] / 2, strict=True):
-        low = np.log(below[1:-2] + node * weights[1:-1])
-        high = np.log(above[2:-1] + (1 - node) * weights[1:-1])
-        quantiles = (np.expm1(shape * low) - np.expm1(shape * high)) / shape if shape else low - high
+        low, high = below[1:-2] + node * weights[1:-1], above[2:-1] + (1 - node) * weights[1:-1]
+        quantiles = tukey_lambda_quantile(low, shape, high)
         inside += share * float(weights[1:-1] @ (quantiles - means) ** 2)
     return _plot(values, weights, blocks, inside)
 
@@ -227,13 +207,12 @@ def normal_correlation(values: Values, counts: Values) -> tuple[float, float]:
 
 
 def _integral(below: Values, above: Values, shape: float) -> Values:
-    with np.errstate(divide="ignore"):
-        logs = np.log(below), np.log(above)
-    terms = np.zeros_like(below)
-    for share, log in zip((below, above), logs, strict=True):
-        log = np.where(share > 0, log, 0.0)  # noqa: PLW2901 - 0 ln 0 is 0
-        terms += share * (np.expm1(shape * log) / shape if shape else log)
-    return terms / (shape + 1)
+    from scipy.special import boxcox
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        terms = [np.where(share > 0, share * boxcox(share, shape), 0.0) for share in (below, above)]  # 0 ln 0 is 0
+    found: Values = (terms[0] + terms[1]) / (shape + 1)
+    return found
 
 
 def _plot(values: Values, weights: Values, blocks: Values, inside: float) -> tuple[float, float]:

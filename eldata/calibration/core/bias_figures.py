@@ -8,7 +8,7 @@ its level, by all values of a channel that are left above (:mod:`eldata.calibrat
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,7 @@ from eldata.calibration.core._clipped_fit import ClippedEquations
 from eldata.calibration.core._clipped_noise import ClippedStatistics
 from eldata.calibration.core._frames import channels_of, groups_of_rows, sums_by_row
 from eldata.calibration.core._residual_fit import CELLS_PER_SIGMA, ResidualHistogram
-from eldata.calibration.core.findings import BEHIND_CLIP, CLIPPED
+from eldata.calibration.core.findings import BEHIND_CLIP, CLIPPED, Finding
 from eldata.calibration.core.read_noise import probability_plot, read_noise, read_noise_findings
 from eldata.calibration.core.row_noise import (
     ColourBias,
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from eldata.calibration.core._frames import Mosaic, Values
     from eldata.calibration.core._rounding import LevelFractions
     from eldata.calibration.core.defects import FixedPattern
-    from eldata.calibration.core.findings import Finding
     from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.core.row_noise import LineSums, RowNoise
 
@@ -84,7 +83,7 @@ class BiasSums:
     """
 
     def __init__(self, fixed: FixedPattern) -> None:
-        self._lines = LineMeans(fixed)
+        self._fixed, self._lines = fixed, LineMeans(fixed)
         self._values: ClippedValues | Residuals = ClippedValues(fixed) if fixed.clips_at_black else Residuals(fixed)
 
     def add(self, mosaic: Mosaic) -> None:
@@ -92,8 +91,16 @@ class BiasSums:
         self._values.add(mosaic, self._lines.add(mosaic))
 
     def fixed_pattern(self) -> FixedPattern:
-        """Return what stays from frame to frame, as it is without a clip."""
-        self._fixed = self._values.solve(self._lines)
+        """Return what stays from frame to frame, as it is without a clip.
+
+        Raises
+        ------
+        DatasetError
+            If black is clipped, and too few values are above 0.
+        """
+        if isinstance(self._values, ClippedValues):
+            self._fit = self._values.solved(self._lines)
+            self._fixed = self._fit.fixed
         return self._fixed
 
     def figures(self, black_level_dn: Sequence[float]) -> BiasFigures:
@@ -104,9 +111,20 @@ class BiasSums:
         DatasetError
             If the frames added are not those of the fixed pattern, or do not show their noise.
         """
-        found = self._values.figures(self._lines, colour_bias(self._lines, black_level_dn))
-        said = read_noise_findings(found.read, found.bias, self._fixed.summary)
-        return replace(found, findings=(*found.findings, *said))
+        lines, values = self._lines, self._values
+        bias = colour_bias(lines, black_level_dn)
+        residuals, findings = None, list[Finding]()
+        if isinstance(values, Residuals):
+            residuals = values.histogram()
+            read = read_noise(residuals)
+            plot = probability_plot(residuals, read)
+        else:
+            read, plot = self._fit.read, self._fit.plot
+            bias = _colour_bias(self._fit, bias, values.fixed)
+            findings += _findings(self._fit, float(values.zeros.max()), bias)
+        rows = row_noise(lines, read.response)
+        findings += read_noise_findings(read, bias, self._fixed.summary)
+        return BiasFigures(bias, rows, read, plot, tuple(findings), residuals)
 
 
 # --- black above 0 ----------------------------------------------------------------------------------------------------
@@ -177,19 +195,6 @@ class Residuals:
             fractions=self._fractions(pixels),
         )
 
-    def solve(self, lines: LineMeans) -> FixedPattern:
-        """Return what stays from frame to frame: as the first pass has it."""
-        del lines
-        return self._fixed
-
-    def figures(self, lines: LineMeans, bias: ColourBias) -> BiasFigures:
-        """Return the figures, and the colour bias as it is."""
-        residuals = self.histogram()
-        read = read_noise(residuals)
-        return BiasFigures(
-            bias, row_noise(lines, read.response), read, probability_plot(residuals, read), (), residuals
-        )
-
     def _fractions(self, row_pixels: float) -> LevelFractions:
         from eldata.calibration.core._kernels import channel_histograms
         from eldata.calibration.core._rounding import LevelFractions
@@ -226,8 +231,6 @@ class ClippedValues:
     ----------
     counts
         (groups of rows, channels, values): sound pixels; the last value takes all beyond.
-    added
-        Number of frames so far.
     """
 
     def __init__(self, fixed: FixedPattern) -> None:
@@ -236,7 +239,6 @@ class ClippedValues:
         spread = math.sqrt(max(fixed.temporal_variance_dn2)) + max(fixed.summary.dsnu_dn)
         highest = min(65535, math.ceil(max(fixed.level_dn) + _REACH * max(spread, 0.5)))
         self.counts = np.zeros((groups, channels_of(fixed.pattern), highest + 1), dtype=np.int64)
-        self.added = 0
 
     def add(self, mosaic: Mosaic, sums_of_lines: LineSums) -> None:
         """Add a bias frame; what its lines show is in the means of all."""
@@ -244,7 +246,6 @@ class ClippedValues:
         from eldata.calibration.core._kernels import channel_histograms
 
         channel_histograms(mosaic, self.fixed.defects, self.fixed.pattern, self.counts)
-        self.added += 1
 
     @property
     def zeros(self) -> Values:
@@ -252,28 +253,9 @@ class ClippedValues:
         total = self.counts.sum(axis=0)
         return np.asarray(total[:, 0] / np.maximum(total.sum(axis=1), 1))
 
-    def solve(self, lines: LineMeans) -> FixedPattern:
-        """Fit the noise behind the clip, and return what stays from frame to frame, as it is there.
-
-        Parameters
-        ----------
-        lines
-            Of the same frames.
-
-        Raises
-        ------
-        DatasetError
-            If the frames added are not those of the fixed pattern, or too few values are above 0.
-        """
-        check_same_frames(self.added, self.fixed)
-        self._fit = ClippedEquations(ClippedStatistics.of(self.counts, lines)).solved()
-        return self._fit.fixed
-
-    def figures(self, lines: LineMeans, bias: ColourBias) -> BiasFigures:
-        """Return the figures that :meth:`solve` has found, given the bias of the recorded means."""
-        read, behind = self._fit.read, _colour_bias(self._fit, bias, self.fixed)
-        findings = tuple(_findings(self._fit, float(self.zeros.max()), behind))
-        return BiasFigures(behind, row_noise(lines, read.response), read, self._fit.plot, findings)
+    def solved(self, lines: LineMeans) -> ClippedFit:
+        """Return the noise behind the clip, of the same frames as these lines."""
+        return ClippedEquations(ClippedStatistics.of(self.counts, lines)).solved()
 
 
 def _colour_bias(fit: ClippedFit, recorded: ColourBias, fixed: FixedPattern) -> ColourBias:

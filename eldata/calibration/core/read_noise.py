@@ -267,7 +267,7 @@ def probability_plot(histogram: ResidualHistogram, read: ReadNoise) -> Probabili
     """Return the points of the two probability plots that :func:`read_noise` has taken its R^2 of ``read`` from."""
     from scipy.special import ndtr, ndtri
 
-    from eldata.calibration.core._tukey_lambda import normal_correlation
+    from eldata.calibration.core._tukey_lambda import normal_correlation, tukey_lambda_quantile
 
     inner = histogram.counts[:, 1:-1].sum(axis=0)
     number = int(inner.sum())
@@ -277,12 +277,10 @@ def probability_plot(histogram: ResidualHistogram, read: ReadNoise) -> Probabili
     levels = ndtr(normal)
     below = (np.cumsum(inner) - inner / 2) / number  # at the cells' centres
     filled = inner > 0
-    tails = 1 - levels
-    quantiles = np.log(levels / tails) if abs(shape) < 1e-9 else (levels**shape - tails**shape) / shape
     return ProbabilityPlot(
         ordered_dn=np.interp(levels, below[filled], values[filled]),
         normal=normal,
-        tukey_lambda=quantiles,
+        tukey_lambda=tukey_lambda_quantile(levels, shape),
         shape=shape,
         slope_normal_dn=normal_correlation(values[filled], inner[filled].astype(np.float64))[1],
         slope_tukey_lambda_dn=read.ppcc_sigma_plain_dn,

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.calibration.core.photon_transfer import straight_line
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -222,7 +223,8 @@ class _Windows:
         if not variance.max() > 0:
             raise DatasetError("the frame shows no noise; is it a raw frame as the camera wrote it?")
         floor = max(float(variance.min()), 1e-3 * float(variance.max()))
-        slope, offset = _least_squares(mean, variance, np.maximum(variance, floor) ** 2)
+        scatter = np.maximum(variance, floor) ** 2
+        slope, offset, _ = straight_line(mean, variance, 1 / scatter, scatter)
         return _Line(slope, offset, floor)
 
     def fitted(self, chosen: Mask, line: _Line, values: Values | None = None) -> _Line:
@@ -338,18 +340,6 @@ def _alone(chosen: Mask, channel: int) -> Mask:
     alone = np.zeros_like(chosen)
     alone[channel] = chosen[channel]
     return alone
-
-
-def _least_squares(x: Values, y: Values, variance: Values) -> tuple[float, float]:
-    """Return slope and offset; of points without spread, slope 0."""
-    weight = 1 / variance
-    total = float(weight.sum())
-    middle = float(weight @ x) / total
-    spread = float(weight @ (x - middle) ** 2)
-    if len(x) < 2 or not spread > 0:
-        return 0.0, float(weight @ y) / total
-    slope = float(weight @ ((x - middle) * y)) / spread
-    return slope, float(weight @ y) / total - slope * middle
 
 
 def _check_found(smooth: Mask, sound: Mask) -> None:

@@ -16,7 +16,7 @@ from eldata.calibration.core.figures import (
     SIGMA_TL,
     TUKEY_LAMBDA,
 )
-from eldata.calibration.core.findings import COARSE, SYMBOLS, GivenFigure, given, named, widened, withheld
+from eldata.calibration.core.findings import COARSE, SYMBOLS, GivenFigure, given, named, withheld
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -87,7 +87,8 @@ class IsoGain:
     @property
     def widened(self) -> frozenset[Figure]:
         """The figures that are given with an error made larger, since an assumption holds only nearly."""
-        return widened(self.findings)
+        wider = (figure for one in self.findings if one.effect == "wider" for figure in one.figures)
+        return frozenset(wider) - self.withheld
 
     @property
     def withheld_and_widened(self) -> tuple[str, str]:

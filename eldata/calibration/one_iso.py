@@ -304,21 +304,14 @@ def _no_line(why: str) -> Finding:
 
 
 def _pairs(reader: FrameReader, pairs: Sequence[FlatPair]) -> Iterator[tuple[FlatPair, RawFrame, RawFrame]]:
-    """Yield the pairs of which both frames can be used; the reader names the others.
-
-    The difference of a frame and its copy holds no noise: a pair with a copy is left out.
-    """
+    """Yield the pairs of which both frames can be used; the reader names the others."""
     pair_of = {pair.second: pair for pair in pairs}
-    copied: set[FrameRecord] = set()
     waiting: tuple[FrameRecord, RawFrame] | None = None
-    for record, frame in reader.read([record for pair in pairs for record in (pair.first, pair.second)]):
-        if reader.copies.original(record, frame.mosaic) is not None:
-            copied.add(record)
+    for record, frame in reader.read_new([record for pair in pairs for record in (pair.first, pair.second)]):
         pair = pair_of.get(record)
         if pair is None:
             waiting = record, frame
         elif waiting is not None and waiting[0] == pair.first:
-            if not copied & {pair.first, pair.second}:
-                yield pair, waiting[1], frame
+            yield pair, waiting[1], frame
             waiting = None
         del frame

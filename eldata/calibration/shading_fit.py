@@ -310,21 +310,19 @@ def _over_their_line(isos: Sequence[ShadingIso], mode: int) -> Iterator[ShadingI
 
 def _calm(values: Plane, hot: Mask, period: int) -> None:
     """Replace hot pixels by the mean of the sound ones at the same site of the CFA near them, else anywhere."""
+    around = np.mgrid[-_REACH : _REACH + 1, -_REACH : _REACH + 1].reshape(2, -1, 1)
     for y in range(period):
         for x in range(period):
             of_site, hot_here = values[y::period, x::period], hot[y::period, x::period]
             rows, columns = np.nonzero(hot_here)
             if not len(rows):
                 continue
-            total, count = np.zeros(len(rows)), np.zeros(len(rows), np.int64)
-            for down in range(-_REACH, _REACH + 1):
-                for right in range(-_REACH, _REACH + 1):
-                    at = rows + down, columns + right
-                    inside = (at[0] >= 0) & (at[0] < of_site.shape[0]) & (at[1] >= 0) & (at[1] < of_site.shape[1])
-                    at = np.where(inside, at[0], 0), np.where(inside, at[1], 0)
-                    sound = inside & ~hot_here[at]
-                    total += np.where(sound, of_site[at], 0.0)
-                    count += sound
+            at = np.stack([rows, columns])[:, None] + around  # (2, neighbours, hot pixels)
+            inside = ((at >= 0) & (at < np.reshape(of_site.shape, (2, 1, 1)))).all(axis=0)
+            beside = tuple(np.where(inside, at, 0))
+            sound = inside & ~hot_here[beside]
+            count = sound.sum(axis=0)
+            total = of_site[beside].sum(axis=0, dtype=np.float64, where=sound)
             everywhere = float(of_site.mean(where=~hot_here, dtype=np.float64)) if not hot_here.all() else 0.0
             of_site[rows, columns] = np.where(count > 0, total / np.maximum(count, 1), everywhere)
 

@@ -1,8 +1,7 @@
 """How well one photograph tells gain and read noise: ``python -m tests.calibration.one_image_study``.
 
 The demo's scenes 1 to 6 by its two simulated cameras, at several exposures: bias, coverage of the errors, and what is
-refused; then K by the virtual benchmark's two sensors, whose pixels differ in response, noise and level and jump; then
-the first frames with their noise filtered. docs/calibration.md sums the tables up.
+refused; then the first frames with their noise filtered. docs/calibration.md sums the tables up.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from eldata.base.tables import text_table
 from eldata.calibration import estimate_profile, noise_line
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
-from eldata.demo.sensor import BENCHMARK_SENSORS, Specimen
 from eldata.errors import DatasetError
 from eldata.raw import pack
 from eldata.records import Exposure, RawFrame
@@ -27,12 +25,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.demo.camera import SimulatedCamera
-    from eldata.demo.sensor import SensorDesign
 
 SIZE = (512, 768)
 SCENES = range(1, 7)
 EXPOSURES = ((100, 1), (800, 1), (800, 10), (3200, 1), (3200, 10), (3200, 100), (6400, 10), (6400, 200))
-OTHER_EXPOSURES = ((100, 1), (800, 1), (800, 10), (3200, 10), (3200, 100), (6400, 200))
 SEEDS = range(4)
 KERNELS = {
     "neighbours mixed, 3 %": (0.03, 0.94, 0.03),
@@ -50,39 +46,6 @@ def photographs(iso: int, ratio: int, seed: int) -> list[tuple[SimulatedCamera, 
         for scene in SCENES
         for generator in [np.random.default_rng([seed, index, scene, iso, ratio])]
     ]
-
-
-def by_other_sensors(iso: int, ratio: int, seed: int) -> list[tuple[SensorDesign, NDArray[np.uint16]]]:
-    """The same light on sensors whose noise is not that of a formula."""
-    exposure, photographed = Fraction(100, iso * ratio), []
-    for index, (design, camera) in enumerate(zip(BENCHMARK_SENSORS, CAMERAS, strict=True)):
-        sized, light = design.with_size(*SIZE), camera.with_size(*SIZE)
-        assert sized.sensor.cfa == light.sensor.cfa
-        specimen = Specimen(sized, np.random.default_rng([seed, index]))
-        for scene in SCENES:
-            electrons = light.electrons(scene_radiance(scene, *SIZE), exposure)
-            generator = np.random.default_rng([seed, index, scene, iso, ratio])
-            photographed.append((sized, specimen.frame(electrons, float(exposure), iso, generator)))
-    return photographed
-
-
-def of_other_sensors() -> None:
-    rows = []
-    for iso, ratio in OTHER_EXPOSURES:
-        gains, refused = [], 0
-        for design, mosaic in (one for seed in range(2) for one in by_other_sensors(iso, ratio, seed)):
-            frame = RawFrame(Path("none"), mosaic, design.sensor, Exposure(iso=Fraction(iso)))
-            found, gain = estimate_profile(frame, source="pixels").measured, design.gain_dn_per_e(iso)
-            if found is None:
-                refused += 1
-                continue
-            assert found.gain_error is not None
-            gains.append((found.gain_dn_per_e / gain - 1, found.gain_error / gain))
-        off, error = np.array(gains).T
-        covered = [within(off / error, errors) for errors in (1, 2, 3)]
-        share = f"{np.median(off):+.1%}", f"{np.std(off):.1%}", f"{np.median(error):.1%}"
-        rows.append((f"{iso}", f"{ratio}", *share, *covered, f"{refused} of {refused + len(off)}"))
-    print(text_table(("ISO", "ratio", "K off, median", "spread", "error", "1", "2", "3", "refused"), rows))
 
 
 def within(deviations: NDArray[np.float64], errors: float) -> str:
@@ -122,7 +85,6 @@ def main() -> None:
         )
     header = ("ISO", "ratio", "K off", "spread", "error", "1", "2", "3", "var. off", "error", "1", "2", "3")
     print(text_table((*header, "no read noise", "no K", "refused"), rows))
-    of_other_sensors()
     for name, kernel in KERNELS.items():
         passed = total = 0
         for iso, ratio in EXPOSURES[1:]:

@@ -13,17 +13,12 @@ import numpy as np
 import pytest
 
 from eldata import calibrate
-from eldata.calibration import Calibration, FramesError, reproduction
+from eldata.calibration import Calibration, FramesError
 from eldata.calibration.camera import joined, stated_gains
 from eldata.cli.main import main
-from eldata.demo.body import Body
-from eldata.demo.calibration_frames import DEMO_FEATURES, DEMO_GAMMA
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile, NoiseParameters
-from eldata.raw import read_raw
 from tests.calibration import draws
-from tests.calibration.chain import stacked
-from tests.calibration.simulation import Camera
 from tests.calibration.trees import CAMERA, ISOS, SIZE, FrameTree, made_tree
 
 if TYPE_CHECKING:
@@ -243,25 +238,12 @@ def test_an_iso_without_flats(found: Calibration, tree: FrameTree) -> None:
     profile.sample(np.random.default_rng(0), row="nearest-gain")
 
 
-def test_a_stated_gain_takes_the_place_of_flats(found: Calibration, tree: FrameTree) -> None:
-    """As a number or from a profile; one ISO keeps its flats, whose K counts."""
-    shutil.rmtree(tree.camera / "flat" / "ISO100")
-    gains = {float(row.iso or 0): row.gain_dn_per_e or 0.0 for row in found.profile.rows}
-    stated = calibrate(tree.root, isos=[100, 400], gains={100: gains[100.0], 400: 2 * gains[400.0]})
-    assert [one.gain is not None and one.gain.is_stated for one in stated.isos] == [True, False]
-    assert [one.gain_dn_per_e for one in stated.isos] == [gains[100.0], gains[400.0]]
-    assert joined(CAMERA, [*stated.isos, found.isos[2]]).tukey_lambda_fit == found.tukey_lambda_fit
-    assert stated.table()[1][0][3] == f"{gains[100.0]:.5g} (stated)"
-    from_profile = calibrate(tree.root, isos=[100], gains=found.profile)
-    assert from_profile.isos[0].as_dict() == stated.isos[0].as_dict()
+def test_wrong_gains(pristine: FrameTree, found: Calibration) -> None:
     shipped = CameraProfile.load("SonyA7S2")
     with pytest.raises(ArgumentError, match=r"camera DemoGamma .*, only of SonyA7S2, .*--gain ISO=K"):
-        calibrate(tree.root, gains=shipped)
+        calibrate(pristine.root, gains=shipped)
     other = replace(shipped, camera="DemoGamma")
-    assert stated_gains(tree.frames(), other)[1600] == other.gain_at_iso(1600)
-
-
-def test_wrong_gains(pristine: FrameTree, found: Calibration) -> None:
+    assert stated_gains(pristine.frames(), other)[1600] == other.gain_at_iso(1600)
     for gain in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(ArgumentError, match="K at ISO 100 must be finite and above 0"):
             calibrate(pristine.root, gains={100: gain})
@@ -331,43 +313,3 @@ def test_wrong_arguments(pristine: FrameTree) -> None:
         calibrate(pristine.frames(), isos=[100])
     with pytest.raises(ArgumentError, match="workers must be 1 or more"):
         calibrate(pristine.root, workers=0)
-
-
-# --- the round trip ---------------------------------------------------------------------------------------------------
-
-
-def fresh_bias_frame(iso: int, seed: int) -> np.ndarray[Any, np.dtype[np.uint16]]:
-    """A frame of the same specimen that is in no file: [0, 0] seeds the specimen."""
-    sensor = replace(DEMO_GAMMA.sensor, height=SIZE[0], width=SIZE[1])
-    body = Body(sensor, DEMO_FEATURES, np.random.default_rng([0, 0]))
-    return body.bias_frame(DEMO_GAMMA.noise_at(iso), np.random.default_rng([999, seed]))
-
-
-@pytest.mark.parametrize("iso", [400])
-def test_a_profile_in_the_noise_model_reproduces_frames_that_it_never_saw(
-    iso: int, found: Calibration, pristine: FrameTree, tmp_path: Path
-) -> None:
-    """The profile goes through its file, and its parameters are sampled at the ISO.
-
-    The profile of one ISO has the measured figures themselves, that of three a line through them with its scatter.
-    98,000 pixels: the row means' standard deviations, of 256 rows each, scatter by 4.4 %, their spectra's mean by 9 %.
-    """
-    one = next(one for one in found.isos if one.iso == iso)
-    joined(CAMERA, [one]).profile.save(tmp_path / "p.json")
-    generator = np.random.default_rng(iso)
-    parameters = CameraProfile.load(tmp_path / "p.json").sample(generator, iso=iso)
-    frames = [read_raw(path).mosaic for path in pristine.files("bias", iso)]
-    fixed = stacked(Camera(shape=SIZE), frames)
-    for seed in range(2):
-        compared = reproduction(fresh_bias_frame(iso, seed), fixed, one.sensor, parameters, generator)
-        assert compared.histogram_distance < 2 * compared.histogram_distance_by_chance < 0.04
-        assert compared.r_squared > 0.985
-        assert compared.sigma_simulated_dn == pytest.approx(compared.sigma_real_dn, rel=0.02)
-        assert compared.row_sigma_simulated_dn == pytest.approx(compared.row_sigma_real_dn, rel=5 * 0.044 * 2**0.5)
-        spectra = compared.row_power_simulated_dn2[1:].mean() / compared.row_power_real_dn2[1:].mean()
-        assert spectra == pytest.approx(1, abs=5 * 0.09 * 2**0.5)
-    # Of the whole profile, the scales are off their line by its residual deviation, some 5 % here.
-    whole = found.profile.sample(generator, iso=iso, row="nearest-gain")
-    compared = reproduction(fresh_bias_frame(iso, 9), fixed, one.sensor, whole, generator)
-    assert compared.sigma_simulated_dn == pytest.approx(compared.sigma_real_dn, rel=0.3)
-    assert compared.r_squared > 0.985

@@ -241,6 +241,9 @@ def test_what_is_no_step() -> None:
     assert not gain_steps(points(0.0, 0.05))
     assert not gain_steps(points(-0.1, 0.1))
     assert not gain_steps(points(0.0, 0.005, bend=0.03)), "a parabola explains more"
+    scatter = 0.01 * np.random.default_rng(3).standard_normal(9)
+    of_two_parts = [(gain, math.hypot(1.0, 2.5 * gain) * math.exp(e)) for gain, e in zip(GAINS, scatter, strict=True)]
+    assert not gain_steps({"sigma_TL": of_two_parts}), "read noise of two parts bends at K = 0.4"
     few = {"sigma_TL": points(-0.4, 0.02)["sigma_TL"][2:6]}
     assert not gain_steps(few), "four ISOs do not tell a step from scatter"
 

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration import IsoCalibration
     from eldata.manifest.verify_report import Problem
 
 ISOS = (100, 1600)
@@ -254,15 +253,6 @@ def test_bias_frames(name: str, place: int, tree: FrameTree) -> None:
     assert_said(problems, *PIXELS[name][1:])
 
 
-@pytest.mark.parametrize("name", ["size", "no mosaic"])
-def test_flat_frames(name: str, tree: FrameTree) -> None:
-    path = tree.files("flat", 100)[3]
-    PIXELS[name][0](path)
-    problem = only(problems_of(tree.frames(isos=[100])))
-    assert problem.path == relative(tree, path)
-    assert_said([problem], *PIXELS[name][1:])
-
-
 def test_several_isos_at_once(tree: FrameTree) -> None:
     """Through the whole calibration: decoded frames of one ISO do not hide those of another."""
     paths = [tree.files("bias", 100)[1], tree.files("bias", 100)[4], tree.files("bias", 1600)[0]]
@@ -284,24 +274,6 @@ def rewritten_1600(tree: FrameTree, **changes: Any) -> None:
         rewritten(path, **changes)
 
 
-def test_clipped_black(tree: FrameTree) -> None:
-    """Black at 20 DN: at ISO 1600 the noise is 6 DN."""
-    rewritten_1600(tree, mosaic=black_at(20), black_level_dn=(20.0,) * 4, white_level_dn=15891.0)
-    found = calibrated_iso(tree.frames(isos=[1600]), 1600)
-    assert found.withheld == frozenset()
-    assert {one.check for one in found.findings} - {"pattern behind the clip"} == {"clipped black"}
-    whole = tree.truth["isos"][1]
-    assert whole["iso"] == 1600
-    for name in ("gain", "tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
-        figure = getattr(found, name)
-        assert abs(figure.value - whole["gain_dn_per_e" if name == "gain" else name]) < 5 * figure.error, name
-    for figure, bias in zip(found.colour_bias or (), whole["colour_bias_with_pattern_dn"], strict=True):
-        assert abs(figure.value - bias) < 5 * figure.error < 0.7
-    compared = found.reproduction
-    assert compared is not None
-    assert compared.histogram_distance < 3 * compared.histogram_distance_by_chance + 0.01
-
-
 def test_a_black_level_of_0_in_the_file_alone_is_no_clipping(tree: FrameTree) -> None:
     """Some cameras keep the offset and do not record it: then all of it is colour bias."""
     rewritten_1600(tree, black_level_dn=(0.0,) * 4)
@@ -309,14 +281,6 @@ def test_a_black_level_of_0_in_the_file_alone_is_no_clipping(tree: FrameTree) ->
     whole = tree.truth["isos"][1]
     assert found.bias.bias_dn == pytest.approx([512 + bias for bias in whole["colour_bias_with_pattern_dn"]], abs=0.2)
     assert found.gain_dn_per_e == pytest.approx(whole["gain_dn_per_e"], rel=0.03)
-
-
-def test_noise_that_just_reaches_0_is_taken(tree: FrameTree) -> None:
-    """Black at 28 DN, five standard deviations of the noise: 0 occurs, and hides nothing."""
-    rewritten_1600(tree, mosaic=black_at(28), black_level_dn=(28.0,) * 4, white_level_dn=15899.0)
-    zeros = sum(int((read_raw(path).mosaic == 0).sum()) for path in tree.files("bias", 1600))
-    assert zeros > 3
-    assert problems_of(tree.frames(isos=[1600])) == []
 
 
 def test_neither_bias_frames_nor_pairs(tree: FrameTree) -> None:
@@ -434,30 +398,6 @@ def test_saturated_flats_are_left_out(pristine: FrameTree, tree: FrameTree) -> N
     assert any("67% of the flats' area is saturated or clipped and was left out" in remark for remark in remarks)
 
 
-def assert_no_line(found: IsoCalibration, why: str) -> None:
-    """Flats without a line cost K, and it is said why."""
-    assert (found.transfer, found.spatial, found.gain) == (None, None, None)
-    assert found.flat_frames == 0
-    assert found.withheld == {"gain"}
-    assert why in found.why("gain")
-    assert found.gain_text == "withheld"
-
-
-def assert_read_noise_is_given(found: IsoCalibration, true: dict[str, Any]) -> None:
-    assert found.sigma_tl_dn is not None
-    assert abs(found.sigma_tl_dn.value - true["sigma_tl_dn"]) < 5 * found.sigma_tl_dn.error
-    assert found.reproduction is not None
-
-
-def test_flats_that_are_all_saturated(tree: FrameTree) -> None:
-    for path in tree.files("flat", 100):
-        rewritten(path, mosaic=saturated)
-    found = calibrated_iso(tree.frames(isos=[100]), 100)
-    assert_no_line(found, "usable level")
-    assert "saturated" in found.why("gain")
-    assert_read_noise_is_given(found, tree.truth["isos"][0])
-
-
 def dimmed(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
     return np.rint(512 + 0.7 * (mosaic.astype(float) - 512)).astype(np.uint16)
 
@@ -472,12 +412,6 @@ def test_a_partner_of_another_level_is_left_out_and_said(pristine: FrameTree, tr
     assert relative(tree, tree.files("flat", 1600)[2]) in remark
     truth = tree.truth["isos"][1]["gain_dn_per_e"]
     assert abs(found.transfer.gain_dn_per_e - truth) < 4 * found.transfer.gain_error
-    for path in tree.files("flat", 1600)[1:6:4]:
-        rewritten(path, mosaic=dimmed)
-    found = calibrated_iso(tree.frames(isos=[1600]), 1600)
-    assert_no_line(found, "no pair of flats is usable")
-    assert sum("were left out: their levels over black are" in remark for remark in found.remarks) == 3
-    assert_read_noise_is_given(found, tree.truth["isos"][1])
 
 
 def test_swapped_partners_of_other_exposures(tree: FrameTree) -> None:

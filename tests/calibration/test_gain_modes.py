@@ -123,14 +123,6 @@ def test_text_plots_and_file(found: Calibration, tmp_path: Path) -> None:
     assert CameraProfile.load(tmp_path / "two.json") == found.profile
 
 
-def test_no_modes_without_a_switch() -> None:
-    """Read noise of two parts, whose line bends at K = 0.4. Chances are in tests/calibration/flats_study.py."""
-    gains = [0.1 * 2.0**stop for stop in range(9)]
-    scatter = 0.01 * np.random.default_rng(3).standard_normal(9)
-    bent = [(gain, math.hypot(1.0, 2.5 * gain) * math.exp(e)) for gain, e in zip(gains, scatter, strict=True)]
-    assert gain_steps({"sigma_TL": bent}) == ()
-
-
 @pytest.mark.parametrize(("modes", "text"), [((100,), "above 100"), ((800,), "up to 400"), ((400, 400), "ascending")])
 def test_stated_modes_lie_among_the_isos(modes: tuple[float, ...], text: str, tmp_path: Path) -> None:
     frames = made_tree(tmp_path / "tree", isos=(100, 400), bias_frames=2, flat_levels=2).frames()

@@ -13,6 +13,7 @@ from eldata.raw import bayer_cfa
 from tests.calibration.chain import Calibration, calibrated, figures_of, transferred
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import XTRANS, Body, Camera
+from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from eldata.calibration import Finding
@@ -83,22 +84,21 @@ def test_frames_of_odd_sizes(cfa: tuple[tuple[int, ...], ...]) -> None:
     assert found.pattern.shading_dn.all()  # a block without a pixel has its neighbour's level
 
 
-def test_four_frames_do() -> None:
-    """The least number: the other frames' share is then a quarter, of its own heavy-tailed distribution."""
-    camera = Camera(shape=(768, 1024), tukey_lambda=-0.2, sigma_tl=1.5)
-    read = calibrated(camera, Body(camera, np.random.default_rng(2)).bias_frames(4)).read
-    assert abs(read.tukey_lambda + 0.2) < 4 * read.tukey_lambda_error < 0.02
-    assert abs(read.sigma_tl_dn - 1.5) < 4 * read.sigma_tl_error_dn < 0.03
-
-
-def test_noise_that_reaches_0_is_censored_there() -> None:
-    """Black at 512 DN and a standard deviation of 80 DN: 0.05 % of the values are clipped at 0."""
-    camera = Camera(gain=28.6, tukey_lambda=-0.16, sigma_tl=34.6, sigma_row=3.7, shape=(768, 1024))
-    frames = Body(camera, np.random.default_rng(11)).bias_frames(8)
-    assert 2e-4 < np.mean([(frame == 0).mean() for frame in frames]) < 1e-3
-    read = calibrated(camera, frames).read
-    assert abs(read.tukey_lambda + 0.16) < 4 * read.tukey_lambda_error < 0.01
-    assert abs(read.sigma_tl_dn - 34.6) < 4 * read.sigma_tl_error_dn < 0.01 * 34.6
+@in_one_test(
+    "camera, frames, zeros",
+    [
+        # The least number: the other frames' share is then a quarter, of its own heavy-tailed distribution.
+        (Camera(tukey_lambda=-0.2, sigma_tl=1.5, shape=(768, 1024)), 4, (0.0, 0.0)),
+        # Black at 512 DN and a standard deviation of 80 DN: 0.05 % of the values are clipped at 0.
+        (Camera(gain=28.6, tukey_lambda=-0.16, sigma_tl=34.6, sigma_row=3.7, shape=(768, 1024)), 8, (2e-4, 1e-3)),
+    ],
+)
+def test_few_frames_and_noise_that_reaches_0(camera: Camera, frames: int, zeros: tuple[float, float]) -> None:
+    taken = Body(camera, np.random.default_rng(11)).bias_frames(frames)
+    assert zeros[0] <= np.mean([(frame == 0).mean() for frame in taken]) <= zeros[1]
+    read = calibrated(camera, taken).read
+    assert abs(read.tukey_lambda - camera.tukey_lambda) < 4 * read.tukey_lambda_error < 0.02
+    assert abs(read.sigma_tl_dn - camera.sigma_tl) < 4 * read.sigma_tl_error_dn < 0.02 * camera.sigma_tl
 
 
 def findings(found: Calibration) -> dict[str, Finding]:

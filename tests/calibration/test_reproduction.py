@@ -11,10 +11,10 @@ from scipy import stats
 
 from eldata.calibration import reproduction
 from eldata.errors import ArgumentError
-from eldata.noise import NoiseModel, NoiseParameters
-from eldata.noise.exposures import Adc
+from eldata.noise import NoiseParameters
 from tests.calibration.chain import stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
+from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -107,18 +107,6 @@ def test_wrong_parameters_are_told_apart() -> None:
     assert rows.row_power_simulated_dn2[1:].mean() == pytest.approx(9 * right.row_power_real_dn2[1:].mean(), rel=0.3)
 
 
-def test_the_same_generator_gives_the_same() -> None:
-    camera = CAMERAS["middle"].with_(shape=(256, 384))
-    first, second = compared(camera), compared(camera)
-    assert first.as_dict() == second.as_dict()
-    for name in ("quantiles_real_dn", "quantiles_simulated_dn", "row_power_simulated_dn2", "real_dn", "simulated_dn"):
-        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-    held_out, fixed = taken(camera)
-    other = reproduction(held_out, fixed, camera.sensor, true_parameters(camera), np.random.default_rng(8))
-    assert other.sigma_simulated_dn != first.sigma_simulated_dn
-    assert other.sigma_real_dn == first.sigma_real_dn
-
-
 def test_the_pieces_that_are_shown() -> None:
     """The middle of the frame, (128, 192): the real one is the frame itself less the black level."""
     camera = CAMERAS["middle"]
@@ -150,34 +138,19 @@ def test_defects_take_no_part() -> None:
     assert spoilt.row_sigma_real_dn == pytest.approx(clean.row_sigma_real_dn, rel=0.05)
 
 
-def test_its_simulation_is_the_noise_models() -> None:
-    """Against frames that the public model makes from the same parameters: the same residual's deviation."""
-    camera = CAMERAS["heavy tails, no pattern"]
-    found = compared(camera)
-    model = NoiseModel("G*+B+R", adc=Adc(camera.black, camera.white))
-    generator = np.random.default_rng(99)
-    packed = model(
-        np.zeros((20, 4, 128, 192), dtype=np.float32),
-        parameters=true_parameters(camera),
-        ratio=1.0,
-        range_dn=camera.white - camera.black,
-        generator=generator,
-    )
-    own = (packed[:FRAMES] - packed[FRAMES : 2 * FRAMES].mean(axis=0)) * (camera.white - camera.black)
-    assert float(own.std()) == pytest.approx(found.sigma_simulated_dn, rel=0.03)
-
-
-@pytest.mark.parametrize("shape", [(126, 768), (512, 190)])
-def test_small_frames_are_refused(shape: tuple[int, int]) -> None:
-    held_out, fixed = taken(Camera(shape=shape))
-    with pytest.raises(ArgumentError, match="128 x 192"):
-        reproduction(held_out, fixed, Camera(shape=shape).sensor, true_parameters(Camera()), np.random.default_rng(0))
-
-
-def test_a_frame_of_another_shape_is_refused() -> None:
-    held_out, fixed = taken(Camera(shape=(256, 384)))
-    with pytest.raises(ArgumentError, match="the held-out frame is"):
-        reproduction(held_out[:-2], fixed, Camera().sensor, true_parameters(Camera()), np.random.default_rng(0))
+@in_one_test(
+    "shape, cut, words",
+    [
+        ((126, 768), 0, "128 x 192"),
+        ((512, 190), 0, "128 x 192"),
+        ((256, 384), 2, "the held-out frame is"),
+    ],
+)
+def test_small_frames_and_other_shapes_are_refused(shape: tuple[int, int], cut: int, words: str) -> None:
+    camera = Camera(shape=shape)
+    held_out, fixed = taken(camera)
+    with pytest.raises(ArgumentError, match=words):
+        reproduction(held_out[cut:], fixed, camera.sensor, true_parameters(camera), np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("black", [(512.0, 513.0, 512.0, 513.0), (511.75, 512.0, 512.25, 513.5)])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from eldata.calibration import BiasStack, Finding, ShadingFit, calibrate, dark_shading, fixed_pattern
 from eldata.errors import ArgumentError, DatasetError
-from eldata.noise import NoiseModel, NoiseParameters
 from eldata.raw import read_raw, write_dng
 from eldata.sources.frames import Frame
 from tests.calibration.trees import made_tree, rewritten
@@ -290,10 +289,3 @@ def test_longer_frames_are_of_their_own_folder(tmp_path: Path) -> None:
     )
     with pytest.raises(DatasetError, match=r"x.dng: states no exposure time, with which the dark current of"):
         replace(frame, exposure=replace(raw.exposure, exposure_s=None)).less(shading)
-    clean = np.zeros((1, *raw.mosaic.shape), np.float32)
-    options: dict[str, Any] = {"cfa": raw.sensor.cfa, "generator": np.random.default_rng(0), "range_dn": 1.0}
-    options |= {"parameters": NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0, iso=400.0), "ratio": 1.0}
-    noisy = NoiseModel("S", dark_shading=shading).on_mosaic(clean, **options, exposure_s=[30.0])
-    np.testing.assert_allclose(noisy[0], shading.at(400, exposure_s=30), rtol=1e-6, atol=1e-6)
-    with pytest.raises(ArgumentError, match=r"has dark current, which grows with the exposure time; give it"):
-        NoiseModel("S", dark_shading=shading).on_mosaic(clean, **options)

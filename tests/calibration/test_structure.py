@@ -111,7 +111,7 @@ def test_a_wave_in_the_rows() -> None:
 
 
 def test_nothing_is_found_where_there_is_nothing() -> None:
-    """Read noise of heavy tails, with a fixed pattern that stays; structure_study has more cameras."""
+    """Read noise of heavy tails, with a fixed pattern that stays."""
     camera = CAMERA.with_(prnu=0.0, dsnu=0.6, column_pattern=0.3, tukey_lambda=-0.2)
     found = calibrated(Specimen(camera, NONE, seed=6), LIGHT_DN).structure
     assert found is not None

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from eldata.calibration.acceptance.reproduction import compared_place
+from eldata.calibration.acceptance.reproduction import compared_piece
 from eldata.calibration.acceptance.verdicts import CHANNELS
 from eldata.calibration.audit.frames import FrameFigures, FrameReader, clipped_black
 from eldata.calibration.core._frames import by_pixel, channels_of
@@ -273,19 +273,14 @@ def tail_threshold(shares: Values, wanted: float, side: int) -> int:
 class HeldOutFrames(FrameReader):
     """Reads the frames of one ISO, a pair at a time and no copies, and collects what is wrong with them."""
 
-    def _mosaics(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, Mosaic]]:
-        for record, frame in self.read(records):
-            if self.copies.original(record, frame.mosaic) is None:
-                yield record, frame.mosaic
-            del frame  # before the next one is decoded
-
     def bias_pairs(self, records: Sequence[FrameRecord]) -> Iterator[tuple[Mosaic, Mosaic]]:
         """Yield pairs of pieces of bias frames that share no frame."""
         first: Mosaic | None = None
-        for record, mosaic in self._mosaics(records):
-            self.problems += clipped_black(record, mosaic)
-            self.figures.append(FrameFigures.of(record, mosaic))
-            piece = self.cut(mosaic)
+        for record, frame in self.read_new(records):
+            self.problems += clipped_black(record, frame.mosaic)
+            self.figures.append(FrameFigures.of(record, frame.mosaic))
+            piece = self.cut(frame.mosaic)
+            del frame  # before the next one is decoded
             if first is None:
                 first = piece
             else:
@@ -294,12 +289,12 @@ class HeldOutFrames(FrameReader):
 
     def flats(self, pair: FlatPair) -> tuple[Mosaic, Mosaic] | None:
         """Return a pair of whole flats."""
-        found = [mosaic for _, mosaic in self._mosaics((pair.first, pair.second))]
+        found = [frame.mosaic for _, frame in self.read_new((pair.first, pair.second))]
         return (found[0], found[1]) if len(found) == 2 else None
 
-    def cut(self, mosaic: NDArray[np.generic]) -> Mosaic:
+    def cut(self, mosaic: Mosaic) -> Mosaic:
         """Return a copy of the piece that is compared."""
-        return mosaic[compared_place(mosaic.shape, len(self.sensor.cfa))].copy()  # type: ignore[return-value]
+        return compared_piece(mosaic, len(self.sensor.cfa))
 
 
 # --- parts --------------------------------------------------------------------------------------------------------

@@ -211,6 +211,13 @@ class FrameReader:
                 yield record, frame
             del frame
 
+    def read_new(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
+        """Yield those that are no copies; the difference of a frame and its copy holds no noise."""
+        for record, frame in self.read(records):
+            if self.copies.original(record, frame.mosaic) is None:
+                yield record, frame
+            del frame  # before the next one is decoded
+
     def _read(self, record: FrameRecord) -> RawFrame | RawFileError:
         try:
             return self.frames.read(record)

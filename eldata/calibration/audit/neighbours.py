@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.compiled import kernel
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.core._frames import Counts, Values
+    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Plane, Values
 
 OUTLIERS = (3, 4, 5, 6)
 """Standard deviations from which on a value counts as an outlier of that size."""
@@ -87,8 +88,6 @@ class Neighbours:
 
     def add_difference(self, band: NDArray[np.int16]) -> None:
         """Add rows of the standardised difference of two frames; they start with the pattern's first."""
-        from eldata.calibration.audit._kernels import lag_products
-
         height, width = band.shape
         lag_products(band, self._lags, self._products)
         self._squares += int(np.einsum("ij,ij->", band, band, dtype=np.int64))
@@ -98,13 +97,23 @@ class Neighbours:
         self._induced += pairs * self._rows_took / width
 
     def add_frame(self, band: NDArray[np.int16]) -> None:
-        """Add rows of one frame less its pixels' means, standardised: what a filter has done to outliers."""
-        from eldata.calibration.audit._kernels import outlier_neighbours
+        """Add rows of one frame less its pixels' means, standardised: what a filter has done to outliers.
 
-        outlier_neighbours(
-            band, self._offsets, self._reach, _AWAY, np.array(OUTLIERS) * UNITS, self._wins, self._powers
-        )
+        Whether one of an outlier's neighbours goes further to its side than all of those of the pixel ``_AWAY`` columns
+        from it, or the other way round, is counted for the highest level that the outlier exceeds.
+        """
+        cubes = np.power(band, 3, dtype=np.int64)
+        self._powers += cubes.sum(), np.square(cubes, dtype=np.float64).sum()
         self._values += band.size
+        inner = slice(self._reach, -self._reach)
+        rows, columns = np.nonzero(np.abs(band[inner, inner]) >= OUTLIERS[0] * UNITS) + np.array(self._reach)
+        there = np.where(columns + _AWAY + self._reach < band.shape[1], columns + _AWAY, columns - _AWAY)
+        period, sign = len(self._offsets), np.sign(band[rows, columns])
+        down, across = self._offsets[rows % period, columns % period].T  # (neighbours, outliers)
+        own, other = ((sign * band[rows + down, place + across]).max(axis=0) for place in (columns, there))
+        level = np.searchsorted(np.array(OUTLIERS) * UNITS, sign * band[rows, columns], side="right") - 1
+        differs = own != other
+        np.add.at(self._wins, ((sign > 0)[differs] * 1, level[differs], (own < other)[differs] * 1), 1)
 
     def statistics(self) -> NeighbourStatistics:
         """Return what was found.
@@ -133,6 +142,70 @@ class Neighbours:
             # The values of a pixel add up to nothing, which makes the sum scatter a little less.
             skewness_error=math.sqrt(self._powers[1]) / UNITS**3 / max(self._values, 1),
         )
+
+
+@kernel
+def standardised(
+    weight: int,
+    mosaic: Mosaic,
+    less: NDArray[np.unsignedinteger[Any]],
+    defects: Mask,
+    pattern: Counts,
+    scale: Plane,
+    limit: int,
+    out: NDArray[np.int16],
+) -> None:
+    """Write ``weight mosaic - less``, less its means by row and channel, times ``scale`` (channel), within +-``limit``.
+
+    Defects become 0. The rows start with the pattern's first.
+    """
+    period = pattern.shape[0]
+    height, width = mosaic.shape
+    sums = np.zeros(scale.size, dtype=np.int64)
+    counts = np.zeros(scale.size, dtype=np.int64)
+    values = np.zeros(width, dtype=np.int64)
+    means = np.zeros(width, dtype=np.float32)
+    factors = np.zeros(width, dtype=np.float32)
+    edge, half = np.float32(limit), np.float32(0.5)
+    for row in range(height):
+        sums[:] = 0
+        counts[:] = 0
+        for column in range(width):
+            value = weight * np.int64(mosaic[row, column]) - np.int64(less[row, column])
+            values[column] = 0 if defects[row, column] else value
+        for phase in range(period):
+            added: Any = 0
+            count: Any = 0
+            for column in range(phase, width, period):
+                added += values[column]
+                count += not defects[row, column]
+            sums[pattern[row % period, phase]] += added
+            counts[pattern[row % period, phase]] += count
+        for phase in range(period):
+            channel = pattern[row % period, phase]
+            means[phase::period] = sums[channel] / max(counts[channel], 1)
+            factors[phase::period] = scale[channel]
+        for column in range(width):
+            scaled = (np.float32(values[column]) - means[column]) * factors[column]
+            scaled = min(scaled, edge)
+            scaled = max(scaled, -edge)
+            out[row, column] = np.int16(0) if defects[row, column] else np.int16(np.floor(scaled + half))
+
+
+@kernel
+def lag_products(band: NDArray[np.int16], lags: Counts, sums: Counts) -> None:
+    """Add, for each lag (rows, columns), the products of all pixels of the band that lie so far apart."""
+    height, width = band.shape
+    for index in range(lags.shape[0]):
+        down, across = lags[index]
+        first, last = max(0, -across), width - max(0, across)
+        for row in range(height - down):
+            here = band[row, first:last]
+            there = band[row + down, first + across : last + across]
+            added = np.int64(0)
+            for column in range(here.size):
+                added += np.int32(here[column]) * np.int32(there[column])
+            sums[index] += added
 
 
 def _same_colour(pattern: Counts) -> Counts:

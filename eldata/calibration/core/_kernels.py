@@ -14,36 +14,7 @@ from eldata.base.compiled import kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Values
-
-
-@kernel
-def block_moments(
-    total: NDArray[np.uint32], defects: Mask, side: int, count: Counts, sums: Counts, squares: Values
-) -> None:
-    """Write count, sum and sum of squared deviations of the sound pixels of each block of ``side`` x ``side``.
-
-    The arrays hold one site of the CFA.
-    """
-    height, width = total.shape
-    for i in range(count.shape[0]):
-        for j in range(count.shape[1]):
-            rows = range(i * side, min((i + 1) * side, height))
-            columns = range(j * side, min((j + 1) * side, width))
-            number: Any = 0
-            added: Any = 0
-            for row in rows:
-                for column in columns:
-                    if not defects[row, column]:
-                        number += 1
-                        added += np.int64(total[row, column])
-            mean = added / max(number, 1)
-            squared = 0.0
-            for row in rows:
-                for column in columns:
-                    if not defects[row, column]:
-                        squared += (total[row, column] - mean) ** 2
-            count[i, j], sums[i, j], squares[i, j] = number, added, squared
+    from eldata.calibration.core._frames import Counts, Mask, Mosaic
 
 
 @kernel

@@ -171,8 +171,6 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     DatasetError
         If there are too few frames, or nearly all pixels never change.
     """
-    from eldata.calibration.core._kernels import block_moments
-
     if not threshold > 0:
         raise ArgumentError(f"the threshold is a positive number of standard deviations; found {threshold}")
     if stack.frames < MINIMUM_FRAMES:
@@ -225,9 +223,8 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
             exact = scatter[site][~defect_rows[site]]
             added, counted = added + int(exact.sum()), counted + exact.size
             squared += float(np.square(exact, dtype=np.float64).sum())
-            (count, sums), squares = np.zeros((2, *grid), dtype=np.int64), np.zeros(grid)
-            block_moments(total[site], defects[site], _BLOCK, count, sums, squares)
-            blocks.append((count, sums / np.maximum(count, 1) / frames, squares / frames**2))
+            count, means, squares = _block_moments(total[site], ~defects[site], grid)
+            blocks.append((count, means / frames, squares / frames**2))
         if counted < 2:
             raise DatasetError(f"channel {channel} has no sound pixel left: raise the threshold ({threshold:g})")
         freedom = frames * (frames - 1)
@@ -288,6 +285,24 @@ def _from_median(values: NDArray[np.int32]) -> NDArray[np.int32]:
     blocks -= twice[..., None, None]
     np.abs(blocks, out=blocks)
     return padded[:height, :width]
+
+
+def _block_moments(total: NDArray[np.uint32], sound: Mask, grid: tuple[int, ...]) -> tuple[Counts, Values, Values]:
+    """Return count, mean and sum of squared deviations of the sound pixels of each block of one site of the CFA."""
+    count, means, squares = np.zeros(grid, dtype=np.int64), np.zeros(grid), np.zeros(grid)
+    columns = np.arange(0, total.shape[1], _BLOCK)
+    for place, top in enumerate(range(0, len(total), _BLOCK)):  # a band at a time, for the memory
+        band, used = total[top : top + _BLOCK], sound[top : top + _BLOCK]
+
+        def by_block(values: NDArray[Any], used: Mask = used) -> NDArray[Any]:
+            sums: NDArray[Any] = np.add.reduceat(values.sum(axis=0, where=used), columns)
+            return sums
+
+        there = slice(len(columns))
+        count[place, there] = by_block(used)
+        means[place, there] = by_block(band) / np.maximum(count[place, there], 1)
+        squares[place, there] = by_block((band - np.repeat(means[place], _BLOCK)[: band.shape[1]]) ** 2)
+    return count, means, squares
 
 
 def _with_edges(levels: Values, pixels: Counts) -> Values:

@@ -230,9 +230,3 @@ def with_accepted(findings: Iterable[Finding], accept: Collection[str]) -> tuple
 def withheld(findings: Iterable[Finding]) -> frozenset[Figure]:
     """Return the figures that are not given."""
     return frozenset(figure for one in findings if one.effect == "withheld" for figure in one.figures)
-
-
-def widened(findings: Iterable[Finding]) -> frozenset[Figure]:
-    """Return the figures that are given with a larger error."""
-    found = tuple(findings)
-    return frozenset(figure for one in found if one.effect == "wider" for figure in one.figures) - withheld(found)

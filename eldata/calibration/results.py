@@ -218,21 +218,18 @@ class Calibration:
 
     def format_text(self) -> str:
         """Return the measured figures as aligned tables, the fits, and the remarks."""
-        parts = []
-        for title, (header, rows) in (
+        fits = ("fit over ln K", "slope", "intercept", "sigma", "R2"), self.fit_table()
+        tables = (
             ("", self.table()),
             ("K alone, from flats without bias frames\n", self.gain_table()),
             ("colour bias over the recorded black level [DN]\n", self.bias_table()),
             ("structure of the noise, for components C, W, T and F\n", self.structure_table()),
-        ):
-            if rows:
-                parts.append(title + text_table(header, rows, left=()))
-        fits = self.fit_table()
-        if fits:
-            parts.append(text_table(("fit over ln K", "slope", "intercept", "sigma", "R2"), fits))
-        header, rows = self.reproduction_table()
-        if rows:
-            parts.append("a bias frame kept out, against simulated ones\n" + text_table(header, rows, left=()))
+            ("", fits),
+            ("a bias frame kept out, against simulated ones\n", self.reproduction_table()),
+        )
+        parts = [
+            title + text_table(*of_one, left=(0,) if of_one is fits else ()) for title, of_one in tables if of_one[1]
+        ]
         if self.no_profile:
             parts.append(f"no profile can be made: {self.no_profile}")
         if self.accepted:

@@ -253,17 +253,6 @@ def test_bias_frames(name: str, place: int, tree: FrameTree) -> None:
     assert_said(problems, *PIXELS[name][1:])
 
 
-def test_several_isos_at_once(tree: FrameTree) -> None:
-    """Through the whole calibration: decoded frames of one ISO do not hide those of another."""
-    paths = [tree.files("bias", 100)[1], tree.files("bias", 100)[4], tree.files("bias", 1600)[0]]
-    rewritten(paths[0], mosaic=bright)
-    rewritten(paths[1], mosaic=cropped)
-    rewritten(paths[2], white_level_dn=16000.0)
-    with pytest.raises(FramesError) as raised:
-        calibrate(tree.root)
-    assert [problem.path for problem in raised.value.problems] == [relative(tree, path) for path in paths]
-
-
 def black_at(level: int) -> Callable[[NDArray[np.uint16]], NDArray[np.uint16]]:
     return lambda mosaic: np.clip(mosaic.astype(np.int64) - 512 + level, 0, 65535).astype(np.uint16)
 

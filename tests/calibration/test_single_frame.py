@@ -1,14 +1,16 @@
-"""R^2 as the paper takes it, against scipy's probability plots of the same residuals, pixel by pixel."""
+"""What single frames show: R^2 as the paper takes it, against scipy's probability plots, and the power spectrum."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.calibration import single_frame_plot
+from eldata.calibration import power_spectrum, single_frame_plot
+from eldata.errors import DatasetError
 from tests.calibration.chain import calibrated, stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
 
@@ -60,3 +62,75 @@ def test_it_is_not_the_estimates_own() -> None:
     published, own = single_frame_plot(frames[0], stacked(camera, frames)), calibrated(camera, frames).read
     assert published.r_squared_gauss > 0.995 > 0.98 > own.r_squared_gauss
     assert published.tukey_lambda > own.tukey_lambda + 0.1
+
+
+# --- spectrum ---------------------------------------------------------------------------------------------------------
+
+TILE = 256
+QUIET = Camera(
+    shape=(512, 768), sigma_tl=3.0, tukey_lambda=0.1, sigma_row=0.0, dsnu=0.0, column_pattern=0.0, hot_share=0.0
+)
+
+
+def spectrum(camera: Camera, seed: int = 0) -> NDArray[np.float32]:
+    frames = Body(camera, np.random.default_rng(seed)).bias_frames(4)
+    return power_spectrum(frames[0], stacked(camera, frames))
+
+
+def variance(frame: NDArray[np.uint16]) -> float:
+    """Around the means of the four sites."""
+    return float(np.mean([frame[y::2, x::2].astype(np.float64).var() for y in (0, 1) for x in (0, 1)]))
+
+
+def test_one_tile_is_numpys() -> None:
+    """256 x 256 pixels, no defects: periodogram of the frame less the mean of each of its four sites."""
+    camera = QUIET.with_(shape=(TILE, TILE))
+    frames = Body(camera, np.random.default_rng(1)).bias_frames(4)
+    fixed = stacked(camera, frames)
+    assert not fixed.defects.any()
+    tile = frames[0].astype(np.float64)
+    for site in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        tile[site[0] :: 2, site[1] :: 2] -= tile[site[0] :: 2, site[1] :: 2].mean()
+    expected = np.abs(np.fft.fftshift(np.fft.fft2(tile))) ** 2 / TILE**2
+    found = power_spectrum(frames[0], fixed)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * expected.mean())
+
+
+@pytest.mark.parametrize(("cfa", "bias"), [(QUIET.cfa, QUIET.bias), (XTRANS, (1.0, -0.5, 0.3))])
+def test_row_noise_is_a_line_of_known_height(cfa: tuple[tuple[int, ...], ...], bias: tuple[float, ...]) -> None:
+    """White noise s^2, row noise r^2: on the column of horizontal frequency 0, s^2 + 256 r^2.
+
+    254 frequencies (0 and the highest belong to the sites' means) of 6 tiles, two of which side by side share their
+    rows; 5 standard errors are 5 / sqrt(2 x 127).
+    """
+    camera = QUIET.with_(sigma_row=1.0, cfa=cfa, bias=bias, shape=(516, 768) if len(cfa) == 6 else (512, 768))
+    found = spectrum(camera, 3)
+    line, floor = found[:, TILE // 2], float(np.median(found)) / 0.945
+    expected = floor + TILE
+    inner = np.delete(line, [0, TILE // 2])
+    assert float(inner.mean()) == pytest.approx(expected, rel=5 / math.sqrt(2 * 127))
+    assert float(np.delete(found, [0, TILE // 2], axis=1).max()) < 5 * floor, "nothing beside it"
+
+
+def test_defects_do_not_show() -> None:
+    """A hot pixel of 3000 DN alone would lift the whole spectrum by 3000^2 / 256^2 = 137 DN^2."""
+    camera = QUIET.with_(hot_share=1e-4)
+    assert float(spectrum(camera).mean()) == pytest.approx(float(spectrum(QUIET).mean()), rel=0.05)
+
+
+def test_many_tiles_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame of 3 x 3 tiles, every second of which is looked at: power is variance still (Parseval)."""
+    monkeypatch.setattr("eldata.calibration.core.single_frame._MOST_TILES", 3)
+    camera = QUIET.with_(shape=(3 * TILE, 3 * TILE + 8))
+    frames = Body(camera, np.random.default_rng(5)).bias_frames(4)
+    found = power_spectrum(frames[0], stacked(camera, frames))
+    assert float(found.mean()) == pytest.approx(variance(frames[0]), rel=0.01)
+
+
+@pytest.mark.parametrize("shape", [(254, 512), (512, 254)])
+def test_a_frame_smaller_than_a_tile_is_refused(shape: tuple[int, int]) -> None:
+    camera = QUIET.with_(shape=shape)
+    frames = Body(camera, np.random.default_rng(6)).bias_frames(4)
+    with pytest.raises(DatasetError, match=f"256 x 256 pixels or more; found {shape[0]} x {shape[1]}"):
+        power_spectrum(frames[0], stacked(camera, frames))

@@ -240,9 +240,7 @@ def _simulated(
 
 def _histogram(ordered: Values, cell: float) -> Values:
     edges = (np.arange(-60, 61) + 0.5) * cell
-    inner = np.searchsorted(ordered, edges)
-    counts = np.diff(np.concatenate([[0], inner, [ordered.size]]))
-    shares: Values = counts / ordered.size
+    shares: Values = np.histogram(ordered, [-np.inf, *edges, np.inf])[0] / ordered.size
     return shares
 
 

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.calibration.audit.neighbours import UNITS, Neighbours, standardised
-from eldata.calibration.core._frames import channels_of, checked_mosaic
-from eldata.calibration.core.row_noise import check_same_frames
+from eldata.calibration.core._frames import channels_of
 from eldata.calibration.core.single_frame import TILE
 from eldata.errors import DatasetError
 
@@ -164,8 +163,6 @@ class BiasAudit:
 
     def add(self, mosaic: Mosaic) -> None:
         """Add a bias frame."""
-        height, width = self._fixed.total_dn.shape
-        checked_mosaic(mosaic, (height, width), len(self._fixed.pattern))
         self._added += 1
         if self._added > 2 * self._pairs:
             return
@@ -223,15 +220,8 @@ class BiasAudit:
         return found
 
     def statistics(self) -> BiasStatistics:
-        """Return what was found.
-
-        Raises
-        ------
-        DatasetError
-            If the frames added are not those of the fixed pattern.
-        """
+        """Return what was found."""
         fixed, pairs = self._fixed, self._pairs
-        check_same_frames(self._added, fixed)
         # By band: numpy counts in copies of eight bytes a pixel.
         totals = np.zeros(256, dtype=np.int64)
         for of_band, rows in zip(self._totals, self._bands, strict=True):

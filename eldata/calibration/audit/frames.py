@@ -227,8 +227,6 @@ class FrameReader:
     @property
     def sensor(self) -> Sensor:
         """The first frame's, which all frames must be like."""
-        if not self._sensors:
-            raise DatasetError("no frame could be read")
         return next(iter(self._sensors.values()))
 
     def refuse(self) -> None:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.compiled import kernel
-from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -116,15 +115,7 @@ class Neighbours:
         np.add.at(self._wins, ((sign > 0)[differs] * 1, level[differs], (own < other)[differs] * 1), 1)
 
     def statistics(self) -> NeighbourStatistics:
-        """Return what was found.
-
-        Raises
-        ------
-        DatasetError
-            If nothing changes from frame to frame.
-        """
-        if not self._squares:
-            raise DatasetError("no pixel changes from frame to frame: the frames are copies of one another")
+        """Return what was found."""
         variance = self._squares / self._pixels
         correlation = self._products / (self._pairs * variance) - self._induced / self._pairs
         near = len(_LAGS)

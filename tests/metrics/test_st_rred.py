@@ -13,8 +13,7 @@ import torch
 
 from eldata.errors import ArgumentError
 from eldata.metrics import PEAK_8_BIT, PEAK_ELD, psnr, raw_to_grey, st_rred
-from eldata.metrics._steerable import coarse_band
-from eldata.metrics.st_rred import StRred
+from eldata.metrics.st_rred import StRred, coarse_band
 from tests.metrics.golden.st_rred_clips import (
     BAND_IMAGE,
     CASES,

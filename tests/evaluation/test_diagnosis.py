@@ -264,15 +264,6 @@ def test_an_evaluation_says_what_would_explain_its_score(larger: Tree, tmp_path:
     assert str(found) in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
-def test_one_camera_of_two(larger: Tree, tmp_path: Path) -> None:
-    def of_beta(target: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-        return reordered(target, name)[[0, 1, 3, 2] if "Alpha" in name else slice(None)]
-
-    place(tmp_path, larger, of_beta)
-    result = evaluate(tmp_path, **larger.where)
-    assert [(one.words, one.where) for one in result.suspicions] == [("as if packed R, G1, G2, B", "DemoBeta")]
-
-
 def test_strict_refuses(larger: Tree, tmp_path: Path) -> None:
     place(tmp_path, larger, reordered)
     options: dict[str, Any] = larger.where | {"strict": True}

@@ -162,6 +162,13 @@ def test_refusals(metric: Metric) -> None:
             metric(p, g, threads=threads)
 
 
+@pytest.mark.parametrize("metric", METRICS[:2])
+@pytest.mark.parametrize("data_range", [0.0, -1.0, np.inf, np.nan])
+def test_bad_data_range(metric: Metric, data_range: float) -> None:
+    with pytest.raises(ArgumentError, match="data_range"):
+        metric(np.zeros((8, 8)), np.zeros((8, 8)), data_range=data_range)
+
+
 @pytest.mark.parametrize("metric", METRICS)
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int64])
 def test_integers_are_refused_with_the_remedy(metric: Metric, dtype: npt.DTypeLike) -> None:

@@ -238,7 +238,8 @@ def _by_scene(values: Values, scenes: Sequence[Hashable]) -> tuple[NDArray[np.fl
         raise ArgumentError(f"expected the scene of each value; found {len(values)} values and {len(scenes)} scenes")
     index = {scene: number for number, scene in enumerate(dict.fromkeys(scenes))}
     of = np.array([index[scene] for scene in scenes], dtype=np.int64)
-    return np.bincount(of, np.asarray(values, dtype=np.float64)), np.bincount(of)
+    sums = np.bincount(of, np.asarray(values, dtype=np.float64)).astype(np.float64)
+    return sums, np.bincount(of).astype(np.int64)
 
 
 def _mean(values: Values) -> float:

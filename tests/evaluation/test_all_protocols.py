@@ -17,7 +17,7 @@ import pytest
 from eldata.base.workers import Workers
 from eldata.cli.main import main
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation import evaluate, evaluate_all, load_prediction, save_prediction, units
+from eldata.evaluation import evaluate, evaluate_all, save_prediction, units
 from eldata.evaluation.diagnosis import Suspicion
 from eldata.evaluation.evaluate import perform
 from eldata.evaluation.published import comparison_table
@@ -64,29 +64,6 @@ def preds(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 # --- all in one pass --------------------------------------------------------------------------------------------------
-
-
-def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """But for the white level per channel, for which rawpy decodes once more."""
-    from eldata.evaluation import frames
-    from eldata.raw import reading
-
-    decoded, loaded = [], []
-    genuine_read, genuine_load = reading.read_raw, load_prediction
-
-    def read(path: Path) -> object:
-        decoded.append(path.relative_to(own.files).as_posix())
-        return genuine_read(path)
-
-    def load(*arguments: object) -> object:
-        loaded.append(arguments[0])
-        return genuine_load(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(reading, "read_raw", read)
-    monkeypatch.setattr(frames, "load_prediction", load)
-    evaluate_all(preds, **own.where)
-    assert sorted(decoded) == ["s0/clean.dng", "s1/clean.dng"]
-    assert len(loaded) == len(set(loaded)) == 4
 
 
 def test_frames_are_gone_before_the_next_ones_are_read(
@@ -430,9 +407,6 @@ def test_a_noisy_frame_that_cannot_be_decoded_is_the_problem_of_its_pair(tmp_pat
     found = evaluate(None, **own.where, baseline="input", allow_missing=True)
     assert [problem.path for problem in found.problems] == [str(own.files / "s0/x50.dng")]
     assert [image.ratio for image in found.images] == [100]
-
-
-# --- executors --------------------------------------------------------------------------------------------------------
 
 
 # --- errors of our own ------------------------------------------------------------------------------------------------

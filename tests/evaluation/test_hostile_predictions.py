@@ -178,15 +178,6 @@ def test_pngs_of_every_kind_are_decoded_as_the_library_does(tmp_path: Path) -> N
             assert np.array_equal(read_png(tmp_path / "x.png"), imagecodecs.png_decode(content))
 
 
-@pytest.mark.parametrize("bits", [8, 16])
-def test_integers_become_the_same_floats_as_by_division(bits: int, tmp_path: Path) -> None:
-    codes = np.arange(2**bits, dtype=f"uint{bits}")
-    codes = np.resize(codes, (256, 256, 3))
-    np.save(tmp_path / "x.npy", codes)
-    found = load_colours(tmp_path / "x.npy", (3, 256, 256), "srgb")
-    assert np.array_equal(found, (codes.astype(np.float32) / np.float32(2**bits - 1)).transpose(2, 0, 1))
-
-
 @pytest.mark.parametrize("name", ["h5-gzip-shuffle-checksum", "tif-strips", "tif-planes"])
 def test_a_guarded_process_reads_the_same(name: str, tmp_path: Path) -> None:
     path = tmp_path / f"x.{name.partition('-')[0]}"

@@ -16,7 +16,7 @@ import pytest
 
 from eldata import evaluate, evaluate_all
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation import evaluate_methods, units
+from eldata.evaluation import evaluate_methods, load_prediction, units
 from eldata.evaluation.comparison.folders import named_folders, requests_of
 from eldata.evaluation.evaluate import perform_each
 from tests.evaluation.own_set import OwnSet, build_own_set, predict
@@ -79,21 +79,27 @@ def test_workers_change_nothing(own: OwnSet, folders: dict[str, Path]) -> None:
             assert [as_text(result) for result in found.values()] == expected
 
 
-def test_each_raw_is_decoded_once(own: OwnSet, folders: dict[str, Path]) -> None:
-    """However many folders there are; and no noisy frame that none of their predictions is looked at with."""
-    import eldata.raw.reading as reading
+def test_each_file_is_read_once(own: OwnSet, folders: dict[str, Path]) -> None:
+    """However many folders and protocols there are; and no noisy frame that no prediction is looked at with."""
+    from eldata.evaluation import frames
+    from eldata.raw import reading
 
-    decode, read = reading.read_raw, Counter[str]()
+    decode, load, read = reading.read_raw, load_prediction, Counter[str]()
 
     def counted(path: Any, *arguments: Any, **options: Any) -> Any:
         read[Path(path).name] += 1
         return decode(path, *arguments, **options)
 
-    chosen = [folders["good"], folders["swapped"]]
-    with patch.object(reading, "read_raw", counted):
-        evaluate_methods(chosen, **own.where)
+    def loaded(path: Path, *arguments: Any) -> Any:
+        read[str(path)] += 1
+        return load(path, *arguments)
+
+    chosen, options = {name: folders[name] for name in ("good", "swapped")}, {**own.where}
+    with patch.object(reading, "read_raw", counted), patch.object(frames, "load_prediction", loaded):
+        perform_each(requests_of(chosen, "", "all", options))  # type: ignore[arg-type] # of any value
     assert read["clean.dng"] == 3
     assert max(read[name] for name in ("x50.dng", "x100.dng")) <= 3  # one of each scene
+    assert [count for path, count in read.items() if path.endswith(".npy")] == [1] * 12
 
 
 def test_a_unit_that_one_folder_loses(own: OwnSet, folders: dict[str, Path]) -> None:

@@ -460,58 +460,65 @@ def test_a_dark_scale_is_noted_because_rescaling_hides_it(factor: float, tree: T
 RGB_SHAPE = (3, 6, 8)
 
 
-def rgb_values() -> NDArray[np.float64]:
-    return np.random.default_rng(4).random((6, 8, 3))
-
-
-@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize(("bits", "pixels"), [(8, "srgb"), (16, "srgb"), (16, "rgb")])
 @pytest.mark.parametrize("extension", ["png", "npy", "tif"])
-def test_integer_renderings(bits: int, extension: str, tmp_path: Path) -> None:
-    full = 2**bits - 1
-    codes = np.rint(full * rgb_values()).astype(f"uint{bits}")
+def test_integers_become_the_same_floats_as_by_division(bits: int, pixels: Any, extension: str, tmp_path: Path) -> None:
+    """Every code. Of frames that are no renderings, arrays have their channels first."""
+    codes = np.resize(np.arange(2**bits, dtype=f"uint{bits}"), (256, 256, 3))
     path = tmp_path / f"x.{extension}"
+    first = pixels == "rgb" and extension != "png"
+    stored = np.ascontiguousarray(codes.transpose(2, 0, 1)) if first else codes
     if extension == "png":
-        path.write_bytes(imagecodecs.png_encode(codes))
+        path.write_bytes(imagecodecs.png_encode(stored))
     elif extension == "tif":
-        tifffile.imwrite(path, codes, photometric="rgb")
+        tifffile.imwrite(path, stored, photometric="minisblack" if first else "rgb")
     else:
-        np.save(path, codes)
-    found = load_colours(path, RGB_SHAPE, "srgb")
-    assert found.shape == RGB_SHAPE
-    np.testing.assert_allclose(found, codes.transpose(2, 0, 1) / full, rtol=1e-7)
+        np.save(path, stored)
+    found = load_colours(path, (3, 256, 256), pixels)
+    assert np.array_equal(found, (codes.astype(np.float32) / np.float32(2**bits - 1)).transpose(2, 0, 1))
     assert prediction_space(path) == "srgb"
 
 
 @pytest.mark.parametrize("first", [True, False])
 def test_rendered_arrays_have_their_channels_first_or_last(tmp_path: Path, *, first: bool) -> None:
-    values = rgb_values()
+    values = np.random.default_rng(4).random((6, 8, 3))
     np.save(tmp_path / "x.npy", values.transpose(2, 0, 1) if first else values)
     np.testing.assert_array_equal(load_colours(tmp_path / "x.npy", RGB_SHAPE, "srgb"), values.transpose(2, 0, 1))
 
 
 @pytest.mark.parametrize(
-    ("array", "said"),
+    ("pixels", "array", "said"),
     [
-        (np.zeros((6, 8)), "one grey channel"),
-        (np.zeros((4, 6, 8)), "packed raw, or with alpha"),
-        (np.zeros((6, 8, 4)), "packed raw, or with alpha"),
-        (np.zeros((6, 7, 3)), r"expected \(6, 8, 3\) or \(3, 6, 8\), found \(6, 7, 3\); render the whole frame"),
-        (np.zeros((8, 6, 3)), "in the reference's orientation"),
-        (np.full((6, 8, 3), 200.0), "divide by 65535 or 255"),
-        (np.full((6, 8, 3), np.nan), "finite"),
-        (np.zeros((6, 8, 3), np.int32), "int32"),
+        ("srgb", np.zeros((6, 8)), "one grey channel"),
+        ("srgb", np.zeros((4, 6, 8)), "packed raw, or with alpha"),
+        ("srgb", np.zeros((6, 8, 4)), "packed raw, or with alpha"),
+        (
+            "srgb",
+            np.zeros((6, 7, 3)),
+            r"expected \(6, 8, 3\) or \(3, 6, 8\), found \(6, 7, 3\); render the whole",
+        ),
+        ("srgb", np.zeros((8, 6, 3)), "in the reference's orientation"),
+        ("srgb", np.full((6, 8, 3), 200.0), "divide by 65535 or 255"),
+        ("srgb", np.full((6, 8, 3), np.nan), "finite"),
+        ("srgb", np.zeros((6, 8, 3), np.int32), "int32"),
+        ("rgb", np.zeros((6, 8, 3)), "channels-last"),
+        ("rgb", np.zeros(RGB_SHAPE, np.uint8), "found uint8"),
+        ("rgb", np.zeros((3, 5, 5)), r"expected shape \(3, 6, 8\) \(R, G, B\), found \(3, 5, 5\); predict the whole"),
+        ("rgb", np.full(RGB_SHAPE, 200.0), "divide by 65535 or 255"),
+        ("rgb", np.full(RGB_SHAPE, np.nan), "1?44 NaN"),
     ],
 )
-def test_bad_renderings(array: NDArray[Any], said: str, tmp_path: Path) -> None:
+def test_bad_colours(pixels: Any, array: NDArray[Any], said: str, tmp_path: Path) -> None:
     np.save(tmp_path / "x.npy", array)
     with pytest.raises(PredictionError, match=said):
-        load_colours(tmp_path / "x.npy", RGB_SHAPE, "srgb")
+        load_colours(tmp_path / "x.npy", RGB_SHAPE, pixels)
 
 
-def test_a_dng_is_no_rendering(tmp_path: Path) -> None:
+def test_a_dng_is_neither_rendering_nor_frame(tmp_path: Path) -> None:
     (tmp_path / "x.dng").write_bytes(b"")
-    with pytest.raises(PredictionError, match="expected a rendering in sRGB, found a DNG"):
-        load_colours(tmp_path / "x.dng", RGB_SHAPE, "srgb")
+    for pixels, kind in (("srgb", "a rendering in sRGB"), ("rgb", "an RGB frame")):
+        with pytest.raises(PredictionError, match=f"expected {kind}, found a DNG"):
+            load_colours(tmp_path / "x.dng", RGB_SHAPE, pixels)  # type: ignore[arg-type] # of either
     assert prediction_space(tmp_path / "x.dng") == "raw"
 
 

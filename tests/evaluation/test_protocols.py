@@ -149,6 +149,8 @@ def test_protocols_make_sense() -> None:
 
 def test_get_protocol() -> None:
     assert get_protocol("eld") is PROTOCOLS["eld"]
+    for family, dataset in (("lrd", "lrd"), ("pmn", "lrid")):
+        assert get_protocol(family, dataset) is PROTOCOLS[f"{family}-{dataset}"]
     with pytest.raises(ArgumentError) as caught:
         get_protocol("ELD")
     for name in PROTOCOLS:
@@ -174,6 +176,9 @@ SRGB_OF_SID = "sid-srgb sid-raw2rgb sid-rgb2rgb sid2018"
         ("eld", "eld eld-uncorrected pmn-eld sony-eld led-eld lrd-eld eld-srgb eld-raw2rgb eld-rgb2rgb"),
         ("sid-sony", "sid sid-uncorrected eld-cvpr20 sid-tpami pmn-sid sony-sid led-sid lrd-sid " + SRGB_OF_SID),
         ("sid-fuji", "sid sid-uncorrected sid2018"),
+        ("lrd", "lrd-lrd"),
+        ("lrid", "pmn-lrid sony-lrid"),
+        ("drv", "drv-rgb drv-rgb-uncorrected"),
         (
             "mine",
             "raw eld eld-uncorrected eld-cvpr20 led-sid lrd-sid sid-srgb sid-raw2rgb eld-srgb eld-raw2rgb sid2018",

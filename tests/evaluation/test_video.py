@@ -18,10 +18,8 @@ from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestErro
 from eldata.evaluation import EvaluationResult, evaluate, save_clip_prediction
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.looking import images_of
-from eldata.manifest.catalogue import shipped_card
 from eldata.manifest.drv import scan_raw
 from eldata.metrics import PEAK_ELD, psnr, st_rred
-from eldata.protocols import PROTOCOLS, default_protocol, get_protocol, kinds
 from eldata.raw.cfa import unpack
 from tests.drv_tree import SENSOR, SmallDrv, generator_of, rgb_frame_of, small_drv, still_of, write_png, write_raw_clip
 from tests.evaluation import published_code
@@ -141,19 +139,6 @@ def test_raw_scores_are_those_of_the_published_code(phases: tuple[str, str], tmp
     assert mosaics.videos == result.videos
 
 
-def test_a_16_bit_png_is_read_as_rgb(drv: SmallDrv, tmp_path: Path) -> None:
-    for clip in CLIPS:
-        for number in SCORED:
-            pixels = np.clip(predicted(clip, number), 0, 1).transpose(1, 2, 0)
-            write_png(tmp_path / "png" / clip / f"{number:04d}.png", np.round(pixels * 65535).astype(np.uint16))
-            (tmp_path / "npy" / clip).mkdir(parents=True, exist_ok=True)
-            np.save(
-                tmp_path / "npy" / clip / f"{number:04d}.npy",
-                np.round(pixels * 65535).astype(np.uint16).transpose(2, 0, 1),
-            )
-    assert score(drv, tmp_path / "png").videos == score(drv, tmp_path / "npy").videos
-
-
 def test_a_perfect_prediction(drv: SmallDrv, tmp_path: Path) -> None:
     for clip in CLIPS:
         for number in SCORED:
@@ -186,22 +171,6 @@ def test_a_video_needs_all_of_its_frames(drv: SmallDrv, own: Path, result: Evalu
     assert rest.missing == ("0007",)
     assert "1 of 2" in rest.format_table()
     assert "INCOMPLETE: 1 videos" in rest.format_text()
-
-
-def test_unusable_predictions_are_named(drv: SmallDrv, own: Path) -> None:
-    shape = (3, *SIZE)
-    for number, array in (
-        (5, np.zeros((*SIZE, 3), np.float32)),
-        (6, np.zeros(shape, np.uint8)),
-        (7, np.full(shape, np.nan, np.float32)),
-        (8, np.full(shape, 200.0, np.float32)),
-        (9, np.zeros((3, 10, 10), np.float32)),
-    ):
-        np.save(own / f"0007/{number:04d}.npy", array)
-    (own / "0013/0005.npy").rename(own / "0013/0005.dng")
-    reasons = [problem.reason for problem in score(drv, own).problems]
-    for part in ("channels-last", "found uint8", "NaN", "divide by 65535 or 255", "expected shape", "found a DNG"):
-        assert sum(part in reason for reason in reasons) >= 1, part
 
 
 def test_extra_ambiguous_and_unscored_predictions(drv: SmallDrv, own: Path) -> None:
@@ -266,16 +235,6 @@ def test_unknown_names_list_the_known(drv: SmallDrv, predictions: Path) -> None:
         score(drv, predictions, ids=None)
     with pytest.raises(EldataError, match="no such folder"):
         score(drv, predictions / "none")
-
-
-def test_protocols_for_clips() -> None:
-    of_clips = {name: one for name, one in PROTOCOLS.items() if one.kind is kinds.CLIPS and name != "sequences"}
-    for name, protocol in of_clips.items():
-        assert get_protocol(name) is protocol
-        stated = protocol.as_dict()
-        assert stated["st_rred_peak"] == PEAK_ELD
-        assert (stated["frames"], stated["frame_count"]) == ("evaluation", 5)
-    assert default_protocol(shipped_card("drv")) is PROTOCOLS["drv-rgb"]
 
 
 def test_a_window_of_another_length_is_refused(drv: SmallDrv, tmp_path: Path) -> None:

@@ -238,7 +238,7 @@ def table_of(pairs: Sequence[Pair], scores: Sequence[UnitScore], kind: Kind, dat
 
 @dataclass(frozen=True, slots=True)
 class PaperTable:
-    """Cells of a table.
+    """Cells of a table, as papers lay it out.
 
     Attributes
     ----------
@@ -257,39 +257,6 @@ class PaperTable:
     left: tuple[int, ...]
     rules: tuple[int, ...] = ()
     transposed: bool = False
-
-
-def paper_table(
-    rows: Sequence[TableRow],
-    names: Sequence[str],
-    texts: Sequence[Sequence[str]],
-    *,
-    one_camera: bool,
-    times: str = "x",
-) -> PaperTable:
-    """Return the cells of a table of means.
-
-    A set of several cameras has a row for each camera and factor, as in the ELD paper's table; a set of one camera has
-    a column for each factor, as in those on SID; without factors it is one row, as in those on DRV.
-
-    Parameters
-    ----------
-    rows
-        Of the result.
-    names, texts
-        What each row states, and its texts.
-    one_camera
-        Whether the set has one camera, and all of it was chosen.
-    times
-        As for :func:`factor_text`.
-    """
-    if len(rows) == 1 and rows[0].ratio is None:
-        return PaperTable(tuple(names), (tuple(texts[0]),), (0,))
-    if one_camera and len({row.camera for row in rows if row.camera is not None}) == 1:
-        header = (rows[0].camera or "", *(factor_text(row.ratio, times) for row in rows))
-        cells = tuple((name, *values) for name, values in zip(names, zip(*texts, strict=True), strict=True))
-        return PaperTable(header, cells, (0,), transposed=True)
-    return grouped_table([(row.camera, row.ratio) for row in rows], names, texts, times)
 
 
 def grouped_table(

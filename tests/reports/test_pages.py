@@ -158,6 +158,7 @@ EVERY = pytest.mark.parametrize("which", PAGES)
 def test_well_formed_and_self_contained(which: str, request: pytest.FixtureRequest) -> None:
     assert_well_formed(request.getfixturevalue(which))
     assert_self_contained(request.getfixturevalue(which))
+    assert "<script" not in request.getfixturevalue(which)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,9 @@ from eldata.manifest.catalogue import shipped_manifest, shipped_names
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from eldata.evaluation.pairs import Pair
     from eldata.protocols.kinds import Kind
 
@@ -132,9 +135,12 @@ class UnitScore(Valued):
         return self.row(kind) | more
 
 
-def mean(values: Collection[float]) -> float:
-    """Return the mean, summed exactly; nan of nothing."""
-    return math.fsum(values) / len(values) if values else math.nan
+def mean(values: Collection[float] | NDArray[np.float64]) -> float:
+    """Return the mean, summed exactly; nan of nothing, and of infinities of both signs."""
+    try:
+        return math.fsum(values) / len(values) if len(values) else math.nan
+    except ValueError:
+        return math.nan
 
 
 def means(scores: Sequence[UnitScore], names: Iterable[str]) -> dict[str, float]:

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from eldata.errors import ArgumentError
+from eldata.evaluation.scores import mean
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Sequence
@@ -140,13 +141,13 @@ def interval_of_mean(values: Values, scenes: Sequence[Hashable]) -> Interval:
 
     sums, counts = _by_scene(values, scenes)
     images, number = int(counts.sum()), len(counts)
-    mean = _mean(values)
+    middle = mean(values)
     if number < FEWEST_SCENES or not np.isfinite(sums).all():
-        return Interval(mean, math.nan, math.nan, images, number)
-    moves = (sums - mean * counts) / (images - counts)  # of the mean, as each scene is left out
+        return Interval(middle, math.nan, math.nan, images, number)
+    moves = (sums - middle * counts) / (images - counts)  # of the mean, as each scene is left out
     deviation = math.sqrt((number - 1) / number * math.fsum(moves**2))
     half = float(stdtrit(number - 1, (1 + LEVEL) / 2)) * deviation
-    return Interval(mean, mean - half, mean + half, images, number)
+    return Interval(middle, middle - half, middle + half, images, number)
 
 
 def interval_of_scores(scores: Sequence[UnitScore], name: str, *, scenes_shared: bool) -> Interval:
@@ -240,12 +241,3 @@ def _by_scene(values: Values, scenes: Sequence[Hashable]) -> tuple[NDArray[np.fl
     of = np.array([index[scene] for scene in scenes], dtype=np.int64)
     sums = np.bincount(of, np.asarray(values, dtype=np.float64)).astype(np.float64)
     return sums, np.bincount(of).astype(np.int64)
-
-
-def _mean(values: Values) -> float:
-    """Return the mean, summed exactly, as tables have it."""
-    array = np.asarray(values, dtype=np.float64)
-    if not len(array):
-        return math.nan
-    with np.errstate(invalid="ignore"):
-        return math.fsum(array) / len(array) if np.isfinite(array).all() else float(array.mean())

@@ -183,7 +183,7 @@ def test_a_few_frames_of_each_camera_and_factor_are_looked_at() -> None:
 def inspection(camera: str, ratio: float, words: str | None) -> Inspection:
     """A frame whose prediction is like its own reference."""
     image = sketch(np.random.default_rng(0).random((4, 32, 48)))
-    mistake = None if words is None else Mistake(words, 20.0, 30.0)
+    mistake = None if words is None else Mistake(words, 30.0)
     return Inspection(f"{camera}/{ratio:g}", camera, ratio, 20.0, mistake, image, image)
 
 

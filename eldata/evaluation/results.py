@@ -13,7 +13,6 @@ from eldata.base.files import write_json, write_text
 from eldata.base.numbers import counted
 from eldata.base.tables import block, csv_text, latex_table, markdown_table, markdown_text, table, text_table, wrapped
 from eldata.base.visible import in_line
-from eldata.evaluation.pairs import name_of
 from eldata.evaluation.scores import (
     EvaluationProblem,
     PaperTable,
@@ -24,6 +23,7 @@ from eldata.evaluation.scores import (
     finite_values,
     grouped_table,
     json_object,
+    name_of,
     nothing_scored,
     problem_lines,
     short_digest,
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     from eldata.base.tables import Format
     from eldata.evaluation.diagnosis import Suspicion
-    from eldata.evaluation.pairs import Pair
+    from eldata.evaluation.scores import Pair
     from eldata.evaluation.statistics import Interval
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip

@@ -21,8 +21,19 @@ from eldata.base.workers import Failed, require_files
 from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, PredictionError
 from eldata.evaluation.diagnosis import Inspection, chosen_frames
 from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
-from eldata.evaluation.pairs import Pair, files_of, frames_of, iso_of, place_of, ratio_of, reference_of
-from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
+from eldata.evaluation.scores import (
+    EvaluationProblem,
+    FrameScore,
+    Pair,
+    UnitScore,
+    files_of,
+    frames_of,
+    iso_of,
+    mean,
+    place_of,
+    ratio_of,
+    reference_of,
+)
 from eldata.manifest.clips import ClipRecord
 from eldata.protocols.protocol import ClipProtocol
 

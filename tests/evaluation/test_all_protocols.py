@@ -120,16 +120,6 @@ def test_what_is_suspect_under_a_protocol_alone_is_not_laid_to_it(own: OwnSet, p
     assert combined.spans()["psnr_db"] == max(shifts) - min(shifts)
 
 
-def test_text_says_what_distinguishes_the_protocols(own: OwnSet, preds: Path) -> None:
-    told = evaluate_all(preds, **own.where).format_text()
-    assert max(map(len, told.splitlines())) <= 80
-    text = " ".join(told.split())
-    assert told.startswith("mine, 6 protocols\n")
-    assert "lrd-sid: rescaling: one factor per image -> none" in text
-    assert "4 of 4 pairs: raw, eld, eld-uncorrected, led-sid, lrd-sid, eld-srgb" in text
-    assert "not scored: eld-cvpr20: s0/x100.dng: protocol eld-cvpr20 cannot score it: a packed image of" in text
-
-
 def test_files_of_all(own: OwnSet, preds: Path, tmp_path: Path) -> None:
     combined = evaluate_all(preds, **own.where)
     combined.write_json(tmp_path / "all.json")

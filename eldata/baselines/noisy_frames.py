@@ -16,7 +16,7 @@ from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_image, n
 from eldata.baselines.exported import checked_window
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame, rendered_frame
-from eldata.evaluation.pairs import amplified_by, iso_of, reference_of
+from eldata.evaluation.scores import amplified_by, iso_of, reference_of
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.noise.gain_modes import rows_nearest, rows_of
 from eldata.noise.parameters import NoiseParameters
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     Values = NDArray[np.floating[Any]]
     from collections.abc import Callable
 
-    from eldata.evaluation.pairs import Pair
+    from eldata.evaluation.scores import Pair
     from eldata.manifest.catalogue import FrameFiles
     from eldata.manifest.clips import Clip
     from eldata.protocols.protocol import Protocol as ScoringProtocol

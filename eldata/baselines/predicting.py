@@ -20,10 +20,10 @@ from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames, estimate_line
 from eldata.baselines.prediction_folder import ANSWERS, begun, remarks_on
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.evaluation.layouts import stem_of
-from eldata.evaluation.pairs import files_of, frames_of, place_of
 from eldata.evaluation.planning import plan_scoring, require_pairs
 from eldata.evaluation.predictions import save_prediction
 from eldata.evaluation.request import SetOptions, make_request
+from eldata.evaluation.scores import files_of, frames_of, place_of
 from eldata.manifest.card import CHANNELS
 from eldata.manifest.clips import clips_of, setting_name
 from eldata.manifest.patterns import expand
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.pairs import Pair
     from eldata.evaluation.request import EvaluationOptions, Request
+    from eldata.evaluation.scores import Pair
     from eldata.manifest.catalogue import FrameFiles
     from eldata.manifest.clips import Clip
     from eldata.noise.profile import CameraProfile

@@ -216,11 +216,11 @@ def _run_several(arguments: console.Arguments) -> int:
         COMPARISON,
         ScoredMethods,
         named_folders,
-        requests_of,
         results_folder,
     )
     from eldata.evaluation.comparison.tables import format_comparison
     from eldata.evaluation.evaluate import perform_each
+    from eldata.evaluation.request import make_request
 
     if arguments.baseline is not None:
         raise ArgumentError("-o and --name are for folders of predictions; of --baseline give --json FILE, --csv FILE")
@@ -235,7 +235,10 @@ def _run_several(arguments: console.Arguments) -> int:
     folders = named_folders([Path(name) for name in arguments.predictions], arguments.names)
     out = None if arguments.output is None else Path(arguments.output)
     with console.chosen_workers(arguments) as workers:
-        requests = requests_of(folders, arguments.dataset or "", arguments.protocol, _options(arguments, workers))
+        options = _options(arguments, workers)
+        requests = [
+            make_request(folder, arguments.dataset or "", arguments.protocol, options) for folder in folders.values()
+        ]
         if out is not None:
             results_folder(out, folders)
         methods = ScoredMethods.of(dict(zip(folders, perform_each(requests), strict=True)))

@@ -160,7 +160,7 @@ def run_check(arguments: console.Arguments) -> int:
         return f"{one_line(profile.camera)}: {found.model} against {one_line(found.camera)}\n\n{found.format_text()}"
 
     def write_page() -> None:
-        from eldata.reports.acceptance import acceptance_page
+        from eldata.reports.noise_models import acceptance_page
 
         write_text(arguments.html, acceptance_page(found))
         print(f"\nreport: {arguments.html}")

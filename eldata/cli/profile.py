@@ -106,7 +106,7 @@ def run_show(arguments: console.Arguments) -> int:
 
     def write_page() -> None:
         from eldata.base.files import write_text
-        from eldata.reports.profile import profile_page
+        from eldata.reports.noise_models import profile_page
 
         write_text(arguments.html, profile_page(diagnostics))
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from eldata.errors import ArgumentError
 from eldata.evaluation.layouts import find_predictions
 from eldata.evaluation.originals import Originals
-from eldata.evaluation.pairs import frames_of, place_of
 from eldata.evaluation.planning import ScoringPlan
+from eldata.evaluation.scores import frames_of, place_of
 from eldata.evaluation.units import Contender, score_plans
 from eldata.protocols.digests import CHOOSING, NEUTRAL, OF_INPUT
 from eldata.protocols.kinds import IMAGES
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from eldata.evaluation.looking import ScoredImage
-    from eldata.evaluation.pairs import Pair
     from eldata.evaluation.request import Request
+    from eldata.evaluation.scores import Pair
     from eldata.evaluation.units import PlanScores
     from eldata.protocols.protocol import Protocol
 

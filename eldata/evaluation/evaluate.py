@@ -15,12 +15,11 @@ from eldata.errors import ArgumentError, ManifestError
 from eldata.evaluation.combined import CombinedResult, NotScored
 from eldata.evaluation.diagnosis import suspicions_of
 from eldata.evaluation.layouts import Expected, FoundPredictions, dataset_itself, find_predictions, misplaced
-from eldata.evaluation.pairs import frames_of, place_of
 from eldata.evaluation.planning import known_places, places_elsewhere, plan_scoring, require_pairs
 from eldata.evaluation.predictions import LOOKS, look_of_folder, look_wanted, other_look
 from eldata.evaluation.request import ALL, SETTINGS, EvaluationOptions, Request, make_request, stated_shading
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
-from eldata.evaluation.scores import EvaluationProblem
+from eldata.evaluation.scores import EvaluationProblem, frames_of, place_of
 from eldata.evaluation.tasks import task_note
 from eldata.evaluation.units import Contender, score_plans
 from eldata.noise.dark_shading import dark_shading_in

@@ -19,9 +19,8 @@ from eldata.evaluation.alternatives import changes_of, score_each, with_score
 from eldata.evaluation.evaluate import perform
 from eldata.evaluation.looking import images_of, worst_and_best
 from eldata.evaluation.originals import levels_dn, normalised_frame
-from eldata.evaluation.pairs import frames_of, iso_of, ratio_of, reference_of
 from eldata.evaluation.request import EvaluationOptions, make_request
-from eldata.evaluation.scores import factor_text, json_object
+from eldata.evaluation.scores import factor_text, frames_of, iso_of, json_object, ratio_of, reference_of
 from eldata.protocols.digests import NEUTRAL
 from eldata.protocols.protocol import NO_SHADING, Protocol
 from eldata.protocols.words import FIELDS, described, in_words, region_words

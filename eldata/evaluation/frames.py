@@ -18,8 +18,8 @@ from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
 from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch
 from eldata.evaluation.diagnosis.places import Circumstances
 from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame, rendered_frame
-from eldata.evaluation.pairs import Pair, amplified_by, ratio_of
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
+from eldata.evaluation.scores import Pair, amplified_by, ratio_of
 from eldata.isp.response import response_of
 from eldata.manifest.clips import ClipRecord
 from eldata.metrics.registry import OF_FRAMES

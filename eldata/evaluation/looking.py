@@ -15,9 +15,8 @@ from eldata.errors import ArgumentError, PredictionError
 from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
 from eldata.evaluation.layouts import find_predictions
 from eldata.evaluation.originals import Originals
-from eldata.evaluation.pairs import place_of, reference_of
 from eldata.evaluation.reproduction import protocol_of
-from eldata.evaluation.scores import FrameScore, cameras_in_order, natural
+from eldata.evaluation.scores import FrameScore, cameras_in_order, natural, place_of, reference_of
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
 from eldata.isp.preview import brightening, preview
 from eldata.protocols.protocol import NO_SHADING, Protocol
@@ -27,9 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.pairs import Pair
     from eldata.evaluation.results import EvaluationResult
-    from eldata.evaluation.scores import UnitScore
+    from eldata.evaluation.scores import Pair, UnitScore
     from eldata.manifest.catalogue import FrameFiles
     from eldata.plots.scores import Strip
     from eldata.records import Sensor

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from eldata.base.numbers import counted
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.originals import Originals, store_of
-from eldata.evaluation.pairs import Pair, clip_place, files_of, iso_of
 from eldata.evaluation.request import OF_CLIPS
+from eldata.evaluation.scores import Pair, clip_place, files_of, iso_of
 from eldata.manifest.card import find_subset
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clips import choose_clips, clips_of, windows

@@ -21,7 +21,7 @@ from eldata.base.files import atomic_write, file_problem
 from eldata.errors import ArgumentError, PredictionError, RawFileError
 from eldata.evaluation.layouts import stem_of
 from eldata.evaluation.originals import normalised_frame
-from eldata.evaluation.pairs import place_of
+from eldata.evaluation.scores import place_of
 from eldata.protocols.named import protocols_for
 from eldata.raw.cfa import pack, packed_shape
 from eldata.raw.levels import with_levels

@@ -22,8 +22,7 @@ from eldata.protocols.protocol import NO_SHADING, ClipProtocol, Protocol
 
 if TYPE_CHECKING:
     from eldata.base.workers import AnyWorkers
-    from eldata.evaluation.pairs import Pair
-    from eldata.evaluation.scores import UnitScore
+    from eldata.evaluation.scores import Pair, UnitScore
     from eldata.evaluation.tasks import TaskFunction
     from eldata.manifest.catalogue import FrameFiles
 

@@ -168,19 +168,6 @@ def make_request(
     return request
 
 
-def of_folder(request: Request, predictions: Path | str) -> Request:
-    """Return the same request of another folder of predictions.
-
-    Raises
-    ------
-    ArgumentError
-        If the folder says of its predictions what does not go with the request.
-    """
-    folder = Path(predictions)
-    _check_inputs(request, folder)
-    return replace(request, predictions=folder)
-
-
 def _is_own(manifest: Manifest) -> bool:
     default = default_protocol(manifest.card)
     return manifest.name not in shipped_names() and (default.kind is IMAGES or not default.covers(manifest.name))

@@ -13,17 +13,18 @@ from eldata.base.files import write_json, write_text
 from eldata.base.numbers import counted
 from eldata.base.tables import block, csv_text, latex_table, markdown_table, markdown_text, table, text_table, wrapped
 from eldata.base.visible import in_line
-from eldata.evaluation.pairs import name_of
 from eldata.evaluation.scores import (
     EvaluationProblem,
     PaperTable,
     TableRow,
     UnitScore,
     csv_number,
+    factor_text,
     finite_values,
+    grouped_table,
     json_object,
+    name_of,
     nothing_scored,
-    paper_table,
     problem_lines,
     short_digest,
     table_of,
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 
     from eldata.base.tables import Format
     from eldata.evaluation.diagnosis import Suspicion
-    from eldata.evaluation.pairs import Pair
+    from eldata.evaluation.scores import Pair
     from eldata.evaluation.statistics import Interval
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip
@@ -270,9 +271,21 @@ class EvaluationResult:
         return self.laid_out(self.kind.heads, [row.texts(self.kind) for row in self.table])
 
     def laid_out(self, names: Sequence[str], texts: Sequence[Sequence[str]], times: str = "x") -> PaperTable:
-        """Return texts for each row of the table laid out by :func:`~eldata.evaluation.scores.paper_table`."""
-        one_camera = self.provenance.get("cameras", "all") == "all"
-        return paper_table(self.table, names, texts, one_camera=one_camera, times=times)
+        """Return texts for each row of the table laid out; ``names`` is what each states.
+
+        A set of several cameras has a row for each camera and factor, as in the ELD paper's table; a set of one camera,
+        all of which was chosen, has a column for each factor, as in those on SID; without factors it is one row, as in
+        those on DRV. ``times``: as for :func:`~eldata.evaluation.scores.factor_text`.
+        """
+        rows = self.table
+        if len(rows) == 1 and rows[0].ratio is None:
+            return PaperTable(tuple(names), (tuple(texts[0]),), (0,))
+        cameras = {row.camera for row in rows if row.camera is not None}
+        if len(cameras) == 1 and self.provenance.get("cameras", "all") == "all":
+            header = (rows[0].camera or "", *(factor_text(row.ratio, times) for row in rows))
+            cells = tuple((name, *values) for name, values in zip(names, zip(*texts, strict=True), strict=True))
+            return PaperTable(header, cells, (0,), transposed=True)
+        return grouped_table([(row.camera, row.ratio) for row in rows], names, texts, times)
 
     def format(self, form: Format) -> str:
         """Return the result as plain text, or its table in Markdown or LaTeX, ready to be pasted into a document."""

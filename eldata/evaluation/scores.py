@@ -1,22 +1,98 @@
-"""Scores of images and of windows of clips, what keeps others from being scored, and the table of their means."""
+"""What is scored, images and windows of clips; their scores, what keeps others from having any, the table of means."""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from eldata.base.numbers import counted
 from eldata.base.visible import in_line
-from eldata.evaluation.pairs import ratio_of
+from eldata.errors import DatasetError
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
+from eldata.manifest.clips import ClipRecord, moment_of
+from eldata.records import PairRecord
+from eldata.sources.frames import stated_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
-    from eldata.evaluation.pairs import Pair
+    import numpy as np
+    from numpy.typing import NDArray
+
     from eldata.protocols.kinds import Kind
+    from eldata.protocols.protocol import Amplification
+
+
+# --- what is scored, and where its predictions lie --------------------------------------------------------------------
+
+Pair: TypeAlias = PairRecord | ClipRecord
+
+
+def frames_of(pair: Pair) -> tuple[str, ...]:
+    """Return the noisy frames of a pair or a window."""
+    return pair.paths if isinstance(pair, ClipRecord) else (pair.path,)
+
+
+def files_of(pair: Pair) -> tuple[str, ...]:
+    """Return a pair's frames, or a window's, and what they are compared with."""
+    references = {reference_of(pair, frame) for frame in frames_of(pair)}
+    return (*frames_of(pair), *sorted(filter(None, references)))
+
+
+def name_of(pair: Pair) -> str:
+    """Return what a person calls it: the path of a noisy frame, the number of a clip."""
+    return pair.scene if isinstance(pair, ClipRecord) else pair.path
+
+
+def ratio_of(pair: Pair) -> float | None:
+    """Return the nominal factor of a pair; of windows of clips, only those of sequences state one."""
+    return None if pair.ratio is None else float(pair.ratio)
+
+
+def amplified_by(pair: Pair, amplification: Amplification) -> float | None:
+    """Return what the manifest has an input multiplied by; ``None``: by the files' ratio, as windows of clips are.
+
+    Raises
+    ------
+    DatasetError
+        If it is to be the measured ratio, and the manifest has none.
+    """
+    if isinstance(pair, PairRecord):
+        ratio = stated_ratio(pair, amplification)
+        return None if ratio is None else float(ratio)
+    if amplification == "measured":
+        raise DatasetError(f"clip {pair.scene}: no ratio of clips is measured; amplification 'metadata' needs none")
+    return None
+
+
+def iso_of(pair: Pair) -> float:
+    """Return the ISO of a pair's noisy frame; 0 where it is not known, and of windows of clips but sequences'."""
+    return float(pair.iso or 0)
+
+
+def reference_of(pair: Pair, frame: str) -> str | None:
+    """Return what a noisy frame of a pair or a window is compared with, if there is anything."""
+    return pair.reference_of(frame) if isinstance(pair, ClipRecord) else pair.reference
+
+
+def place_of(pair: Pair, frame: str) -> str:
+    """Return where the prediction of a noisy frame lies, but for its extension.
+
+    That is the frame's own path, so that a sequence's predictions are those of its photographs; of another clip,
+    ``<clip>/<name of the frame>``, whatever folders the frame lies in.
+    """
+    return clip_place(pair.scene, frame) if isinstance(pair, ClipRecord) and not pair.references else frame
+
+
+def clip_place(scene: str, frame: str) -> str:
+    """Return where the prediction of a clip's frame lies, by the frame's scene, but for its extension."""
+    return f"{scene}/{PurePosixPath(frame).name}" if moment_of(scene) is None else frame
+
+
+# --- scores -----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,9 +208,12 @@ class UnitScore(Valued):
         return self.row(kind) | more
 
 
-def mean(values: Collection[float]) -> float:
-    """Return the mean, summed exactly; nan of nothing."""
-    return math.fsum(values) / len(values) if values else math.nan
+def mean(values: Collection[float] | NDArray[np.float64]) -> float:
+    """Return the mean, summed exactly; nan of nothing, and of infinities of both signs."""
+    try:
+        return math.fsum(values) / len(values) if len(values) else math.nan
+    except ValueError:
+        return math.nan
 
 
 def means(scores: Sequence[UnitScore], names: Iterable[str]) -> dict[str, float]:
@@ -238,7 +317,7 @@ def table_of(pairs: Sequence[Pair], scores: Sequence[UnitScore], kind: Kind, dat
 
 @dataclass(frozen=True, slots=True)
 class PaperTable:
-    """Cells of a table.
+    """Cells of a table, as papers lay it out.
 
     Attributes
     ----------
@@ -257,39 +336,6 @@ class PaperTable:
     left: tuple[int, ...]
     rules: tuple[int, ...] = ()
     transposed: bool = False
-
-
-def paper_table(
-    rows: Sequence[TableRow],
-    names: Sequence[str],
-    texts: Sequence[Sequence[str]],
-    *,
-    one_camera: bool,
-    times: str = "x",
-) -> PaperTable:
-    """Return the cells of a table of means.
-
-    A set of several cameras has a row for each camera and factor, as in the ELD paper's table; a set of one camera has
-    a column for each factor, as in those on SID; without factors it is one row, as in those on DRV.
-
-    Parameters
-    ----------
-    rows
-        Of the result.
-    names, texts
-        What each row states, and its texts.
-    one_camera
-        Whether the set has one camera, and all of it was chosen.
-    times
-        As for :func:`factor_text`.
-    """
-    if len(rows) == 1 and rows[0].ratio is None:
-        return PaperTable(tuple(names), (tuple(texts[0]),), (0,))
-    if one_camera and len({row.camera for row in rows if row.camera is not None}) == 1:
-        header = (rows[0].camera or "", *(factor_text(row.ratio, times) for row in rows))
-        cells = tuple((name, *values) for name, values in zip(names, zip(*texts, strict=True), strict=True))
-        return PaperTable(header, cells, (0,), transposed=True)
-    return grouped_table([(row.camera, row.ratio) for row in rows], names, texts, times)
 
 
 def grouped_table(

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from eldata.errors import ArgumentError
+from eldata.evaluation.scores import mean
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Sequence
@@ -115,8 +116,8 @@ def over_scenes(*, shared: bool) -> str:
     return "scenes" if shared else "the scenes of each camera"
 
 
-def interval_of_mean(values: Values, scenes: Sequence[Hashable], *, level: float = LEVEL) -> Interval:
-    """Return the mean over images with its interval over scenes.
+def interval_of_mean(values: Values, scenes: Sequence[Hashable]) -> Interval:
+    """Return the mean over images with its interval over scenes, :data:`LEVEL` of which are to hold the truth.
 
     Parameters
     ----------
@@ -124,8 +125,6 @@ def interval_of_mean(values: Values, scenes: Sequence[Hashable], *, level: float
         One score per image.
     scenes
         What each image is of, as :func:`clusters_of` says; images of one err together.
-    level
-        Share of such intervals that are to hold the truth, in (0, 1).
 
     Returns
     -------
@@ -136,21 +135,19 @@ def interval_of_mean(values: Values, scenes: Sequence[Hashable], *, level: float
     Raises
     ------
     ArgumentError
-        If there are not as many scenes as values, or the level is invalid.
+        If there are not as many scenes as values.
     """
     from scipy.special import stdtrit
 
-    if not 0 < level < 1:
-        raise ArgumentError(f"the level of an interval lies between 0 and 1; found {level}")
     sums, counts = _by_scene(values, scenes)
     images, number = int(counts.sum()), len(counts)
-    mean = _mean(values)
+    middle = mean(values)
     if number < FEWEST_SCENES or not np.isfinite(sums).all():
-        return Interval(mean, math.nan, math.nan, images, number)
-    moves = (sums - mean * counts) / (images - counts)  # of the mean, as each scene is left out
+        return Interval(middle, math.nan, math.nan, images, number)
+    moves = (sums - middle * counts) / (images - counts)  # of the mean, as each scene is left out
     deviation = math.sqrt((number - 1) / number * math.fsum(moves**2))
-    half = float(stdtrit(number - 1, (1 + level) / 2)) * deviation
-    return Interval(mean, mean - half, mean + half, images, number)
+    half = float(stdtrit(number - 1, (1 + LEVEL) / 2)) * deviation
+    return Interval(middle, middle - half, middle + half, images, number)
 
 
 def interval_of_scores(scores: Sequence[UnitScore], name: str, *, scenes_shared: bool) -> Interval:
@@ -242,15 +239,5 @@ def _by_scene(values: Values, scenes: Sequence[Hashable]) -> tuple[NDArray[np.fl
         raise ArgumentError(f"expected the scene of each value; found {len(values)} values and {len(scenes)} scenes")
     index = {scene: number for number, scene in enumerate(dict.fromkeys(scenes))}
     of = np.array([index[scene] for scene in scenes], dtype=np.int64)
-    sums = np.zeros(len(index))
-    np.add.at(sums, of, np.asarray(values, dtype=np.float64))
-    return sums, np.bincount(of, minlength=len(index)).astype(np.int64)
-
-
-def _mean(values: Values) -> float:
-    """Return the mean, summed exactly, as tables have it."""
-    array = np.asarray(values, dtype=np.float64)
-    if not len(array):
-        return math.nan
-    with np.errstate(invalid="ignore"):
-        return math.fsum(array) / len(array) if np.isfinite(array).all() else float(array.mean())
+    sums = np.bincount(of, np.asarray(values, dtype=np.float64)).astype(np.float64)
+    return sums, np.bincount(of).astype(np.int64)

@@ -9,7 +9,7 @@ folders there are, but for those that a task of several frames sees together.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -21,8 +21,19 @@ from eldata.base.workers import Failed, require_files
 from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, PredictionError
 from eldata.evaluation.diagnosis import Inspection, chosen_frames
 from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
-from eldata.evaluation.pairs import Pair, files_of, frames_of, iso_of, place_of, ratio_of, reference_of
-from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
+from eldata.evaluation.scores import (
+    EvaluationProblem,
+    FrameScore,
+    Pair,
+    UnitScore,
+    files_of,
+    frames_of,
+    iso_of,
+    mean,
+    place_of,
+    ratio_of,
+    reference_of,
+)
 from eldata.manifest.clips import ClipRecord
 from eldata.protocols.protocol import ClipProtocol
 
@@ -36,7 +47,6 @@ if TYPE_CHECKING:
     from eldata.evaluation.request import Request
     from eldata.evaluation.tasks import Shown
     from eldata.metrics.image_score import Score
-    from eldata.protocols.protocol import Protocol
 
 Value = TypeVar("Value")
 
@@ -253,7 +263,7 @@ def _score_unit(job: ScoringJob, unit: _Unit) -> list[tuple[int, str, PlanScores
         noisy: dict[str, NoisyInput] = {}  # what several folders' predictions of this pair are held against
         members = list(of_pair)
         for member in members:
-            scorers = [_scorer(job, member, number) for number in member.contenders]
+            scorers = [_Scorer(job, member, number) for number in member.contenders]
             for index, frame in enumerate(frames_of(member.pair)):
                 reference = _reference(job, references, reference_of(member.pair, frame) or unit.reference)
                 given = noisy.get(frame) or NoisyInput(job, reference, member.pair, frame)
@@ -275,40 +285,34 @@ def _reference(job: ScoringJob, known: dict[str, Reference], path: str) -> Refer
     return known[path]
 
 
-# --- what differs between images and clips ------------------------------------------------------------------------
-
-
-def _scorer(job: ScoringJob, member: _Member, contender: int) -> _Scorer:
-    pair, protocol, frames = member.pair, job.protocols[contender], frames_of(member.pair)
-    looked = frames[len(frames) // 2] if contender in member.looked else None
-    if isinstance(pair, ClipRecord) and isinstance(protocol, ClipProtocol):
-        return _ClipScorer(pair, protocol, looked, job)
-    return _Scorer(pair, protocol, looked, job)
+# --- one pair under one protocol ------------------------------------------------------------------------------------
 
 
 class _Scorer:
-    """Scores a pair under one protocol: PSNR and SSIM of its frame; ``looked`` is looked at for mistakes."""
+    """Scores a pair under one protocol: means over its frames, and of a window of a clip ST-RRED.
 
-    def __init__(self, pair: Pair, protocol: Protocol, looked: str | None, job: ScoringJob) -> None:
-        self._pair, self._protocol, self._looked, self._task = pair, protocol, looked, job.task
-        self._inspections: list[Inspection] = []
-        self._frames: list[FrameScore] = []
+    For that the grey image of each frame alone is kept.
+    """
+
+    def __init__(self, job: ScoringJob, member: _Member, contender: int) -> None:
+        frames = frames_of(member.pair)
+        self._pair, self._protocol, self._job = member.pair, job.protocols[contender], job
+        self._looked = frames[len(frames) // 2] if contender in member.looked else None  # at, for mistakes
         self._found = PlanScores()
-        self._bare = False
-        self._whites_dn: tuple[float, float] | None = None
-        self._others: list[dict[str, float]] = []
+        self._frames: list[FrameScore] = []
+        self._values: list[dict[str, float]] = []  # of each frame
         self._before: list[Shown] = []  # the frames before, as long as the task sees them with the next one
         self._of_task: list[float] = []
-        self._equal: dict[str, frozenset[str]] | None = None
+        self._grey = self._seen = np.empty(0)
 
     def take(self, frame: ComparedFrame) -> None:
         """Score a frame; what is wrong with it is kept."""
-        protocol = self._protocol
+        protocol, kept, path = self._protocol, self._found, self._pair.path
         before, self._before = self._before, []  # those before a frame that fails are not consecutive with the next
         try:
             target = frame.target(protocol)
-            self._bare = frame.reference.lacks_channel_whites(protocol)
-            self._whites_dn = frame.reference.white_levels_dn(protocol)
+            kept.without_channel_whites = [path] * frame.reference.lacks_channel_whites(protocol)
+            kept.white_levels_dn[path] = frame.reference.white_levels_dn(protocol)
         except (ArgumentError, DatasetError, FileError) as error:
             reason = error.reason if isinstance(error, FileError) else str(error)
             self._found = _without_reference(self._pair, reason)
@@ -319,67 +323,34 @@ class _Scorer:
             self._before = self._ask_task(frame, target, found.rescale, before)
         except FileError as error:
             file = frame.file if isinstance(error, PredictionError) else error.path
-            self._found.problems.append(EvaluationProblem(str(file), error.reason))
+            kept.problems.append(EvaluationProblem(str(file), error.reason))
         except ArgumentError as error:
-            problem = EvaluationProblem(self._pair.path, f"protocol {protocol.name} cannot score it: {error}")
+            problem = EvaluationProblem(path, f"protocol {protocol.name} cannot score it: {error}")
             self._found = PlanScores(unfit=[problem])
         else:
-            self._keep(frame, target, found)
-            self._equal = _in_common(self._equal, frame.equal_choices(protocol))
-            self._others.append(others)
+            if isinstance(self._pair, ClipRecord):
+                self._keep_grey(self._pair, frame, target, found)
+            kept.equal_choices = _in_common(kept.equal_choices, frame.equal_choices(protocol))
+            self._values.append(asdict(found) | others)
             self._frames.append(FrameScore(frame.path, found.psnr_db, found.ssim, found.rescale))
             if frame.path == self._looked:
-                self._inspections.append(frame.inspected(protocol, target, found.psnr_db))
+                kept.inspections.append(frame.inspected(protocol, target, found.psnr_db))
 
     def _ask_task(self, frame: ComparedFrame, target: NDArray[Any], factor: float, before: list[Shown]) -> list[Shown]:
         """Score the user's task once it has as many frames as it wants; return those that it sees again."""
-        if self._task is None:
+        task = self._job.task
+        if task is None:
             return []
-        shown = [*before, frame.shown(self._protocol, target, factor, self._task.images)]
-        if len(shown) < self._task.frames:
+        shown = [*before, frame.shown(self._protocol, target, factor, task.images)]
+        if len(shown) < task.frames:
             return shown
-        self._of_task.append(self._task.score(shown, frame.path))
+        self._of_task.append(task.score(shown, frame.path))
         return shown[1:]
 
-    def _keep(self, frame: ComparedFrame, target: NDArray[Any], found: Score) -> None:
-        """Keep of a frame what metrics of the whole clip need."""
-
-    def finished(self) -> PlanScores:
-        """Return the scores of the pair, or what is wrong with its frames."""
-        path = self._pair.path
-        if self._found.problems or self._found.unfit:
-            return self._found
-        return PlanScores(
-            {path: self._score()},
-            without_channel_whites=[path] * self._bare,
-            white_levels_dn={path: self._whites_dn},
-            equal_choices=self._equal,
-            inspections=self._inspections,
-        )
-
-    def _score(self) -> UnitScore:
-        pair = self._pair
-        return UnitScore(pair.path, pair.camera, pair.scene, iso_of(pair), ratio_of(pair), self._means())
-
-    def _means(self) -> dict[str, float]:
-        names = ("psnr_db", "ssim", "rescale")
-        own = {name: mean([getattr(frame, name) for frame in self._frames]) for name in names}
-        own |= {name: mean([others[name] for others in self._others]) for name in self._others[0]}
-        return own if self._task is None else own | {"task": mean(self._of_task)}
-
-
-class _ClipScorer(_Scorer):
-    """Scores a window: means over its frames, and ST-RRED, for which the grey image of each frame alone is kept."""
-
-    def __init__(self, window: ClipRecord, protocol: ClipProtocol, looked: str | None, job: ScoringJob) -> None:
-        super().__init__(window, protocol, looked, job)
-        self._window, self._peak, self._threads = window, protocol.st_rred_peak, job.threads
-        self._grey = self._seen = np.empty(0)
-
-    def _keep(self, frame: ComparedFrame, target: NDArray[Any], found: Score) -> None:
+    def _keep_grey(self, window: ClipRecord, frame: ComparedFrame, target: NDArray[Any], found: Score) -> None:
         from eldata.metrics.st_rred import raw_to_grey
 
-        place, window, crop = len(self._frames), self._window, self._protocol.crop(target.shape)
+        place, crop = len(self._frames), self._protocol.crop(target.shape)
         if not place:
             self._grey = np.empty((len(window.paths), *target[crop].shape[1:]))
             self._seen = np.empty((len(window.references) or 1, *target[crop].shape[1:]))
@@ -389,17 +360,25 @@ class _ClipScorer(_Scorer):
         scored = as_scored(prediction, self._protocol.rules, found.rescale, prediction.dtype)
         self._grey[place] = raw_to_grey(scored)
 
+    def finished(self) -> PlanScores:
+        """Return the scores of the pair, or what is wrong with its frames."""
+        found = self._found
+        if found.problems or found.unfit:
+            return PlanScores(problems=found.problems, unfit=found.unfit)
+        found.scores[self._pair.path] = self._score()
+        return found
+
     def _score(self) -> UnitScore:
+        pair, protocol = self._pair, self._protocol
+        values = {name: mean([of[name] for of in self._values]) for name in self._values[0]}
+        if self._job.task is not None:
+            values["task"] = mean(self._of_task)
+        score = UnitScore(pair.path, pair.camera, pair.scene, iso_of(pair), ratio_of(pair), values)
+        if not (isinstance(pair, ClipRecord) and isinstance(protocol, ClipProtocol)):
+            return score
         from eldata.metrics.st_rred import st_rred
 
         seen = np.broadcast_to(self._seen, self._grey.shape)  # of a still, for every frame
-        video = st_rred(self._grey, seen, peak=self._peak, threads=self._threads)
-        values = self._means() | {
-            "st_rred": video.st_rred,
-            "spatial_rred": video.spatial,
-            "temporal_rred": video.temporal,
-        }
-        window = self._window
-        return replace(
-            super()._score(), values=values, split=window.split, start=window.start, frames=tuple(self._frames)
-        )
+        video = st_rred(self._grey, seen, peak=protocol.st_rred_peak, threads=self._job.threads)
+        values |= {"st_rred": video.st_rred, "spatial_rred": video.spatial, "temporal_rred": video.temporal}
+        return replace(score, split=pair.split, start=pair.start, frames=tuple(self._frames))

@@ -69,7 +69,7 @@ def main(frames: Path, profile: str, page: Path | None = None) -> int:
     found = check_noise(model, frames, CameraProfile.load(profile))
     print(found.format_text())
     if page is not None:
-        from eldata.reports.acceptance import acceptance_page
+        from eldata.reports.noise_models import acceptance_page
 
         page.write_text(acceptance_page(found), encoding="utf-8")
     return 0

@@ -251,7 +251,13 @@ def _factor(images: Pair, rules: ScoringRules, threads: int | None) -> float:
     if rules.rescaling == "none":
         return 1.0
     low, high = rules.treatment(1.0)[:2]
-    return factor_of(images, threads, limits=(low, high), masked=1.0 if rules.rescaling_mask == "unsaturated" else None)
+    left_out = 1.0 if rules.rescaling_mask == "unsaturated" else math.nan  # nothing equals NaN
+
+    def work(band: Band) -> tuple[float, float]:
+        return products(*images.blocks(band), low, high, left_out)
+
+    pg, pp = totals(images.over_bands(work, threads))
+    return pg / pp if pp != 0.0 else 1.0
 
 
 def as_compared(prediction: Image, reference: Image, rules: ScoringRules, factor: float) -> tuple[Array, Array]:
@@ -330,29 +336,7 @@ def rescale_factor(prediction: Image, reference: Image, *, threads: int | None =
     >>> rescale_factor(reference / 4, reference)
     4.0
     """
-    check_threads(threads)
-    return factor_of(pair(prediction, reference), threads)
-
-
-def factor_of(
-    images: Pair,
-    threads: int | None,
-    *,
-    limits: tuple[float, float] = (0.0, 1.0),
-    masked: float | None = 1.0,
-) -> float:
-    """Return :func:`rescale_factor` of a pair that has been checked, or a variant of it.
-
-    ``limits`` clamp the prediction; entries where the reference is exactly ``masked`` do not count.
-    """
-    low, high = limits
-    left_out = math.nan if masked is None else masked  # nothing equals NaN
-
-    def work(band: Band) -> tuple[float, float]:
-        return products(*images.blocks(band), low, high, left_out)
-
-    pg, pp = totals(images.over_bands(work, threads))
-    return pg / pp if pp != 0.0 else 1.0
+    return factor_by(prediction, reference, ScoringRules(), threads=threads)
 
 
 @overload

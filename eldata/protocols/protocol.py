@@ -39,8 +39,37 @@ _DIGEST = re.compile("sha256:[0-9a-f]{64}")
 _REGION = re.compile(r"full|(centre|border)-([1-9][0-9]{0,4})")
 
 
-@dataclass(frozen=True, slots=True)
-class Protocol:
+class _Described:
+    """What says of itself in fields how something was scored: in a line, and in a notebook."""
+
+    __slots__ = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields as plain types."""
+        raise NotImplementedError
+
+    @property
+    def digest(self) -> str:
+        """``sha256:<hex>`` of all that decides a score (:mod:`eldata.protocols.digests`)."""
+        return fields_digest(self.as_dict())
+
+    def __repr__(self) -> str:
+        name, title = (in_line(str(self.as_dict().get(field, ""))) for field in ("name", "title"))
+        return f"{type(self).__name__}({name!r}, {title!r}, {self.digest[:15]})"
+
+    def _repr_html_(self) -> str:
+        stated = [(name, _shown(value)) for name, value in self.as_dict().items() if value not in ("", [], None)]
+        return block(f"Protocol {self.as_dict()['name']}", facts([*stated, ("digest", self.digest)]))
+
+
+def _shown(value: Any) -> str:
+    """Return a field's value as text; of a curve's points the first."""
+    text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return text if not text.startswith("curve ") else f"{text[:60]} ..."
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Protocol(_Described):
     """Everything that a score of an image depends on besides the pixels.
 
     Attributes
@@ -192,11 +221,6 @@ class Protocol:
         """The levels of the datasets' frames, which have one white level for all channels."""
         return "metadata" if self.levels == "metadata-per-channel" else self.levels
 
-    @property
-    def digest(self) -> str:
-        """``sha256:<hex>`` of all that decides a score (:mod:`eldata.protocols.digests`)."""
-        return fields_digest(self.as_dict())
-
     def covers(self, dataset: str) -> bool:
         """Return whether it is for a dataset of this name."""
         return self.dataset in (ANY_DATASET, dataset) or dataset.startswith(f"{self.dataset}-")
@@ -265,28 +289,6 @@ class Protocol:
         if any(ratio <= 0 for ratio in self.ratios):
             raise ArgumentError(f"ratios must be positive; found {list(self.ratios)}")
 
-    def __repr__(self) -> str:
-        return _in_line(self)
-
-    def _repr_html_(self) -> str:
-        return _html(self)
-
-
-def _in_line(protocol: Protocol | StatedProtocol) -> str:
-    name, title = in_line(protocol.name), in_line(protocol.title)
-    return f"{type(protocol).__name__}({name!r}, {title!r}, {protocol.digest[:15]})"
-
-
-def _html(protocol: Protocol | StatedProtocol) -> str:
-    stated = [(name, _shown(value)) for name, value in protocol.as_dict().items() if value not in ("", [], None)]
-    return block(f"Protocol {protocol.name}", facts([*stated, ("digest", protocol.digest)]))
-
-
-def _shown(value: Any) -> str:
-    """Return a field's value as text; of a curve's points the first."""
-    text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-    return text if not text.startswith("curve ") else f"{text[:60]} ..."
-
 
 def _crop(region: str, shape: tuple[int, ...]) -> tuple[slice, ...]:
     height, width = shape[-2:]
@@ -310,8 +312,8 @@ def _kind_and_size(field: str, region: str) -> tuple[str, int]:
     return found[1] or "full", int(found[2] or 0)
 
 
-@dataclass(frozen=True, slots=True)
-class StatedProtocol:
+@dataclass(frozen=True, slots=True, repr=False)
+class StatedProtocol(_Described):
     """A protocol as a saved result states it, in the fields that the version which wrote it had.
 
     Attributes
@@ -336,11 +338,6 @@ class StatedProtocol:
         return str(self.fields.get("title", ""))
 
     @property
-    def digest(self) -> str:
-        """``sha256:<hex>`` of what of these fields decides a score, whichever version wrote them."""
-        return fields_digest(self.fields)
-
-    @property
     def pixels(self) -> Pixels:
         """What predictions and references were, as of :attr:`Protocol.pixels`."""
         if self.fields.get("rendering") == "libraw" or self.fields.get("prediction_space") == "srgb":
@@ -350,12 +347,6 @@ class StatedProtocol:
     def as_dict(self) -> dict[str, Any]:
         """Return its fields."""
         return self.fields
-
-    def __repr__(self) -> str:
-        return _in_line(self)
-
-    def _repr_html_(self) -> str:
-        return _html(self)
 
 
 CHOICES: dict[str, tuple[str, ...]] = {

@@ -18,7 +18,7 @@ from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile
 from eldata.reports.calibration import calibration_page
 from eldata.reports.html import typeset
-from eldata.reports.profile import profile_page
+from eldata.reports.noise_models import profile_page
 from tests.reports.calibrations import camera_at, measured
 from tests.reports.pages import checked
 

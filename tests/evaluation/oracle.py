@@ -1,4 +1,4 @@
-"""The published ELD evaluation a second time, in plain numpy float64 with rawpy, exifread and scikit-image.
+"""The references and pairs of the published ELD evaluation a second time, in plain numpy float64, rawpy and exifread.
 
 It shares no code with the package, on purpose: nothing of ``eldata`` may be imported here.
 """
@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import exifread
 import numpy as np
 import rawpy
-from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -43,13 +41,6 @@ class Pair:
     scene: str
     iso: float
     factor: int
-
-
-@dataclass(frozen=True)
-class Score:
-    psnr_db: float
-    ssim: float
-    alpha: float
 
 
 def decode(path: Path) -> Frame:
@@ -113,23 +104,3 @@ def pairs(folder: Path) -> list[Pair]:
             names = [item.relative_to(folder).as_posix() for item in (path, partner)]
             found.append(Pair(names[0], names[1], path.parts[-3], path.parts[-2], float(iso), factor))
     return found
-
-
-def score(prediction: NDArray[Any], target: Floats, *, corrected: bool) -> Score:
-    p = np.clip(prediction.astype(np.float64), 0, 1)
-    counts = target != 1
-    alpha = float((p * target)[counts].sum() / (p * p)[counts].sum()) if corrected else 1.0
-    scored = np.clip(alpha * p, 0, 1)
-    # scikit-image has annotations in part only.
-    psnr: Any = peak_signal_noise_ratio
-    ssim: Any = structural_similarity
-    return Score(
-        float(psnr(target, scored, data_range=1.0)),
-        float(ssim(target, scored, data_range=1.0, channel_axis=0)),
-        alpha,
-    )
-
-
-def mean(scores: Iterable[Score]) -> tuple[float, float]:
-    found = list(scores)
-    return float(np.mean([s.psnr_db for s in found])), float(np.mean([s.ssim for s in found]))

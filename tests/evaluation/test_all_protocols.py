@@ -17,7 +17,7 @@ import pytest
 from eldata.base.workers import Workers
 from eldata.cli.main import main
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation import evaluate, evaluate_all, load_prediction, save_prediction, units
+from eldata.evaluation import evaluate, evaluate_all, save_prediction, units
 from eldata.evaluation.diagnosis import Suspicion
 from eldata.evaluation.evaluate import perform
 from eldata.evaluation.published import comparison_table
@@ -64,29 +64,6 @@ def preds(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 # --- all in one pass --------------------------------------------------------------------------------------------------
-
-
-def test_each_file_is_decoded_once(own: OwnSet, preds: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """But for the white level per channel, for which rawpy decodes once more."""
-    from eldata.evaluation import frames
-    from eldata.raw import reading
-
-    decoded, loaded = [], []
-    genuine_read, genuine_load = reading.read_raw, load_prediction
-
-    def read(path: Path) -> object:
-        decoded.append(path.relative_to(own.files).as_posix())
-        return genuine_read(path)
-
-    def load(*arguments: object) -> object:
-        loaded.append(arguments[0])
-        return genuine_load(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(reading, "read_raw", read)
-    monkeypatch.setattr(frames, "load_prediction", load)
-    evaluate_all(preds, **own.where)
-    assert sorted(decoded) == ["s0/clean.dng", "s1/clean.dng"]
-    assert len(loaded) == len(set(loaded)) == 4
 
 
 def test_frames_are_gone_before_the_next_ones_are_read(
@@ -141,16 +118,6 @@ def test_what_is_suspect_under_a_protocol_alone_is_not_laid_to_it(own: OwnSet, p
     assert row.endswith(" suspect")
     shifts = [combined.shift(one, "psnr_db")[0] for one in (first, *rest)]
     assert combined.spans()["psnr_db"] == max(shifts) - min(shifts)
-
-
-def test_text_says_what_distinguishes_the_protocols(own: OwnSet, preds: Path) -> None:
-    told = evaluate_all(preds, **own.where).format_text()
-    assert max(map(len, told.splitlines())) <= 80
-    text = " ".join(told.split())
-    assert told.startswith("mine, 6 protocols\n")
-    assert "lrd-sid: rescaling: one factor per image -> none" in text
-    assert "4 of 4 pairs: raw, eld, eld-uncorrected, led-sid, lrd-sid, eld-srgb" in text
-    assert "not scored: eld-cvpr20: s0/x100.dng: protocol eld-cvpr20 cannot score it: a packed image of" in text
 
 
 def test_files_of_all(own: OwnSet, preds: Path, tmp_path: Path) -> None:
@@ -430,9 +397,6 @@ def test_a_noisy_frame_that_cannot_be_decoded_is_the_problem_of_its_pair(tmp_pat
     found = evaluate(None, **own.where, baseline="input", allow_missing=True)
     assert [problem.path for problem in found.problems] == [str(own.files / "s0/x50.dng")]
     assert [image.ratio for image in found.images] == [100]
-
-
-# --- executors --------------------------------------------------------------------------------------------------------
 
 
 # --- errors of our own ------------------------------------------------------------------------------------------------

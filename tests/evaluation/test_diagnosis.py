@@ -183,7 +183,7 @@ def test_a_few_frames_of_each_camera_and_factor_are_looked_at() -> None:
 def inspection(camera: str, ratio: float, words: str | None) -> Inspection:
     """A frame whose prediction is like its own reference."""
     image = sketch(np.random.default_rng(0).random((4, 32, 48)))
-    mistake = None if words is None else Mistake(words, 20.0, 30.0)
+    mistake = None if words is None else Mistake(words, 30.0)
     return Inspection(f"{camera}/{ratio:g}", camera, ratio, 20.0, mistake, image, image)
 
 
@@ -262,15 +262,6 @@ def test_an_evaluation_says_what_would_explain_its_score(larger: Tree, tmp_path:
     assert load_results(tmp_path / "result.json")[0].suspicions == result.suspicions
     write_evaluation_page([result], tmp_path / "page.html", dataset_folder=larger.files, predictions=wrong)
     assert str(found) in (tmp_path / "page.html").read_text(encoding="utf-8")
-
-
-def test_one_camera_of_two(larger: Tree, tmp_path: Path) -> None:
-    def of_beta(target: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-        return reordered(target, name)[[0, 1, 3, 2] if "Alpha" in name else slice(None)]
-
-    place(tmp_path, larger, of_beta)
-    result = evaluate(tmp_path, **larger.where)
-    assert [(one.words, one.where) for one in result.suspicions] == [("as if packed R, G1, G2, B", "DemoBeta")]
 
 
 def test_strict_refuses(larger: Tree, tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ import pytest
 
 from eldata import __version__
 from eldata.base.files import sha256_of
-from eldata.errors import ArgumentError, DatasetError
-from eldata.evaluation import EvaluationResult, evaluate, save_prediction
+from eldata.errors import DatasetError
+from eldata.evaluation import EvaluationResult, evaluate
 from eldata.evaluation.request import EvaluationOptions
 from eldata.evaluation.saved import saved_result
 from eldata.evaluation.scores import UnitScore
@@ -24,7 +24,7 @@ from eldata.manifest.card import load_card, save_card
 from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import IMAGES
 from tests.evaluation import oracle
-from tests.evaluation.helpers import Tree, place, small_tree
+from tests.evaluation.helpers import Tree, place
 
 COLUMNS = ["path", "camera", "scene", "iso", "ratio", "psnr_db", "ssim", "rescale"]
 
@@ -105,13 +105,6 @@ def test_allow_missing_shows_its_coverage(
     assert (rows[None, None].scored, rows[None, None].pairs) == (7, 12)
     assert rows[None, None].psnr_db == pytest.approx(np.mean([image.psnr_db for image in kept]), rel=1e-12)
 
-    text = found.format_text()
-    assert "7 of 12" in text
-    assert "1 of 3" in text
-    assert "0 of 3" in text
-    assert "INCOMPLETE: 5" in text
-    assert "nan" not in text
-
     found.write_json(tmp_path / "r.json")
     data = strict((tmp_path / "r.json").read_text())
     assert data["coverage"] == {"pairs": 12, "scored": 7, "missing": list(found.missing)}
@@ -134,17 +127,11 @@ def refused(tree: Tree, predictions: Path, **arguments: Any) -> str:
     return str(caught.value)
 
 
-def test_absent_dataset(tree: Tree, predictions: Path, tmp_path: Path) -> None:
-    with pytest.raises(DatasetError) as caught:
-        evaluate(predictions, manifest=tree.manifest, root=tmp_path / "nowhere")
-    assert str(tmp_path / "nowhere" / "ELD-demo") in str(caught.value)
-    assert "--root" in str(caught.value)
-
-
 @pytest.mark.parametrize("number", ["0011", "0004"])  # a reference, and a noisy frame, which predictions do not need
-def test_missing_frame(own: Tree, predictions: Path, number: str) -> None:
+@pytest.mark.parametrize("allow_missing", [False, True])
+def test_missing_frame(own: Tree, predictions: Path, number: str, *, allow_missing: bool) -> None:
     (own.files / f"DemoBeta/scene-1/IMG_{number}.dng").unlink()
-    message = refused(own, predictions)
+    message = refused(own, predictions, allow_missing=allow_missing)
     assert f"DemoBeta/scene-1/IMG_{number}.dng" in message
     assert "expected a file, found nothing" in message
 
@@ -167,11 +154,6 @@ def test_damage_outside_of_the_pairs_does_not_matter(own: Tree, predictions: Pat
     assert evaluate(predictions, **own.where).images == result.images
 
 
-def test_problems_are_found_before_anything_is_scored_with_allow_missing_too(own: Tree, incomplete: Path) -> None:
-    (own.files / "DemoBeta/scene-1/IMG_0011.dng").unlink()
-    assert "IMG_0011" in refused(own, incomplete, allow_missing=True)
-
-
 # --- names ----------------------------------------------------------------------------------------------------
 
 
@@ -183,11 +165,6 @@ def test_cameras(own: Tree, predictions: Path, result: EvaluationResult) -> None
     assert "only DemoBeta" in found.format_text()
     assert [(row.camera, row.ratio) for row in found.table] == [("DemoBeta", 100), ("DemoBeta", 200), (None, None)]
     assert any(note.endswith("leaves their frames out: 6 predictions") for note in found.notes)  # of the other camera
-
-
-def test_unknown_camera(tree: Tree, predictions: Path) -> None:
-    with pytest.raises(ArgumentError, match=r"DemoGamma.*DemoAlpha, DemoBeta"):
-        evaluate(predictions, **tree.where, cameras=["DemoAlpha", "DemoGamma"])
 
 
 def test_help_names_every_keyword_with_its_default() -> None:
@@ -236,6 +213,11 @@ def test_provenance(tree: Tree, predictions: Path, result: EvaluationResult) -> 
 
 
 def test_csv(result: EvaluationResult, tmp_path: Path) -> None:
+    """With every digit, of unusual numbers too."""
+    values = {"psnr_db": 0.1 + 0.2, "ssim": 1 / 3, "rescale": 2 / 3}
+    unusual = [(3280000.0, 250.0), (409600.0, 300.0), (50.0, 33.3125)]
+    odd = tuple(UnitScore('odd, "name".dng', "C", "s", iso, ratio, values) for iso, ratio in unusual)
+    result = replace(result, scores=(*result.scores, *odd))
     result.write_csv(tmp_path / "scores.csv")
     content = (tmp_path / "scores.csv").read_bytes()
     assert content.startswith(b"path,camera,scene,iso,ratio,psnr_db,ssim,rescale\n")
@@ -250,18 +232,7 @@ def test_csv(result: EvaluationResult, tmp_path: Path) -> None:
             assert float(row[column]) == getattr(image, column)
         assert (row["camera"], row["scene"]) == (image.camera, image.scene)
     assert rows[0]["iso"] == "800"
-    assert {row["ratio"] for row in rows} == {"100", "200"}
-
-
-def test_csv_keeps_every_digit_of_unusual_numbers(result: EvaluationResult, tmp_path: Path) -> None:
-    values = {"psnr_db": 0.1 + 0.2, "ssim": 1 / 3, "rescale": 2 / 3}
-    unusual = [(3280000.0, 250.0), (409600.0, 300.0), (50.0, 33.3125)]
-    images = tuple(UnitScore('odd, "name".dng', "C", "s", iso, ratio, values) for iso, ratio in unusual)
-    replace(result, scores=images).write_csv(tmp_path / "scores.csv")
-    with (tmp_path / "scores.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert {row["path"] for row in rows} == {images[0].path}
-    assert [[float(row[c]) for c in COLUMNS[3:]] for row in rows] == [[*one, *values.values()] for one in unusual]
+    assert [row["ratio"] for row in rows[-3:]] == ["250", "300", "33.3125"]
 
 
 def test_json(result: EvaluationResult, tmp_path: Path) -> None:
@@ -280,7 +251,7 @@ def test_json(result: EvaluationResult, tmp_path: Path) -> None:
 
 def test_frame(result: EvaluationResult) -> None:
     frame = result.frame
-    assert list(frame.columns) == COLUMNS
+    assert list(frame.columns) == list(replace(result, scores=()).frame.columns) == COLUMNS
     assert len(frame) == 12
     assert list(frame["psnr_db"]) == [image.psnr_db for image in result.images]
     for row in result.table:
@@ -288,17 +259,3 @@ def test_frame(result: EvaluationResult) -> None:
             members = frame[(frame["camera"] == row.camera) & (frame["ratio"] == row.ratio)]
             assert len(members) == row.scored
             assert row.psnr_db == pytest.approx(members["psnr_db"].mean(), rel=1e-12)
-
-
-def test_frame_without_scores_has_its_columns(result: EvaluationResult) -> None:
-    assert list(replace(result, scores=()).frame.columns) == COLUMNS
-
-
-def test_many_problems_stand_together_in_the_text_and_are_whole_in_the_json(tmp_path: Path) -> None:
-    tree = small_tree(tmp_path / "tree", scenes=2)
-    save_prediction(tmp_path / "preds", tree.pairs[0].path, np.zeros((4, 32, 48), np.float32))
-    found = evaluate(tmp_path / "preds", **tree.where)
-    assert len(found.problems) == 23
-    assert found.format_text().startswith("23 alike: has no prediction; add it")
-    assert found.format_text().count("\n") == 5
-    assert len(found.as_dict()["problems"]) == 23

@@ -11,28 +11,20 @@ import zlib
 from contextlib import suppress
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import h5py
 import imagecodecs
 import numpy as np
 import pytest
-import tifffile
 
 from eldata.base.isolation import isolation
 from eldata.base.pixels import NpyError, read_npy_header, read_png
 from eldata.errors import EldataError, PredictionError
 from eldata.evaluation.layouts import find_predictions
 from eldata.evaluation.predictions import load_colours, load_prediction, prediction_space
-from tests.evaluation import awkward_predictions
 from tests.evaluation import hostile_predictions as hostile
-from tests.evaluation.awkward_predictions import AWKWARD
+from tests.evaluation.prediction_files import FILES, LARGE, OF_PACKED, SMALL, write_awkward
 from tests.waiting import PATIENCE_S
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
 
 MOST_KIB = 32 << 10
 """More than a frame of 25 kB and what libraries allocate once, far less than the 64 MiB that each bomb expands to."""
@@ -98,68 +90,6 @@ def test_what_is_wrong_is_said(name: str, words: list[str], outcomes: dict[str, 
 # --- what is odd and good ---------------------------------------------------------------------------------------------
 
 
-def h5(**options: Any) -> Callable[[Path, NDArray[Any]], None]:
-    def save(path: Path, array: NDArray[Any]) -> None:
-        with h5py.File(path, "w") as file:
-            file.create_dataset("anything", data=array, **options)
-
-    return save
-
-
-def tif(**options: Any) -> Callable[[Path, NDArray[Any]], None]:
-    def save(path: Path, array: NDArray[Any]) -> None:
-        tifffile.imwrite(path, array, **({"photometric": "minisblack"} | options))
-
-    return save
-
-
-def raw_npy(header: str) -> Callable[[Path, NDArray[Any]], None]:
-    def save(path: Path, array: NDArray[Any]) -> None:
-        path.write_bytes(hostile.npy(header, array.astype("<f4").tobytes()))
-
-    return save
-
-
-def with_more(path: Path, array: NDArray[Any]) -> None:
-    np.save(path, array)
-    path.write_bytes(path.read_bytes() + b"more")
-
-
-ODD: dict[str, Callable[[Path, NDArray[Any]], None]] = {
-    "npy-of-python-2": raw_npy("{'descr': '<f4', 'fortran_order': False, 'shape': (4L, 32L, 48L), }"),
-    "npy-of-another-writer": raw_npy('{"shape":(4,32,48),"fortran_order":False,"descr":"<f4"}'),
-    "npy-with-more-after-it": with_more,
-    "h5-gzip": h5(compression="gzip"),
-    "h5-gzip-shuffle-checksum": h5(compression="gzip", shuffle=True, fletcher32=True, chunks=(3, 5, 7)),
-    "h5-lzf": h5(compression="lzf", chunks=(3, 32, 7)),
-    "h5-lzf-shuffle": h5(compression="lzf", shuffle=True),
-    "h5-checksum": h5(fletcher32=True),
-    "h5-shuffle": h5(shuffle=True, chunks=(1, 32, 48)),
-    "h5-chunks": h5(chunks=(4, 10, 10), maxshape=(None, None, None)),
-    "h5-chunks-beyond-its-sides": h5(chunks=(5, 40, 50), maxshape=(None, None, None), compression="gzip"),
-    "tif-pages": tif(metadata=None),
-    "tif-tiles": tif(tile=(32, 64), compression="zlib"),
-    "tif-strips": tif(rowsperstrip=5, compression="zlib", predictor=True),
-    "tif-lzw": tif(compression="lzw"),
-    "tif-lzma": tif(compression="lzma"),
-    "tif-zstd": tif(compression="zstd"),
-    "tif-packbits": tif(compression="packbits"),
-    "tif-imagej": tif(imagej=True),
-    "tif-ome": tif(ome=True),
-    "tif-big": tif(bigtiff=True, byteorder=">"),
-    "tif-planes": tif(photometric="rgb", planarconfig="separate"),
-}
-
-
-@pytest.mark.filterwarnings("ignore:Reading `.npy`")  # of Python 2
-@pytest.mark.parametrize("name", ODD)
-def test_odd_files_are_read_as_they_were(name: str, tmp_path: Path) -> None:
-    path = tmp_path / f"x.{name.partition('-')[0]}"
-    ODD[name](path, hostile.good())
-    assert np.array_equal(load_prediction(path, hostile.SENSOR, "metadata"), hostile.good())
-    assert prediction_space(path) == "raw"
-
-
 def test_what_is_not_pixels_is_passed_over(tmp_path: Path) -> None:
     """Compressed text that libpng would expand, and a gamma and a profile, which change no sample."""
     text = hostile.chunk(b"zTXt", b"Comment\0\0" + zlib.compress(bytes(7 << 20), 9))
@@ -178,19 +108,10 @@ def test_pngs_of_every_kind_are_decoded_as_the_library_does(tmp_path: Path) -> N
             assert np.array_equal(read_png(tmp_path / "x.png"), imagecodecs.png_decode(content))
 
 
-@pytest.mark.parametrize("bits", [8, 16])
-def test_integers_become_the_same_floats_as_by_division(bits: int, tmp_path: Path) -> None:
-    codes = np.arange(2**bits, dtype=f"uint{bits}")
-    codes = np.resize(codes, (256, 256, 3))
-    np.save(tmp_path / "x.npy", codes)
-    found = load_colours(tmp_path / "x.npy", (3, 256, 256), "srgb")
-    assert np.array_equal(found, (codes.astype(np.float32) / np.float32(2**bits - 1)).transpose(2, 0, 1))
-
-
-@pytest.mark.parametrize("name", ["h5-gzip-shuffle-checksum", "tif-strips", "tif-planes"])
+@pytest.mark.parametrize("name", ["chunks-of-odd-sides.h5", "strips.tif", "planes.tif"])
 def test_a_guarded_process_reads_the_same(name: str, tmp_path: Path) -> None:
-    path = tmp_path / f"x.{name.partition('-')[0]}"
-    ODD[name](path, hostile.good())
+    path = tmp_path / name
+    (FILES | OF_PACKED)[name][1](path, hostile.good())
     with isolation():
         assert np.array_equal(load_prediction(path, hostile.SENSOR, "metadata"), hostile.good())
         assert prediction_space(path) == "raw"
@@ -283,16 +204,11 @@ def test_a_folder_that_cannot_be_listed_is_an_error(tmp_path: Path, monkeypatch:
 
 @pytest.mark.memory
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the peak of a process is not told here")
-def test_a_prediction_takes_less_than_three_times_its_array(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_prediction_takes_less_than_three_times_its_array(tmp_path: Path) -> None:
     """The array as it is loaded; a mosaic is packed into another, so twice is the least."""
-    (tmp_path / "small").mkdir()
-    for name, write in AWKWARD.items():
-        write(tmp_path / name)
-    monkeypatch.setattr(awkward_predictions, "HEIGHT", hostile.HEIGHT)
-    monkeypatch.setattr(awkward_predictions, "WIDTH", hostile.WIDTH)
-    for name, write in AWKWARD.items():
-        write(tmp_path / "small" / name)
-    command = [sys.executable, "-m", "tests.evaluation.awkward_predictions", str(tmp_path), str(tmp_path / "small")]
+    for name, size in (("small", SMALL), ("large", LARGE)):
+        write_awkward(tmp_path / name, size)
+    command = [sys.executable, "-m", "tests.evaluation.prediction_files", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr[-2000:]
     for name, times in json.loads(done.stdout).items():

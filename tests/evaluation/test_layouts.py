@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.errors import ManifestError
 from eldata.evaluation import evaluate, evaluate_all, save_prediction
 from eldata.evaluation.layouts import EXTENSIONS, Expected, dataset_itself, layout_in_words, nearest_in_words
 from eldata.evaluation.scores import EvaluationProblem, problem_lines
-from eldata.manifest.catalogue import shipped_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -350,13 +348,6 @@ SID = Expected(
 )  # fmt: skip
 def test_names_of_sid(name: str, said: str, tmp_path: Path) -> None:
     assert said in layout_in_words(tmp_path, [name], SID)
-
-
-def test_a_name_that_is_no_dataset_but_the_beginning_of_some(tree: Tree, predictions: Path) -> None:
-    with pytest.raises(ManifestError, match=r"no dataset is called 'sid'; it is sid-fuji and sid-sony: name one"):
-        shipped_manifest("sid")
-    with pytest.raises(ManifestError, match=r"no dataset is called ''; known are crvd, drv, eld"):
-        shipped_manifest("")
 
 
 def test_the_extensions_that_the_message_lists_are_those_that_are_read(

@@ -13,8 +13,7 @@ import pytest
 
 from eldata.evaluation import evaluate, save_prediction
 from eldata.evaluation.scores import groups_of
-from eldata.manifest.catalogue import shipped_card, shipped_manifest
-from eldata.protocols import PROTOCOLS, default_protocol, get_protocol
+from eldata.manifest.catalogue import shipped_manifest
 from tests.lrd_tree import SENSOR, write_frames
 
 if TYPE_CHECKING:
@@ -44,12 +43,3 @@ def test_up_to_twelve_factors_are_groups() -> None:
     assert groups_of(twelve) == [*twelve, (None, None)]
     assert groups_of([*twelve, ("A", 13.0)]) == [(None, None)]
     assert groups_of([*twelve, ("B", 13.0)]) == [("A", None), ("B", None), (None, None)]
-
-
-def test_names_of_the_protocol() -> None:
-    """It scores as LRD's of other sets does, which is held against the published code with other white levels."""
-    assert default_protocol(shipped_card("lrd")) is get_protocol("lrd", "lrd") is PROTOCOLS["lrd-lrd"]
-    assert get_protocol("lrd", "eld") is PROTOCOLS["lrd-eld"]
-    one, other = PROTOCOLS["lrd-lrd"], PROTOCOLS["lrd-eld"]
-    assert (one.rules, one.levels, one.reference_clip) == (other.rules, other.levels, other.reference_clip)
-    assert (one.region, one.amplification) == (other.region, "nominal")

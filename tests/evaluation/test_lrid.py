@@ -16,9 +16,8 @@ from eldata.calibration.camera import calibrate
 from eldata.calibration.shading_fit import dark_shading
 from eldata.datasets import CalibrationFrames, LRIDDataset
 from eldata.evaluation import evaluate, save_prediction
-from eldata.manifest.catalogue import shipped_card, shipped_manifest
+from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.verify import verify
-from eldata.protocols import PROTOCOLS, default_protocol, get_protocol
 from eldata.raw.reading import read_raw
 from tests.evaluation.helpers import assert_equal
 from tests.evaluation.published_code import BAYER
@@ -118,7 +117,3 @@ def test_dark_frames_make_the_dark_shading(tmp_path: Path) -> None:
     )
     whole = np.mean([frames[index]["mosaic"] for index in range(len(frames))], axis=0)
     assert np.corrcoef((plain - corrected)[0].mean(axis=0), whole[0::2, 0::2].mean(axis=0))[0, 1] > 0.99
-
-
-def test_names_of_the_protocol() -> None:
-    assert default_protocol(shipped_card("lrid")) is get_protocol("pmn", "lrid") is PROTOCOLS["pmn-lrid"]

@@ -16,13 +16,14 @@ import pytest
 
 from eldata import evaluate, evaluate_all
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation import evaluate_methods, units
-from eldata.evaluation.comparison.folders import named_folders, requests_of
+from eldata.evaluation import evaluate_methods, load_prediction, units
+from eldata.evaluation.comparison.folders import named_folders
 from eldata.evaluation.evaluate import perform_each
+from eldata.evaluation.request import ALL, make_request
 from tests.evaluation.own_set import OwnSet, build_own_set, predict
 
 if TYPE_CHECKING:
-    from eldata.evaluation import EvaluationResult
+    from eldata.evaluation import CombinedResult, EvaluationResult
     from eldata.evaluation.frames import ComparedFrame
 
 
@@ -51,6 +52,11 @@ def as_text(result: EvaluationResult) -> str:
     return json.dumps(result.as_dict(), sort_keys=True)
 
 
+def under_all_protocols(own: OwnSet, folders: dict[str, Path]) -> list[CombinedResult]:
+    options: Any = own.where
+    return perform_each([make_request(folder, "", ALL, options) for folder in folders.values()])
+
+
 @pytest.mark.parametrize("allow_missing", [False, True])
 def test_each_as_alone(own: OwnSet, folders: dict[str, Path], allow_missing: bool) -> None:
     """JSON equal in every byte; a folder that lacks frames costs the others nothing."""
@@ -65,8 +71,7 @@ def test_each_as_alone(own: OwnSet, folders: dict[str, Path], allow_missing: boo
 
 def test_under_all_protocols(own: OwnSet, folders: dict[str, Path]) -> None:
     chosen = {name: folders[name] for name in ("good", "swapped")}
-    options: Any = own.where
-    for name, combined in zip(chosen, perform_each(requests_of(chosen, "", "all", options)), strict=True):
+    for name, combined in zip(chosen, under_all_protocols(own, chosen), strict=True):
         expected = evaluate_all(folders[name], **own.where)
         assert json.dumps(combined.as_dict()) == json.dumps(expected.as_dict())
 
@@ -79,21 +84,26 @@ def test_workers_change_nothing(own: OwnSet, folders: dict[str, Path]) -> None:
             assert [as_text(result) for result in found.values()] == expected
 
 
-def test_each_raw_is_decoded_once(own: OwnSet, folders: dict[str, Path]) -> None:
-    """However many folders there are; and no noisy frame that none of their predictions is looked at with."""
-    import eldata.raw.reading as reading
+def test_each_file_is_read_once(own: OwnSet, folders: dict[str, Path]) -> None:
+    """However many folders and protocols there are; and no noisy frame that no prediction is looked at with."""
+    from eldata.evaluation import frames
+    from eldata.raw import reading
 
-    decode, read = reading.read_raw, Counter[str]()
+    decode, load, read = reading.read_raw, load_prediction, Counter[str]()
 
     def counted(path: Any, *arguments: Any, **options: Any) -> Any:
         read[Path(path).name] += 1
         return decode(path, *arguments, **options)
 
-    chosen = [folders["good"], folders["swapped"]]
-    with patch.object(reading, "read_raw", counted):
-        evaluate_methods(chosen, **own.where)
+    def loaded(path: Path, *arguments: Any) -> Any:
+        read[str(path)] += 1
+        return load(path, *arguments)
+
+    with patch.object(reading, "read_raw", counted), patch.object(frames, "load_prediction", loaded):
+        under_all_protocols(own, {name: folders[name] for name in ("good", "swapped")})
     assert read["clean.dng"] == 3
     assert max(read[name] for name in ("x50.dng", "x100.dng")) <= 3  # one of each scene
+    assert [count for path, count in read.items() if path.endswith(".npy")] == [1] * 12
 
 
 def test_a_unit_that_one_folder_loses(own: OwnSet, folders: dict[str, Path]) -> None:

@@ -19,6 +19,7 @@ from eldata.raw.reading import read_raw
 from eldata.records import Exposure
 from tests.evaluation import oracle
 from tests.evaluation.helpers import SIZE, Tree, place
+from tests.evaluation.prediction_files import FILES, OF_PACKED, h5, quantised, save_npy, save_npz, save_png, tif
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,86 +36,18 @@ VICTIM = "DemoAlpha/scene-1/IMG_0004.dng"
 # --- every format ---------------------------------------------------------------------------------------------
 
 
-def save_npy(path: Path, array: NDArray[Any]) -> None:
-    np.save(path, array)
-
-
-def save_npy_as_named(path: Path, array: NDArray[Any]) -> None:
-    with path.open("wb") as file:  # given a name, numpy would add .npy
-        np.save(file, array)
-
-
-def save_npz(path: Path, array: NDArray[Any]) -> None:
-    np.savez(path, array)
-
-
-def save_npz_several(path: Path, array: NDArray[Any]) -> None:
-    np.savez_compressed(path, other=np.zeros((3, 5)), prediction=array, time_s=np.float64(0.3))
-
-
-def save_h5(path: Path, array: NDArray[Any]) -> None:
-    with h5py.File(path, "w") as file:
-        file["anything"] = array
-
-
-def save_h5_several(path: Path, array: NDArray[Any]) -> None:
-    with h5py.File(path, "w") as file:
-        file["features"] = np.zeros(7)
-        file.create_dataset("prediction", data=array, compression="gzip")
-        file.create_group("meta")
-
-
-def save_tiff(path: Path, array: NDArray[Any]) -> None:
-    tifffile.imwrite(path, array, photometric="minisblack")
-
-
-def save_tiff_compressed(path: Path, array: NDArray[Any]) -> None:
-    tifffile.imwrite(path, array, photometric="minisblack", compression="zlib", byteorder=">")
-
-
-def save_png(path: Path, array: NDArray[Any]) -> None:
-    path.write_bytes(imagecodecs.png_encode(array))
-
-
-FORMATS: dict[str, tuple[str, str, Callable[[Path, NDArray[Any]], None]]] = {
-    "npy-float16": (".npy", "float16", save_npy),
-    "npy-float32": (".npy", "float32", save_npy),
-    "npy-float64": (".npy", "float64", save_npy),
-    "npy-uint16": (".npy", "uint16", save_npy),
-    "npz-one": (".npz", "float32", save_npz),
-    "npz-several": (".npz", "float64", save_npz_several),
-    "h5-one": (".h5", "float32", save_h5),
-    "h5-several": (".h5", "uint16", save_h5_several),
-    "tif-float32": (".tif", "float32", save_tiff),
-    "tiff-uint16": (".tiff", "uint16", save_tiff_compressed),
-    "upper-case-extension": (".NPY", "float32", save_npy_as_named),
-    "fortran-order": (".npy", "float32", lambda path, array: np.save(path, np.asfortranarray(array))),
-    "big-endian-float32": (".npy", "float32", lambda path, array: np.save(path, array.astype(">f4"))),
-    "big-endian-uint16": (".npy", "uint16", lambda path, array: np.save(path, array.astype(">u2"))),
-    "big-endian-h5": (".h5", "float64", lambda path, array: save_h5(path, array.astype(">f8"))),
-    "png-uint16": (".png", "uint16", save_png),
-}
-
-
-def quantised(values: NDArray[np.float64], dtype: str) -> tuple[NDArray[Any], NDArray[np.float64]]:
-    """What is stored for values in [0, 1], and what it stands for."""
-    if dtype == "uint16":
-        stored: NDArray[Any] = np.rint(values * 65535).astype(np.uint16)
-        return stored, stored / 65535
-    stored = values.astype(dtype)
-    return stored, stored.astype(np.float64)
-
-
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.filterwarnings("ignore:Reading `.npy`")  # of Python 2
+@pytest.mark.parametrize("name", [*FILES, *OF_PACKED])
 def test_every_format_is_read_as_what_it_stands_for(name: str, tree: Tree, tmp_path: Path) -> None:
-    """Packed and as a mosaic, whose sites LibRaw tells; a PNG holds mosaics alone. float32 has seven digits."""
-    extension, dtype, save = FORMATS[name]
-    stored, stands_for = quantised(np.random.default_rng(7).random(PACKED), dtype)
-    sensor, path = read_raw(tree.files / VICTIM).sensor, tmp_path / f"x{extension}"
-    forms = [oracle.unpack(stored, oracle.decode(tree.files / VICTIM).pattern), stored]
-    for form in forms[: 1 if extension == ".png" else 2]:
+    """Packed and as a mosaic, whose sites LibRaw tells. float32 has seven digits."""
+    kind, save = (FILES | OF_PACKED)[name]
+    stored, stands_for = quantised(np.random.default_rng(7).random(PACKED), kind)
+    sensor, path = read_raw(tree.files / VICTIM).sensor, tmp_path / name
+    forms = [] if name in OF_PACKED else [oracle.unpack(stored, oracle.decode(tree.files / VICTIM).pattern)]
+    for form in forms if path.suffix == ".png" else [*forms, stored]:
         save(path, form)
         np.testing.assert_allclose(load_prediction(path, sensor, "published"), stands_for, rtol=1e-7)
+        assert prediction_space(path) == "raw"
 
 
 @pytest.mark.parametrize("compression", ["none", "lossless-jpeg"])
@@ -231,6 +164,7 @@ def save_dng(path: Path, mosaic: NDArray[Any], cfa: tuple[tuple[int, ...], ...] 
     write_dng(path, mosaic.astype(np.uint16), sensor, Exposure())
 
 
+DEFLATED = tif(compression="zlib", byteorder=">")
 SHAPES = [str(PACKED), str(SIZE)]
 
 # extension, writer, words that the reason must have: what was expected, what was found, what to do.
@@ -274,12 +208,12 @@ BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "npy-cut": (".npy", cut(save_npy), ["cannot be read as npy", "write it again"]),
     "npy-cut-in-header": (".npy", cut(save_npy, 0.003), ["cannot be read as npy", "write it again"]),
     "npz-cut": (".npz", cut(save_npz), ["npz", "write it again"]),
-    "h5-cut": (".h5", cut(save_h5), ["cannot be read as h5", "write it again"]),
-    "tif-cut": (".tif", cut(save_tiff), ["cannot be read as tif", "write it again"]),
-    "tiff-cut": (".tiff", cut(save_tiff_compressed), ["cannot be read as tiff", "write it again"]),
+    "h5-cut": (".h5", cut(h5()), ["cannot be read as h5", "write it again"]),
+    "tif-cut": (".tif", cut(tif()), ["cannot be read as tif", "write it again"]),
+    "tiff-cut": (".tiff", cut(DEFLATED), ["cannot be read as tiff", "write it again"]),
     "png-cut": (".png", cut(save_png), ["cannot be read as png", "write it again"]),
     "npz-damaged": (".npz", damaged(save_npz), ["cannot be read as npz", "write it again"]),
-    "tiff-damaged": (".tiff", damaged(save_tiff_compressed), ["cannot be read as tiff", "write it again"]),
+    "tiff-damaged": (".tiff", damaged(DEFLATED), ["cannot be read as tiff", "write it again"]),
     "png-damaged": (".png", damaged(save_png), ["cannot be read as png", "write it again"]),
     **{f"{kind}-garbage": (f".{kind}", garbage, []) for kind in ("npy", "npz", "h5", "tif", "tiff", "png", "dng")},
     **{f"{kind}-empty": (f".{kind}", empty, []) for kind in ("npy", "npz", "h5", "tif", "tiff", "png", "dng")},
@@ -378,7 +312,7 @@ def test_extra_predictions_are_named(tree: Tree, alpha: Path) -> None:
 
 
 def test_two_extensions_are_ambiguous(tree: Tree, alpha: Path) -> None:
-    save_tiff((alpha / VICTIM).with_suffix(".tif"), good())
+    tif()((alpha / VICTIM).with_suffix(".tif"), good())
     result = run(alpha, tree)
     (problem,) = result.problems
     assert problem.path == VICTIM
@@ -460,58 +394,65 @@ def test_a_dark_scale_is_noted_because_rescaling_hides_it(factor: float, tree: T
 RGB_SHAPE = (3, 6, 8)
 
 
-def rgb_values() -> NDArray[np.float64]:
-    return np.random.default_rng(4).random((6, 8, 3))
-
-
-@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize(("bits", "pixels"), [(8, "srgb"), (16, "srgb"), (16, "rgb")])
 @pytest.mark.parametrize("extension", ["png", "npy", "tif"])
-def test_integer_renderings(bits: int, extension: str, tmp_path: Path) -> None:
-    full = 2**bits - 1
-    codes = np.rint(full * rgb_values()).astype(f"uint{bits}")
+def test_integers_become_the_same_floats_as_by_division(bits: int, pixels: Any, extension: str, tmp_path: Path) -> None:
+    """Every code. Of frames that are no renderings, arrays have their channels first."""
+    codes = np.resize(np.arange(2**bits, dtype=f"uint{bits}"), (256, 256, 3))
     path = tmp_path / f"x.{extension}"
+    first = pixels == "rgb" and extension != "png"
+    stored = np.ascontiguousarray(codes.transpose(2, 0, 1)) if first else codes
     if extension == "png":
-        path.write_bytes(imagecodecs.png_encode(codes))
+        path.write_bytes(imagecodecs.png_encode(stored))
     elif extension == "tif":
-        tifffile.imwrite(path, codes, photometric="rgb")
+        tifffile.imwrite(path, stored, photometric="minisblack" if first else "rgb")
     else:
-        np.save(path, codes)
-    found = load_colours(path, RGB_SHAPE, "srgb")
-    assert found.shape == RGB_SHAPE
-    np.testing.assert_allclose(found, codes.transpose(2, 0, 1) / full, rtol=1e-7)
+        np.save(path, stored)
+    found = load_colours(path, (3, 256, 256), pixels)
+    assert np.array_equal(found, (codes.astype(np.float32) / np.float32(2**bits - 1)).transpose(2, 0, 1))
     assert prediction_space(path) == "srgb"
 
 
 @pytest.mark.parametrize("first", [True, False])
 def test_rendered_arrays_have_their_channels_first_or_last(tmp_path: Path, *, first: bool) -> None:
-    values = rgb_values()
+    values = np.random.default_rng(4).random((6, 8, 3))
     np.save(tmp_path / "x.npy", values.transpose(2, 0, 1) if first else values)
     np.testing.assert_array_equal(load_colours(tmp_path / "x.npy", RGB_SHAPE, "srgb"), values.transpose(2, 0, 1))
 
 
 @pytest.mark.parametrize(
-    ("array", "said"),
+    ("pixels", "array", "said"),
     [
-        (np.zeros((6, 8)), "one grey channel"),
-        (np.zeros((4, 6, 8)), "packed raw, or with alpha"),
-        (np.zeros((6, 8, 4)), "packed raw, or with alpha"),
-        (np.zeros((6, 7, 3)), r"expected \(6, 8, 3\) or \(3, 6, 8\), found \(6, 7, 3\); render the whole frame"),
-        (np.zeros((8, 6, 3)), "in the reference's orientation"),
-        (np.full((6, 8, 3), 200.0), "divide by 65535 or 255"),
-        (np.full((6, 8, 3), np.nan), "finite"),
-        (np.zeros((6, 8, 3), np.int32), "int32"),
+        ("srgb", np.zeros((6, 8)), "one grey channel"),
+        ("srgb", np.zeros((4, 6, 8)), "packed raw, or with alpha"),
+        ("srgb", np.zeros((6, 8, 4)), "packed raw, or with alpha"),
+        (
+            "srgb",
+            np.zeros((6, 7, 3)),
+            r"expected \(6, 8, 3\) or \(3, 6, 8\), found \(6, 7, 3\); render the whole",
+        ),
+        ("srgb", np.zeros((8, 6, 3)), "in the reference's orientation"),
+        ("srgb", np.full((6, 8, 3), 200.0), "divide by 65535 or 255"),
+        ("srgb", np.full((6, 8, 3), np.nan), "finite"),
+        ("srgb", np.zeros((6, 8, 3), np.int32), "int32"),
+        ("rgb", np.zeros((6, 8, 3)), "channels-last"),
+        ("rgb", np.zeros(RGB_SHAPE, np.uint8), "found uint8"),
+        ("rgb", np.zeros((3, 5, 5)), r"expected shape \(3, 6, 8\) \(R, G, B\), found \(3, 5, 5\); predict the whole"),
+        ("rgb", np.full(RGB_SHAPE, 200.0), "divide by 65535 or 255"),
+        ("rgb", np.full(RGB_SHAPE, np.nan), "1?44 NaN"),
     ],
 )
-def test_bad_renderings(array: NDArray[Any], said: str, tmp_path: Path) -> None:
+def test_bad_colours(pixels: Any, array: NDArray[Any], said: str, tmp_path: Path) -> None:
     np.save(tmp_path / "x.npy", array)
     with pytest.raises(PredictionError, match=said):
-        load_colours(tmp_path / "x.npy", RGB_SHAPE, "srgb")
+        load_colours(tmp_path / "x.npy", RGB_SHAPE, pixels)
 
 
-def test_a_dng_is_no_rendering(tmp_path: Path) -> None:
+def test_a_dng_is_neither_rendering_nor_frame(tmp_path: Path) -> None:
     (tmp_path / "x.dng").write_bytes(b"")
-    with pytest.raises(PredictionError, match="expected a rendering in sRGB, found a DNG"):
-        load_colours(tmp_path / "x.dng", RGB_SHAPE, "srgb")
+    for pixels, kind in (("srgb", "a rendering in sRGB"), ("rgb", "an RGB frame")):
+        with pytest.raises(PredictionError, match=f"expected {kind}, found a DNG"):
+            load_colours(tmp_path / "x.dng", RGB_SHAPE, pixels)  # type: ignore[arg-type] # of either
     assert prediction_space(tmp_path / "x.dng") == "raw"
 
 

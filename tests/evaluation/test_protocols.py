@@ -149,6 +149,8 @@ def test_protocols_make_sense() -> None:
 
 def test_get_protocol() -> None:
     assert get_protocol("eld") is PROTOCOLS["eld"]
+    for family, dataset in (("lrd", "lrd"), ("pmn", "lrid")):
+        assert get_protocol(family, dataset) is PROTOCOLS[f"{family}-{dataset}"]
     with pytest.raises(ArgumentError) as caught:
         get_protocol("ELD")
     for name in PROTOCOLS:
@@ -174,6 +176,9 @@ SRGB_OF_SID = "sid-srgb sid-raw2rgb sid-rgb2rgb sid2018"
         ("eld", "eld eld-uncorrected pmn-eld sony-eld led-eld lrd-eld eld-srgb eld-raw2rgb eld-rgb2rgb"),
         ("sid-sony", "sid sid-uncorrected eld-cvpr20 sid-tpami pmn-sid sony-sid led-sid lrd-sid " + SRGB_OF_SID),
         ("sid-fuji", "sid sid-uncorrected sid2018"),
+        ("lrd", "lrd-lrd"),
+        ("lrid", "pmn-lrid sony-lrid"),
+        ("drv", "drv-rgb drv-rgb-uncorrected"),
         (
             "mine",
             "raw eld eld-uncorrected eld-cvpr20 led-sid lrd-sid sid-srgb sid-raw2rgb eld-srgb eld-raw2rgb sid2018",
@@ -232,21 +237,16 @@ def test_lists_tell_protocols_apart() -> None:
 # --- comparison -------------------------------------------------------------------------------------------------------
 
 
-def test_a_protocol_compares_with_itself_whatever_its_name() -> None:
-    eld = PROTOCOLS["eld"].as_dict()
-    assert comparability(eld, eld) == []
-    assert comparability(eld, eld | {"name": "x", "title": "y", "source": "z"}) == []
-
-
 def test_differences_are_named_in_words() -> None:
     eld, cvpr = PROTOCOLS["eld"].as_dict(), PROTOCOLS["eld-cvpr20"].as_dict()
     found = comparability(eld, cvpr)
     assert "region: full frame against packed centre 512 x 512" in found
     assert "subset: as chosen, else the card's first against indoor-15" in found
     assert not [text for text in found if text.startswith(("rescaling", "SSIM", "PSNR"))]
-    assert comparability(eld, PROTOCOLS["eld-uncorrected"].as_dict()) == [
-        "rescaling: one factor per image against none"
-    ]
+    assert comparability(eld, eld | {"name": "x", "title": "y", "source": "z"}) == []
+    for name in ("eld", "drv-raw"):
+        one, plain = (PROTOCOLS[protocol].as_dict() for protocol in (name, f"{name}-uncorrected"))
+        assert comparability(one, plain) == ["rescaling: one factor per image against none"]
 
 
 def test_a_field_that_an_older_version_did_not_state_is_neutral() -> None:
@@ -283,12 +283,6 @@ def test_where_the_factor_is_found_is_said_where_it_differs() -> None:
     cropped = led | {"rescaling_region": "scored"}
     expected = ["factor's region: all but 2 packed pixels at each edge against full frame"]
     assert comparability(cropped, led) == expected
-
-
-def test_protocols_of_clips_compare_too() -> None:
-    raw, plain = (PROTOCOLS[name].as_dict() for name in ("drv-raw", "drv-raw-uncorrected"))
-    assert comparability(raw, raw) == []
-    assert comparability(raw, plain) == ["rescaling: one factor per image against none"]
 
 
 # --- one's own --------------------------------------------------------------------------------------------------------
@@ -394,14 +388,6 @@ def test_bad_files_are_refused_in_one_line(text: str, said: str, tmp_path: Path)
         load_protocol(path)
     assert str(caught.value).startswith((f"{path}: ", f"{path}, field "))
     assert "\n" not in str(caught.value)
-
-
-def test_missing_and_unreadable_files(tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match=r"none\.toml: cannot be read: No such file"):
-        get_protocol(str(tmp_path / "none.toml"))
-    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
-    with pytest.raises(ArgumentError, match=r"bytes\.toml: is not TOML"):
-        load_protocol(tmp_path / "bytes.toml")
 
 
 # --- regions ----------------------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ import pytest
 from skimage.metrics import structural_similarity
 
 from eldata.errors import FileError, ManifestError
-from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.published import _NEAR, comparison_table
 from eldata.evaluation.published.tables import COLUMNS, NOISY_INPUT, load_published, published_rows
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.records import PairRecord
-    from tests.evaluation.helpers import Tree
 
 GOLDEN = Path(__file__).parent / "golden" / "published.txt"
 
@@ -94,18 +92,13 @@ def test_the_row_stands_where_its_psnr_puts_it() -> None:
     assert sum(line.startswith("> yours") for line in text.splitlines()) == 2
 
 
-def test_the_row_can_have_a_name() -> None:
-    text = comparison_table(result_on("eld", "eld", SONY_ELD), name="runs/17")
-    assert "> runs/17 " in text
-    assert "> yours" not in text
-
-
 def test_every_camera_of_a_whole_result_has_its_table() -> None:
     cameras = ("SonyA7S2", "NikonD850", "CanonEOS70D", "CanonEOS700D")
     table = [row(camera, ratio, 30, 40.0, 0.9) for camera in cameras for ratio in (100.0, 200.0)]
     table += [row(None, 100.0, 120, 40.0, 0.9), row(None, 200.0, 120, 40.0, 0.9), row(None, None, 240, 40.0, 0.9)]
-    text = comparison_table(result_on("eld", "eld", table))
-    assert text.count("> yours") == 8
+    text = comparison_table(result_on("eld", "eld", table), name="runs/17")
+    assert text.count("> runs/17 ") == 8
+    assert "> yours" not in text
     assert "not in your table" not in text
 
 
@@ -226,16 +219,6 @@ def test_levels_that_came_to_the_same_compare(tmp_path: Path) -> None:
         assert (f"published for sid; yours is pmn-sid ({levels})" in text) != compares
 
 
-def test_numbers_of_sid_stand_beside_a_result_of_pmn() -> None:
-    """The numbers of a table that names ``sid`` alone."""
-    rows = [row for row in published_rows("sid-sony", "sid") if "pmn-sid" not in row.protocols]
-    assert len(rows) == 2 * 3  # of Li 2025
-    equal = {"levels": ["published", "sid-sony"]}
-    text = comparison_table(result_on("sid-sony", "pmn-sid", SONY_SID, "eval-first", equal_choices=equal))
-    for one in rows:
-        assert one.method in order_in(text, one.place)
-
-
 def test_other_pairs_of_the_same_number_are_refused() -> None:
     """By the pairs themselves, whatever subset a result names."""
     result = scored("sid-sony", "sid", "eval-first", 40.0)
@@ -339,11 +322,6 @@ def test_a_result_and_its_json_give_the_same(tmp_path: Path) -> None:
     assert comparison_table(json.loads((tmp_path / "result.json").read_text())) == text
     assert text.count("> yours") == 3
     assert [f"x{ratio}, {pairs} pairs" in text for ratio, pairs in ((100, 40), (250, 40), (300, 49))] == [True] * 3
-
-
-def test_an_evaluation_of_a_set_of_ones_own(tree: Tree, predictions: Path) -> None:
-    result = evaluate(predictions, **tree.where)
-    assert comparison_table(result) == "no published numbers on eld-demo are known to eldata"
 
 
 # --- text ---------------------------------------------------------------------------------------------------------

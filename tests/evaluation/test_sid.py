@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from eldata.cli.main import main
-from eldata.errors import ArgumentError
 from eldata.evaluation import EvaluationResult, evaluate, save_prediction
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.pairs import select_pairs
@@ -21,7 +20,6 @@ from tests.sid_tree import frames_of, write_frames
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tests.evaluation.helpers import Tree
 
 SUBSETS = {"sid-sony": "eval-first", "sid-fuji": "test-first"}
 
@@ -121,27 +119,6 @@ def test_the_command(root: Path, predictions: Path, tmp_path: Path, capsys: pyte
     assert data["provenance"]["subset"] == "test-first"
     assert data["provenance"]["excluded_flags"] == {"misaligned": 5}
     assert {image["rescale"] for image in data["images"]} == {1.0}
-
-
-@pytest.mark.parametrize(
-    ("extra", "said"),
-    [
-        (["--subset", "indoor"], "no subset is called 'indoor'; known are eval-first, test-first, indoor-15, all"),
-        (["--exclude", "blurred"], "no pair has flag blurred; known are misaligned"),
-        (["--protocol", "eld"], "protocol 'eld' is for dataset 'eld', not 'sid-sony'"),
-    ],
-)
-def test_unknown_names(
-    extra: list[str], said: str, root: Path, predictions: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = str(predictions / "sid-sony")
-    assert main(["evaluate", folder, "--dataset", "sid-sony", "--root", str(root), "--jobs", "1", *extra]) == 2
-    assert said in capsys.readouterr().err
-
-
-def test_a_set_without_subsets_has_none(tree: Tree, predictions: Path) -> None:
-    with pytest.raises(ArgumentError, match="known are none"):
-        evaluate(predictions, **tree.where, subset="all")
 
 
 # --- one folder for both cameras ----------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ METRICS = [
     pytest.param(metrics.rescale_factor, id="rescale_factor"),
     pytest.param(lambda p, g, **k: metrics.score(p, g, rescaling="scalar", **k), id="score"),
 ]
+OF_CLIPS_TOO = [*METRICS, pytest.param(metrics.st_rred, id="st_rred")]
 
 
 def images(*shape: int, seed: int = 0) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
@@ -34,12 +35,12 @@ def images(*shape: int, seed: int = 0) -> tuple[npt.NDArray[np.float32], npt.NDA
     return prediction, reference
 
 
-@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("metric", OF_CLIPS_TOO)
 @pytest.mark.parametrize("as_tensor", [False, True])
 def test_layout_does_not_matter(metric: Metric, as_tensor: bool) -> None:
-    p, g = images(3, 40, 50)
+    p, g = images(3, 44, 50)
     expected = metric(p, g)
-    wide = np.zeros((40, 100, 6), np.float32)  # HWC, every other column of every other channel
+    wide = np.zeros((44, 100, 6), np.float32)  # HWC, every other column of every other channel
     wide[:, ::2, ::2] = p.transpose(1, 2, 0)
     strided = wide[:, ::2, ::2].transpose(2, 0, 1)
     swapped = g.transpose(0, 2, 1).copy().transpose(0, 2, 1)
@@ -64,9 +65,9 @@ def test_layout_does_not_matter(metric: Metric, as_tensor: bool) -> None:
         assert metric(shifted, g) == expected
 
 
-@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("metric", OF_CLIPS_TOO)
 def test_precisions_are_taken_exactly(metric: Metric) -> None:
-    p, g = images(2, 30, 31)
+    p, g = images(2, 42, 43)
     assert metric(p.astype(np.float64), g) == metric(p, g)
     assert metric(p, g.astype(np.float64)) == metric(p, g)
     half = p.astype(np.float16)
@@ -82,9 +83,9 @@ def test_plane_is_one_channel(metric: Metric) -> None:
     assert metric(p[0], g[0]) == metric(p, g)
 
 
-@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("metric", OF_CLIPS_TOO)
 def test_inputs_stay_as_they_are(metric: Metric) -> None:
-    p, g = images(2, 20, 21)
+    p, g = images(2, 42, 43)
     copies = p.copy(), g.copy()
     metric(p, g)
     np.testing.assert_array_equal(p, copies[0])
@@ -160,6 +161,13 @@ def test_refusals(metric: Metric) -> None:
     for threads in (0, -1):
         with pytest.raises(ArgumentError, match="threads"):
             metric(p, g, threads=threads)
+
+
+@pytest.mark.parametrize("metric", METRICS[:2])
+@pytest.mark.parametrize("data_range", [0.0, -1.0, np.inf, np.nan])
+def test_bad_data_range(metric: Metric, data_range: float) -> None:
+    with pytest.raises(ArgumentError, match="data_range"):
+        metric(np.zeros((8, 8)), np.zeros((8, 8)), data_range=data_range)
 
 
 @pytest.mark.parametrize("metric", METRICS)

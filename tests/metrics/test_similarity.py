@@ -125,18 +125,6 @@ def test_properties(p: Image, seed: int) -> None:
     assert value == pytest.approx(ssim(p.transpose(0, 2, 1), g.transpose(0, 2, 1)), abs=1e-11)
 
 
-@pytest.mark.parametrize("shape", [(6, 7), (7, 6), (3, 6, 100), (3, 100, 1)])
-def test_too_small(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ArgumentError, match="at least 7 x 7"):
-        ssim(np.zeros(shape), np.zeros(shape))
-
-
-@pytest.mark.parametrize("data_range", [0.0, -1.0, math.inf, math.nan])
-def test_bad_data_range(data_range: float) -> None:
-    with pytest.raises(ArgumentError, match="data_range"):
-        ssim(np.zeros((8, 8)), np.zeros((8, 8)), data_range=data_range)
-
-
 # --- Gaussian windows -----------------------------------------------------------------------------------------------
 
 
@@ -239,10 +227,12 @@ def test_nan_comes_through() -> None:
 
 
 def test_refusals() -> None:
+    windows: dict[Any, int] = {"uniform-7": 7, "gaussian-11": 11, "gaussian-11-volume": 11}
+    for window, side in windows.items():
+        for shape in ((side - 1, side), (side, side - 1), (3, side - 1, 100), (3, 100, 1)):
+            with pytest.raises(ArgumentError, match=f"at least {side} x {side}"):
+                ssim(np.zeros(shape), np.zeros(shape), window=window)
     image = np.zeros((3, 10, 12))
-    for window in ("gaussian-11", "gaussian-11-volume"):
-        with pytest.raises(ArgumentError, match="at least 11 x 11"):
-            ssim(image, image, window=window)
     with pytest.raises(ArgumentError, match="window must be one of 'uniform-7'"):
         ssim(image, image, window="7x7")  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="covariance must be one of 'sample'"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 import re
 import subprocess
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 HOSTILE = '<script>alert("x")</script>"\'&<img src=https://evil.example/x.png onerror=alert(1)>'
-EMBEDDED = ("data:image/svg+xml;base64,", "data:image/png;base64,", "#")
+EMBEDDED = ("data:image/svg+xml;base64,", "data:image/png;base64,", "data:image/jpeg;base64,", "#")
 VOID = {"meta", "img", "source", "br", "link", "input", "hr"}
 
 
@@ -54,9 +56,9 @@ def checked(page: str) -> Checker:
 
 
 def assert_self_contained(text: str) -> None:
-    """No script, and nothing from outside."""
+    """Nothing from outside, and no script but one that the page's policy names and that asks for nothing."""
     checker = checked(text)
-    assert checker.all("script", "link", "iframe", "object", "embed", "base", "form") == []
+    assert checker.all("link", "iframe", "object", "embed", "base", "form") == []
     for tag, attributes in checker.elements:
         for name, value in attributes.items():
             assert not name.startswith("on"), f"{tag} has {name}"
@@ -65,7 +67,12 @@ def assert_self_contained(text: str) -> None:
     assert "@import" not in text
     assert "url(" not in text
     (policy,) = [item["content"] for item in checker.all("meta") if item.get("http-equiv") == "Content-Security-Policy"]
-    assert policy == "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+    expected = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+    for script in re.findall(r"<script>(.*?)</script>", text, flags=re.DOTALL):
+        assert not re.search(r"fetch|XMLHttpRequest|WebSocket|import\(|eval\(|innerHTML|http", script)
+        expected += f"; script-src 'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+    assert text.count("<script") == text.count("<script>") == expected.count("script-src")
+    assert policy == expected
 
 
 def assert_well_formed(text: str) -> None:

@@ -323,6 +323,11 @@ def test_a_gain_outside_of_the_range_is_refused(sony: CameraProfile, gain: float
         sample_parameters(sony, 0, gain_dn_per_e=gain)
 
 
+def test_a_negative_seed_is_refused(sony: CameraProfile) -> None:
+    with pytest.raises(ArgumentError, match="seed"):
+        sample_parameters(sony, -1)
+
+
 def test_parameter_rows_name_every_parameter() -> None:
     rows = parameter_rows(PARAMETERS)
     assert rows[0] == ("K", "1.7", "DN/e-")

@@ -22,10 +22,9 @@ from eldata.calibration.audit.structure import MeasuredStructure
 from eldata.noise import NoiseModel
 from eldata.noise.structure import RowSpectrum, RowWave, TelegraphPixels
 from eldata.plots.pictures import block_means, grey_png
-from eldata.reports.acceptance import acceptance_page
 from eldata.reports.calibration import calibration_page
 from eldata.reports.html import digits, measured, prose, typeset
-from eldata.reports.profile import plots, profile_page
+from eldata.reports.noise_models import acceptance_page, plots, profile_page
 from tests.calibration.judged import Specimen, judged
 from tests.calibration.simulation import XTRANS, Camera
 from tests.reports import calibrations
@@ -159,6 +158,7 @@ EVERY = pytest.mark.parametrize("which", PAGES)
 def test_well_formed_and_self_contained(which: str, request: pytest.FixtureRequest) -> None:
     assert_well_formed(request.getfixturevalue(which))
     assert_self_contained(request.getfixturevalue(which))
+    assert "<script" not in request.getfixturevalue(which)
 
 
 @pytest.mark.parametrize(
@@ -212,7 +212,7 @@ ANOTHER = {
     "page = calibration_page(calibration([measured(800.0, camera_at(800.0))]))\n",
     "profile": "from eldata.noise.profile import CameraProfile\n"
     "from eldata.calibration.acceptance.theory import diagnose, sample_parameters\n"
-    "from eldata.reports.profile import profile_page\n"
+    "from eldata.reports.noise_models import profile_page\n"
     "profile = CameraProfile.load('SonyA7S2')\n"
     "page = profile_page(diagnose(profile, sample_parameters(profile, 0)))\n"
     "assert not {'torch', 'rawpy'} & set(sys.modules)\n",

@@ -13,7 +13,7 @@ from eldata.base.outputs import COMPARISON_DATA, COMPARISON_PAGE, RESULT, SCORES
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import perform_each
-from eldata.evaluation.request import ALL, EvaluationOptions, Request, make_request, of_folder
+from eldata.evaluation.request import ALL, EvaluationOptions, make_request
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -75,7 +75,7 @@ def evaluate_methods(
         folders = named_folders([Path(folder) for folder in predictions.values()], list(predictions))
     else:
         folders = named_folders([Path(folder) for folder in predictions])
-    combined = perform_each(requests_of(folders, dataset, protocol, options))
+    combined = perform_each([make_request(folder, dataset, protocol, options) for folder in folders.values()])
     return {name: one.results[0] for name, one in zip(folders, combined, strict=True)}
 
 
@@ -112,15 +112,6 @@ def named_folders(folders: Sequence[Path], names: Sequence[str] = ()) -> dict[st
             )
         found[name] = folder
     return found
-
-
-def requests_of(
-    folders: Mapping[str, Path], dataset: str, protocol: str | Path | Protocol | None, options: EvaluationOptions
-) -> list[Request]:
-    """Return a request for each folder; raises like :func:`~eldata.evaluation.request.make_request`."""
-    first, *others = folders.values()
-    request = make_request(first, dataset, protocol, options)
-    return [request, *(of_folder(request, folder) for folder in others)]
 
 
 @dataclass(frozen=True, slots=True)

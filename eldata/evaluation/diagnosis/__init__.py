@@ -47,12 +47,11 @@ class Mistake:
     ----------
     words
         What it is: ``as if packed R, G1, G2, B``.
-    psnr_db, without_db
-        The score, and that with the mistake undone; ``None`` if it cannot be, or the score does not show it.
+    without_db
+        The score with the mistake undone; ``None`` if it cannot be, or the score does not show it.
     """
 
     words: str
-    psnr_db: float
     without_db: float | None = None
 
 
@@ -138,20 +137,20 @@ def mistake_in(prediction: Array, target: Array, psnr_db: float, now: Circumstan
     if float(inner.max()) - float(inner.min()) < 1e-6:  # nothing to tell by
         return None
     if float(p.max()) == float(p.min()) and float(prediction.max()) == float(prediction.min()):
-        return Mistake(f"every value is {float(p.flat[0]):.4g}", psnr_db)
+        return Mistake(f"every value is {float(p.flat[0]):.4g}")
     if is_copied_input(p, inner, blocks, now):
-        return Mistake("as if the noisy input, amplified, were copied", psnr_db)
+        return Mistake("as if the noisy input, amplified, were copied")
     found: list[tuple[float, Mistake]] = []
     for candidate in (best_curve(p, g, now), best_place(prediction, blocks, p, inner, now)):
         if candidate is None:
             continue
         if candidate.undo is None:
-            found.append((GAIN_DB, Mistake(candidate.words, psnr_db)))
+            found.append((GAIN_DB, Mistake(candidate.words)))
             continue
         undone = np.ascontiguousarray(candidate.undo(prediction), prediction.dtype)
         without_db = now.score(undone).psnr_db
         if without_db - psnr_db >= candidate.least_db:
-            found.append((without_db - psnr_db, Mistake(candidate.words, psnr_db, without_db)))
+            found.append((without_db - psnr_db, Mistake(candidate.words, without_db)))
     return max(found, key=lambda one: one[0])[1] if found else None
 
 
@@ -263,20 +262,18 @@ def _grouped(inspections: Sequence[Inspection], key: Callable[[Inspection], Any]
 
 def _shared(inspections: Sequence[Inspection], where: str, least: int) -> Suspicion | None:
     """Return the mistake that most of these frames show, if there is one."""
-    showing: dict[str, list[tuple[str, Mistake]]] = defaultdict(list)
-    for one in inspections:
-        if one.mistake is not None:
-            showing[one.mistake.words].append((one.path, one.mistake))
+    showing = _grouped(inspections, lambda one: one.mistake and one.mistake.words)
+    showing.pop(None, None)
     words, most = max(showing.items(), key=lambda item: len(item[1]), default=("", []))
     if not most or len(most) < max(_SHARE * len(inspections), least):
         return None
-    without = [mistake.without_db for _, mistake in most if mistake.without_db is not None]
+    without = [one.mistake.without_db for one in most if one.mistake and one.mistake.without_db is not None]
     return Suspicion(
         words=words,
         where=where,
         shown=len(most),
         looked=len(inspections),
-        psnr_db=fmean([mistake.psnr_db for _, mistake in most]),
+        psnr_db=fmean([one.psnr_db for one in most]),
         without_db=fmean(without) if len(without) == len(most) else None,
-        example=most[0][0],
+        example=most[0].path,
     )

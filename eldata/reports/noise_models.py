@@ -1,4 +1,4 @@
-"""The diagnostics of a noise profile as one HTML page."""
+"""Noise models as one HTML page each: the diagnostics of a profile, and the acceptance test against held-out frames."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from eldata.plots.axes import (
     thinned,
 )
 from eldata.reports.figures import draw_plot
-from eldata.reports.html import rendered
+from eldata.reports.html import plot_words, rendered
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from eldata.calibration.acceptance.results import Acceptance, Curve, IsoAcceptance
     from eldata.calibration.acceptance.verdicts import Diagnostics, TheoryCheck
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
@@ -149,10 +150,15 @@ def _draw_deviations(below: Axes, comparisons: Sequence[TheoryCheck], at: Sequen
         (x, item.deviation, item.verdict) for x, item in zip(at, comparisons, strict=True) if item.deviation is not None
     ]
     deviation_band(below, max([0.0, *(abs(y) for _, y, _ in points)]), LIMIT, theme)
+    _draw_verdicts(below, points, color=theme.found)
+
+
+def _draw_verdicts(axes: Axes, points: Sequence[tuple[float, float, str]], **style: Any) -> None:
+    """Draw points (x, y, verdict), those that are off by another sign."""
     for verdict, marker in (("ok", "o"), ("off", "X")):
         chosen = [(x, y) for x, y, which in points if which == verdict]
         if chosen:
-            below.plot(*zip(*chosen, strict=True), marker, color=theme.found)
+            axes.plot(*zip(*chosen, strict=True), marker, **style)
 
 
 def _draw_over_signal(
@@ -307,3 +313,72 @@ def _draw_bias_rows(diagnostics: Diagnostics, axes: Axes, theme: Theme) -> None:
     axes.axhline(0, color=theme.theory, linewidth=1)
     axes.set_ylabel("colour bias [DN]")
     axes.legend(loc="best", ncols=2)
+
+
+# --- the acceptance test ----------------------------------------------------------------------------------------------
+
+_LABELS = {
+    "tails": ("difference [σ]", "share beyond"),
+    "row-spectrum": ("cycles per row", "power of row means [DN²]"),
+    "column-spectrum": ("cycles per column", "power of column means [DN²]"),
+}
+_REACH = 20.0  # standard errors: beyond, a point lies at the edge
+
+
+def acceptance_page(acceptance: Acceptance) -> str:
+    """Return the page; the same result gives the same text."""
+    isos = [
+        {
+            "found": found,
+            "name": f"{found.iso:g}",
+            "parameters": parameter_rows(found.parameters),
+            "plots": _acceptance_plots(found),
+            "groups": [(check, tuple(group)) for check, group in groupby(found.statistics, lambda one: one.check)],
+        }
+        for found in acceptance.isos
+    ]
+    return rendered("acceptance.html", acceptance=acceptance, isos=isos, limit=LIMIT)
+
+
+def _acceptance_plots(found: IsoAcceptance) -> list[Plot]:
+    """Draw the verdicts and the curves of one ISO."""
+    worst = max((abs(one.deviation or 0.0) for one in found.statistics), default=0.0)
+    alt = f"Deviations of {len(found.statistics)} statistics; {len(found.off)} are off, the furthest {worst:.3g} s.e."
+    drawn = [("deviations", alt, partial(_draw_checks, found))]
+    for curve in found.curves:
+        title = plot_words("acceptance")[curve.name]["title"]
+        drawn.append((curve.name, f"{title}: the held-out frames and the model.", partial(_draw_curve, curve)))
+    return [draw_plot("acceptance", kind, alt, draw, name=f"{kind}-{found.iso:g}") for kind, alt, draw in drawn]
+
+
+def _draw_checks(found: IsoAcceptance, axes: Axes, theme: Theme) -> None:
+    checks = list(dict.fromkeys(one.check for one in found.statistics))
+    axes.axvspan(-LIMIT, LIMIT, color=theme.theory, alpha=0.13, linewidth=0)
+    axes.axvline(0, color=theme.theory, linewidth=1)
+    points = [
+        (max(-_REACH, min(_REACH, one.deviation)), checks.index(one.check), one.verdict)
+        for one in found.statistics
+        if one.deviation is not None
+    ]
+    _draw_verdicts(axes, points, color=theme.found, alpha=0.7)
+    axes.set_yticks(range(len(checks)), checks)
+    axes.invert_yaxis()
+    axes.set_xlim(-1.1 * _REACH, 1.1 * _REACH)
+    axes.set_xlabel("model − frames [s.e.]")
+
+
+def _draw_curve(curve: Curve, axes: Axes, theme: Theme) -> None:
+    for values, style, colour, label in (
+        (curve.frames, "-", theme.theory, "held-out frames"),
+        (curve.model, "--", theme.found, "model"),
+    ):
+        shown = values > 0
+        axes.plot(curve.x[shown], values[shown], style, color=colour, label=label)
+    axes.set_yscale("log")
+    if curve.name != "tails":  # room for three decades: the wiggles of chance look as small as they are
+        middle = float(curve.model[len(curve.model) // 2]) or 1.0
+        axes.set_ylim(min(middle / 30, *curve.frames), max(middle * 30, *curve.frames))
+    log_ticks(axes.yaxis, 3)
+    xlabel, ylabel = _LABELS[curve.name]
+    axes.set(xlabel=xlabel, ylabel=ylabel)
+    axes.legend(loc="upper right")

@@ -1,0 +1,198 @@
+"""Predictions in every form that is read, some of which tempt a reader to copy them more often than needed.
+
+Run as a program it loads those, and prints by how much each raised the peak of the process's memory.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import h5py
+import imagecodecs
+import numpy as np
+import tifffile
+
+from eldata.evaluation.predictions import load_prediction
+from eldata.records import Sensor
+from tests.evaluation import hostile_predictions as hostile
+from tests.peak import peak_kib
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Writer: TypeAlias = Callable[[Path, NDArray[Any]], None]
+
+SMALL, LARGE = (hostile.HEIGHT, hostile.WIDTH), (2000, 3000)
+
+
+def sensor_of(size: tuple[int, int]) -> Sensor:
+    return Sensor("Maker", "Model", hostile.SENSOR.cfa, (512.0,) * 4, 16383.0, *size, None, None)
+
+
+def save_npy(path: Path, array: NDArray[Any]) -> None:
+    with path.open("wb") as file:  # given a name, numpy would add .npy
+        np.save(file, array)
+
+
+def save_fortran(path: Path, array: NDArray[Any]) -> None:
+    save_npy(path, np.asfortranarray(array))
+
+
+def save_with_more(path: Path, array: NDArray[Any]) -> None:
+    save_npy(path, array)
+    path.write_bytes(path.read_bytes() + b"more")
+
+
+def with_header(header: str) -> Writer:
+    def save(path: Path, array: NDArray[Any]) -> None:
+        path.write_bytes(hostile.npy(header, array.tobytes()))
+
+    return save
+
+
+def save_npz(path: Path, array: NDArray[Any]) -> None:
+    np.savez(path, array)
+
+
+def save_deflated(path: Path, array: NDArray[Any]) -> None:
+    np.savez_compressed(path, array)
+
+
+def save_npz_several(path: Path, array: NDArray[Any]) -> None:
+    np.savez_compressed(path, other=np.zeros((3, 5)), prediction=array, time_s=np.float64(0.3))
+
+
+def h5(*, whole: bool = False, **options: Any) -> Writer:
+    """``whole``: in one chunk."""
+
+    def save(path: Path, array: NDArray[Any]) -> None:
+        with h5py.File(path, "w") as file:
+            file.create_dataset("anything", data=array, **({"chunks": array.shape} if whole else {}), **options)
+
+    return save
+
+
+def save_h5_several(path: Path, array: NDArray[Any]) -> None:
+    with h5py.File(path, "w") as file:
+        file["features"] = np.zeros(7)
+        file.create_dataset("prediction", data=array, compression="gzip")
+        file.create_group("meta")
+
+
+def tif(*, whole: bool = False, **options: Any) -> Writer:
+    """``whole``: in one strip."""
+
+    def save(path: Path, array: NDArray[Any]) -> None:
+        strip = {"rowsperstrip": array.shape[-2]} if whole else {}
+        tifffile.imwrite(path, array, **({"photometric": "minisblack"} | strip | options))
+
+    return save
+
+
+def save_png(path: Path, array: NDArray[Any]) -> None:
+    path.write_bytes(imagecodecs.png_encode(array, level=1))
+
+
+# What is stored, and how; a PNG holds mosaics alone.
+FILES: dict[str, tuple[str, Writer]] = {
+    "float16.npy": ("<f2", save_npy),
+    "float32.npy": ("<f4", save_npy),
+    "float64.npy": ("<f8", save_npy),
+    "uint16.npy": ("<u2", save_npy),
+    "upper-case.NPY": ("<f4", save_npy),
+    "fortran.npy": ("<f4", save_fortran),
+    "big-endian-float32.npy": (">f4", save_npy),
+    "big-endian-float64.npy": (">f8", save_npy),
+    "big-endian-uint16.npy": (">u2", save_npy),
+    "big-endian-fortran.npy": (">u2", save_fortran),
+    "more-after-it.npy": ("<f4", save_with_more),
+    "one.npz": ("<f4", save_npz),
+    "several.npz": ("<f8", save_npz_several),
+    "deflated.npz": ("<f4", save_deflated),
+    "big-endian-deflated.npz": (">f8", save_deflated),
+    "one.h5": ("<f4", h5()),
+    "several.h5": ("<u2", save_h5_several),
+    "big-endian.h5": (">f8", h5()),
+    "gzip.h5": ("<f4", h5(compression="gzip")),
+    "one-chunk-gzip-shuffle-checksum.h5": ("<f4", h5(whole=True, compression="gzip", shuffle=True, fletcher32=True)),
+    "lzf.h5": ("<f8", h5(compression="lzf")),
+    "lzf-shuffle.h5": ("<f4", h5(compression="lzf", shuffle=True)),
+    "one-chunk-lzf.h5": ("<u2", h5(whole=True, compression="lzf")),
+    "checksum.h5": ("<f4", h5(fletcher32=True)),
+    "shuffle.h5": ("<f4", h5(shuffle=True)),
+    "float32.tif": ("<f4", tif()),
+    "deflated.tiff": ("<u2", tif(compression="zlib", byteorder=">")),
+    "big-endian.tif": ("<f8", tif(byteorder=">")),
+    "pages.tif": ("<f4", tif(metadata=None)),
+    "tiles.tif": ("<f4", tif(tile=(32, 64), compression="zlib", predictor=True)),
+    "strips.tif": ("<f4", tif(rowsperstrip=5, compression="zlib", predictor=True)),
+    "one-strip.tif": ("<f4", tif(whole=True, compression="zlib")),
+    "lzw.tif": ("<f4", tif(compression="lzw")),
+    "lzma.tif": ("<f4", tif(compression="lzma")),
+    "zstd.tif": ("<f4", tif(compression="zstd")),
+    "packbits.tif": ("<f4", tif(compression="packbits")),
+    "imagej.tif": ("<f4", tif(imagej=True)),
+    "ome.tif": ("<f4", tif(ome=True)),
+    "big.tif": ("<f4", tif(bigtiff=True, byteorder=">")),
+    "16-bit.png": ("<u2", save_png),
+}
+OF_PACKED: dict[str, tuple[str, Writer]] = {
+    "of-python-2.npy": (
+        "<f4",
+        with_header("{'descr': '<f4', 'fortran_order': False, 'shape': (4L, 32L, 48L), }"),
+    ),
+    "of-another-writer.npy": ("<f4", with_header('{"shape":(4,32,48),"fortran_order":False,"descr":"<f4"}')),
+    "chunks.h5": ("<f4", h5(chunks=(4, 10, 10), maxshape=(None, None, None))),
+    "chunks-of-odd-sides.h5": ("<f4", h5(compression="lzf", chunks=(3, 32, 7), fletcher32=True)),
+    "chunks-beyond-its-sides.h5": ("<f4", h5(chunks=(5, 40, 50), maxshape=(None, None, None), compression="gzip")),
+    "planes.tif": ("<f4", tif(photometric="rgb", planarconfig="separate")),
+}
+AWKWARD = (
+    *("float16.npy", "float32.npy", "float64.npy", "uint16.npy", "fortran.npy", "big-endian-float64.npy"),
+    *("big-endian-fortran.npy", "deflated.npz", "big-endian-deflated.npz", "one-chunk-gzip-shuffle-checksum.h5"),
+    *("lzf.h5", "one-chunk-lzf.h5", "big-endian.h5", "one-strip.tif", "tiles.tif", "big-endian.tif", "16-bit.png"),
+)
+
+
+def quantised(values: NDArray[np.floating[Any]], kind: str) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """What is stored for values in [0, 1], and what it stands for."""
+    if kind.endswith("u2"):
+        stored: NDArray[Any] = np.rint(values * 65535).astype(kind)
+        return stored, stored / 65535
+    stored = values.astype(kind)
+    return stored, stored.astype(np.float64)
+
+
+def write_awkward(folder: Path, size: tuple[int, int]) -> None:
+    folder.mkdir()
+    values = np.random.default_rng(3).random(size, np.float32)
+    for name in AWKWARD:
+        kind, save = FILES[name]
+        save(folder / name, quantised(values, kind)[0])
+
+
+def times_of_array(folder: Path, name: str) -> float:
+    """Load a small prediction, which loads libraries, and then the large one; return how often the peak held it."""
+    load_prediction(folder / "small" / name, sensor_of(SMALL), "metadata")
+    Path("/proc/self/clear_refs").write_text("5")  # the peak starts again from what is in use now
+    before = peak_kib()
+    loaded = load_prediction(folder / "large" / name, sensor_of(LARGE), "metadata")
+    return (peak_kib() - before) * 1024 / loaded.nbytes
+
+
+def main(folder: Path) -> None:
+    """Each in a process of its own, where no other has left memory that is used again."""
+    with multiprocessing.get_context("fork").Pool(1, maxtasksperchild=1) as pool:
+        found = pool.map(partial(times_of_array, folder), AWKWARD, chunksize=1)
+    print(json.dumps(dict(zip(AWKWARD, found, strict=True))))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

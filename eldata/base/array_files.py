@@ -25,8 +25,6 @@ png
 from __future__ import annotations
 
 import math
-import zlib
-from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +32,7 @@ import numpy as np
 
 from eldata.base.files import file_problem
 from eldata.base.isolation import GuardError, guarded
-from eldata.base.pixels import opened_npz, read_npy, read_png
+from eldata.base.pixels import Declared, opened_npz, read_npy, read_png
 from eldata.base.tiff_pages import check_pages, check_segments
 from eldata.base.visible import in_line
 from eldata.errors import FileError, PredictionError
@@ -46,23 +44,13 @@ if TYPE_CHECKING:
     import h5py
     from numpy.typing import NDArray
 
-    from eldata.base.pixels import NpyHeader, PngHeader
-
-    Check = Callable[["Declared"], None]
+    Check = Callable[[Declared], None]
     Reader = Callable[[Path, Check, str], NDArray[Any]]
 
 _PIECE_BYTES = 1 << 20
 _MOST_NAMES = 1000  # of the arrays and groups of a file
 _NAMES_SHOWN = 6
 _LONGEST_REASON = 200
-
-
-@dataclass(frozen=True, slots=True)
-class Declared:
-    """What a file says of its array: the shape, and the type of its values as numpy calls it, such as ``float32``."""
-
-    shape: tuple[int, ...]
-    values: str
 
 
 class _EnoughError(Exception):
@@ -161,16 +149,12 @@ def _only(names: Sequence[str], wanted: str) -> str:
 def _read_npy(path: Path, check: Check, name: str) -> NDArray[Any]:
     del name
     with path.open("rb") as file:
-        return read_npy(file, path.stat().st_size, lambda header: check(_of_npy(header)))
-
-
-def _of_npy(header: NpyHeader) -> Declared:
-    return Declared(header.shape, header.kind)
+        return read_npy(file, path.stat().st_size, check)
 
 
 def _read_npz(path: Path, check: Check, name: str) -> NDArray[Any]:
     with opened_npz(path) as archive:
-        return archive.read(_only(archive.names, name), lambda header: check(_of_npy(header)))
+        return archive.read(_only(archive.names, name), check)
 
 
 # --- h5 -----------------------------------------------------------------------------------------------------------
@@ -287,20 +271,14 @@ def _checked(content: bytes) -> bytes:
     return body
 
 
-def _inflated(content: bytes | memoryview, size: int) -> NDArray[np.uint8]:
+def _inflated(content: bytes, size: int) -> bytes:
     """Return deflated bytes as they were, ``size`` of them and no more."""
-    target = np.empty(size, np.uint8)
-    stream, done = zlib.decompressobj(), 0
-    view = memoryview(content)
-    for start in range(0, len(view), _PIECE_BYTES >> 4):
-        piece = stream.decompress(view[start : start + (_PIECE_BYTES >> 4)], size - done + 1)
-        if done + len(piece) > size:
-            raise ValueError(f"a chunk that expands beyond its {size} bytes")
-        target[done : done + len(piece)] = np.frombuffer(piece, np.uint8)
-        done += len(piece)
-    if done < size or not stream.eof:
-        raise ValueError(f"a chunk that ends after {done} of its {size} bytes")
-    return target
+    import imagecodecs
+
+    try:
+        return bytes(imagecodecs.zlib_decode(content, out=size))
+    except RuntimeError as error:
+        raise ValueError(f"a chunk that is damaged, or expands beyond its {size} bytes") from error
 
 
 # --- MATLAB -------------------------------------------------------------------------------------------------------
@@ -330,11 +308,7 @@ def _read_mat(path: Path, check: Check, name: str) -> NDArray[Any]:
 
 def _read_png(path: Path, check: Check, name: str) -> NDArray[Any]:
     del name
-    return read_png(path, lambda header: check(_of_png(header)))
-
-
-def _of_png(header: PngHeader) -> Declared:
-    return Declared(header.shape, header.values)
+    return read_png(path, check)
 
 
 def _read_tiff(path: Path, check: Check, name: str) -> NDArray[Any]:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from eldata.base.array_files import Declared
+    from eldata.base.pixels import Declared
     from eldata.download.members import NewFile
 
 MARK = b"MATLAB 5.0 MAT-file"

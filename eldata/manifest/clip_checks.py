@@ -37,7 +37,8 @@ def png_findings(folder: Path, record: FrameRecord) -> list[RowFinding]:
     if (header.bit_depth, header.colour) != (16, "RGB"):
         advice = "this file was converted: take the original"
         return [RowFinding(record.path, "content", "a 16-bit RGB PNG", str(header), advice)]
-    return size_findings(record, header.width, header.height, "this file is of another clip or was scaled")
+    height, width = header.shape[:2]
+    return size_findings(record, width, height, "this file is of another clip or was scaled")
 
 
 def png_decode_findings(folder: Path, record: FrameRecord) -> list[RowFinding]:
@@ -55,10 +56,9 @@ def png_size_findings(folder: Path, records: Iterable[FrameRecord]) -> list[RowF
     for record in records:
         if is_png(record.path):
             try:
-                header = read_png_header(folder / record.path)
+                sizes[record.scene][record.path] = read_png_header(folder / record.path).size
             except FileError:
                 continue  # reported already
-            sizes[record.scene][record.path] = f"{header.width} x {header.height}"
     findings = []
     for of_path in sizes.values():
         usual = Counter(of_path.values()).most_common(1)[0][0]

@@ -362,7 +362,7 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
         with path.open("rb") as file:
             header = read_npy_header(file)
             held = path.stat().st_size - file.tell()
-        found = f"{header.kind} {header.shape}"
+        found = f"{header.values} {header.shape}"
         good = len(header.shape) == 3 and str(header.dtype) == "float32"
         if good and held < header.value_bytes:
             found, good = f"{found} of {header.value_bytes} bytes, {held} of which are there", False

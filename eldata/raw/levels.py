@@ -230,7 +230,7 @@ def pack_normalised(
         )
     factor = np.float32(gain)
     if sites.period == 2:
-        pack_bayer_normalised(area, out, sites.table[:, 2].reshape(2, 2), black, white, low, high, factor)
+        pack_bayer_normalised(area, out, sites.channel_of, black, white, low, high, factor)
     else:
         pack_sites_normalised(area, out, sites.table, sites.period, sites.sub, black, white, low, high, factor)
     return out

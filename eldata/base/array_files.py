@@ -25,17 +25,15 @@ png
 from __future__ import annotations
 
 import math
-import zlib
-from dataclasses import dataclass
+import struct
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 from eldata.base.files import file_problem
 from eldata.base.isolation import GuardError, guarded
-from eldata.base.pixels import opened_npz, read_npy, read_png
-from eldata.base.tiff_pages import check_pages, check_segments
+from eldata.base.pixels import Declared, opened_npz, read_npy, read_png
 from eldata.base.visible import in_line
 from eldata.errors import FileError, PredictionError
 
@@ -44,25 +42,16 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import h5py
+    import tifffile
     from numpy.typing import NDArray
 
-    from eldata.base.pixels import NpyHeader, PngHeader
-
-    Check = Callable[["Declared"], None]
+    Check = Callable[[Declared], None]
     Reader = Callable[[Path, Check, str], NDArray[Any]]
 
 _PIECE_BYTES = 1 << 20
 _MOST_NAMES = 1000  # of the arrays and groups of a file
 _NAMES_SHOWN = 6
 _LONGEST_REASON = 200
-
-
-@dataclass(frozen=True, slots=True)
-class Declared:
-    """What a file says of its array: the shape, and the type of its values as numpy calls it, such as ``float32``."""
-
-    shape: tuple[int, ...]
-    values: str
 
 
 class _EnoughError(Exception):
@@ -161,16 +150,12 @@ def _only(names: Sequence[str], wanted: str) -> str:
 def _read_npy(path: Path, check: Check, name: str) -> NDArray[Any]:
     del name
     with path.open("rb") as file:
-        return read_npy(file, path.stat().st_size, lambda header: check(_of_npy(header)))
-
-
-def _of_npy(header: NpyHeader) -> Declared:
-    return Declared(header.shape, header.kind)
+        return read_npy(file, path.stat().st_size, check)
 
 
 def _read_npz(path: Path, check: Check, name: str) -> NDArray[Any]:
     with opened_npz(path) as archive:
-        return archive.read(_only(archive.names, name), lambda header: check(_of_npy(header)))
+        return archive.read(_only(archive.names, name), check)
 
 
 # --- h5 -----------------------------------------------------------------------------------------------------------
@@ -287,20 +272,14 @@ def _checked(content: bytes) -> bytes:
     return body
 
 
-def _inflated(content: bytes | memoryview, size: int) -> NDArray[np.uint8]:
+def _inflated(content: bytes, size: int) -> bytes:
     """Return deflated bytes as they were, ``size`` of them and no more."""
-    target = np.empty(size, np.uint8)
-    stream, done = zlib.decompressobj(), 0
-    view = memoryview(content)
-    for start in range(0, len(view), _PIECE_BYTES >> 4):
-        piece = stream.decompress(view[start : start + (_PIECE_BYTES >> 4)], size - done + 1)
-        if done + len(piece) > size:
-            raise ValueError(f"a chunk that expands beyond its {size} bytes")
-        target[done : done + len(piece)] = np.frombuffer(piece, np.uint8)
-        done += len(piece)
-    if done < size or not stream.eof:
-        raise ValueError(f"a chunk that ends after {done} of its {size} bytes")
-    return target
+    import imagecodecs
+
+    try:
+        return bytes(imagecodecs.zlib_decode(content, out=size))
+    except RuntimeError as error:
+        raise ValueError(f"a chunk that is damaged, or expands beyond its {size} bytes") from error
 
 
 # --- MATLAB -------------------------------------------------------------------------------------------------------
@@ -330,25 +309,132 @@ def _read_mat(path: Path, check: Check, name: str) -> NDArray[Any]:
 
 def _read_png(path: Path, check: Check, name: str) -> NDArray[Any]:
     del name
-    return read_png(path, lambda header: check(_of_png(header)))
+    return read_png(path, check)
 
 
-def _of_png(header: PngHeader) -> Declared:
-    return Declared(header.shape, header.values)
+# --- TIFF -------------------------------------------------------------------------------------------------------------
+# tifffile follows the chain of pages as far as it goes, in a circle too, logs what is wrong with them, and fills strips
+# that a file does not hold with zeros: so they are walked before it does.
+
+_COMPRESSIONS = {  # of which a decoder can be told how much to make: none that holds a picture of its own
+    1: "none",
+    5: "LZW",
+    8: "deflate",
+    32946: "deflate",
+    32773: "PackBits",
+    34925: "LZMA",
+    50000: "Zstandard",
+}
+
+_MOST_PAGES = 64  # the planes of a packed frame are 4 to 36
+_MOST_TAGS = 256
+_MOST_TAG_BYTES = 16 << 20  # of all pages; 100,000 strips of offsets and lengths take 1.6 MB
+_LARGEST_TILE = 1 << 20  # pixels, where the image is smaller
+_SUB_IFDS = 330
+_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
 
 
 def _read_tiff(path: Path, check: Check, name: str) -> NDArray[Any]:
     import tifffile
 
     del name
-    check_pages(path)
+    _check_pages(path)
     plain: dict[str, Any] = {f"is_{kind}": False for kind in tifffile.TIFF.FILE_FLAGS - {"shaped", "uniform"}}
     with tifffile.TiffFile(path, **plain) as file:
         series = file.series[0]
         check(Declared(tuple(series.shape), str(np.dtype(series.dtype))))
-        check_segments(series, path.stat().st_size)
+        _check_segments(series, path.stat().st_size)
         array: NDArray[Any] = series.asarray(maxworkers=1, buffersize=16 * _PIECE_BYTES)
     return array
+
+
+class _TiffError(ValueError):
+    """A TIFF file is damaged, or made to keep its reader busy."""
+
+
+class _TiffForm:
+    """How a file writes its numbers: classic TIFF or BigTIFF, in either byte order."""
+
+    def __init__(self, head: bytes) -> None:
+        order = {b"II": "<", b"MM": ">"}.get(head[:2])
+        version = struct.unpack(f"{order}H", head[2:4])[0] if order and len(head) == 16 else 0
+        if version not in (42, 43):
+            raise _TiffError("does not begin as a TIFF file does")
+        is_big = version == 43
+        self.count = struct.Struct(f"{order}{'Q' if is_big else 'H'}")
+        self.entry = struct.Struct(f"{order}{'HHQQ' if is_big else 'HHII'}")
+        self.offset = struct.Struct(f"{order}{'Q' if is_big else 'I'}")
+        self.first = self.offset.unpack_from(head, 8 if is_big else 4)[0]
+
+
+def _check_pages(path: Path) -> None:
+    """Walk the chain of pages before anything else does; ``OSError`` if the file cannot be read."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        form = _TiffForm(file.read(16))
+        at, left = form.first, _MOST_TAG_BYTES
+        seen: set[int] = set()
+        while at:
+            if at in seen or len(seen) == _MOST_PAGES:
+                raise _TiffError(f"its pages go in a circle, or are more than {_MOST_PAGES}")
+            seen.add(at)
+            at, used = _next_page(file, form, at, size)
+            left -= used
+            if left < 0:
+                raise _TiffError(f"the tags of its pages take more than {_MOST_TAG_BYTES} bytes")
+    if not seen:
+        raise _TiffError("has no page")
+
+
+def _next_page(file: IO[bytes], form: _TiffForm, at: int, size: int) -> tuple[int, int]:
+    """Return where the page after one is, and how many bytes the one's tags take."""
+    file.seek(min(at, size))
+    head = file.read(form.count.size)
+    count = form.count.unpack(head)[0] if len(head) == form.count.size else 0
+    if not 0 < count <= _MOST_TAGS:
+        raise _TiffError(f"a page at byte {at} of {size} has {count} tags; expected 1 to {_MOST_TAGS}")
+    table = file.read(count * form.entry.size + form.offset.size)
+    if len(table) < count * form.entry.size + form.offset.size:
+        raise _TiffError(f"ends within the tags of a page at byte {at} of {size}")
+    used = 0
+    for tag, kind, number, value in form.entry.iter_unpack(table[: -form.offset.size]):
+        length = number * _TYPE_BYTES.get(kind, 1)
+        if length > form.offset.size and value + length > size:
+            raise _TiffError(f"its tag {tag} lies beyond the end of the file")
+        if tag == _SUB_IFDS:
+            raise _TiffError("has pages within its pages")
+        used += length
+    following: int = form.offset.unpack(table[-form.offset.size :])[0]
+    return following, used
+
+
+def _check_segments(series: tifffile.TiffPageSeries, size: int) -> None:
+    """Check the strips or tiles of all pages of an array in a file of so many bytes."""
+    pages: list[Any] = list(series.pages)
+    if not all(pages) or math.prod(series.shape) != sum(math.prod(page.shape) for page in pages):
+        raise _TiffError("its pages do not hold as many values as it declares")
+    for page in pages:
+        keyframe = page.keyframe
+        if int(keyframe.compression) not in _COMPRESSIONS:
+            known = ", ".join(dict.fromkeys(_COMPRESSIONS.values()))
+            raise _TiffError(f"compression {int(keyframe.compression)}; expected {known}")
+        tile = keyframe.tilewidth * keyframe.tilelength * max(keyframe.tiledepth, 1) if keyframe.is_tiled else 0
+        if tile > max(4 * keyframe.imagewidth * keyframe.imagelength, _LARGEST_TILE):
+            raise _TiffError(f"tiles of {keyframe.tilewidth} x {keyframe.tilelength} pixels in a smaller page")
+        extents = list(zip(page.dataoffsets, page.databytecounts, strict=True))
+        if not _is_whole(keyframe, extents):
+            raise _TiffError("strips or tiles are missing")
+        if max(offset + count for offset, count in extents) > size:
+            raise _TiffError("its data lie beyond the end of the file: truncated?")
+
+
+def _is_whole(keyframe: Any, extents: list[tuple[int, int]]) -> bool:
+    """Return whether a page has all its strips or tiles; tifffile joins those that follow each other."""
+    if not all(offset > 0 and count > 0 for offset, count in extents):
+        return False
+    if keyframe.is_contiguous or len(extents) == 1 < math.prod(keyframe.chunked):
+        return int(keyframe.compression) == 1 and sum(count for _, count in extents) >= int(keyframe.nbytes)
+    return bool(len(extents) == math.prod(keyframe.chunked))
 
 
 _READERS: dict[str, Reader] = {

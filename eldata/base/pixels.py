@@ -45,17 +45,19 @@ class NpyError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class NpyHeader:
-    """What a .npy file declares: sides, whether the first index runs fastest, type of values in its byte order."""
+class Declared:
+    """What a file says of its array: the shape, and the type of its values as numpy calls it, such as ``float32``."""
 
     shape: tuple[int, ...]
+    values: str
+
+
+@dataclass(frozen=True, slots=True)
+class NpyHeader(Declared):
+    """Of a .npy file; also whether the first index runs fastest, and the type of values in the file's byte order."""
+
     fortran_order: bool
     dtype: np.dtype[Any]
-
-    @property
-    def kind(self) -> str:
-        """The type in words, whatever its byte order: ``float32``; shortened, where it is not of numbers."""
-        return str(self.dtype.newbyteorder("="))[:_LONGEST_NAME]
 
     @property
     def value_bytes(self) -> int:
@@ -67,7 +69,7 @@ class NpyHeader:
             If they are not numbers.
         """
         if self.dtype.kind not in "biufc":
-            raise NpyError(f"holds values of type {self.kind}, not numbers")
+            raise NpyError(f"holds values of type {self.values}, not numbers")
         return math.prod(self.shape) * self.dtype.itemsize
 
 
@@ -80,7 +82,8 @@ def read_npy_header(file: IO[bytes]) -> NpyHeader:
         If there is none, or one of more than 4 kB.
     """
     try:
-        header = NpyHeader(*_header_reader(file)(file, max_header_size=_MOST_HEADER_BYTES))
+        shape, fortran_order, dtype = _header_reader(file)(file, max_header_size=_MOST_HEADER_BYTES)
+        header = NpyHeader(shape, str(dtype.newbyteorder("="))[:_LONGEST_NAME], fortran_order, dtype)
     except (NpyError, OSError, *_DAMAGE):
         raise
     except Exception as error:  # of whatever the header's literal and type lead to
@@ -229,11 +232,9 @@ _MOST_PIXELS = 100_000_000  # of a frame that is read without knowing its size: 
 
 
 @dataclass(frozen=True, slots=True)
-class PngHeader:
-    """What a PNG says of itself: size in pixels, bits per sample, and ``grey``, ``RGB``, ``palette`` or with alpha."""
+class PngHeader(Declared):
+    """Of a PNG: (H, W) or (H, W, channels); also bits per sample, and ``grey``, ``RGB``, ``palette`` or with alpha."""
 
-    width: int
-    height: int
     bit_depth: int
     colour: str
 
@@ -241,14 +242,9 @@ class PngHeader:
         return f"{self.bit_depth}-bit {self.colour}"
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """That of its pixels: (H, W) or (H, W, channels)."""
-        return self.height, self.width, *_CHANNELS.get(self.colour, (3,))
-
-    @property
-    def values(self) -> str:
-        """The type of its samples when decoded: ``uint8`` or ``uint16``."""
-        return "uint16" if self.bit_depth == 16 else "uint8"
+    def size(self) -> str:
+        """In pixels, across and down."""
+        return f"{self.shape[1]} x {self.shape[0]}"
 
 
 def read_png_header(path: Path) -> PngHeader:
@@ -279,7 +275,9 @@ def read_png_header(path: Path) -> PngHeader:
 
 def _header(content: bytes | bytearray) -> PngHeader:
     width, height, bit_depth, colour = struct.unpack_from(">IIBB", content)
-    return PngHeader(width, height, bit_depth, _COLOURS.get(colour, f"colour type {colour}"))
+    name = _COLOURS.get(colour, f"colour type {colour}")
+    shape = height, width, *_CHANNELS.get(name, (3,))
+    return PngHeader(shape, "uint16" if bit_depth == 16 else "uint8", bit_depth, name)
 
 
 def read_png(path: Path, check: Callable[[PngHeader], None] | None = None) -> NDArray[Any]:
@@ -324,7 +322,7 @@ def _pixel_chunks(file: IO[bytes], check: Callable[[PngHeader], None] | None) ->
         if kind not in _OF_PIXELS:
             file.seek(length + 4, 1)  # and the checksum
         elif len(content) + length > most:
-            raise ValueError(f"more compressed data than {header.width} x {header.height} pixels can need")
+            raise ValueError(f"more compressed data than {header.size} pixels can need")
         else:
             content += head + file.read(length + 4)
     return content
@@ -332,8 +330,8 @@ def _pixel_chunks(file: IO[bytes], check: Callable[[PngHeader], None] | None) ->
 
 def _most_compressed_bytes(header: PngHeader) -> int:
     """Return a generous bound: deflate adds a few bytes per 16 kB that do not compress, chunks 12 each."""
-    channels = header.shape[2] if len(header.shape) == 3 else 1
-    samples = header.height * (header.width * channels * header.bit_depth // 8 + 16)
+    height, *row = header.shape
+    samples = height * (math.prod(row) * header.bit_depth // 8 + 16)
     return samples + samples // 8 + (1 << 16)
 
 
@@ -360,9 +358,9 @@ def read_rgb16(path: Path) -> NDArray[np.uint16]:
     header = read_png_header(path)
     if (header.bit_depth, header.colour) != (16, "RGB"):
         raise FileError(path, f"expected a 16-bit RGB PNG, found {header}")
-    if header.width * header.height > _MOST_PIXELS:
-        found = f"{header.width} x {header.height}"
-        raise FileError(path, f"expected up to {_MOST_PIXELS // 1_000_000} megapixels, found {found}; is it damaged?")
+    if math.prod(header.shape[:2]) > _MOST_PIXELS:
+        most = _MOST_PIXELS // 1_000_000
+        raise FileError(path, f"expected up to {most} megapixels, found {header.size}; is it damaged?")
     try:
         array: NDArray[np.uint16] = guarded(read_png, path)
     except (OSError, RuntimeError, ValueError, GuardError) as error:  # imagecodecs' errors are RuntimeErrors

@@ -409,7 +409,7 @@ def _packed_noisy(path: Path, record: PairRecord, target: Frame) -> Frame:
 
     def check(header: NpyHeader) -> None:
         if header.shape != shape or header.dtype != np.float32:
-            found = f"{header.kind} {header.shape}"
+            found = f"{header.values} {header.shape}"  # noqa: PD011 # no pandas
             raise DatasetError(f"{path}: expected float32 {shape} like its reference, found {found}")
 
     problem = file_problem(path)

@@ -212,10 +212,8 @@ def _by_torch(images: Sequence[_Image]) -> torch.Tensor:
     packed = torch.empty((len(images), *shape), dtype=torch.float32, device=first.device)
     for image, values in zip(images, packed, strict=True):
         low, high = CLIP_RANGES[image.clip]
-        sites = packing_sites(image.cfa)
-        for row, column, channel, y, x in sites.table:
-            site = image.mosaic[row :: sites.period, column :: sites.period]
-            values[channel, y :: sites.sub, x :: sites.sub] = site.to(torch.float32)
+        for in_mosaic, in_packed in packing_sites(image.cfa).slices:
+            values[in_packed] = image.mosaic[in_mosaic].to(torch.float32)
         black = torch.from_numpy(packed_black_level_dn(image.cfa, image.black_level_dn)).to(first.device)[:, None, None]
         white = torch.tensor(image.white_level_dn, dtype=torch.float32, device=first.device)
         values.sub_(black).div_(white - black).clamp_(low, high)

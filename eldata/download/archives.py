@@ -1,6 +1,6 @@
 """Archives: what one holds and whether it is safe to unpack, checked before a byte of it is written.
 
-They are zip, 7z, and blocks of mosaics in MATLAB's format (:mod:`eldata.download.blocks`). Zip is read by zipfile.
+They are zip, 7z, and blocks of mosaics in MATLAB's format. Zip is read by zipfile.
 7z is read by py7zr, in a process of its own (:mod:`eldata.base.isolation`): a header of a hundred bytes can make py7zr
 reserve any memory, and most of its decoders are compiled code that meets strangers' bytes nowhere else. None of these
 learns of a folder to write to: members' bytes go to files that are made for them (:mod:`eldata.download.members`),
@@ -15,16 +15,19 @@ import shutil
 import stat
 import unicodedata
 import zipfile
+import zlib
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
+from eldata.base.array_files import read_array
 from eldata.base.files import SmallReads, file_problem, path_problem
 from eldata.base.isolation import Limits, guarded_file, isolation
 from eldata.base.visible import shown
-from eldata.download.blocks import MARK, block_members, unpack_blocks
 from eldata.download.members import BY_HAND, Member
 from eldata.errors import ArchiveError, DownloadError, EldataError
 
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
+    from eldata.base.pixels import Declared
     from eldata.download.members import Kind, NewFile
 
 Format = Literal["zip", "7z", "blocks"]
@@ -41,7 +45,7 @@ _MARKS: dict[bytes, Format] = {
     b"PK\x03\x04": "zip",
     b"PK\x05\x06": "zip",  # an empty one
     b"7z\xbc\xaf\x27\x1c": "7z",
-    MARK: "blocks",
+    b"MATLAB 5.0 MAT-file": "blocks",
 }
 _COMPRESSED = (b"\x1f\x8b", b"BZh", b"\xfd7zXZ\x00")
 
@@ -57,6 +61,7 @@ _LARGEST_READ_BYTES = 64 * 2**20
 _PIECE_BYTES = 2**20
 _SLOWEST = 2**20  # bytes a second that come out of a 7z; it gives a slow disk two minutes for each hundred megabytes
 
+_FETCH_AGAIN = "is its download whole? Fetch it again"
 _UNSAFE = "it was not made by the publisher; do not unpack it"
 _CUT_SHORT = "its download was not finished, or not all parts were joined: delete it and fetch it again"
 # Of seeking to a place that cannot be: the archive's number is wrong, not the disk.
@@ -88,7 +93,7 @@ class Archive:
         else:
             limits = Limits(Limits().seconds + sum(member.size_bytes for member, _ in files) / _SLOWEST)
             if self.form == "blocks":
-                placed = guarded_file(partial(unpack_blocks, files), self.path, ArchiveError, limits=limits)
+                placed = guarded_file(partial(_unpack_blocks, files), self.path, ArchiveError, limits=limits)
             else:
                 placed = _in_a_process(partial(_unpack_seven_zip, files), self.path, limits)
         lost = [member.name for member, _ in files if member.name not in placed]
@@ -124,7 +129,7 @@ def open_archive(path: Path) -> Archive:
             path, f"is not a zip or 7z archive, or blocks of MATLAB, but {looks_like(head)}; save the archive itself"
         )
     if form == "blocks":
-        members = guarded_file(block_members, path, ArchiveError)
+        members = guarded_file(_block_members, path, ArchiveError)
     else:
         members = _zip_members(path) if form == "zip" else _in_a_process(_seven_zip_members, path)
     check_members(path, members)
@@ -359,3 +364,49 @@ def _unpack_seven_zip(files: Sequence[tuple[Member, NewFile]], path: Path) -> di
     with _opened_seven_zip(path) as archive:
         archive.extract(targets=[member.stored_name for member, _ in files], factory=Members())
     return placed
+
+
+# --- blocks -----------------------------------------------------------------------------------------------------------
+# An array of MATLAB's, such as those of SIDD: (images, blocks of each, rows, columns). Compressed as a whole, and with
+# the first side running fastest, it gives a block only to whom reads all of it: so blocks are unpacked once, each a
+# member in NumPy's format, and are files like any others from then on.
+
+
+def _block_members(path: Path) -> tuple[Member, ...]:
+    """Return a member for each block, ``<array>/<image>_<block>.npy``, counted from 0 in two digits."""
+    return tuple(Member(name, name, "file", len(content), None, zlib.crc32(content)) for name, content in _blocks(path))
+
+
+def _unpack_blocks(files: Sequence[tuple[Member, NewFile]], path: Path) -> dict[str, bool]:
+    """Write members to their files; return, by name, whether each got its place."""
+    new_of = {member.name: new for member, new in files}
+    placed = {}
+    for name, content in _blocks(path):
+        if name in new_of:
+            with closing(new_of[name].open()) as target:
+                target.write(content)
+            placed[name] = new_of[name].finish()
+    return placed
+
+
+def _blocks(path: Path) -> Iterator[tuple[str, bytes]]:
+    import scipy.io
+
+    if path.suffix.lower() != ".mat":
+        raise ArchiveError(path, "is a file of MATLAB's; give it a name that ends in .mat")
+    try:
+        held = [name for name, shape, _ in scipy.io.whosmat(path) if len(shape) == 4]
+    except Exception as error:  # scipy's readers raise what a wrong number leads to
+        raise ArchiveError(path, f"is damaged ({error}); {_FETCH_AGAIN}") from error
+    if len(held) != 1:
+        found = ", ".join(held) or "none"
+        raise ArchiveError(path, f"expected one array of blocks, (images, blocks, rows, columns); found {found}")
+    array = read_array(path, _any_shape, name=held[0], error=ArchiveError, advice=_FETCH_AGAIN)
+    for image, block in np.ndindex(*array.shape[:2]):
+        file = io.BytesIO()
+        np.save(file, np.ascontiguousarray(array[image, block]), allow_pickle=False)
+        yield f"{held[0]}/{image:02}_{block:02}.npy", file.getvalue()
+
+
+def _any_shape(declared: Declared) -> None:
+    """Take whatever array it is: its members are checked as an archive's are."""

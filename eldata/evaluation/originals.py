@@ -15,9 +15,8 @@ from eldata.base.workers import require_files
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.catalogue import FrameFiles
 from eldata.manifest.clip_checks import size_findings
-from eldata.manifest.patterns import RowFinding
 from eldata.manifest.verify import header_findings, ratio_findings
-from eldata.manifest.verify_report import Problem
+from eldata.manifest.verify_report import Problem, row_fault
 from eldata.raw.cfa import pack
 from eldata.raw.levels import CLIP_RANGES, packed_black_level_dn, packed_frame, with_levels
 from eldata.records import RawFrame, RawHeader
@@ -281,7 +280,7 @@ def store_of(manifest: Manifest, folder: Path, store: Path, records: Sequence[Fr
         )
         findings += found
     findings += ratio_findings(tuple(wanted.values()), products)
-    _refuse(store, (Problem.of(manifest.name, finding) for finding in findings))
+    _refuse(store, (finding.of(manifest.name) for finding in findings))
     decoders = sorted({frame.file.decoder for frame in taken.values()})
     stated = {"file": str(store), "digest": opened.digest, "decoded_by": ", ".join(decoders)}
     return Originals(FrameFiles(folder.absolute()), store.absolute(), taken, stated)
@@ -294,16 +293,16 @@ def _refuse(store: Path, problems: Iterable[Problem]) -> None:
         raise DatasetError(f"{store}: is not of the files that the manifest lists: {listed[0]}{more}")
 
 
-def _file_findings(folder: Path, record: FrameRecord, held: StoredFrame) -> Iterator[RowFinding]:
+def _file_findings(folder: Path, record: FrameRecord, held: StoredFrame) -> Iterator[Problem]:
     """Compare the file that a frame was packed from with its row, and with the one that lies in the folder, if any."""
     file = held.file
     if record.sha256 not in (None, file.sha256):
-        yield RowFinding(record.path, "sha256", record.sha256 or "", file.sha256, f"another file was packed: {_AGAIN}")
+        yield row_fault(record.path, "sha256", record.sha256 or "", file.sha256, f"another file was packed: {_AGAIN}")
     elif record.size_bytes not in (None, file.size_bytes):
         sizes = f"{record.size_bytes} bytes", f"{file.size_bytes} bytes"
-        yield RowFinding(record.path, "size_bytes", *sizes, f"another file was packed: {_AGAIN}")
+        yield row_fault(record.path, "size_bytes", *sizes, f"another file was packed: {_AGAIN}")
     yield from size_findings(record, held.sensor.width, held.sensor.height, _AGAIN)
     there = folder / record.path
     if there.is_file() and there.stat().st_size != file.size_bytes:
         sizes = f"the packed file's {file.size_bytes} bytes", f"{there.stat().st_size} bytes in {folder}"
-        yield RowFinding(record.path, "size_bytes", *sizes, f"the file is another since it was packed: {_AGAIN}")
+        yield row_fault(record.path, "size_bytes", *sizes, f"the file is another since it was packed: {_AGAIN}")

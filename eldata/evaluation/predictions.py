@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.base.array_files import Declared
+    from eldata.base.pixels import Declared
     from eldata.evaluation.layouts import FoundPredictions
     from eldata.evaluation.request import Request
     from eldata.manifest.catalogue import Manifest

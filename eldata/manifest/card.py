@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import MISSING, asdict, dataclass, fields
 from fnmatch import fnmatchcase
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import json_text, path_problem, write_text
@@ -17,12 +17,13 @@ from eldata.errors import ArgumentError, ManifestError, did_you_mean
 from eldata.raw.stated import MOSAIC_CFAS, MosaicFacts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from eldata.records import FrameRecord, PairRecord
 
 OfPair = TypeVar("OfPair", "PairRecord", "FrameRecord")
+Record = TypeVar("Record")
 
 OWN_PROTOCOL = "raw"
 """The protocol of a card that names none, such as that of a set of one's own."""
@@ -210,7 +211,7 @@ class Card:
     protocol: str = OWN_PROTOCOL
     mosaics: tuple[MosaicFacts, ...] = ()
     known_defects: tuple[str, ...] = ()
-    sources: tuple[str, ...] = field(default=())
+    sources: tuple[str, ...] = ()
     contents: str = ""
     levels: str = ""
     scored: tuple[str, ...] = ()
@@ -277,33 +278,42 @@ def load_card(path: Path, content: bytes | None = None) -> Card:
     top = TextFile(path, ManifestError, content=content).json()
     top.only(names_of(Card))
     cameras, counts = top.inside("cameras"), top.inside("counts")
-    subsets = tuple(map(_subset, top.objects("subsets", missing_ok=True)))
+    subsets = tuple(_read(one, Subset, "name", "paths") for one in top.objects("subsets", missing_ok=True))
     for index, subset in enumerate(subsets):
         if subset.name in [other.name for other in subsets[:index]]:
             raise top.problem(f"subsets[{index}].name", f"{shown(subset.name)} names two subsets")
-    return Card(
-        name=top.text("name", empty=True),
-        title=top.text("title", empty=True),
-        version=top.text("version", empty=True),
+    downloads = top.objects("downloads", missing_ok=True)
+    return _read(
+        top,
+        Card,
+        "protocol",
         folder=top.parsed("folder", _folder),
-        citation=top.text("citation", empty=True),
-        licence=top.text("licence", empty=True),
-        homepage=top.text("homepage", empty=True),
         cfa=top.choice("cfa", CFA_WORDS),
         cameras={name: _camera(cameras, name) for name in cameras.data},
         counts={role: counts.whole(role) for role in counts.data},
-        scenes_shared=top.optional("scenes_shared", top.flag, default=True),
-        downloads=tuple(map(_download, top.objects("downloads", missing_ok=True))),
+        downloads=tuple(_read(one, Download, "address", "paths", "sha256") for one in downloads),
         subsets=subsets,
-        protocol=top.optional("protocol", top.text, OWN_PROTOCOL),
         mosaics=tuple(map(_mosaic, top.objects("mosaics", missing_ok=True))),
-        known_defects=top.texts("known_defects", missing_ok=True, empty=True),
-        sources=top.texts("sources", missing_ok=True, empty=True),
-        contents=top.optional("contents", top.text, "", empty=True),
-        levels=top.optional("levels", top.text, "", empty=True),
-        scored=top.texts("scored", missing_ok=True, empty=True),
-        unknown=top.texts("unknown", missing_ok=True, empty=True),
     )
+
+
+def _read(entry: Fields, kind: type[Record], *filled: str, **given: Any) -> Record:
+    """Return a record of an object: each field by its type, or its default where it is not there.
+
+    Texts may be empty, but for those that are ``filled``. What is ``given`` was read already.
+    """
+    entry.only(names_of(kind))
+    for one in fields(kind):  # type: ignore[arg-type] # it is a record's
+        if one.name in given:
+            continue
+        default, empty = one.default is not MISSING, one.name not in filled
+        if one.type == "tuple[str, ...]":
+            given[one.name] = entry.texts(one.name, missing_ok=default, empty=empty)
+            continue
+        ways: dict[str, Callable[[str], Any]] = {"bool": entry.flag, "int": entry.whole}
+        read = ways.get(str(one.type).removesuffix(" | None"), partial(entry.text, empty=empty))
+        given[one.name] = entry.optional(one.name, read, one.default) if default else read(one.name)
+    return kind(**given)
 
 
 def _folder(found: object) -> str:
@@ -315,24 +325,7 @@ def _folder(found: object) -> str:
 def _camera(cameras: Fields, name: str) -> CameraCard:
     if has_unseen(name):
         raise cameras.problem(name, "has characters in its name that do not show")
-    entry = cameras.inside(name)
-    entry.only(names_of(CameraCard))
-    return CameraCard(entry.texts("models", empty=True))
-
-
-def _download(entry: Fields) -> Download:
-    entry.only(names_of(Download))
-    return Download(
-        address=entry.text("address"),
-        size_bytes=entry.optional("size_bytes", entry.whole),
-        notes=entry.optional("notes", entry.text, "", empty=True),
-        direct=entry.optional("direct", entry.flag, default=False),
-        part=entry.optional("part", entry.text, "", empty=True),
-        paths=entry.optional("paths", entry.text, "*"),
-        below=entry.optional("below", entry.text, empty=True),
-        sha256=entry.optional("sha256", entry.text),
-        about=entry.optional("about", entry.text, "", empty=True),
-    )
+    return _read(cameras.inside(name), CameraCard)
 
 
 def _mosaic(entry: Fields) -> MosaicFacts:
@@ -341,37 +334,20 @@ def _mosaic(entry: Fields) -> MosaicFacts:
     black = entry.each("black_level_dn", Fields.number, expected=levels, fewest=1, at_least=0)
     if len(black) not in (1, 4):
         raise entry.wrong("black_level_dn", levels, list(black))
-    return MosaicFacts(
-        paths=entry.text("paths"),
+    return _read(
+        entry,
+        MosaicFacts,
+        *("paths", "cameras", "packing"),
         cfa=entry.choice("cfa", MOSAIC_CFAS),
         black_level_dn=black,
         white_level_dn=entry.number("white_level_dn", above=max(black)),
-        cameras=entry.texts("cameras", missing_ok=True),
-        array=entry.optional("array", entry.text, "", empty=True),
         shape=entry.optional("shape", partial(_sides, entry)),
-        bits=entry.optional("bits", entry.whole, 16),
-        packing=entry.optional("packing", entry.text, "le16"),
-        stride=entry.optional("stride", entry.whole),
     )
 
 
 def _sides(entry: Fields, name: str) -> tuple[int, int]:
     height, width = entry.each(name, Fields.whole, expected="[rows, columns]", count=2, at_least=1)
     return height, width
-
-
-def _subset(entry: Fields) -> Subset:
-    entry.only(names_of(Subset))
-    return Subset(
-        name=entry.text("name"),
-        title=entry.text("title", empty=True),
-        source=entry.text("source", empty=True),
-        pairs=entry.whole("pairs"),
-        splits=entry.texts("splits", missing_ok=True, empty=True),
-        scenes=entry.texts("scenes", missing_ok=True, empty=True),
-        paths=entry.optional("paths", entry.text, "*"),
-        first=entry.optional("first", entry.flag, default=False),
-    )
 
 
 def save_card(path: Path, card: Card) -> None:
@@ -381,8 +357,8 @@ def save_card(path: Path, card: Card) -> None:
 
 def card_text(card: Card) -> str:
     """Return a dataset card as it is written."""
-    fields = {name: value for name, value in asdict(card).items() if name != "mosaics" or value}
-    for subset in fields["subsets"]:
+    data = {name: value for name, value in asdict(card).items() if name != "mosaics" or value}
+    for subset in data["subsets"]:
         if not subset["first"]:
             del subset["first"]
-    return json_text(fields)
+    return json_text(data)

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from eldata.manifest.card import CameraCard
-    from eldata.manifest.patterns import RowFinding
     from eldata.records import FrameRecord
 
 
@@ -101,7 +100,7 @@ def lock(
         else:
             record, findings = outcome
             locked[record.path] = record
-            unfit += [Problem.of(loaded.name, finding) for finding in findings]
+            unfit += [finding.of(loaded.name) for finding in findings]
     if unfit:
         return LockReport(path, checks, tuple(unfit), 0)
     problems = tuple(
@@ -152,7 +151,7 @@ def _loaded(path: Path, root: Path | str | None) -> Manifest:
 
 def _locked(
     files: FrameFiles, cameras: Mapping[str, CameraCard], record: FrameRecord
-) -> tuple[FrameRecord, list[RowFinding]]:
+) -> tuple[FrameRecord, list[Problem]]:
     path = files.folder / record.path
     require_files(path)
     # A hash of a damaged file would make the damage official.

@@ -17,6 +17,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from eldata.base.files import inside
+from eldata.manifest.verify_report import Problem, row_fault
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -25,17 +26,6 @@ if TYPE_CHECKING:
     from eldata.records import FrameRecord
 
 _DIGITS = re.compile(r"([0-9]+)")
-
-
-@dataclass(frozen=True, slots=True)
-class RowFinding:
-    """Something wrong with files of a manifest; ``eldata.manifest.verify`` makes a problem of it."""
-
-    path: str
-    field: str
-    expected: str
-    found: str
-    advice: str
 
 
 def is_pattern(path: str) -> bool:
@@ -85,7 +75,7 @@ def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, .
     return tuple(sorted(expanded, key=attrgetter("path")))
 
 
-def pattern_findings(records: Iterable[FrameRecord], folder: Path) -> list[RowFinding]:
+def pattern_findings(records: Iterable[FrameRecord], folder: Path) -> list[Problem]:
     """Return what is wrong with the files that patterns match: several references, odd names, gaps in the numbers."""
     findings = []
     for row in records:
@@ -95,7 +85,7 @@ def pattern_findings(records: Iterable[FrameRecord], folder: Path) -> list[RowFi
         if row.role == "reference" and len(files) > 1:
             names = ", ".join(PurePosixPath(path).name for path in files)
             advice = "which one is the reference is not known: move the others away"
-            findings.append(RowFinding(row.path, "file", "one file", names, advice))
+            findings.append(row_fault(row.path, "file", "one file", names, advice))
         elif row.role != "reference":
             findings += sequence_findings(files)
     return findings
@@ -152,7 +142,7 @@ def _key(part: str) -> tuple[int, int, str]:
     return (0, int(part), "") if part.isdecimal() else (1, 0, part)
 
 
-def sequence_findings(paths: Sequence[str]) -> list[RowFinding]:
+def sequence_findings(paths: Sequence[str]) -> list[Problem]:
     """Return what is wrong with the names of one clip's frames."""
     if not paths:
         return []
@@ -163,18 +153,18 @@ def sequence_findings(paths: Sequence[str]) -> list[RowFinding]:
         "own (eldata.manifest.drv.scan_preprocessed)"
     )
     findings = [
-        RowFinding(
+        row_fault(
             f"{parent}/{name}", "name", "a name like the clip's others", name, "move it away: it shifts the frames"
         )
         for name in sequence.odd
     ]
     findings += [
-        RowFinding(f"{parent}", "number", f"each frame once, and so one frame {number}", "two", "move one away")
+        row_fault(f"{parent}", "number", f"each frame once, and so one frame {number}", "two", "move one away")
         for number in sequence.doubles
     ]
     for first, last in sequence.gaps:
         numbers = sequence.numbers or (first, last)
         expected = f"frames {numbers[0]} to {numbers[-1]} without a gap"
         found = f"no frame {first}" if first == last else f"no frames {first} to {last}"
-        findings.append(RowFinding(f"{parent}", "number", expected, found, advice))
+        findings.append(row_fault(f"{parent}", "number", expected, found, advice))
     return findings

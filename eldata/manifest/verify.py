@@ -33,9 +33,9 @@ from eldata.manifest.clip_checks import (
     size_findings,
 )
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
-from eldata.manifest.patterns import RowFinding, expand, is_png, pattern_findings
+from eldata.manifest.patterns import expand, is_png, pattern_findings
 from eldata.manifest.table import number_text
-from eldata.manifest.verify_report import LEVELS, DatasetReport, FileRemark, Level, Problem, VerifyReport, distinct
+from eldata.manifest.verify_report import LEVELS, DatasetReport, VerifyReport, distinct, row_fault
 from eldata.raw.files import raw_facts
 from eldata.raw.stated import StatedFile
 
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from eldata.manifest.card import CameraCard
+    from eldata.manifest.verify_report import FileRemark, Level, Problem
     from eldata.records import FrameRecord, RawHeader, Sensor
 
 # Shutters step by thirds of a stop (a factor of 1.26) and EXIF rounds them (1/13 for 1/12.5), so a true ratio may be
@@ -155,7 +156,7 @@ def check_files(
         of_clips += png_size_findings(folder, present)
         of_clips += exposure_findings(present, product_of, RATIO_TOLERANCE)
     findings = sorted([*findings, *of_clips], key=lambda finding: finding.path)
-    return tuple(Problem.of(manifest.name, finding) for finding in findings), tuple(present), remarks
+    return tuple(finding.of(manifest.name) for finding in findings), tuple(present), remarks
 
 
 # --- quick ----------------------------------------------------------------------------------------------------
@@ -163,10 +164,10 @@ def check_files(
 
 def _check_presence(
     manifest: Manifest, folder: Path, records: Sequence[FrameRecord]
-) -> tuple[list[FrameRecord], list[RowFinding]]:
+) -> tuple[list[FrameRecord], list[Problem]]:
     """Return the records whose files can be looked into, and what is wrong with the rest."""
     present: list[FrameRecord] = []
-    findings: list[RowFinding] = []
+    findings: list[Problem] = []
     missing: dict[str, list[FrameRecord]] = defaultdict(list)
     for record in records:
         try:
@@ -174,7 +175,7 @@ def _check_presence(
             size = path.stat().st_size if path.is_file() else None
         except ManifestError as error:
             expected = "a file below the dataset's folder"
-            findings.append(RowFinding(record.path, "path", expected, "a link outside", str(error)))
+            findings.append(row_fault(record.path, "path", expected, "a link outside", str(error)))
             continue
         if size is None:
             # One line for a whole missing folder, the topmost one that is missing.
@@ -184,14 +185,14 @@ def _check_presence(
             continue
         if size == 0 or size != (record.size_bytes or size):
             expected = "more than 0 bytes" if record.size_bytes is None else f"{record.size_bytes} bytes"
-            findings.append(RowFinding(record.path, "size_bytes", expected, f"{size} bytes", _AGAIN))
+            findings.append(row_fault(record.path, "size_bytes", expected, f"{size} bytes", _AGAIN))
         if size > 0:
             present.append(record)
     findings += [_missing(manifest, folder, top, lost) for top, lost in missing.items()]
     return present, findings
 
 
-def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]) -> RowFinding:
+def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]) -> Problem:
     path = folder / top
     if top == lost[0].path:
         like = [name for name in _names(path.parent) if name.casefold() == path.name.casefold()]
@@ -200,18 +201,18 @@ def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]
             found, advice = "a folder", "move it away and copy the file"
         elif like:
             found, advice = f"only {like[0]}", f"rename it to {path.name}"
-        return RowFinding(top, "file", "a file", found, advice)
+        return row_fault(top, "file", "a file", found, advice)
     advice = "unpack it there"
     if len(manifest.card.cameras) > 1 and len({record.camera for record in lost}) == 1:
         advice += f", or check the cameras you have with --camera (this is {lost[0].camera})"
-    return RowFinding(f"{top}/", "folder", f"{len(lost)} files", "no such folder", advice)
+    return row_fault(f"{top}/", "folder", f"{len(lost)} files", "no such folder", advice)
 
 
 def _names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
 
 
-def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[RowFinding]:
+def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[Problem]:
     """Name files of the listed kind that the manifest does not list, in the folders of these records."""
     from eldata.raw.files import RAW_EXTENSIONS
 
@@ -234,7 +235,7 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
             if path not in listed and path.casefold() not in respelled:
                 expected = f"the {count_in[parent]} listed raw files in this folder"
                 advice = "move it away, and make sure that the others were not renumbered"
-                findings.append(RowFinding(path, "file", expected, f"{len(raws)} raw files, this one unlisted", advice))
+                findings.append(row_fault(path, "file", expected, f"{len(raws)} raw files, this one unlisted", advice))
     return findings
 
 
@@ -244,7 +245,7 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
 class CheckedFile(NamedTuple):
     """What is wrong with a file, its ISO times its exposure time, if it states both, and what is remarked of it."""
 
-    findings: list[RowFinding]
+    findings: list[Problem]
     product: Fraction | None = None
     remarks: tuple[str, ...] = ()
 
@@ -255,7 +256,7 @@ _OF_CONTENT = ("content", "width", "height")
 
 def _unchecked(failed: Failed[FrameRecord]) -> CheckedFile:
     advice = "make it readable where the check runs, and check again"
-    return CheckedFile([RowFinding(failed.unit.path, "check", "a finished check", failed.reason, advice)])
+    return CheckedFile([row_fault(failed.unit.path, "check", "a finished check", failed.reason, advice)])
 
 
 def check_file(files: FrameFiles, cameras: Mapping[str, CameraCard], level: Level, record: FrameRecord) -> CheckedFile:
@@ -281,13 +282,13 @@ def check_file(files: FrameFiles, cameras: Mapping[str, CameraCard], level: Leve
     return outcome
 
 
-def _unreadable(record: FrameRecord, error: RawFileError, expected: str = "a whole raw file") -> RowFinding:
+def _unreadable(record: FrameRecord, error: RawFileError, expected: str = "a whole raw file") -> Problem:
     if isinstance(error, UnusableRawError):
-        return RowFinding(record.path, "content", "a raw file that can be used", error.found, error.advice)
-    return RowFinding(record.path, "content", expected, error.reason.removesuffix(f"; {_AGAIN}"), _AGAIN)
+        return row_fault(record.path, "content", "a raw file that can be used", error.found, error.advice)
+    return row_fault(record.path, "content", expected, error.reason.removesuffix(f"; {_AGAIN}"), _AGAIN)
 
 
-def _decoded_findings(record: FrameRecord, decoded: Sensor | RawFileError | None) -> list[RowFinding]:
+def _decoded_findings(record: FrameRecord, decoded: Sensor | RawFileError | None) -> list[Problem]:
     if isinstance(decoded, RawFileError):
         return [_unreadable(record, decoded, "a raw file that decodes")]
     if decoded is None:
@@ -320,30 +321,30 @@ def _stated_findings(file: StatedFile, record: FrameRecord, *, decode: bool) -> 
 
 def header_findings(
     header: RawHeader, record: FrameRecord, models: Sequence[str]
-) -> tuple[list[RowFinding], Fraction | None]:
+) -> tuple[list[Problem], Fraction | None]:
     """Compare a raw file's camera, ISO and exposure time with its row; return their product too, if it states both."""
     findings = []
     if not models:
         pass  # no public text says how the camera names itself
     elif not header.model and "" not in models:  # which a card lists for files whose camera does not name itself
-        findings.append(RowFinding(record.path, "camera", " or ".join(models), "no camera model", _NO_EXIF))
+        findings.append(row_fault(record.path, "camera", " or ".join(models), "no camera model", _NO_EXIF))
     elif header.model.casefold() not in {model.casefold() for model in models}:
         advice = "this file was taken by another camera"
-        findings.append(RowFinding(record.path, "camera", " or ".join(models), header.model, advice))
+        findings.append(row_fault(record.path, "camera", " or ".join(models), header.model, advice))
     iso, exposure_s = header.exposure.iso, header.exposure.exposure_s
     if iso is None or exposure_s is None:
         lost = "ISO" if iso is None else "exposure time"
-        return [*findings, RowFinding(record.path, "exposure", "ISO and exposure time", f"no {lost}", _NO_EXIF)], None
+        return [*findings, row_fault(record.path, "exposure", "ISO and exposure time", f"no {lost}", _NO_EXIF)], None
     advice = "is this the frame that its name says? look for shifted numbering and swapped files"
     findings += [
-        RowFinding(record.path, field, number_text(expected), number_text(found), advice)
+        row_fault(record.path, field, number_text(expected), number_text(found), advice)
         for field, expected, found in (("iso", record.iso, iso), ("exposure_s", record.exposure_s, exposure_s))
         if expected is not None and abs(found - expected) > RATIO_TOLERANCE * expected
     ]
     return findings, iso * exposure_s
 
 
-def _hash_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
+def _hash_findings(path: Path, record: FrameRecord) -> list[Problem]:
     try:
         digest = sha256_of(path)
     except OSError as error:
@@ -351,10 +352,10 @@ def _hash_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
     if digest == record.sha256:
         return []
     advice = _PACK_AGAIN if path.suffix == ".npy" else f"the file is damaged or another: {_AGAIN}"
-    return [RowFinding(record.path, "sha256", record.sha256 or "", digest, advice)]
+    return [row_fault(record.path, "sha256", record.sha256 or "", digest, advice)]
 
 
-def _packed_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
+def _packed_findings(path: Path, record: FrameRecord) -> list[Problem]:
     """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
     from eldata.base.pixels import NpyError, read_npy_header
 
@@ -362,16 +363,16 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[RowFinding]:
         with path.open("rb") as file:
             header = read_npy_header(file)
             held = path.stat().st_size - file.tell()
-        found = f"{header.kind} {header.shape}"
+        found = f"{header.values} {header.shape}"
         good = len(header.shape) == 3 and str(header.dtype) == "float32"
         if good and held < header.value_bytes:
             found, good = f"{found} of {header.value_bytes} bytes, {held} of which are there", False
     except (OSError, NpyError) as error:
         found, good = str(error), False
-    return [] if good else [RowFinding(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
+    return [] if good else [row_fault(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
 
 
-def ratio_findings(records: Sequence[FrameRecord], product_of: Mapping[str, Fraction | None]) -> list[RowFinding]:
+def ratio_findings(records: Sequence[FrameRecord], product_of: Mapping[str, Fraction | None]) -> list[Problem]:
     """Compare the ratios of pairs with their rows'; ``product_of``: ISO times exposure time of each file, by path."""
     advice = "are both the frames that their names say? look for shifted numbering and swapped references"
     findings = []
@@ -384,5 +385,5 @@ def ratio_findings(records: Sequence[FrameRecord], product_of: Mapping[str, Frac
         ratio = reference / noisy
         if abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio:
             expected = f"{number_text(record.ratio)} to {record.reference}"
-            findings.append(RowFinding(record.path, "ratio", expected, f"{float(ratio):.6g}", advice))
+            findings.append(row_fault(record.path, "ratio", expected, f"{float(ratio):.6g}", advice))
     return findings

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from eldata.base.numbers import counted, fraction_of
@@ -13,8 +14,6 @@ from eldata.errors import ArgumentError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
-
-    from eldata.manifest.patterns import RowFinding
 
 Level = Literal["quick", "metadata", "full"]
 LEVELS: tuple[Level, ...] = get_args(Level)
@@ -34,10 +33,9 @@ class Problem:
     def __str__(self) -> str:
         return in_line(f"{self.path}: {self.field}: expected {self.expected}, found {self.found}; {self.advice}")
 
-    @classmethod
-    def of(cls, dataset: str, finding: RowFinding) -> Problem:
-        """Say of which dataset a finding is."""
-        return cls(dataset, finding.path, finding.field, finding.expected, finding.found, finding.advice)
+    def of(self, dataset: str) -> Problem:
+        """Say of which dataset it is."""
+        return replace(self, dataset=dataset)
 
     def format_text(self) -> str:
         """Return the problem as four lines."""
@@ -45,6 +43,10 @@ class Problem:
             f"{in_line(self.path)}: {self.field}\n    expected  {in_line(self.expected)}\n    found     "
             f"{in_line(self.found)}\n    to do     {in_line(self.advice)}"
         )
+
+
+row_fault = partial(Problem, "")
+"""A problem of a manifest's row, before somebody says of which dataset it is."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,9 +96,8 @@ def pack_whole(mosaic: Image, cfa: Cfa) -> Image:
     whole: Image = _zeros(mosaic, (*leading, height * sites.period, width * sites.period))
     whole[..., top : top + mosaic.shape[-2], left : left + mosaic.shape[-1]] = mosaic
     packed: Image = _zeros(mosaic, (*leading, sites.channels, height * sites.sub, width * sites.sub))
-    step, sub = sites.period, sites.sub
-    for row, column, channel, y, x in sites.table:
-        packed[..., channel, y::sub, x::sub] = whole[..., row::step, column::step]
+    for in_mosaic, in_packed in sites.slices:
+        packed[in_packed] = whole[in_mosaic]
     return packed
 
 
@@ -146,11 +145,10 @@ def region_anywhere(
 def unpack_whole(packed: Image, cfa: Cfa, shape: tuple[int, int]) -> Image:
     """Undo :func:`pack_whole` for mosaics of ``shape`` (H, W)."""
     sites = packing_sites(cfa)
-    step, sub = sites.period, sites.sub
-    height, width = packed.shape[-2] // sub * step, packed.shape[-1] // sub * step
+    height, width = (side // sites.sub * sites.period for side in packed.shape[-2:])
     whole: Image = _zeros(packed, (*tuple(packed.shape[:-3]), height, width))
-    for row, column, channel, y, x in sites.table:
-        whole[..., row::step, column::step] = packed[..., channel, y::sub, x::sub]
+    for in_mosaic, in_packed in sites.slices:
+        whole[in_mosaic] = packed[in_packed]
     top, left = -sites.top % sites.period, -sites.left % sites.period
     cropped: Image = whole[..., top : top + shape[0], left : left + shape[1]]
     return cropped

@@ -169,9 +169,9 @@ def _like(name: str, values: str, shape: tuple[int, ...] | None) -> Callable[[Np
 
     def check(header: NpyHeader) -> None:
         fits = header.shape == shape if shape else len(header.shape) == 1 and header.shape[0] <= _MOST_ABOUT_BYTES
-        if header.kind != values or header.fortran_order or not fits:
+        if header.values != values or header.fortran_order or not fits:
             expected = f"{values} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
-            raise NpyError(f"{name}: expected {expected}, found {header.kind} {header.shape}")
+            raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
 
     return check
 

@@ -2,8 +2,9 @@
 
 A site table says where each site of one CFA period goes: rows of (mosaic row, mosaic column, channel, packed
 row, packed column), with ``period`` the CFA's size and ``sub`` the packed image's share of it (2 for X-Trans, else 1).
-The Bayer loops are written out for their constant stride of two, which the compiler vectorises. For them, and where
-mosaics are turned, each row of the mosaic and of the packed channels is contiguous in memory.
+The Bayer loops are written out for their constant stride of two, which the compiler vectorises; what they do not
+serve, numpy copies as fast (:mod:`eldata.raw.cfa`). For them, and where mosaics are turned, each row of the mosaic and
+of the packed channels is contiguous in memory.
 """
 
 from __future__ import annotations
@@ -22,42 +23,18 @@ ENDED, NO_CODE, TOO_SHORT = 0, 1, 2
 
 
 @kernel
-def gather(mosaic: NDArray[Any], packed: NDArray[Any], sites: NDArray[np.int64], period: int, sub: int) -> None:
-    """Fill ``packed`` (C, h, w) from ``mosaic``, value by value.
+def gather_bayer(mosaic: NDArray[Any], packed: NDArray[Any], channel: NDArray[np.int64]) -> None:
+    """Fill ``packed`` (4, h, w) from a Bayer ``mosaic``; ``channel`` (2, 2) names the packed channel of each site.
 
-    The two columns of a Bayer cell stand in one loop: that is vector code, of four times the speed.
+    The two columns of a cell stand in one loop: that is vector code, of four times the speed.
     """
-    for i in range(packed.shape[1] // sub):
-        if period == 2:
-            for y in range(2):
-                source = contiguous(mosaic[2 * i + y])
-                even, odd = contiguous(packed[sites[2 * y, 2], i]), contiguous(packed[sites[2 * y + 1, 2], i])
-                for j in range(packed.shape[2]):
-                    even[j] = source[2 * j]
-                    odd[j] = source[2 * j + 1]
-            continue
-        for k in range(sites.shape[0]):
-            source = mosaic[i * period + sites[k, 0]]
-            target = packed[sites[k, 2], i * sub + sites[k, 3]]
-            column, x = sites[k, 1], sites[k, 4]
-            for j in range(packed.shape[2] // sub):
-                target[x + j * sub] = source[column + j * period]
-
-
-@kernel
-def scatter(packed: NDArray[Any], mosaic: NDArray[Any], sites: NDArray[np.int64], period: int, sub: int) -> None:
-    """Fill ``mosaic`` from ``packed``: the inverse of :func:`gather`."""
-    for i in range(packed.shape[1] // sub):
-        for k in range(sites.shape[0]):
-            source = packed[sites[k, 2], i * sub + sites[k, 3]]
-            target = mosaic[i * period + sites[k, 0]]
-            column, x = sites[k, 1], sites[k, 4]
-            if period == 2:
-                for j in range(packed.shape[2]):
-                    target[column + 2 * j] = source[j]
-            else:
-                for j in range(packed.shape[2] // sub):
-                    target[column + j * period] = source[x + j * sub]
+    for i in range(packed.shape[1]):
+        for y in range(2):
+            source = contiguous(mosaic[2 * i + y])
+            even, odd = contiguous(packed[channel[y, 0], i]), contiguous(packed[channel[y, 1], i])
+            for j in range(packed.shape[2]):
+                even[j] = source[2 * j]
+                odd[j] = source[2 * j + 1]
 
 
 @kernel

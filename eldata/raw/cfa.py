@@ -44,7 +44,7 @@ import numpy as np
 from eldata.errors import ArgumentError, check_choice
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -152,6 +152,18 @@ class Sites:
     def levels(self) -> int:
         """Number of the CFA's channels, and so of black levels."""
         return max(self.colours) + 1
+
+    @property
+    def channel_of(self) -> NDArray[np.int64]:
+        """The packed channel of each site, by its row and column in a period."""
+        return self.table[:, 2].reshape(self.period, self.period)
+
+    @property
+    def slices(self) -> Iterator[tuple[tuple[Any, ...], tuple[Any, ...]]]:
+        """Index of each site's pixels in a mosaic (..., H, W), and where packing puts them in (..., C, h, w)."""
+        for row, column, channel, y, x in self.table.tolist():
+            in_mosaic = ..., slice(row, None, self.period), slice(column, None, self.period)
+            yield in_mosaic, (..., channel, slice(y, None, self.sub), slice(x, None, self.sub))
 
 
 def _rows(cfa: Cfa) -> CfaRows:
@@ -376,7 +388,7 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = Non
            [5, 7],
            [4, 6]], dtype=uint16)
     """
-    from eldata.raw._kernels import gather
+    from eldata.raw._kernels import gather_bayer
 
     sites = packing_sites(cfa)
     area = kept_area(mosaic, sites)
@@ -384,10 +396,12 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = Non
     packed = np.empty(shape, dtype=mosaic.dtype) if out is None else out
     if packed.shape != shape or packed.dtype != mosaic.dtype:
         raise ArgumentError(f"out must be {mosaic.dtype} of shape {shape}; found {packed.dtype} {packed.shape}")
-    if with_rows(packed) is not packed:
-        packed[...] = pack(mosaic, cfa)
-        return packed
-    gather(_as_bits(area), _as_bits(packed), sites.table, sites.period, sites.sub)
+    bits = _as_bits(area)
+    if sites.period == 2 and with_rows(packed) is packed:
+        gather_bayer(bits, _as_bits(packed), sites.channel_of)
+    else:
+        for in_mosaic, in_packed in sites.slices:
+            packed[in_packed] = area[in_mosaic]
     return packed
 
 
@@ -420,14 +434,13 @@ def unpack(packed: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     >>> np.array_equal(unpack(pack(mosaic, bayer_cfa("GBRG")), bayer_cfa("GBRG")), mosaic)
     True
     """
-    from eldata.raw._kernels import scatter
-
     sites = packing_sites(cfa)
     if packed.ndim != 3 or packed.shape[0] != sites.channels or any(n % sites.sub for n in packed.shape[1:]):
         even = "" if sites.sub == 1 else " with even h and w"
         raise ArgumentError(f"expected packed data ({sites.channels}, h, w){even}; found shape {packed.shape}")
     mosaic = np.empty((packed.shape[1] * sites.scale, packed.shape[2] * sites.scale), dtype=packed.dtype)
-    scatter(_as_bits(packed), _as_bits(mosaic), sites.table, sites.period, sites.sub)
+    for in_mosaic, in_packed in sites.slices:
+        mosaic[in_mosaic] = packed[in_packed]
     return mosaic
 
 

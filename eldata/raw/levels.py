@@ -52,18 +52,6 @@ CAMERA_LEVELS_DN: dict[str, tuple[float, float]] = {
 }
 
 
-def white_level_dn(sensor: Sensor, levels: Levels) -> float:
-    """Return the white level in DN: the file's (``"metadata"``) or 16383 (``"published"``).
-
-    Raises
-    ------
-    ArgumentError
-        If ``levels`` is unknown.
-    """
-    check_choice("levels", levels, LEVELS)
-    return sensor.white_level_dn if levels == "metadata" else PUBLISHED_WHITE_LEVEL_DN
-
-
 def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
     """Return a sensor with the chosen black and white level.
 
@@ -77,8 +65,10 @@ def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
         If ``levels`` is unknown.
     """
     check_choice("levels", levels, FRAME_LEVELS)
-    if levels == "metadata" or levels == "published":  # spelt out so that mypy narrows the type
-        return replace(sensor, white_level_dn=white_level_dn(sensor, levels))
+    if levels == "metadata":
+        return sensor
+    if levels == "published":
+        return replace(sensor, white_level_dn=PUBLISHED_WHITE_LEVEL_DN)
     black, white = CAMERA_LEVELS_DN[levels]
     return replace(sensor, black_level_dn=(black,) * len(sensor.black_level_dn), white_level_dn=white)
 
@@ -230,7 +220,7 @@ def pack_normalised(
         )
     factor = np.float32(gain)
     if sites.period == 2:
-        pack_bayer_normalised(area, out, sites.table[:, 2].reshape(2, 2), black, white, low, high, factor)
+        pack_bayer_normalised(area, out, sites.channel_of, black, white, low, high, factor)
     else:
         pack_sites_normalised(area, out, sites.table, sites.period, sites.sub, black, white, low, high, factor)
     return out

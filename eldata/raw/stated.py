@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.base.array_files import Declared
+    from eldata.base.pixels import Declared
 
 ARRAY_EXTENSIONS = frozenset((".npy", ".npz", ".mat", ".h5", ".tif", ".tiff"))
 """Lower case, with the dot: files whose header says the shape; of any other name they are buffers without one."""

@@ -115,7 +115,9 @@ def unsupported_cfa(path: Path, rows: Sequence[str]) -> UnusableRawError:
 def _kind(rows: Sequence[str]) -> str:
     """Return the name of an unsupported colour filter array with a comma behind it; nothing if it has none."""
     colours = set("".join(rows))
-    if {len(rows), *map(len, rows)} == {2 * _HEXADECA} and _is_bayer_of_blocks(rows, _HEXADECA):
+    corners = [row[::_HEXADECA] for row in rows[::_HEXADECA]]
+    in_blocks = ["".join(colour * _HEXADECA for colour in row) for row in corners for _ in range(_HEXADECA)]
+    if len(corners) == 2 and [*rows] == in_blocks and cfa_of_letters(corners) is not None:
         return f"hexadeca-Bayer (blocks of {_HEXADECA} x {_HEXADECA} sites of one colour), "
     if colours == set("CYGM"):
         return "CYGM (cyan, yellow, green, magenta), "
@@ -126,14 +128,3 @@ def _kind(rows: Sequence[str]) -> str:
     if len(rows) == 4 and rows[0] == rows[2] != rows[1] == rows[3] and rows[0] == rows[1][2:] + rows[1][:2]:
         return "a Super CCD (turned by 45 degrees), "
     return ""
-
-
-def _is_bayer_of_blocks(rows: Sequence[str], side: int) -> bool:
-    blocks = [
-        [{rows[y][x] for y in range(top, top + side) for x in range(left, left + side)} for left in (0, side)]
-        for top in (0, side)
-    ]
-    if any(len(block) != 1 for row in blocks for block in row):
-        return False
-    (a, b), (c, d) = ((min(block) for block in row) for row in blocks)
-    return (a == d == "G" and {b, c} == {"R", "B"}) or (b == c == "G" and {a, d} == {"R", "B"})

@@ -77,13 +77,6 @@ def test_a_file_without_colour_is_refused(field: str, words: str, tmp_path: Path
         render_libraw(path)
 
 
-def test_what_is_no_raw_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "notes.dng"
-    path.write_text("not a picture " * 100)
-    with pytest.raises(RawFileError, match=r"notes\.dng"):
-        render_libraw(path)
-
-
 def test_x_trans_that_libraw_cannot_demosaic_is_named(tmp_path: Path) -> None:
     path = written(tmp_path / "small.dng", XTRANS["xtrans-00"], 510, 516)
     with pytest.raises(RawFileError, match="510 x 516 pixels: LibRaw does not demosaic X-Trans"):

@@ -78,21 +78,6 @@ def test_gamma_curve(exponent: float) -> None:
     np.testing.assert_allclose(gamma_curve(linear, exponent).numpy(), expected, rtol=1e-14)
 
 
-@pytest.mark.parametrize(
-    "function",
-    [
-        lambda packed: white_balance(packed, MULTIPLIERS),
-        bin_colours,
-        lambda packed: colour_matrix(packed[:, :3], MATRIX),
-        gamma_curve,
-    ],
-    ids=["white_balance", "bin_colours", "colour_matrix", "gamma_curve"],
-)
-@pytest.mark.parametrize("channels", [4, 9])
-def test_gradients(channels: int, function: Callable[[torch.Tensor], torch.Tensor]) -> None:
-    assert torch.autograd.gradcheck(function, (packed_data(channels, (2,)).requires_grad_(),))
-
-
 def test_the_slope_of_gamma_at_black_is_finite() -> None:
     linear = torch.tensor([0.0, -1.0, 1e-9, 1e-8, 0.5], dtype=torch.float64, requires_grad=True)
     (gradient,) = torch.autograd.grad(gamma_curve(linear).sum(), linear)

@@ -64,24 +64,6 @@ BIAS = FrameRecord("Cam/bias/DSC 0001 (2).ARW", "bias", "Cam")  # spaces and bra
 # --- numbers ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (Fraction(800), "800"),
-        (Fraction(1, 200), "0.005"),
-        (Fraction(1, 30), "1/30"),
-        (Fraction(16, 5), "3.2"),
-        (Fraction(1, 8), "0.125"),
-        (Fraction(1001, 10), "100.1"),
-        (Fraction(640, 3), "640/3"),
-        (Fraction(100), "100"),
-        (Fraction(10**17), "1" + "0" * 17),
-    ],
-)
-def test_number_text_of_known_values(value: Fraction, text: str) -> None:
-    assert number_text(value) == text
-
-
 # What an EXIF fraction can be: two unsigned 32-bit numbers.
 EXIF_FRACTIONS = st.builds(Fraction, st.integers(1, 2**32 - 1), st.integers(1, 2**32 - 1))
 # Hypothesis would hardly meet a denominator of 2s and 5s alone by itself.
@@ -429,26 +411,17 @@ def test_saved_text_is_sorted_with_plain_line_ends(path: Path) -> None:
     assert b"\r" not in first
 
 
+# What is written is read back: of each way to be wrong that only a record can have, and of the others one.
 REFUSED = [
     [REFERENCE, replace(NOISY, path="../IMG_0004.ARW")],
-    [REFERENCE, replace(NOISY, path="/IMG_0004.ARW")],
-    [REFERENCE, replace(NOISY, path="Cam\\IMG_0004.ARW")],
-    [REFERENCE, replace(NOISY, path="")],
     [REFERENCE, replace(NOISY, role="dark")],  # type: ignore[arg-type] # as a caller without types may
-    [REFERENCE, replace(NOISY, camera="")],
-    [REFERENCE, replace(NOISY, scene="scene 1")],
     [REFERENCE, replace(NOISY, iso=Fraction(-800))],
-    [REFERENCE, replace(NOISY, exposure_s=Fraction(0))],
     [REFERENCE, replace(NOISY, exposure_s=0.1)],  # type: ignore[arg-type] # a float is not exact
     [REFERENCE, replace(NOISY, width=-1)],
-    [REFERENCE, replace(NOISY, sha256="abc")],
     [REFERENCE, replace(NOISY, flags=("a;b",))],
     [REFERENCE, replace(NOISY, flags=("",))],
-    [REFERENCE, replace(NOISY, reference="../x")],
-    [REFERENCE, NOISY, NOISY],
     [REFERENCE, NOISY, replace(NOISY, path=NOISY.path.lower())],
     [NOISY],
-    [REFERENCE, NOISY, replace(NOISY, path="Cam/scene-1/IMG_0005.ARW", reference=NOISY.path)],
 ]
 
 

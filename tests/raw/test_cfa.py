@@ -175,15 +175,6 @@ def test_dtypes_that_numba_does_not_know_are_packed_or_refused(dtype: str) -> No
     np.testing.assert_array_equal(unpack(packed, BAYER["GBRG"]), mosaic)
 
 
-@in_one_test("name", [*QUAD, *NONA])
-def test_quad_and_nona_are_the_sites_of_their_blocks_row_by_row(name: str) -> None:
-    cfa, mosaic = {**QUAD, **NONA}[name], random_mosaic(31, 40)
-    side = len(cfa) // 2
-    area = packed_area((31, 40), cfa)
-    assert (area.top, area.left) == tuple(-int(offset) % side for offset in name[-2:])
-    np.testing.assert_array_equal(pack(mosaic, cfa), reference_pack(mosaic, cfa))
-
-
 @pytest.mark.parametrize(("name", "side"), [("quad-00", 2), ("quad-32", 2), ("nona-00", 3), ("nona-43", 3)])
 def test_one_step_makes_the_other_two_forms(name: str, side: int) -> None:
     """Binned, and half the size with the blocks side by side, as the module's text says; both from the mosaic."""

@@ -94,12 +94,8 @@ def test_noise(content: bytes, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_file_without_its_last_pixel(kind: str, tmp_path: Path) -> None:
-    cfa, compression = KINDS[kind]
     path = tmp_path / "a.dng"
-    write_dng(path, random_mosaic(60, 66), make_sensor(cfa, 60, 66), EXPOSURE, compression=compression)
-    with tifffile.TiffFile(path) as tiff:
-        end = tiff.pages.first.dataoffsets[0] + tiff.pages.first.databytecounts[0]
-    data = path.read_bytes()
+    data, end = written(path, kind, (60, 66))
     path.write_bytes(data[: end - 1])
     refused(
         path,
@@ -109,12 +105,8 @@ def test_a_file_without_its_last_pixel(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["uncompressed", "lossless JPEG", "X-Trans"])
 def test_a_file_cut_anywhere_before_its_exif_is_refused(kind: str, tmp_path: Path) -> None:
-    cfa, compression = KINDS[kind]
     path = tmp_path / "a.dng"
-    write_dng(path, random_mosaic(24, 26), make_sensor(cfa, 24, 26), EXPOSURE, compression=compression)
-    data = path.read_bytes()
-    with tifffile.TiffFile(path) as tiff:
-        end = tiff.pages.first.dataoffsets[0] + tiff.pages.first.databytecounts[0]
+    data, end = written(path, kind)
     for length in [*range(0, 400, 3), *range(400, end, 29), end - 1]:
         path.write_bytes(data[:length])
         refused(path, ".", [read_raw])
@@ -125,12 +117,8 @@ def test_a_file_cut_anywhere_before_its_exif_is_refused(kind: str, tmp_path: Pat
 # and read_raw returns them as the exposure.
 @pytest.mark.parametrize("kind", ["uncompressed", "lossless JPEG", "X-Trans"])
 def test_a_file_cut_inside_of_its_exif_never_gives_another_exposure(kind: str, tmp_path: Path) -> None:
-    cfa, compression = KINDS[kind]
     path = tmp_path / "a.dng"
-    write_dng(path, random_mosaic(24, 26), make_sensor(cfa, 24, 26), EXPOSURE, compression=compression)
-    data = path.read_bytes()
-    with tifffile.TiffFile(path) as tiff:
-        end = tiff.pages.first.dataoffsets[0] + tiff.pages.first.databytecounts[0]
+    data, end = written(path, kind)
     wrong = {}
     for length in range(end, len(data)):
         path.write_bytes(data[:length])
@@ -142,6 +130,14 @@ def test_a_file_cut_inside_of_its_exif_never_gives_another_exposure(kind: str, t
             if read_as.exposure != EXPOSURE:
                 wrong[length - len(data)] = read_as.exposure
     assert wrong == {}
+
+
+def written(path: Path, kind: str, shape: tuple[int, int] = (24, 26)) -> tuple[bytes, int]:
+    """Write a DNG of a kind; return its bytes, and where its pixels end."""
+    cfa, compression = KINDS[kind]
+    write_dng(path, random_mosaic(*shape), make_sensor(cfa, *shape), EXPOSURE, compression=compression)
+    with tifffile.TiffFile(path) as tiff:
+        return path.read_bytes(), tiff.pages.first.dataoffsets[0] + tiff.pages.first.databytecounts[0]
 
 
 def declaring_just_what_is_there(path: Path, cfa: Cfa, strip: bytes | bytearray, cut: int, black: int) -> None:

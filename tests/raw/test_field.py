@@ -21,6 +21,7 @@ from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
     active_area,
+    add_tags,
     in_fields,
     letters,
     make_sensor,
@@ -105,8 +106,7 @@ def test_each_sample_has_its_own_levels(tmp_path: Path) -> None:
     levels = (60, 10, 61, 11, 62, 12, 63, 13)
     tags: Any = (50713, "H", 2, (2, 2), True), (50714, "I", 8, levels, True), (50717, "I", 2, (1000, 900), True)
     write_plain_dng(tmp_path / "a.dng", both, ("RG", "GB"), *tags, white=None, photometric=1, planarconfig="contig")
-    with tifffile.TiffFile(tmp_path / "a.dng", mode="r+") as tiff:  # which writes no CFA of two samples
-        tiff.pages.first.tags[262].overwrite(32803)
+    add_tags(tmp_path / "a.dng", (262, "H", 1, 32803, True))  # tifffile writes no CFA of two samples
     frame = read_raw(tmp_path / "a.dng")
     assert np.array_equal(frame.mosaic, first)
     assert (frame.sensor.black_level_dn, frame.sensor.white_level_dn) == ((60.0, 61.0, 63.0, 62.0), 1000.0)

@@ -14,7 +14,7 @@ import tifffile
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import normalise, pack, pack_normalised, read_raw, write_dng
 from eldata.raw.levels import packed_frame
-from tests.raw.helpers import BAYER, EXPOSURE, active_area, black_levels, make_sensor, write_plain_dng
+from tests.raw.helpers import BAYER, EXPOSURE, active_area, add_tags, black_levels, make_sensor, write_plain_dng
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -286,8 +286,7 @@ def test_a_bomb_takes_no_memory(tmp_path: Path) -> None:
 def test_floats_that_are_no_mosaic_by_their_tags_are_not_libraws(tmp_path: Path) -> None:
     """LibRaw would make integers of them."""
     write_float_dng(tmp_path / "a.dng", floats(), white=1)
-    with tifffile.TiffFile(tmp_path / "a.dng", mode="r+") as tiff:
-        tiff.pages.first.tags[262].overwrite(34892)
+    add_tags(tmp_path / "a.dng", (262, "H", 1, 34892, True))
     with pytest.raises(RawFileError, match="its pixels are floating-point numbers, and no mosaic by its tags"):
         read_raw(tmp_path / "a.dng")
 
@@ -303,8 +302,7 @@ def test_of_two_samples_of_floats_the_first_is_taken(tmp_path: Path) -> None:
     for planes, stored in (("contig", np.moveaxis(both, 0, -1)), ("separate", both)):
         options: Any = {"photometric": 1, "planarconfig": planes, "compression": "adobe_deflate", "predictor": 3}
         write_plain_dng(tmp_path / "a.dng", np.ascontiguousarray(stored), ("RG", "GB"), white=None, **options)
-        with tifffile.TiffFile(tmp_path / "a.dng", mode="r+") as tiff:  # which writes no CFA of two samples
-            tiff.pages.first.tags[262].overwrite(32803)
+        add_tags(tmp_path / "a.dng", (262, "H", 1, 32803, True))  # tifffile writes no CFA of two samples
         assert np.array_equal(read_raw(tmp_path / "a.dng").mosaic, both[0])
 
 

@@ -37,6 +37,7 @@ from tests.raw.helpers import (
     BAYER,
     CFAS,
     EXPOSURE,
+    add_tags,
     indices_of,
     letters,
     levels_of,
@@ -242,8 +243,7 @@ def test_private_data_counts_only_with_its_own_neutral(tmp_path: Path) -> None:
         path, random_mosaic(24, 30), make_sensor(BAYER["RGGB"], 24, 30, white_balance=(2.0, 1.0, 1.5, 1.25)), EXPOSURE
     )
     assert read_raw(path).sensor.white_balance == (2.0, 1.0, 1.5, 1.25)
-    with tifffile.TiffFile(path, mode="r+") as tiff:
-        tiff.pages.first.tags[50728].overwrite((1, 4, 1, 1, 2, 3))
+    add_tags(path, (50728, "2I", 3, (1, 4, 1, 1, 2, 3), True))
     assert read_raw(path).sensor.white_balance == (4.0, 1.0, 1.5, 1.0)
 
 

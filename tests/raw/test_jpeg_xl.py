@@ -236,9 +236,7 @@ def test_an_absurd_size_takes_no_memory(tmp_path: Path) -> None:
     with pytest.raises(RawFileError, match=r"it holds \(3000, 3000\) pixels; expected 32 x 48"):
         read_raw(tmp_path / "a.dng")
     write_jpeg_xl(tmp_path / "a.dng", random_mosaic(64, 96), tile=None)
-    with tifffile.TiffFile(tmp_path / "a.dng", mode="r+") as tiff:
-        for tag in (256, 257):
-            tiff.pages.first.tags[tag].overwrite(60000)
+    add_tags(tmp_path / "a.dng", (256, "I", 1, 60000, True), (257, "I", 1, 60000, True))
     with pytest.raises(RawFileError, match=r"truncated: its image data, .* cannot hold 3600000000 pixels"):
         read_raw(tmp_path / "a.dng")
     assert tracemalloc.get_traced_memory()[1] < 1 << 23
@@ -268,8 +266,7 @@ def test_whatever_bytes_are_changed_nothing_but_a_raw_file_error_comes(tmp_path:
 
 def test_more_samples_than_one_are_named(tmp_path: Path) -> None:
     write_jpeg_xl(tmp_path / "a.dng", random_mosaic(64, 96))
-    with tifffile.TiffFile(tmp_path / "a.dng", mode="r+") as tiff:
-        tiff.pages.first.tags[277].overwrite(3)
+    add_tags(tmp_path / "a.dng", (277, "H", 1, 3, True))
     with pytest.raises(UnusableRawError, match="has 3 samples of each pixel in JPEG XL; expected 1"):
         read_raw(tmp_path / "a.dng")
 

@@ -82,7 +82,6 @@ class _Unpacked:
         if packed.ndim != 3 or len(packed) != sites.channels or any(side % sites.sub for side in packed.shape[1:]):
             unpack(packed, sites.cfa)  # raises, saying what is expected
         self.shape = packed.shape[1] * sites.scale, packed.shape[2] * sites.scale
-        self._channel = sites.table[:, 2].reshape(sites.period, sites.period)
 
     def read(self, rows: slice, columns: slice) -> NDArray[np.float32]:
         """Return a part in memory that the next call of this thread overwrites."""
@@ -95,7 +94,7 @@ class _Unpacked:
         row, column = (top - above) // scale, (left - before) // scale
         if period == 2 and self.packed.dtype == np.float32:
             whole: NDArray[np.float32] = scratch("unpacked", (height, width), self.dtype)
-            scatter_bayer(self.packed, row, column, self._channel, self.range_dn, whole)
+            scatter_bayer(self.packed, row, column, self.sites.channel_of, self.range_dn, whole)
         else:
             periods = self.packed[:, row : row + height // scale, column : column + width // scale]
             whole = unpack(periods.astype(np.float32, copy=False), self.sites.cfa)

@@ -142,7 +142,7 @@ def bases_shown(_app: Sphinx, _name: str, _value: object, _options: object, base
 
 
 # How datasets are read, item by item, which their base classes hand to one another: nothing that a user calls.
-_READING = frozenset({"draw_noise", "drawn", "facts", "item", "reads_parts", "sensor", "shapes"})
+_READING = frozenset({"drawn", "item", "reads_parts"})
 
 
 def reading_left_out(_app: Sphinx, _what: str, name: str, value: Any, _skip: bool, _options: object) -> bool | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, get_args
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from eldata.base.pixels import NpyError, read_npy
 from eldata.base.tables import frame_of
 from eldata.datasets.choices import Options, Representation, chosen_shading, shading_text, understood
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, Cropping, Part, ReadItems
+from eldata.datasets.items import CroppedItems, Cropping, DrawnItem, Part
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, known_names, load_manifest
 from eldata.manifest.pairs import Choice, select_pairs, whole_shift_px
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from eldata.base.pixels import NpyHeader
     from eldata.manifest.card import Card
-    from eldata.records import PairRecord, Sensor
+    from eldata.records import PairRecord
     from eldata.sources.frames import FrameSource
 
 Side = Literal["input", "target"]
@@ -102,37 +102,18 @@ class OpenedPair:
     ratio: Fraction = Fraction(1)
     exposure: Exposure = Exposure()  # noqa: RUF009 # frozen
 
-
-class PairItem(NamedTuple):
-    """One item: a pair, and the part of both of its frames."""
-
-    pair: OpenedPair
-    crop: Crop
-
-
-class PairItems(ReadItems[PairItem, Sample]):
-    """Items of pairs whose frames are open."""
-
-    def shapes(self, item: PairItem) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of input and target."""
-        return dict.fromkeys(SIDES, item.crop.packed_shape)
-
-    def _parts(self, item: PairItem) -> Iterator[Part]:
+    def parts(self) -> Iterator[Part]:
         """Yield the target, then the input."""
-        yield Part("target", item.pair.target, is_light=True)
-        if item.pair.input is not None:
+        yield Part("target", self.target, is_light=True)
+        if self.input is not None:
             # What no raw file states is amplified already.
-            yield Part("input", item.pair.input, gain=float(item.pair.ratio) if item.pair.input.sensor else 1.0)
+            yield Part("input", self.input, gain=float(self.ratio) if self.input.sensor else 1.0)
 
-    def sensor(self, item: PairItem) -> Sensor | None:
-        """Return the sensor of the reference."""
-        return item.pair.target.sensor
-
-    def facts(self, item: PairItem) -> dict[str, Any]:
+    def facts(self) -> dict[str, Any]:
         """Return the fields of a :class:`Sample` that are not tensors."""
-        record, exposure = item.pair.record, item.pair.exposure
+        record, exposure = self.record, self.exposure
         return {
-            "ratio": float(item.pair.ratio),
+            "ratio": float(self.ratio),
             "nominal_ratio": float(record.ratio),
             "iso": float(exposure.iso or 0),
             "exposure_s": float(exposure.exposure_s or 0),
@@ -145,7 +126,20 @@ class PairItems(ReadItems[PairItem, Sample]):
         }
 
 
-class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
+@dataclass(slots=True, eq=False)
+class PairItem(DrawnItem):
+    """A part of both frames of a pair."""
+
+    pair: OpenedPair
+
+    @classmethod
+    def of(cls, pair: OpenedPair, crop: Crop) -> PairItem:
+        """Return the item of a pair whose frames are open."""
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(SIDES, crop.packed_shape)
+        return cls(crop, shapes, pair.parts(), pair.facts(), pair.target.sensor, pair)
+
+
+class SourcePairs(CroppedItems[Sample]):
     """Pairs of frames of any source: ``dataset[i]`` is a :class:`Sample`.
 
     Parameters
@@ -201,18 +195,18 @@ class SourcePairs(PairItems, CroppedItems[PairItem, Sample]):
         """Draw a crop of pair ``index`` modulo their number, or of a grid its crop."""
         place, tile = self._record_of(index, len(self.records))
         pair = self._known(place) if self.reads_parts else self._begun(self.records[place])
-        return PairItem(pair, Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment, tile=tile))
+        item = PairItem.of(pair, Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment, tile=tile))
+        if not self.reads_parts:
+            item.parts = self._one_by_one(pair, item.facts)
+        return item
 
-    def _parts(self, item: PairItem) -> Iterator[Part]:
-        """Yield the target, then the input; frames that are decoded whole are held one at a time."""
-        if self.reads_parts:
-            yield from super()._parts(item)
-            return
-        pair = item.pair
-        parts = super()._parts(item)
+    def _one_by_one(self, pair: OpenedPair, facts: dict[str, Any]) -> Iterator[Part]:
+        """Yield the target, then the input, of frames that are decoded whole and held one at a time."""
+        parts = pair.parts()
         yield next(parts)
         pair.target = pair.target.without_pixels()
         self._open_input(pair)
+        facts.update(pair.facts())
         yield from parts
         pair.input = None
 

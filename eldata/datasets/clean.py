@@ -187,9 +187,9 @@ def _found(source: Path | str | Iterable[Path | str | StatedFile]) -> tuple[Fram
         stated = {str(file.path): file for file in files if isinstance(file, StatedFile)}
         return Files(stated), tuple(str(_path_of(file)) for file in files)
     store = StoreFrames(source)
-    clean = sorted(frame.path for frame in store.store.frames if frame.role == "reference")
+    clean = sorted(frame.path for frame in store.store.frames if frame.role == "reference" and frame.sensor.cfa)
     if not clean:
-        raise DatasetError(f"{source}: holds no clean frames, but {len(store.store.every)} of other kinds")
+        raise DatasetError(f"{source}: holds no clean frames, but {len(store.store.frames)} of other kinds")
     return store, tuple(clean)
 
 

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from eldata.base.arguments import spell_keywords
 from eldata.datasets.choices import Options, Representation, chosen_shading, shading_text, understood
 from eldata.datasets.crops import Crop, Region
-from eldata.datasets.items import CroppedItems, Cropping, Part
+from eldata.datasets.items import CroppedItems, Cropping, DrawnItem, Part
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
 from eldata.manifest.pairs import NOMINAL_RATIO, Choice
 from eldata.manifest.patterns import expand
-from eldata.records import Exposure
 from eldata.sources.frames import stated_ratio
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
     from eldata.manifest.card import Subset
     from eldata.manifest.clips import Clip, ClipRecord, FrameRange
-    from eldata.records import FrameRecord, Sensor
+    from eldata.records import FrameRecord
     from eldata.sources.frames import Frame, FrameSource
 
 
@@ -104,19 +103,7 @@ class WindowOptions(Options, Cropping, Windowing, total=False):
     """All of the keyword arguments that a dataset of clips has."""
 
 
-@dataclass(slots=True)
-class _Item:
-    """One window before its pixels; ``reference`` and ``first`` keep theirs only until they are read."""
-
-    record: ClipRecord
-    crop: Crop
-    reference: Frame | None
-    first: Frame | None
-    ratio: float = math.nan
-    exposure: Exposure = Exposure()  # noqa: RUF009 # frozen
-
-
-class ClipWindows(CroppedItems[_Item, ClipSample]):
+class ClipWindows(CroppedItems[ClipSample]):
     """Windows of clips of any source: ``dataset[i]`` is a :class:`ClipSample`.
 
     Parameters
@@ -222,7 +209,7 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
     def __len__(self) -> int:
         return self._length_of(len(self.records), self.crops_per_window)
 
-    def drawn(self, index: int, generator: np.random.Generator) -> _Item:
+    def drawn(self, index: int, generator: np.random.Generator) -> DrawnItem:
         """Draw a crop of window ``index`` modulo their number, or of a grid its crop."""
         number, tile = self._record_of(index, len(self.records))
         record = self.records[number]
@@ -235,28 +222,31 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
             crop = Crop.region(like, self.region)
         else:
             crop = Crop.draw(like, generator, crop=self.crop, augment=self.augment, tile=tile)
-        return _Item(record, crop, reference, first)
+        shapes: dict[str, tuple[int, ...]] = {"input": (len(record.paths), *crop.packed_shape)}
+        facts = {name: getattr(record, name) for name in ("camera", "scene", "split", "path", "start")}
+        if self._is_paired:
+            shapes["target"] = shapes["input"] if record.references else crop.packed_shape
+            facts["reference"] = record.reference
+        return DrawnItem(crop, shapes, self._parts(record, reference, first, facts), facts, like.sensor)
 
-    def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of input (T, C, h, w) and, if there is a reference, target (C, h, w), or each frame's."""
-        shape = item.crop.packed_shape
-        shapes: dict[str, tuple[int, ...]] = {"input": (len(item.record.paths), *shape)}
-        return shapes | {"target": shapes["input"] if item.record.references else shape} if self._is_paired else shapes
-
-    def _parts(self, item: _Item) -> Iterator[Part]:
+    def _parts(
+        self, record: ClipRecord, reference: Frame | None, first: Frame | None, facts: dict[str, Any]
+    ) -> Iterator[Part]:
         """Yield the reference, then the frames in order; what is of another clip is refused on the way."""
-        reference, item.reference = item.reference, None
         known = reference and reference.without_pixels()
-        own = item.record.references
+        own = record.references
         if reference is not None:
             yield Part("target", reference, 0 if own else None, is_light=True)
             del reference
-        frame, item.first = self._corrected(item.first or self._frame(item.record.path)), None
-        item.exposure = frame.exposure
-        ratio = self._ratio(frame, known, item.record.path)
-        item.ratio = math.nan if ratio is None else float(ratio)
+        frame = self._corrected(first or self._frame(record.path))
+        del first  # as all frames, gone once it was read
+        ratio = self._ratio(frame, known, record.path)
+        gain = math.nan if ratio is None else float(ratio)
+        exposure = frame.exposure
+        times = float(exposure.iso or math.nan), float(exposure.exposure_s or math.nan)
+        facts.update(zip(("ratio", "iso", "exposure_s"), (gain, *times), strict=True))
         like, name = known or frame.without_pixels(), frame.name
-        for place, path in enumerate(item.record.paths):
+        for place, path in enumerate(record.paths):
             if place and own:
                 reference = self._frame(own[place])
                 known = reference.without_pixels()
@@ -266,7 +256,7 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
                 frame = self._input(path)
             if not self.reads_parts:  # else it was checked before
                 self._check_frame(frame, path, like, known, name, ratio)
-            yield Part("input", frame, place, 1.0 if ratio is None else item.ratio)
+            yield Part("input", frame, place, 1.0 if ratio is None else gain)
             del frame
 
     def _frame(self, path: str) -> Frame:
@@ -318,11 +308,6 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
             raise ArgumentError(f"{path}: the manifest states no ratio, so amplification must be 'metadata'")
         return stated
 
-    def sensor(self, item: _Item) -> Sensor | None:
-        """Return the sensor of the reference, or else of the first frame."""
-        like = item.reference or item.first
-        return None if like is None else like.sensor
-
     def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is, as names and values."""
         return [
@@ -332,21 +317,6 @@ class ClipWindows(CroppedItems[_Item, ClipSample]):
             ("values", f"levels {self.levels}, clip {self.clip}, amplification {self.amplification}"),
             ("items", str(len(self))),
         ]
-
-    def facts(self, item: _Item) -> dict[str, Any]:
-        """Return the fields of a sample that are not tensors."""
-        record = item.record
-        facts: dict[str, Any] = {
-            "ratio": item.ratio,
-            "iso": float(item.exposure.iso or math.nan),
-            "exposure_s": float(item.exposure.exposure_s or math.nan),
-            "camera": record.camera,
-            "scene": record.scene,
-            "split": record.split,
-            "path": record.path,
-            "start": record.start,
-        }
-        return facts | {"reference": record.reference} if self._is_paired else facts
 
     def __repr__(self) -> str:
         part = f"region={self.region}"

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from bisect import bisect_right
+from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, Protocol, TypedDict, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypedDict, TypeVar, get_args
 
 import torch
 from torch.utils.data import Dataset
@@ -35,28 +36,39 @@ if TYPE_CHECKING:
 Crops = Literal["random", "grid"]
 
 
-class SharedNumber:
-    """A whole number, such as the current epoch, in shared memory so that persistent workers see the next one."""
+class SharedMemory:
+    """Bytes, at first 0, that persistent workers see as they change."""
 
-    def __init__(self) -> None:
-        self._value = torch.zeros((), dtype=torch.int64)
+    def __init__(self, size: int) -> None:
+        self._memory = torch.zeros(size, dtype=torch.uint8)
         self._share()
 
     def _share(self) -> None:
-        self._value.share_memory_()  # type: ignore[no-untyped-call]
+        self._memory.share_memory_()  # type: ignore[no-untyped-call]
+        self._array: NDArray[np.uint8] = self._memory.numpy()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_array"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._share()  # a copy has a number of its own, which its workers share again
+        self._share()  # a copy has memory of its own, which its workers share again
+
+
+class SharedNumber(SharedMemory):
+    """A whole number of 64 bits, such as the current epoch."""
+
+    def __init__(self) -> None:
+        super().__init__(8)
 
     @property
     def value(self) -> int:
         """The number, at first 0."""
-        return int(self._value)
+        return int(self._array.view("i8")[0])
 
     def set(self, value: int) -> None:
         """Choose the number."""
-        self._value.fill_(value)
+        self._array.view("i8")[0] = value
 
 
 class Epochs:
@@ -102,20 +114,36 @@ class Part(NamedTuple):
     is_light: bool = False
 
 
-class DrawnItem(Protocol):
-    """One item before its pixels are read."""
+@dataclass(slots=True, eq=False)
+class DrawnItem:
+    """One item before its pixels are read.
 
-    @property
-    def crop(self) -> Crop:
-        """The part of each of its frames."""
+    Attributes
+    ----------
+    crop
+        The part of each of its frames.
+    shapes
+        Of its tensors, by name.
+    parts
+        What is read, once; a source that decodes whole frames is asked for one after the other.
+    facts
+        What a sample has beside its tensors, complete once they were read.
+    sensor
+        Whose colours it is shown in; ``None``: as they are.
+    """
+
+    crop: Crop
+    shapes: Mapping[str, tuple[int, ...]]
+    parts: Iterable[Part]
+    facts: dict[str, Any]
+    sensor: Sensor | None
 
 
-Item = TypeVar("Item", bound=DrawnItem)
 Sample = TypeVar("Sample")
 
 
-class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
-    """Items that are read part by part. Subclasses say what an item is, which parts it has, and what is beside them."""
+class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
+    """Items that are read part by part. Subclasses say what an item is."""
 
     dtype = "<f4"
     clip: Clip = "both"
@@ -135,41 +163,23 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
         """Whether the items of a batch may differ in size, which only reading them shows."""
 
     @abstractmethod
-    def item(self, index: int) -> Item:
+    def item(self, index: int) -> DrawnItem:
         """Draw an item, before its pixels are read."""
 
-    @abstractmethod
-    def shapes(self, item: Item) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of an item's tensors, by name."""
-
-    @abstractmethod
-    def _parts(self, item: Item) -> Iterator[Part]:
-        """Yield what is read; a source that decodes whole frames is asked for one after the other."""
-
-    @abstractmethod
-    def facts(self, item: Item) -> dict[str, Any]:
-        """Return what a sample has beside its tensors, once they were read."""
-
-    def _fill(self, item: Item, part: Part, out: NDArray[Any]) -> None:
+    def _fill(self, item: DrawnItem, part: Part, out: NDArray[Any]) -> None:
         """Read one part."""
         item.crop.fill(part.frame, out, clip="both" if part.is_light else self.clip, gain=part.gain)
 
-    def _finish(self, items: Sequence[Item], arrays: Mapping[str, NDArray[Any]]) -> None:
+    def _finish(self, items: Sequence[Any], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Make what is not read, of several items at once; the arrays have as many, one after the other."""
 
-    def _given(self, items: Sequence[Item]) -> None:
+    def _given(self, items: Sequence[Any]) -> None:
         """Note that items were given out, to be trained on; those that are only looked at are not noted."""
-
-    def sensor(self, item: Item) -> Sensor | None:
-        """Return the sensor whose colours an item is shown in, before its pixels are read; ``None``: as they are."""
-        del item
-        return None
 
     def _seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
         """Read one item to be looked at, and the sensor of its target; raises like ``dataset[index]``."""
         item = self.item(index)
-        sensor = self.sensor(item)
-        return self._sample(item), sensor
+        return self._sample(item), item.sensor
 
     def plot(self, index: int = 0) -> Drawing:
         """Draw an item: input, target and their difference, of a window of frames those of the first.
@@ -220,10 +230,10 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
         self._given([item])
         return sample  # type: ignore[no-any-return] # a TypedDict of the subclass
 
-    def _sample(self, item: Item) -> dict[str, Any]:
-        arrays = new_arrays([Field(name, shape, self.dtype) for name, shape in self.shapes(item).items()])
+    def _sample(self, item: DrawnItem) -> dict[str, Any]:
+        arrays = new_arrays([Field(name, shape, self.dtype) for name, shape in item.shapes.items()])
         self._read([item], {name: array[None] for name, array in arrays.items()})
-        return {name: torch.from_numpy(array) for name, array in arrays.items()} | self.facts(item)
+        return {name: torch.from_numpy(array) for name, array in arrays.items()} | item.facts
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Read the items of a batch into memory that is used again (:mod:`eldata.datasets.batches`).
@@ -236,31 +246,30 @@ class ReadItems(Dataset[Sample], ABC, Generic[Item, Sample]):
         samples: list[dict[str, Any]] = []
         for group in [indices] if self.reads_parts else [[index] for index in indices]:
             items = [self.item(index) for index in group]
-            each = [self.shapes(item) for item in items]
-            shapes = each[0]
+            shapes = items[0].shapes
             if batch is None:
                 batch = new_batch([Field(name, (len(indices), *shape), self.dtype) for name, shape in shapes.items()])
-            if batch is None or any(one != batch.shapes for one in each):
+            if batch is None or any(item.shapes != batch.shapes for item in items):
                 return [self[index] for index in indices]
             places = slice(len(samples), len(samples) + len(items))
             self._read(items, {name: array[places] for name, array in batch.arrays.items()})
             self._given(items)
-            samples += [dict.fromkeys(shapes) | self.facts(item) for item in items]
+            samples += [dict.fromkeys(shapes) | item.facts for item in items]
             del items  # their frames, before the next ones are decoded
         return [] if batch is None else batch.parts(samples)
 
-    def _read(self, items: Sequence[Item], arrays: Mapping[str, NDArray[Any]]) -> None:
+    def _read(self, items: Sequence[DrawnItem], arrays: Mapping[str, NDArray[Any]]) -> None:
         def fill(place: int, part: Part) -> None:
             array = arrays[part.tensor][place]
             self._fill(items[place], part, array if part.place is None else array[part.place])
 
         if self.reads_parts:
-            works = [(place, part) for place, item in enumerate(items) for part in self._parts(item)]
+            works = [(place, part) for place, item in enumerate(items) for part in item.parts]
             values = sum(array[0].size for array in arrays.values())
             in_threads(lambda work: fill(*work), works, reading_threads(len(items), values))
         else:
             for place, item in enumerate(items):
-                for part in self._parts(item):
+                for part in item.parts:
                     fill(place, part)
                     del part  # its frame, before the next one is decoded
         self._finish(items, arrays)
@@ -293,7 +302,7 @@ class Cropping(TypedDict, total=False):
     seed: int
 
 
-class CroppedItems(Epochs, ReadItems[Item, Sample]):
+class CroppedItems(Epochs, ReadItems[Sample]):
     """Items that are crops, drawn from (seed, epoch, index).
 
     Parameters
@@ -354,7 +363,7 @@ class CroppedItems(Epochs, ReadItems[Item, Sample]):
         return f"crop={self.crop}, augment={self.augment}{grid}"
 
     @abstractmethod
-    def drawn(self, index: int, generator: np.random.Generator) -> Item:
+    def drawn(self, index: int, generator: np.random.Generator) -> DrawnItem:
         """Draw an item; ``index`` is not negative."""
 
     @property
@@ -362,7 +371,7 @@ class CroppedItems(Epochs, ReadItems[Item, Sample]):
         """Whether whole frames are decoded, which may differ in size."""
         return self.crop is None and not self.reads_parts
 
-    def item(self, index: int) -> Item:
-        """Draw an item from (seed, epoch, index)."""
+    def item(self, index: int) -> Any:
+        """Draw an item from (seed, epoch, index): what :meth:`drawn` returns."""
         index = checked_index(index, len(self))
         return self.drawn(index, item_generator(self.seed, self.epoch, index))

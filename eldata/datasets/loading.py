@@ -15,7 +15,7 @@ import sys
 import threading
 from multiprocessing import connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypedDict, Unpack, runtime_checkable
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 import torch
@@ -41,26 +41,6 @@ _PRELOADED = ("eldata.datasets._preloaded",)
 
 # Keeps these random numbers apart from those of the items, (seed, epoch, index), and of the order (ranks.py).
 _WORKERS = 2
-
-
-@runtime_checkable
-class SelfSplitting(Protocol):
-    """An iterable dataset that splits itself over ranks and workers, such as eldata.datasets.StreamedPairs."""
-
-    sample_bytes: int
-    buffer_bytes: int
-
-    def for_training(self, batch_size: int, rank: Rank) -> Any:
-        """Return the dataset shuffled, with as many items on every rank."""
-
-    def for_evaluation(self, batch_size: int, rank: Rank) -> Any:
-        """Return the dataset in order, with each item exactly once over all ranks."""
-
-    def set_first_batch(self, number: int) -> None:
-        """Choose from which of its rank's batches on the next iteration gives an epoch: for training alone."""
-
-    def __len__(self) -> int:
-        """Return the number of items of this rank."""
 
 
 class LoaderOptions(TypedDict, total=False):
@@ -178,7 +158,7 @@ def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> N
     if isinstance(loader.sampler, ShuffledSampler):
         loader.sampler.set_epoch(epoch, first_batch * (loader.batch_size or 1))
     elif known.is_training:
-        loader.dataset.set_first_batch(first_batch)  # type: ignore[attr-defined] # a SelfSplitting one
+        loader.dataset.set_first_batch(first_batch)  # type: ignore[attr-defined] # StreamedPairs
     elif first_batch:
         raise ArgumentError(f"first_batch={first_batch}: only a training loader can begin there")
     for part in _parts(loader.dataset):
@@ -227,8 +207,14 @@ class _Loader(DataLoader[Any]):
         sampler: Any = None
         order = "in order"
         if isinstance(dataset, IterableDataset):
-            split = _self_splitting(dataset)
-            dataset = split.for_training(batch_size, rank) if is_training else split.for_evaluation(batch_size, rank)
+            if not hasattr(dataset, "for_training"):
+                raise ArgumentError(
+                    f"{type(dataset).__name__} is an iterable dataset that does not split itself over ranks and "
+                    "workers, so each would give every item; expected StreamedPairs, or a dataset with len and indices"
+                )
+            splits: Any = dataset
+            split = splits.for_training if is_training else splits.for_evaluation
+            dataset = split(batch_size, rank)
             items, order = len(dataset), "in the order of the shards, the workers' batches in turn"
         else:
             length = _length(dataset)
@@ -315,15 +301,6 @@ def _chosen(name: str, batch_size: int, options: LoaderOptions) -> LoaderOptions
     return chosen
 
 
-def _self_splitting(dataset: IterableDataset[Any]) -> SelfSplitting:
-    if not isinstance(dataset, SelfSplitting):
-        raise ArgumentError(
-            f"{type(dataset).__name__} is an iterable dataset that does not split itself over ranks and workers, so "
-            "each would give every item; expected StreamedPairs, or a dataset with len and indices"
-        )
-    return dataset
-
-
 def _length(dataset: Any) -> int:
     if not hasattr(dataset, "__len__") or not hasattr(dataset, "__getitem__"):
         raise ArgumentError(f"expected a dataset with len and indices; found {type(dataset).__name__}")
@@ -337,7 +314,7 @@ def _settings(dataset: Any, batch_size: int, chosen: LoaderOptions, rank: Rank, 
     """Return the DataLoader's settings of workers and memory; the reasons are added to ``told``."""
     workers, start_method, prefetch = chosen["workers"], chosen["start_method"], chosen["prefetch"]
     if workers is None:
-        held = dataset.buffer_bytes if isinstance(dataset, SelfSplitting) else 0
+        held = getattr(dataset, "buffer_bytes", 0)
         count, why = loader_workers(_sample_bytes(dataset) * batch_size, prefetch, start_method, rank, held_bytes=held)
         told.append(f"workers: {count} ({why})")
     elif workers < 0:

@@ -5,30 +5,31 @@ from __future__ import annotations
 import copy
 import math
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
-from typing import TYPE_CHECKING, Any, Literal, Unpack
+from itertools import islice, pairwise
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Unpack
 
 import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
 
 from eldata.base.arguments import spell_keywords
 from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
-from eldata.datasets.base import OpenedPair, PairItem, PairItems, Sample
+from eldata.datasets.base import OpenedPair, PairItem, Sample
 from eldata.datasets.choices import Representation, chosen_shading, shading_text, understood
 from eldata.datasets.crops import Crop, Orientation
-from eldata.datasets.items import Epochs, SharedNumber
+from eldata.datasets.items import Epochs, ReadItems, SharedNumber
 from eldata.datasets.ranks import Rank, current_rank
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import packed_shape
 from eldata.sources.frames import Frame, stated_ratio
-from eldata.sources.shards import splitting
 from eldata.sources.shards.reading import Folder, read_samples
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Mapping, Sequence
+    from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
     from collections.abc import Set as AbstractSet
+
+    from numpy.typing import NDArray
 
     from eldata.protocols.protocol import Amplification
     from eldata.raw.levels import Clip, FrameLevels
@@ -44,7 +45,7 @@ class StreamOptions(Representation, total=False):
     crops_per_frame: int
 
 
-class _Crops(PairItems):
+class _Crops(ReadItems[Sample]):
     """Crops in DN, turned, in memory of their own, that become samples."""
 
     reads_parts = True
@@ -205,7 +206,7 @@ class StreamedPairs(Epochs, IterableDataset[Sample]):
         """Return the places of this rank's items in the epoch's sequence."""
         total = len(self.index) * self.crops_per_frame
         rank = self._rank()
-        split = splitting.even_part if self._parts == "even" else splitting.exact_part
+        split = even_part if self._parts == "even" else exact_part
         return split(total, rank.number, rank.of)
 
     def __len__(self) -> int:
@@ -217,13 +218,13 @@ class StreamedPairs(Epochs, IterableDataset[Sample]):
         info = get_worker_info()
         process, workers = (0, 1) if info is None else (info.id, info.num_workers)
         epoch, batch_size = self.epoch, self._batch_size or 1
-        parts = [splitting.worker_part(self._part(), worker, workers, batch_size) for worker in range(workers)]
-        worker, batches = splitting.turns([len(part) // batch_size for part in parts], self._first_batch.value)[process]
+        parts = [worker_part(self._part(), worker, workers, batch_size) for worker in range(workers)]
+        worker, batches = turns([len(part) // batch_size for part in parts], self._first_batch.value)[process]
         # Which item comes when is decided by numbers alone, so those that were given out before are not read.
         order = self._order_of(parts[worker], epoch, worker, workers)
         given = frozenset(islice(order, batches * batch_size))
         with closing(self._items(parts[worker], epoch, given)) as read:
-            items = splitting.as_called(read, order)
+            items = as_called(read, order)
             while batch := list(islice(items, batch_size)):
                 crops = _Crops(batch, self.clip)
                 yield from crops if self._batch_size is None else crops.__getitems__(range(len(batch)))
@@ -234,7 +235,7 @@ class StreamedPairs(Epochs, IterableDataset[Sample]):
             return iter(places)
         rank = self._rank()
         generator = self._generator(epoch, _BUFFER, rank.number, rank.of, worker, workers)
-        return splitting.shuffled_through(places, self.shuffle_buffer, generator)
+        return shuffled_through(places, self.shuffle_buffer, generator)
 
     def _generator(self, epoch: int, purpose: int, *place: int) -> np.random.Generator:
         return np.random.default_rng(purpose_sequence(self.seed, epoch, purpose, *place))
@@ -246,14 +247,11 @@ class StreamedPairs(Epochs, IterableDataset[Sample]):
         if not places:
             return
         lengths = [len(shard) for shard in self.index.shards]
-        if self._order == "shuffled":
-            runs = splitting.shuffled(lengths, self._generator(epoch, _SHARDS))
-        else:
-            runs = splitting.in_order(lengths)
+        runs = shuffled(lengths, self._generator(epoch, _SHARDS)) if self._order == "shuffled" else in_order(lengths)
         each = self.crops_per_frame
         samples = range(places.start // each, (places.stop - 1) // each + 1)
         at = samples.start * each
-        for run in splitting.cut(runs, samples):
+        for run in cut(runs, samples):
             wanted: dict[int, list[int]] = {}  # the places of each sample that is read
             for number in range(run.first, run.last):
                 if its := [place for place in range(at, at + each) if place in places and place not in given]:
@@ -289,7 +287,7 @@ class StreamedPairs(Epochs, IterableDataset[Sample]):
         ratio = stated_ratio(facts.record, self.amplification) or facts.ratio
         pair = OpenedPair(facts.record, target, noisy, ratio, noisy.exposure)
         whole = Crop((slice(None), slice(None)), drawn.cfa, Orientation(), drawn.height, drawn.width)
-        return PairItem(pair, whole)
+        return PairItem.of(pair, whole)
 
     def __repr__(self) -> str:
         tile = "whole frames" if self.index.tile is None else f"tiles of {self.index.tile}"
@@ -300,3 +298,119 @@ class StreamedPairs(Epochs, IterableDataset[Sample]):
             f"levels={self.levels!r}, clip={self.clip!r}, amplification={self.amplification!r}"
             f"{shading_text(self.dark_shading)})"
         )
+
+
+# --- who reads what, and in which order: an epoch's samples, split over ranks and workers without overlap or loss -----
+
+# Shards are not dealt out whole, for then ranks and workers get unequal parts, or none where there are fewer shards
+# than workers. The epoch's samples are one sequence, and each reader gets a part of it, which may begin in the middle
+# of a shard. All is integer arithmetic on lengths: no reader has to know what another one does.
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Neighbouring samples of one shard: from ``first`` up to below ``last``."""
+
+    shard: int
+    first: int
+    last: int
+
+    def __len__(self) -> int:
+        return self.last - self.first
+
+
+def exact_part(total: int, part: int, parts: int) -> range:
+    """Return one of several parts that are all of it together; their lengths differ by one at most."""
+    return range(total * part // parts, total * (part + 1) // parts)
+
+
+def even_part(total: int, part: int, parts: int) -> range:
+    """Return one of several parts of the same length; fewer than ``parts`` at the end are in none of them."""
+    length = total // parts
+    return range(part * length, (part + 1) * length)
+
+
+def worker_part(items: range, worker: int, workers: int, batch_size: int) -> range:
+    """Return a worker's part of a rank's items, in whole batches: at most one batch of a rank is smaller."""
+    batches = exact_part(-(-len(items) // batch_size), worker, workers)
+    first, last = items.start + batches.start * batch_size, items.start + batches.stop * batch_size
+    return range(min(first, items.stop), min(last, items.stop))
+
+
+def turns(batches: Sequence[int], given: int) -> list[tuple[int, int]]:
+    """Return the workers in the order of their turns after so many batches of a rank, each with its share of them.
+
+    A DataLoader asks its workers for a batch in turn, from the first one on, and passes over those that have no more.
+    Where one goes on, its first worker takes the place of the one whose turn it was, and so on.
+
+    Parameters
+    ----------
+    batches
+        Of each worker's part (:func:`worker_part`): they differ by one at most.
+    given
+        How many batches were given out.
+    """
+    least, workers = min(batches), len(batches)
+    rounds, turn = divmod(given, workers)
+    if rounds >= least:  # the last round is of those that have one batch more
+        last = [worker for worker, count in enumerate(batches) if count > least]
+        rounds, turn = least, [*last, workers][min(given - least * workers, len(last))]
+    shares = [min(count, rounds + (worker < turn)) for worker, count in enumerate(batches)]
+    return [(place % workers, shares[place % workers]) for place in range(turn, turn + workers)]
+
+
+def in_order(lengths: Sequence[int]) -> list[Run]:
+    """Return all samples in the order of the shards."""
+    return [Run(shard, 0, length) for shard, length in enumerate(lengths)]
+
+
+def shuffled(lengths: Sequence[int], generator: np.random.Generator) -> list[Run]:
+    """Return all samples with the shards in a drawn order, beginning at a drawn sample.
+
+    The beginning moves the borders between readers, and with them the few samples that even parts leave out.
+    """
+    runs = [Run(int(shard), 0, lengths[shard]) for shard in generator.permutation(len(lengths))]
+    total = sum(lengths)
+    start = int(generator.integers(total))
+    return [*cut(runs, range(start, total)), *cut(runs, range(start))]
+
+
+def cut(runs: Sequence[Run], places: range) -> Iterator[Run]:
+    """Yield what lies at some places of a sequence of runs."""
+    borders: NDArray[np.int64] = np.cumsum([0, *map(len, runs)])
+    for run, (begin, end) in zip(runs, pairwise(borders.tolist()), strict=True):
+        first, last = max(begin, places.start), min(end, places.stop)
+        if first < last:
+            yield Run(run.shard, run.first + first - begin, run.first + last - begin)
+
+
+def shuffled_through(items: Iterable[Item], size: int, generator: np.random.Generator) -> Iterator[Item]:
+    """Yield all items, each time one drawn from a buffer of up to ``size``, which then gets the next.
+
+    An item comes at most ``size - 1`` places early; 1 leaves the order as it is.
+    """
+    buffer: list[Item] = []
+    for item in items:
+        buffer.append(item)
+        if len(buffer) >= size:
+            yield _drawn(buffer, generator)
+    while buffer:
+        yield _drawn(buffer, generator)
+
+
+def as_called(read: Iterator[tuple[int, Item]], order: Iterable[int]) -> Iterator[Item]:
+    """Yield items as their places come in an order; what is read before its turn waits, and nothing is read ahead."""
+    waiting: dict[int, Item] = {}
+    for place in order:
+        while place not in waiting:
+            found, item = next(read)
+            waiting[found] = item
+        yield waiting.pop(place)
+
+
+def _drawn(buffer: list[Item], generator: np.random.Generator) -> Item:
+    place = int(generator.integers(len(buffer)))
+    buffer[place], buffer[-1] = buffer[-1], buffer[place]
+    return buffer.pop()

@@ -18,18 +18,17 @@ from eldata.raw.cfa import packed_shape, packing_sites
 from eldata.raw.levels import CLIP_RANGES, pack_normalised, packed_black_level_dn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.datasets.base import OpenedPair, SourcePairs
+    from eldata.datasets.base import SourcePairs
     from eldata.datasets.crops import Crop
     from eldata.raw.cfa import CfaRows
     from eldata.raw.levels import Clip
     from eldata.records import Sensor
 
 
-Item = TypeVar("Item", bound=DrawnItem)
 Sampled = TypeVar("Sampled")
 
 
@@ -51,7 +50,7 @@ class DnSample(PairFacts):
     target_white_dn: float
 
 
-class _OfPairs(ReadItems[Item, Sampled]):
+class _OfPairs(ReadItems[Sampled]):
     """Items of a dataset of pairs, as a subclass gives them."""
 
     def __init__(self, pairs: SourcePairs) -> None:
@@ -64,7 +63,7 @@ class _OfPairs(ReadItems[Item, Sampled]):
         return self.pairs._may_differ
 
 
-class DnPairs(_OfPairs[PairItem, DnSample]):
+class DnPairs(_OfPairs[DnSample]):
     """The items of a dataset of pairs in DN, for a DataLoader whose batches go through :func:`normalise_batch`.
 
     Sending a batch from a worker takes longer than reading it; uint16 is half as much to send. The conversion then runs
@@ -89,19 +88,22 @@ class DnPairs(_OfPairs[PairItem, DnSample]):
     def __len__(self) -> int:
         return len(self.pairs)
 
-    def item(self, index: int) -> PairItem:
+    def item(self, index: int) -> DrawnItem:
         """Draw an item of the pairs."""
-        return self.pairs.item(index)
+        item: DrawnItem = self.pairs.item(index)
+        item.shapes = dict.fromkeys((f"{side}_dn" for side in SIDES), (item.crop.height, item.crop.width))
+        item.facts["cfa"] = torch.tensor(item.crop.cfa, dtype=torch.uint8)
+        item.parts = self._in_dn(item.crop, item.facts, item.parts)
+        return item
 
-    def shapes(self, item: PairItem) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of both mosaics."""
-        return {f"{side}_dn": (item.crop.height, item.crop.width) for side in SIDES}
+    def _in_dn(self, crop: Crop, facts: dict[str, Any], parts: Iterable[Part]) -> Iterator[Part]:
+        """Yield both mosaics; their levels become facts."""
+        for part in parts:
+            facts[f"{part.tensor}_black_dn"] = torch.tensor(crop.levels(part.frame.black_level_dn), dtype=torch.float64)
+            facts[f"{part.tensor}_white_dn"] = part.frame.white_level_dn
+            yield part._replace(tensor=f"{part.tensor}_dn")
 
-    def _parts(self, item: PairItem) -> Iterator[Part]:
-        """Yield both mosaics."""
-        return (part._replace(tensor=f"{part.tensor}_dn") for part in self.pairs._parts(item))
-
-    def _fill(self, item: PairItem, part: Part, out: NDArray[Any]) -> None:
+    def _fill(self, item: DrawnItem, part: Part, out: NDArray[Any]) -> None:
         """Copy one crop in DN, turned."""
         out[...] = item.crop.cut(part.frame)
 
@@ -112,15 +114,6 @@ class DnPairs(_OfPairs[PairItem, DnSample]):
     def _outline(self) -> list[tuple[str, str]]:
         """Return what the pairs are."""
         return [("in DN", "for normalise_batch"), *self.pairs._outline()]
-
-    def facts(self, item: PairItem) -> dict[str, Any]:
-        """Return the fields of a :class:`DnSample` that are not mosaics."""
-        facts = self.pairs.facts(item) | {"cfa": torch.tensor(item.crop.cfa, dtype=torch.uint8)}
-        for side, frame in (("input", item.pair.input), ("target", item.pair.target)):
-            if frame is not None:
-                facts[f"{side}_black_dn"] = torch.tensor(item.crop.levels(frame.black_level_dn), dtype=torch.float64)
-                facts[f"{side}_white_dn"] = frame.white_level_dn
-        return facts
 
     def __repr__(self) -> str:
         return f"DnPairs({self.pairs!r})"
@@ -224,15 +217,7 @@ def _by_torch(images: Sequence[_Image]) -> torch.Tensor:
 # --- pairs of two noisy frames of one scene, for training without a clean one -----------------------------------------
 
 
-class _Item(NamedTuple):
-    """One item: a pair whose noisy frame is the input, and another one whose noisy frame is the target."""
-
-    pair: OpenedPair
-    other: OpenedPair
-    crop: Crop
-
-
-class Noise2Noise(_OfPairs[_Item, Sample]):
+class Noise2Noise(_OfPairs[Sample]):
     """Two noisy frames of one scene, ISO and ratio: the input, and in place of the clean target another one.
 
     J. Lehtinen et al., ICML 2018, and the row of that name in K. Wei et al., TPAMI 2021. The samples are those of the
@@ -277,37 +262,21 @@ class Noise2Noise(_OfPairs[_Item, Sample]):
     def __len__(self) -> int:
         return len(self._members) * self.pairs.crops_per_frame
 
-    def item(self, index: int) -> _Item:
+    def item(self, index: int) -> PairItem:
         """Draw an item from (seed, epoch, index): a crop of a pair, and another pair of its scene."""
         index = checked_index(index, len(self))
         group, place, step = self._members[index % len(self._members)]
         generator = item_generator(self.pairs.seed, self.pairs.epoch, index)
         other_place = (place + 1 + int(generator.integers(len(group) - 1))) % len(group)
-        pair, crop = self.pairs.drawn(self.pairs._indices_of(group[place])[step], generator)
-        other, _ = self.pairs.drawn(self.pairs._indices_of(group[other_place])[step], generator)
-        return _Item(pair, other, crop)
-
-    def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of input and target."""
-        return dict.fromkeys(SIDES, item.crop.packed_shape)
-
-    def _parts(self, item: _Item) -> Iterator[Part]:
-        """Yield both noisy frames, each times its ratio."""
-        for side, pair in (("input", item.pair), ("target", item.other)):
-            noisy = self.pairs._parts(PairItem(pair, item.crop))
-            yield from (part._replace(tensor=side) for part in noisy if part.tensor == "input")
-
-    def sensor(self, item: _Item) -> Sensor | None:
-        """Return the sensor of the pair's reference."""
-        return item.pair.target.sensor
+        item = self.pairs.drawn(self.pairs._indices_of(group[place])[step], generator)
+        other = self.pairs.drawn(self.pairs._indices_of(group[other_place])[step], generator)
+        both = zip(SIDES, (item, other), strict=True)
+        item.parts = [part._replace(tensor=side) for side, one in both for part in one.parts if part.tensor == "input"]
+        return item
 
     def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is: two noisy frames of each of these pairs."""
         return [("noisy frames", str(self._count)), *self.pairs._outline()]
-
-    def facts(self, item: _Item) -> dict[str, Any]:
-        """Return the fields of a :class:`~eldata.datasets.base.Sample` that are not tensors."""
-        return self.pairs.facts(PairItem(item.pair, item.crop))
 
     def __repr__(self) -> str:
         return f"Noise2Noise({self._count} noisy frames of {len(self._groups)} exposures; {self.pairs!r})"

@@ -16,7 +16,7 @@ import torch
 from torch.utils.data import Dataset
 
 from eldata.base.seeds import item_generator
-from eldata.datasets.base import PairDataset, PairItem, SourcePairs
+from eldata.datasets.base import PairDataset, SourcePairs
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import checked_index
 from eldata.datasets.packed import PackedStore
@@ -177,11 +177,12 @@ class EldataPairs(Dataset[BatchSample]):
 
     def _sample(self, index: int, generator: np.random.Generator) -> Any:
         """Return a sample, in LED's order of steps, each in float32."""
-        pair, crop = self.pairs.drawn(index, generator)
-        crop = self._cut(pair.target, crop)
+        item = self.pairs.drawn(index, generator)
+        pair = item.pair
+        crop = self._cut(pair.target, item.crop)
         images: dict[str, torch.Tensor] = {}
         sensors: dict[str, Sensor | None] = {}
-        for part in self.pairs._parts(PairItem(pair, crop)):
+        for part in item.parts:
             name = "gt" if part.is_light else "lq"
             values, black, white = self._dn(part.frame, crop)
             values -= black

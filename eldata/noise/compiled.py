@@ -45,15 +45,13 @@ def expose_compiled(
     exposures: Exposures,
     *,
     key: int | Sequence[int],
-    first_image: int = 0,
     threads: int | None = None,
     out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """Return noisy exposures of clean packed images.
 
     The random numbers of a pixel depend on ``key``, its image's index, its place in the image and the component alone:
-    neither on the number of threads nor on how images are put into batches (see ``first_image``), and one component
-    does not change when another one is switched off.
+    not on the number of threads, and one component does not change when another one is switched off.
 
     Parameters
     ----------
@@ -63,8 +61,6 @@ def expose_compiled(
         Of these N images.
     key
         0 to 2^64 - 1; or several, each for as many images in turn, which are what they are by themselves.
-    first_image
-        Index of a key's first image: a batch of N images gives the same as two halves with 0 and N / 2.
     threads
         Default: one per CPU.
     out
@@ -81,7 +77,7 @@ def expose_compiled(
         return result
     keys = np.array([key] if isinstance(key, int) else key, np.uint64)
     under = images // len(keys)
-    streams = np.repeat(keys, under), np.tile(np.arange(first_image, first_image + under, dtype=np.uint64), len(keys))
+    streams = np.repeat(keys, under), np.tile(np.arange(under, dtype=np.uint64), len(keys))
     if exposures.components.prnu:
         clean = with_response(clean, exposures, threads)
     draw = _draw_of(clean.shape, exposures, *streams, under, threads)

@@ -8,8 +8,9 @@ multiplied is one matter, for all sources (:mod:`eldata.datasets.items`); where 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
 from eldata.records import Exposure, RawHeader
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from fractions import Fraction
 
     from numpy.typing import NDArray
@@ -39,19 +40,22 @@ if TYPE_CHECKING:
 RGB_WHITE = 65535.0
 
 
-class Pixels(Protocol):
-    """Pixels that do not lie in an array: of a compressed store, of packed arrays, or less a dark shading."""
+class Pixels(NamedTuple):
+    """Pixels that do not lie in an array: of a store, of packed arrays, or less a dark shading.
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(H, W), of RGB (3, H, W)."""
+    Attributes
+    ----------
+    shape
+        (H, W), of RGB (3, H, W).
+    dtype
+        Uint16, or floating.
+    read
+        Of rows and columns: that part, (..., rows, columns), in memory that the thread's next read may overwrite.
+    """
 
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Uint16, or floating."""
-
-    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
-        """Return a part, (..., rows, columns), in memory that the thread's next read may overwrite."""
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    read: Callable[[slice, slice], NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +170,8 @@ class Frame:
         except ArgumentError as error:
             raise DatasetError(f"{self.name}: {error}") from error
         exposure_s = None if self.exposure.exposure_s is None else float(self.exposure.exposure_s)
-        return replace(self, mosaic=_LessShading(self, shading, iso, exposure_s, place or (0, 0)))
+        reads = partial(_less_shading, self, shading, iso, exposure_s, place or (0, 0))
+        return replace(self, mosaic=Pixels(self.shape, np.dtype(np.float32), reads))
 
     def without_pixels(self) -> Frame:
         """Return the frame, its pixels forgotten."""
@@ -176,7 +181,9 @@ class Frame:
         """Return a part of the frame, which starts at whole periods of the CFA; nothing is read."""
         if isinstance(self.mosaic, np.ndarray):
             return replace(self, mosaic=self.mosaic[..., rows, columns])
-        return replace(self, mosaic=_PartOfPixels(self.mosaic, rows, columns))
+        pixels = self.mosaic
+        shape = *pixels.shape[:-2], *part_shape(pixels.shape, rows, columns)
+        return replace(self, mosaic=Pixels(shape, pixels.dtype, partial(_part_of, pixels, rows, columns)))
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
         """Return a part, (rows, columns) in DN or (3, rows, columns), to be used before the thread reads the next."""
@@ -189,61 +196,31 @@ class Frame:
         return self.read(slice(None), slice(None)).copy()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _LessShading:
-    """Pixels less a dark shading, which is worked out for the parts that are read. ``place``: of the first pixel."""
-
-    frame: Frame
-    shading: DarkShading
-    iso: float
-    exposure_s: float | None
-    place: tuple[int, int]
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """That of the frame."""
-        return self.frame.shape
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Of the difference."""
-        return np.dtype(np.float32)
-
-    def read(self, rows: slice, columns: slice) -> NDArray[np.float32]:
-        """Read a part into memory that the next call of this thread overwrites."""
-        taken = scratch("less_shading", part_shape(self.shape, rows, columns), self.dtype)
-        on_sensor = [
-            slice(start + part.indices(side)[0], start + part.indices(side)[1])
-            for start, part, side in zip(self.place, (rows, columns), self.shape, strict=True)
-        ]
-        self.shading.at(self.iso, *on_sensor, exposure_s=self.exposure_s, out=taken)
-        np.subtract(self.frame.read(rows, columns), taken, out=taken)
-        return taken
+def _less_shading(
+    frame: Frame,
+    shading: DarkShading,
+    iso: float,
+    exposure_s: float | None,
+    place: tuple[int, int],
+    rows: slice,
+    columns: slice,
+) -> NDArray[np.float32]:
+    """Return a part less the dark shading, which is worked out for it; ``place``: of the frame's first pixel."""
+    taken = scratch("less_shading", part_shape(frame.shape, rows, columns), np.dtype(np.float32))
+    on_sensor = [
+        slice(start + part.indices(side)[0], start + part.indices(side)[1])
+        for start, part, side in zip(place, (rows, columns), frame.shape, strict=True)
+    ]
+    shading.at(iso, *on_sensor, exposure_s=exposure_s, out=taken)
+    np.subtract(frame.read(rows, columns), taken, out=taken)
+    return taken
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _PartOfPixels:
-    """A part of other pixels."""
-
-    pixels: Pixels
-    rows: slice
-    columns: slice
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """That of the part."""
-        return *self.pixels.shape[:-2], *part_shape(self.pixels.shape, self.rows, self.columns)
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """That of the pixels."""
-        return self.pixels.dtype
-
-    def read(self, rows: slice, columns: slice) -> NDArray[Any]:
-        """Read a part of the part."""
-        parts = zip((self.rows, self.columns), (rows, columns), self.pixels.shape[-2:], strict=True)
-        inner = [range(*whole.indices(side))[part] for whole, part, side in parts]
-        return self.pixels.read(*(slice(one.start, one.stop) for one in inner))
+def _part_of(pixels: Pixels, rows: slice, columns: slice, inner_rows: slice, inner_columns: slice) -> NDArray[Any]:
+    """Return a part of a part."""
+    parts = zip((rows, columns), (inner_rows, inner_columns), pixels.shape[-2:], strict=True)
+    inner = [range(*whole.indices(side))[part] for whole, part, side in parts]
+    return pixels.read(*(slice(one.start, one.stop) for one in inner))
 
 
 def part_shape(shape: tuple[int, ...], rows: slice, columns: slice) -> tuple[int, int]:

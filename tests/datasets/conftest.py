@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.sources.store.helpers import pack_tree
 from tests.trees import Tree, copy_tree, tree_in
 
 if TYPE_CHECKING:
@@ -16,6 +17,12 @@ if TYPE_CHECKING:
 def pristine(demo_tree: Path) -> Tree:
     """Not to be changed."""
     return tree_in(demo_tree)
+
+
+@pytest.fixture(scope="session")
+def store(pristine: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its 24 pairs, packed. Not to be changed."""
+    return pack_tree(pristine, tmp_path_factory.mktemp("store") / "eld.h5").store
 
 
 @pytest.fixture

@@ -46,11 +46,6 @@ class Mosaics:
         return Frame(self.mosaics[index], self.cfa, (0.0,) * levels_of(self.cfa), 65535.0, f"mosaic {index}")
 
 
-@pytest.fixture(scope="module")
-def store(pristine: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return pack_tree(pristine, tmp_path_factory.mktemp("grid") / "eld.h5").store
-
-
 def grid(source: Any, **options: Any) -> SyntheticPairs:
     chosen: dict[str, Any] = {"crop": 4, "crops": "grid"} | options
     return SyntheticPairs(source, "SonyA7S2", **chosen)

@@ -34,11 +34,6 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(scope="module")
-def store(pristine: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return pack_tree(pristine, tmp_path_factory.mktemp("items") / "eld.h5").store
-
-
-@pytest.fixture(scope="module")
 def drv(tmp_path_factory: pytest.TempPathFactory) -> SmallDrv:
     return small_drv(tmp_path_factory.mktemp("drv"), ("0007", "0013", "M0003"), 6)
 

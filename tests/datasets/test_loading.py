@@ -20,19 +20,10 @@ from eldata.datasets.loading import describe, evaluation_loader, set_epoch, trai
 from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank, loader_workers
 from eldata.errors import ArgumentError
 from tests.datasets.drawing import Drawing
-from tests.sources.store.helpers import pack_tree
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-
-    from tests.trees import Tree
-
-
-@pytest.fixture(scope="module")
-def store(pristine: Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A store of 24 pairs."""
-    return pack_tree(pristine, tmp_path_factory.mktemp("store") / "eld.h5").store
 
 
 def pairs(store: Path, **options: Any) -> PackedStore:

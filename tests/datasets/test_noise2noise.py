@@ -42,10 +42,11 @@ def test_each_item_is_two_exposures_of_one_place(pairs: PackedStore) -> None:
     assert max(map(len, bursts.values())) > 2
     assert len(noisy) == 3 * sum(len(burst) for burst in bursts.values() if len(burst) > 1)
     frames = {record.path: number for number, record in enumerate(pairs.records)}
+    opened = {id(pairs.drawn(n, np.random.default_rng(0)).pair.input): pairs.records[n] for n in frames.values()}
     met = set()
     for index in range(len(noisy)):
         item = noisy.item(index)
-        one, other = item.pair.record, item.other.record
+        one, other = (opened[id(part.frame)] for part in item.parts)
         assert one.path != other.path
         assert {one.path, other.path} <= bursts[one.ratio, one.iso]
         met.add((one.path, other.path))

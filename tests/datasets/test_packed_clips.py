@@ -148,7 +148,7 @@ def test_crops_of_raw_windows_are_parts_of_the_files(clip: str, raw: Path, raw_f
 
 
 def ours_clean(dataset: PackedClips, index: int) -> Any:
-    return dataset.item(index).reference
+    return next(iter(dataset.item(index).parts)).frame
 
 
 # --- determinism --------------------------------------------------------------------------------------------------

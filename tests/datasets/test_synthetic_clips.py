@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +18,10 @@ from eldata.datasets.clean import CleanClips, CleanFrames
 from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticClips
 from eldata.errors import ArgumentError, DatasetError
-from eldata.noise import NoiseModel, NoiseParameters
+from eldata.noise import NoiseParameters
 from eldata.raw import write_dng
 from eldata.raw.cfa import XTRANS_CFA
 from eldata.raw.levels import pack_normalised
-from tests.datasets.comparing import same
 from tests.noise.helpers import Law
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 from tests.waiting import PATIENCE_S
@@ -155,34 +153,7 @@ def test_one_draw_for_all_frames_and_fresh_noise_in_each() -> None:
     assert len(gains) == 8
 
 
-def test_the_ratio_the_model_and_the_iso_are_passed_on() -> None:
-    item = flat(ratio=150.0, iso=800, model=NoiseModel("P*"), clip="none")[0]
-    assert item["ratio"] == 150.0
-    counts = item["input"].double().numpy() * RANGE_DN / 150.0 / item["gain_dn_per_e"]
-    np.testing.assert_allclose(counts, np.rint(counts), atol=2e-3)
-    bright = flat(iso=6400, ratio=900.0)[0]["input"]
-    assert (float(bright.min()), float(bright.max())) == (0, 1)  # the default clips both ways
-
-
 # --- what an item depends on ------------------------------------------------------------------------------------------
-
-
-def test_an_item_depends_on_seed_epoch_and_index_alone(folder: Path) -> None:
-    reference = list(raw_clips(folder))
-    assert len(reference) == 6
-    shuffled = raw_clips(folder)
-    for index in (5, 2, 2, -1, 0, -6):
-        same(shuffled[index], reference[index])
-    again = pickle.loads(pickle.dumps(shuffled))
-    same(again[3], reference[3])
-    shuffled.set_epoch(2)
-    assert (shuffled.epoch, again.epoch) == (2, 0)
-    for other in (shuffled[0], raw_clips(folder, seed=4)[0], reference[2]):
-        assert not torch.equal(other["input"], reference[0]["input"])
-        assert other["gain_dn_per_e"] != reference[0]["gain_dn_per_e"]
-    for index in (6, -7):
-        with pytest.raises(IndexError, match=f"index {index} is outside of 6 items"):
-            shuffled[index]
 
 
 # --- sources ----------------------------------------------------------------------------------------------------------

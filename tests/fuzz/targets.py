@@ -114,7 +114,7 @@ def _store(path: Path) -> object:
     from eldata.sources.store.read import StoreFrames
 
     source = StoreFrames(path)
-    for held in source.store.every:
+    for held in source.store.frames:
         source.frame(held.path).whole()
     return source
 

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pytest
 import torch
 from scipy import stats
 
@@ -137,6 +139,16 @@ def device_dn(
     noisy = on_device(spec, torch.from_numpy(clean).to(device), parameters, generator, adc=adc)
     dn: NDArray[np.float64] = noisy.cpu().numpy().astype(np.float64) * (RANGE_DN / RATIO)
     return dn
+
+
+CUDA = torch.cuda.is_available()
+ENGINES = [
+    pytest.param(compiled_dn, id="compiled"),
+    pytest.param(device_dn, id="torch"),
+    pytest.param(
+        partial(device_dn, device="cuda"), id="cuda", marks=pytest.mark.skipif(not CUDA, reason="there is no GPU")
+    ),
+]
 
 
 def check_closed_forms(

@@ -19,7 +19,6 @@ from eldata.noise import _random_kernels, _tables, compiled
 from eldata.noise.compiled import expose_compiled
 from eldata.noise.exposures import Adc, Exposures
 from eldata.noise.structure import Components
-from eldata.raw.cfa import XTRANS_CFA, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,9 +40,7 @@ PART: dict[str, dict[str, Any]] = {
 FULL = PART["poisson"] | PART["tukey-lambda"] | PART["row"] | PART["bias"] | PART["uniform"]
 
 
-def noisy(
-    clean: NDArray[np.float32], *, key: int = 1, first_image: int = 0, threads: int = 2, **changes: Any
-) -> NDArray[np.float32]:
+def noisy(clean: NDArray[np.float32], *, key: int = 1, threads: int = 2, **changes: Any) -> NDArray[np.float32]:
     """Draw with every component off, K = range = ratio = 1, and these changes."""
     images, channels = clean.shape[:2]
     parts = {name: changes.pop(name, "none") for name in ("shot", "read", "quantisation")}
@@ -67,7 +64,7 @@ def noisy(
         limits=(changes.pop("low", -math.inf), changes.pop("high", math.inf)),
     )
     assert not changes
-    return expose_compiled(clean, exposures, key=key, first_image=first_image, threads=threads)
+    return expose_compiled(clean, exposures, key=key, threads=threads)
 
 
 def flat(value: float, shape: tuple[int, int, int, int] = (1, 4, 512, 512)) -> NDArray[np.float32]:
@@ -351,54 +348,7 @@ def test_each_image_has_its_own_parameters() -> None:
     together = noisy(clean, **kinds, **each)
     for image in range(3):
         alone: dict[str, Any] = {name: [values[image]] for name, values in each.items()}
-        part = noisy(clean[image : image + 1].copy(), **kinds, **alone, first_image=image)
-        np.testing.assert_array_equal(part[0], together[image])
-
-
-def test_rows_of_a_bayer_mosaic_share_their_draw() -> None:
-    """R with G1 and B with G2, other rows other draws: 2 x 4096 rows of sigma 0.6, whatever the columns."""
-    out = noisy(flat(0, (1, 4, 4096, 530)), sigma_row_dn=0.6, key=81)[0]
-    mosaic = unpack(out, ((0, 1), (3, 2)))
-    np.testing.assert_array_equal(mosaic, np.broadcast_to(mosaic[:, :1], mosaic.shape))
-    _check_row_draws(mosaic[:, 0].astype(np.float64), 0.6)
-
-
-@pytest.mark.parametrize("columns", [2, 518])
-def test_rows_of_an_xtrans_mosaic_share_their_draw(columns: int) -> None:
-    """Six mosaic rows for two packed ones: 12288 rows of sigma 0.6."""
-    clean = flat(0, (1, 9, 4096, columns))
-    out = noisy(clean, sigma_row_dn=0.6, key=82)[0]
-    mosaic = unpack(out, XTRANS_CFA)
-    np.testing.assert_array_equal(mosaic, np.broadcast_to(mosaic[:, :1], mosaic.shape))
-    _check_row_draws(mosaic[:, 0].astype(np.float64), 0.6)
-
-
-def _check_row_draws(rows: NDArray[np.float64], sigma: float) -> None:
-    count = rows.size
-    assert np.unique(rows).size > 0.999 * count  # no draw is used twice (float32 may coincide)
-    assert abs(rows.mean()) < SIGMAS * sigma / math.sqrt(count)
-    assert abs(rows.var() / sigma**2 - 1) < SIGMAS * math.sqrt(2 / count)
-    for lag in (1, 2, 3, 6):
-        assert abs(_correlation(rows[lag:], rows[:-lag])) < SIGMAS / math.sqrt(count - lag)
-
-
-# Odd input
-
-
-@pytest.mark.parametrize("shot", ["none", "gaussian", "poisson"])
-def test_nan_gives_nan_and_below_zero_is_dark(shot: str) -> None:
-    clean = gradient((1, 4, 16, 40), 3000.0)
-    clean[0, 1, 3, 5::7] = np.nan
-    clean[0, 2, 0, 0] = -np.inf
-    changes = FULL | {"shot": shot, "key": 91}
-    out = noisy(clean, **changes)
-    np.testing.assert_array_equal(np.isnan(out), np.isnan(clean))
-    assert np.isfinite(out[~np.isnan(out)]).all()
-    dark = np.where(clean < 0, 0, clean).astype(np.float32, copy=True)
-    np.testing.assert_array_equal(noisy(dark, **changes), out)
-    assert np.isnan(
-        noisy(clean, **(changes | {"quantisation": "adc", "white_dn": 99.0}), low=0.0, high=1.0)[0, 1, 3, 5]
-    )
+        np.testing.assert_array_equal(noisy(clean, **kinds, **alone)[image], together[image])
 
 
 # Reproducibility
@@ -411,11 +361,7 @@ def test_bits_do_not_depend_on_threads_bands_or_batches(monkeypatch: pytest.Monk
     for threads in (2, 4):
         np.testing.assert_array_equal(noisy(clean, **arguments, threads=threads), expected)
     for cut in (1, 2, 5):
-        parts = [
-            noisy(clean[:cut].copy(), **arguments),
-            noisy(clean[cut:].copy(), **arguments, first_image=cut),
-        ]
-        np.testing.assert_array_equal(np.concatenate(parts), expected)
+        np.testing.assert_array_equal(noisy(clean[:cut].copy(), **arguments), expected[:cut])
     monkeypatch.setattr(compiled, "_PIECE", 7 * 530)
     np.testing.assert_array_equal(noisy(clean, **arguments), expected)
 

@@ -22,7 +22,6 @@ from tests.noise.helpers import (
     RATIO,
     SIGNALS_E,
     Law,
-    check_closed_forms,
     clean_of,
     compiled_dn,
 )
@@ -50,12 +49,6 @@ def same_bits(first: NDArray[np.float32], second: NDArray[np.float32]) -> None:
 
 
 # --- moments and distributions --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("spec", ["P", "G+P", FULL])
-def test_means_and_variances(spec: str) -> None:
-    """See check_closed_forms for sizes and tolerances."""
-    check_closed_forms(compiled_dn, spec, seed=1)
 
 
 @pytest.mark.parametrize("spec", [*PAPER_MODELS, "P", "R", "U", "B"])
@@ -156,22 +149,17 @@ def test_odd_sizes(shape: tuple[int, int, int]) -> None:
 # --- kinds of data --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("dtype", ["float16", "float32", "float64"])
-def test_the_dtype_stays(dtype: str) -> None:
-    clean = FLAT.astype(dtype)  # 0.25 is exact in all
-    wanted = noisy(FLAT).astype(dtype)
-    array = noisy(clean)
-    assert array.dtype == wanted.dtype
-    np.testing.assert_array_equal(array, wanted)
-    tensor = noisy(torch.from_numpy(clean))
-    assert tensor.dtype == getattr(torch, dtype)
-    np.testing.assert_array_equal(tensor.numpy(), wanted)
-
-
-def test_bfloat16_stays() -> None:
-    tensor = noisy(torch.full((4, 6, 8), 0.25, dtype=torch.bfloat16))
-    assert tensor.dtype == torch.bfloat16
-    np.testing.assert_array_equal(tensor.float().numpy(), torch.from_numpy(noisy(FLAT)).bfloat16().float().numpy())
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32, torch.float64])
+def test_the_dtype_stays(dtype: torch.dtype) -> None:
+    wanted = torch.from_numpy(noisy(FLAT)).to(dtype)
+    clean = torch.from_numpy(FLAT).to(dtype)  # 0.25 is exact in all
+    tensor = noisy(clean)
+    assert tensor.dtype == dtype
+    assert torch.equal(tensor, wanted)
+    if dtype != torch.bfloat16:  # which numpy does not have
+        array = noisy(clean.numpy())
+        assert array.dtype == wanted.numpy().dtype
+        np.testing.assert_array_equal(array, wanted.numpy())
 
 
 def test_the_layout_in_memory_changes_nothing() -> None:
@@ -235,21 +223,6 @@ def test_several_generators_are_as_many_calls() -> None:
         same_bits(together[some], alone)
     with pytest.raises(ArgumentError, match="one generator, or several, each for as many of 6 images; found 4"):
         noisy(clean, generator=[np.random.default_rng(0)] * 4)
-
-
-@pytest.mark.parametrize("mean_e", [1e9, 1e12, 9e18, 1e19, 1e30])
-def test_any_number_of_photoelectrons(mean_e: float) -> None:
-    """4096 draws: none is off by more than 7 deviations and the rounding to float32, and their mean by 6 errors."""
-    draws = noisy(
-        np.full((4, 32, 32), mean_e, np.float32),
-        "P*",
-        parameters=NoiseParameters(1.0, 0, 0, 0, 0),
-        ratio=1.0,
-        range_dn=1.0,
-    ).astype(np.float64)
-    rounding = mean_e * 2.0**-23
-    assert np.abs(draws - np.float64(np.float32(mean_e))).max() < 7 * math.sqrt(mean_e) + rounding
-    assert abs(draws.mean() - np.float64(np.float32(mean_e))) < 6 * math.sqrt(mean_e) / 64 + rounding
 
 
 # --- refusals -------------------------------------------------------------------------------------------------------

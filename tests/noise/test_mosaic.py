@@ -10,10 +10,10 @@ import torch
 
 from eldata.errors import ArgumentError
 from eldata.noise import NoiseModel, NoiseParameters
-from eldata.noise.mosaic import channel_bias_dn, pack_whole, unpack_whole
+from eldata.noise.mosaic import pack_whole, unpack_whole
 from eldata.raw.cfa import pack
 from tests.cases import in_one_test
-from tests.raw.helpers import BAYER, CFAS, XTRANS_COLOURS, levels_of
+from tests.raw.helpers import BAYER, CFAS, levels_of
 
 RANGE = 15000.0
 PARAMETERS = NoiseParameters(1.5, -0.1, 2.0, 3.0, 4.0, (10.0, 20.0, 30.0, 40.0))
@@ -81,13 +81,3 @@ def test_errors() -> None:
 
 
 # --- rows under packed data -----------------------------------------------------------------------------------------
-
-
-def test_the_bias_of_each_channel() -> None:
-    parameters = NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0, (1.0, 2.0, 4.0, 5.0))
-    assert channel_bias_dn(parameters, 4) == (1.0, 2.0, 4.0, 5.0)
-    # X-Trans has one green: the mean of the two.
-    of_colour = {"R": 1.0, "G": 3.5, "B": 4.0}
-    assert channel_bias_dn(parameters, 9) == tuple(of_colour[colour] for colour in XTRANS_COLOURS)
-    assert channel_bias_dn(parameters, 16) == (*[1.0] * 4, *[2.0] * 4, *[4.0] * 4, *[5.0] * 4)
-    assert channel_bias_dn(parameters, 36) == (*[1.0] * 9, *[2.0] * 9, *[4.0] * 9, *[5.0] * 9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,14 +13,14 @@ from eldata.errors import ArgumentError
 from eldata.noise.exposures import check_normalised
 from eldata.raw._kernels import scatter_bayer
 from eldata.raw.cfa import packing_sites, unpack
-from eldata.sources.frames import Frame
+from eldata.sources.frames import Frame, Pixels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import CfaRows, Sites
+    from eldata.raw.cfa import CfaRows
 
 _BAYER: CfaRows = ((0, 1), (3, 2))
 
@@ -65,38 +66,30 @@ class Arrays:
         """Return one array as a mosaic."""
         packed, name, sites = np.asarray(self.arrays[index]), f"array {index}", self._sites
         check_normalised(packed, name)
-        mosaic = _Unpacked(packed, sites, self.range_dn)
-        return Frame(mosaic, sites.cfa, self._black_level_dn, self.range_dn, name)
-
-    def __repr__(self) -> str:
-        return f"Arrays({len(self)} frames of shape {self.arrays[0].shape}, range_dn={self.range_dn:g})"
-
-
-class _Unpacked:
-    """The mosaic of a packed array (C, h, w), in DN, of which only the parts that are read are put together."""
-
-    dtype = np.dtype(np.float32)
-
-    def __init__(self, packed: NDArray[Any], sites: Sites, range_dn: float) -> None:
-        self.packed, self.sites, self.range_dn = packed, sites, np.float32(range_dn)
         if packed.ndim != 3 or len(packed) != sites.channels or any(side % sites.sub for side in packed.shape[1:]):
             unpack(packed, sites.cfa)  # raises, saying what is expected
-        self.shape = packed.shape[1] * sites.scale, packed.shape[2] * sites.scale
+        shape = packed.shape[1] * sites.scale, packed.shape[2] * sites.scale
+        mosaic = Pixels(shape, np.dtype(np.float32), partial(self._read, packed))
+        return Frame(mosaic, sites.cfa, self._black_level_dn, self.range_dn, name)
 
-    def read(self, rows: slice, columns: slice) -> NDArray[np.float32]:
-        """Return a part in memory that the next call of this thread overwrites."""
-        period, scale = self.sites.period, self.sites.scale
-        top, bottom, _ = rows.indices(self.shape[0])
-        left, right, _ = columns.indices(self.shape[1])
+    def _read(self, packed: NDArray[Any], rows: slice, columns: slice) -> NDArray[np.float32]:
+        """Return a part of a mosaic, in DN, put together in memory that the next call of this thread overwrites."""
+        sites, range_dn = self._sites, np.float32(self.range_dn)
+        period, scale = sites.period, sites.scale
+        top, bottom, _ = rows.indices(packed.shape[1] * scale)
+        left, right, _ = columns.indices(packed.shape[2] * scale)
         above, before = top % period, left % period  # of the periods that hold it
         height, width = above + bottom - top, before + right - left
         height, width = height + -height % period, width + -width % period
         row, column = (top - above) // scale, (left - before) // scale
-        if period == 2 and self.packed.dtype == np.float32:
-            whole: NDArray[np.float32] = scratch("unpacked", (height, width), self.dtype)
-            scatter_bayer(self.packed, row, column, self.sites.channel_of, self.range_dn, whole)
+        if period == 2 and packed.dtype == np.float32:
+            whole: NDArray[np.float32] = scratch("unpacked", (height, width), range_dn.dtype)
+            scatter_bayer(packed, row, column, sites.channel_of, range_dn, whole)
         else:
-            periods = self.packed[:, row : row + height // scale, column : column + width // scale]
-            whole = unpack(periods.astype(np.float32, copy=False), self.sites.cfa)
-            whole *= self.range_dn
+            periods = packed[:, row : row + height // scale, column : column + width // scale]
+            whole = unpack(periods.astype(np.float32, copy=False), sites.cfa)
+            whole *= range_dn
         return whole[above : above + bottom - top, before : before + right - left]
+
+    def __repr__(self) -> str:
+        return f"Arrays({len(self)} frames of shape {self.arrays[0].shape}, range_dn={self.range_dn:g})"

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 import numpy as np
-import torch
 
 from eldata.base.arguments import keywords
 from eldata.base.numbers import checked_number
+from eldata.datasets.base import SIDES
 from eldata.datasets.batches import threads_here
-from eldata.datasets.items import CroppedItems, Cropping
+from eldata.datasets.items import CroppedItems, Cropping, DrawnItem, SharedMemory
 from eldata.datasets.synthetic.dark_frames import GAIN_SPREAD, DarkFrames
 from eldata.datasets.synthetic.draws import NoiseChoice, Turns, fewest_members
 from eldata.errors import ArgumentError, check_choice
@@ -23,17 +23,17 @@ from eldata.noise.structure import known_structure
 from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence, Sized
+    from collections.abc import Iterable, Mapping, Sequence, Sized
 
     from numpy.typing import NDArray
 
     from eldata.datasets.crops import Crop
+    from eldata.datasets.items import Part
     from eldata.datasets.synthetic.draws import Cameras, Isos, NoiseDraw
     from eldata.noise.dark_shading import DarkShading
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.profile import RowChoice
     from eldata.raw.levels import Clip
-    from eldata.records import Sensor
     from eldata.sources.frames import Frame
 
 
@@ -80,22 +80,20 @@ class NoiseOptions(Cropping, Noise, total=False):
     """All of the keyword arguments that synthetic pairs and clips share; by default ``crop=512, augment=True``."""
 
 
-@dataclass(frozen=True, slots=True)
-class NoisyItem:
-    """One item before its pixels are read: what was drawn for it, the generator of its noise, and its number."""
+@dataclass(slots=True, eq=False)
+class NoisyItem(DrawnItem):
+    """An item with its (first) clean frame, what was drawn for it, the generator of its noise, and its number."""
 
     frame: Frame
-    crop: Crop
     draw: NoiseDraw
     generator: np.random.Generator
     index: int
 
 
-Item = TypeVar("Item", bound=NoisyItem)
 Sample = TypeVar("Sample")
 
 
-class NoisyItems(CroppedItems[Item, Sample]):
+class NoisyItems(CroppedItems[Sample]):
     """Items whose target is read, and whose input is that with noise.
 
     ``method`` is what the source has beside ``len``, ``exposures`` how many frames an item has.
@@ -146,23 +144,30 @@ class NoisyItems(CroppedItems[Item, Sample]):
         super().set_epoch(epoch)
         self._repeats.settle()
 
-    def draw_noise(self, generator: np.random.Generator, index: int) -> NoiseDraw:
+    def _noisy(
+        self,
+        index: int,
+        generator: np.random.Generator,
+        frame: Frame,
+        crop: Crop,
+        parts: Iterable[Part],
+        *frames: int,
+        **facts: int,
+    ) -> NoisyItem:
         """Draw an item's noise; dark frames have their turn by the item's place in the sequence of all epochs."""
         if self._turns is None:
-            return self.noise.draw(generator)
-        turn = self._turns.at(self.epoch * self._length + index)
-        return self.noise.draw(generator, turn, gain_spread=GAIN_SPREAD)
+            draw = self.noise.draw(generator)
+        else:
+            turn = self._turns.at(self.epoch * self._length + index)
+            draw = self.noise.draw(generator, turn, gain_spread=GAIN_SPREAD)
+        beside = draw.facts() | {"dark_frame": "", "path": frame.name} | facts
+        if self._dark is not None and draw.iso is not None:
+            names = self._dark.names(draw.iso)
+            beside["dark_frame"] = ", ".join(names[member] for member in draw.dark)
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(SIDES, (*frames, *crop.packed_shape))
+        return NoisyItem(crop, shapes, parts, beside, frame.sensor, frame, draw, generator, index)
 
-    def facts(self, item: Item) -> dict[str, Any]:
-        """Return what the noise was made with, and where the frame comes from."""
-        facts = item.draw.facts()
-        facts.update(dark_frame="", path=item.frame.name)
-        if self._dark is not None and item.draw.iso is not None:
-            names = self._dark.names(item.draw.iso)
-            facts["dark_frame"] = ", ".join(names[member] for member in item.draw.dark)
-        return facts
-
-    def _finish(self, items: Sequence[Item], arrays: Mapping[str, NDArray[Any]]) -> None:
+    def _finish(self, items: Sequence[NoisyItem], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Add the noise: ours to all items at once, for the call alone costs as much as the noise of a small crop."""
         clean, noisy, model = arrays["target"], arrays["input"], self.model
         if isinstance(model, NoiseModel) and self._dark is None and not model.components.placed:
@@ -181,13 +186,9 @@ class NoisyItems(CroppedItems[Item, Sample]):
             for place, item in enumerate(items):
                 self._add_noise(item, clean[place], noisy[place])
 
-    def _given(self, items: Sequence[Item]) -> None:
+    def _given(self, items: Sequence[NoisyItem]) -> None:
         """Note the items, for a second pass over the same ones."""
         self._repeats.note(*(item.index for item in items))
-
-    def sensor(self, item: Item) -> Sensor | None:
-        """Return the sensor of the clean frame, if a file states it."""
-        return item.frame.sensor
 
     def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is, as names and values."""
@@ -201,7 +202,7 @@ class NoisyItems(CroppedItems[Item, Sample]):
             ("items", f"{len(self)}, {'whole frames' if self.crop is None else f'{self.crop} x {self.crop}'}"),
         ]
 
-    def _add_noise(self, item: Item, clean: NDArray[Any], noisy: NDArray[Any]) -> None:
+    def _add_noise(self, item: NoisyItem, clean: NDArray[Any], noisy: NDArray[Any]) -> None:
         """Add the noise of dark frames, of what has its place on the sensor, or of a model of the caller's own."""
         model = self.model
         options: dict[str, Any] = {
@@ -211,16 +212,8 @@ class NoisyItems(CroppedItems[Item, Sample]):
             "generator": item.generator,
         }
         if isinstance(model, NoiseModel):
-            if self._dark is not None and (iso := item.draw.iso) is not None:
-                region = self._dark.region(iso, item.frame, item.crop, item.generator)
-                options["dark"] = self._dark.crops(iso, item.draw.dark, region)
-            if self._shading is not None:
-                sensor = item.frame.sensor
-                model_name = "" if sensor is None else sensor.model
-                self._shading.check_sensor(item.frame.name, item.frame.shape, item.frame.cfa, model_name)
-                options["exposure_s"] = _exposure_s(item)
-            if model.components.placed and item.frame.cfa:
-                options["place"] = item.crop.place(item.frame, "what stays in its place on a sensor is")
+            draw = item.draw
+            options |= from_sensor(model, item.frame, item.crop, draw.iso, draw.dark, _exposure_s(item), item.generator)
             model(clean, **options, threads=threads_here(), out=noisy)
         else:
             np.clip(made_exposure(model, clean, **options), *CLIP_RANGES[self.clip], out=noisy)
@@ -235,6 +228,31 @@ class NoisyItems(CroppedItems[Item, Sample]):
             f"{type(self).__name__}({source!r}, {items}, cameras: {self.noise}; {model}, "
             f"ratio={self.noise.ratio}{ranged}, {self._cut}, seed={self.seed})"
         )
+
+
+def from_sensor(
+    model: NoiseModel,
+    frame: Frame,
+    crop: Crop,
+    iso: float | None,
+    dark: Sequence[int],
+    exposure_s: float | None,
+    generator: np.random.Generator,
+) -> dict[str, Any]:
+    """Return what the noise of a crop has from the sensor that took it, as the model's arguments.
+
+    ``dark`` are the numbers of its dark frames, ``exposure_s`` is the time of the exposure with noise.
+    """
+    found: dict[str, Any] = {}
+    if isinstance(model.dark_frames, DarkFrames) and iso is not None:
+        found["dark"] = model.dark_frames.crops(iso, dark, model.dark_frames.region(iso, frame, crop, generator))
+    if model.dark_shading is not None:
+        name = "" if frame.sensor is None else frame.sensor.model
+        model.dark_shading.check_sensor(frame.name, frame.shape, frame.cfa, name)
+        found["exposure_s"] = exposure_s
+    if model.components.placed and frame.cfa:
+        found["place"] = crop.place(frame, "what stays in its place on a sensor is")
+    return found
 
 
 def _check_structure(model: NoiseMaker, choice: NoiseChoice) -> None:
@@ -308,7 +326,7 @@ _HEADER_BYTES = 8 * _NUMBERS
 _LOOKS = 8  # an item is looked at before training begins
 
 
-class Repeats:
+class Repeats(SharedMemory):
     """Warns once, in whichever process, when a second pass gives the items of the first one again.
 
     Which items were made is kept in shared memory, a byte each, for workers come and go. Looking at some items before
@@ -326,20 +344,11 @@ class Repeats:
 
     def __init__(self, owner: str, length: int) -> None:
         self.owner = owner
-        self._memory = torch.zeros(_HEADER_BYTES + length, dtype=torch.uint8)
-        self._share()
+        super().__init__(_HEADER_BYTES + length)
 
-    def _share(self) -> None:
-        self._memory.share_memory_()  # type: ignore[no-untyped-call]
-        array = self._memory.numpy()
-        self._numbers, self._is_made = array[:_HEADER_BYTES].view("i8"), array[_HEADER_BYTES:]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"owner": self.owner, "_memory": self._memory}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._share()
+    @property
+    def _numbers(self) -> NDArray[np.int64]:
+        return self._array[:_HEADER_BYTES].view(np.int64)
 
     def settle(self) -> None:
         """Say nothing from now on: the epoch was chosen."""
@@ -353,14 +362,14 @@ class Repeats:
             self._note(index)
 
     def _note(self, index: int) -> None:
-        numbers = self._numbers
-        if not self._is_made[index]:
-            self._is_made[index] = 1
+        numbers, is_made = self._numbers, self._array[_HEADER_BYTES:]
+        if not is_made[index]:
+            is_made[index] = 1
             numbers[0] += 1
             return
         numbers[1] += 1
         made, again = int(numbers[0]), int(numbers[1])
-        is_whole = 4 * made >= 3 * self._is_made.size
+        is_whole = 4 * made >= 3 * is_made.size
         if again > (made // 2 if is_whole else 3 * made) + _LOOKS:
             self.settle()
             warnings.warn(

@@ -6,11 +6,9 @@ et al., TPAMI 2021, section 4.6: parameters are drawn once per clip, noise for e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 from eldata.base.arguments import spell_keywords
-from eldata.datasets.base import SIDES
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import Part
 from eldata.datasets.synthetic.draws import NoiseFacts
@@ -40,7 +38,7 @@ class SyntheticSample(NoiseFacts):
     path: str
 
 
-class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
+class SyntheticPairs(NoisyItems[SyntheticSample]):
     """Clean crops and noisy exposures of them, made again in each epoch.
 
     Item i of epoch e depends on (seed, e, i) alone: not on workers, their number, or what was read before. Call
@@ -96,15 +94,7 @@ class SyntheticPairs(NoisyItems[NoisyItem, SyntheticSample]):
         number, tile = self._record_of(index, len(self.source))
         frame = self.source.frame(number)
         crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment, tile=tile)
-        return NoisyItem(frame, crop, self.draw_noise(generator, index), generator, index)
-
-    def shapes(self, item: NoisyItem) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of input and target."""
-        return dict.fromkeys(SIDES, item.crop.packed_shape)
-
-    def _parts(self, item: NoisyItem) -> Iterator[Part]:
-        """Yield the clean crop."""
-        yield Part("target", item.frame, is_light=True)
+        return self._noisy(index, generator, frame, crop, [Part("target", frame, is_light=True)])
 
     def __repr__(self) -> str:
         return self._text(self.source, f"{len(self)} items")
@@ -125,16 +115,7 @@ class SyntheticClipSample(NoiseFacts):
     start: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Item(NoisyItem):
-    """A window: ``frame`` is its first, the ``start``-th of a clip, whose number is ``place``."""
-
-    clip: CleanSource
-    place: int
-    start: int
-
-
-class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
+class SyntheticClips(NoisyItems[SyntheticClipSample]):
     """Windows of clean clips and noisy exposures of them, made again in each epoch.
 
     Camera, parameters and ratio are drawn once for a window, and so are its place, crop and orientation, which are the
@@ -187,7 +168,7 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
         """Whether the source's clips say that their frames read parts."""
         return getattr(self.source.clip(0), "reads_parts", False)
 
-    def drawn(self, index: int, generator: np.random.Generator) -> _Item:
+    def drawn(self, index: int, generator: np.random.Generator) -> NoisyItem:
         """Draw a window of clip ``index`` modulo their number, or of a crop's clip, its crop and its noise."""
         place, tile = self._record_of(index, len(self.source))
         clip = self.source.clip(place)
@@ -196,24 +177,17 @@ class SyntheticClips(NoisyItems[_Item, SyntheticClipSample]):
         start = int(generator.integers(len(clip) - self.frames + 1))
         first = clip.frame(start)
         crop = Crop.draw(first, generator, crop=self.crop, augment=self.augment, tile=tile)
-        return _Item(first, crop, self.draw_noise(generator, index), generator, index, clip, place, start)
+        parts = self._parts(clip, start, first)
+        return self._noisy(index, generator, first, crop, parts, self.frames, clip=place, start=start)
 
-    def shapes(self, item: _Item) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of input and target."""
-        return dict.fromkeys(SIDES, (self.frames, *item.crop.packed_shape))
-
-    def _parts(self, item: _Item) -> Iterator[Part]:
+    def _parts(self, clip: CleanSource, start: int, first: Frame) -> Iterator[Part]:
         """Yield the clean frames in order."""
-        yield Part("target", item.frame, 0, is_light=True)
+        yield Part("target", first, 0, is_light=True)
         for step in range(1, self.frames):
-            frame = item.clip.frame(item.start + step)
-            _check_alike(frame, item.frame)
+            frame = clip.frame(start + step)
+            _check_alike(frame, first)
             yield Part("target", frame, step, is_light=True)
             del frame
-
-    def facts(self, item: _Item) -> dict[str, Any]:
-        """Return what the noise was made with, and where the window comes from."""
-        return super().facts(item) | {"clip": item.place, "start": item.start}
 
     def __repr__(self) -> str:
         return self._text(self.source, f"{len(self)} windows of {self.frames} frames")

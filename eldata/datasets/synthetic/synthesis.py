@@ -28,6 +28,7 @@ from eldata.datasets.crops import Crop
 from eldata.datasets.synthetic.dark_frames import DarkFrames
 from eldata.datasets.synthetic.draws import Turns, draw_splits
 from eldata.datasets.synthetic.journal import CleanFacts, WrittenScene, opened_journal
+from eldata.datasets.synthetic.noisy_items import from_sensor
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
 from eldata.manifest.writing import save_manifest
@@ -251,27 +252,6 @@ def _member(recipe: Recipe, dark: DarkFrames, index: int, copy: int) -> int:
     return Turns(recipe.seed, [1.0], [len(dark.names(iso))]).at(index * recipe.per_image + copy)[1][0]
 
 
-def _of_sensor(
-    recipe: Recipe,
-    dark: DarkFrames | None,
-    frame: Frame,
-    exposure_s: float,
-    unit: tuple[int, int],
-    generator: np.random.Generator,
-) -> dict[str, Any]:
-    """Return what the noise of a whole frame has from the sensor that took it, as the model's arguments."""
-    whole = Crop.region(frame, (0, 0, *packed_shape(frame.shape, frame.cfa)[1:]))
-    found: dict[str, Any] = {}
-    if dark is not None:
-        (iso,) = dark.isos
-        found["dark"] = dark.crops(iso, [_member(recipe, dark, *unit)], dark.region(iso, frame, whole, generator))
-    if recipe.dark_shading is not None:
-        model = "" if frame.sensor is None else frame.sensor.model
-        dark_shading_in(recipe.dark_shading).check_sensor(frame.name, frame.shape, frame.cfa, model)
-        found |= {"place": (0, 0), "exposure_s": exposure_s}  # the first of the area that packing keeps
-    return found
-
-
 def _digest(what: object) -> str:
     return f"sha256:{hashlib.sha256(json_text(what).encode()).hexdigest()}"
 
@@ -401,10 +381,12 @@ def _synthesize_file(
         dark = _opened(recipe.dark_frames, recipe.iso, begun)
     model = recipe.model(dark)
     whole = Frame.of_raw(raw.mosaic, raw.sensor, str(path), raw.exposure)
+    area = Crop.region(whole, (0, 0, *packed_shape(whole.shape, whole.cfa)[1:]))
     for copy in range(recipe.per_image):
         draw = _Draw.of(recipe, facts, source, copy)
         ratio = float(draw.ratio)
-        of_sensor = _of_sensor(recipe, dark, whole, float(draw.exposure_s), (index, copy), draw.generator)
+        members = [] if dark is None else [_member(recipe, dark, index, copy)]
+        of_sensor = from_sensor(model, whole, area, recipe.iso, members, float(draw.exposure_s), draw.generator)
         noisy = model(
             clean, parameters=draw.parameters, ratio=ratio, range_dn=range_dn, generator=draw.generator, **of_sensor
         )

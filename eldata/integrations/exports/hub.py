@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 from contextlib import closing
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from tqdm import tqdm
 
@@ -26,7 +25,7 @@ from eldata.sources.shards.index import INDEX
 from eldata.sources.shards.reading import Folder, read_samples
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from eldata.integrations.exports.frames import ExportReport, Linking
     from eldata.manifest.catalogue import Manifest
@@ -135,16 +134,6 @@ def _check_passed_on(manifest: Manifest) -> None:
 # --- pixels -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True)
-class _Found:
-    """What the samples of a folder of shards are: how many, of which split and pairs, and their sizes (H, W)."""
-
-    samples: int = 0
-    split: str = ""
-    pairs: set[str] = field(default_factory=set)
-    shapes: set[tuple[int, int]] = field(default_factory=set)
-
-
 def _with_pixels(plan: ExportPlan, manifest: Manifest, places: Iterable[Path]) -> tuple[HubLayout, int]:
     known = {pair.path: pair for pair in select_pairs(manifest.records)}
     splits: dict[str, HubSplit] = {}
@@ -157,39 +146,37 @@ def _with_pixels(plan: ExportPlan, manifest: Manifest, places: Iterable[Path]) -
         index = source.read_index()
         if index.dataset != manifest.name:
             raise DatasetError(f"{place}: holds pairs of {index.dataset!r}, but the manifest is of {manifest.name!r}")
-        found = _checked(source, index, known)
-        split = _split_name(found.split)
+        records = [(record, sizes) for record, *sizes in _checked(source, index, known)]
+        first, *others = dict.fromkeys(record.split for record, _ in records)
+        if others:
+            raise DatasetError(
+                f"{source.address}: holds pairs of the splits {first!r} and {others[0]!r}; the package datasets tells "
+                "splits by their files: shard each by itself (eldata shard --split)"
+            )
+        split = _split_name(first)
         if split in splits:
             raise DatasetError(f"{place}: holds pairs of the split {split} as another folder does; shard them together")
         below = f"data/{split}"
-        splits[split] = HubSplit(split, f"{below}/*.tar", found.samples, sum(shard.bytes for shard in index.shards))
+        splits[split] = HubSplit(split, f"{below}/*.tar", len(records), sum(shard.bytes for shard in index.shards))
         plan.links |= {f"{below}/{name}": place.absolute() / name for name in [*(s.name for s in index.shards), INDEX]}
-        shapes |= found.shapes
-        pairs |= found.pairs
+        shapes |= {size for _, sizes in records for size in sizes}
+        pairs |= {record.path for record, _ in records}
     shape = next(iter(shapes)) if len(shapes) == 1 else None
     return HubLayout(tuple(splits.values()), pixels=True, shape=shape), len(pairs)
 
 
-def _checked(source: Folder, index: ShardIndex, known: Mapping[str, PairRecord]) -> _Found:
-    """Read every sample of a folder, and hold its record against the manifest's."""
-    found = _Found()
+def _checked(
+    source: Folder, index: ShardIndex, known: Mapping[str, PairRecord]
+) -> Iterator[tuple[PairRecord, Any, Any]]:
+    """Yield the record of every sample of a folder, held against the manifest's, and the sizes of its frames."""
     with tqdm(total=len(index), desc="checking shards", unit="sample", disable=None, leave=False) as bar:
         for number, shard in enumerate(index.shards):
             with closing(read_samples(source, index, number, range(len(shard)))) as samples:
                 for sample in samples:
                     record = sample.facts.record
                     _check_record(source.address, record, known.get(record.path))
-                    if found.samples and record.split != found.split:
-                        raise DatasetError(
-                            f"{source.address}: holds pairs of the splits {found.split!r} and {record.split!r}; the "
-                            "package datasets tells splits by their files: shard each by itself (eldata shard --split)"
-                        )
-                    found.samples += 1
-                    found.split = record.split
-                    found.pairs.add(record.path)
-                    found.shapes |= {sample.input_dn.shape, sample.target_dn.shape}
+                    yield record, sample.input_dn.shape, sample.target_dn.shape
                     bar.update()
-    return found
 
 
 def _check_record(place: str, found: PairRecord, expected: PairRecord | None) -> None:

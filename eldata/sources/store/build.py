@@ -22,17 +22,18 @@ from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import EldataError
 from eldata.manifest.patterns import is_png
 from eldata.manifest.verify_report import DatasetReport, Problem, VerifyReport
+from eldata.records import Exposure
 from eldata.sources.store.format import (
     FORMAT,
     VERSION,
     PackedFile,
     StoredFrame,
-    StoredRgb,
     StoreError,
     facts_line,
     frame_key,
     frames_in,
     layout,
+    rgb_sensor,
 )
 from eldata.sources.store.journal import journaled, remove_stale_journal
 from eldata.sources.store.read import PixelReader, open_store, opened, texts_of
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from eldata.manifest.catalogue import FrameFiles
     from eldata.manifest.verify_report import Level
     from eldata.records import Role
-    from eldata.sources.store.format import AnyStored, Compression, Store
+    from eldata.sources.store.format import Compression, Store
     from eldata.sources.store.journal import JournaledFile
     from eldata.sources.store.sources import Source
 
@@ -172,12 +173,12 @@ class FactsWriter:
     def __init__(self, store: h5py.File) -> None:
         self._facts = store["facts"]
         self._known: dict[str, int] = {}
-        frames, rgb = frames_in(self._facts[:].tobytes())
+        frames = frames_in(self._facts[:].tobytes())
         for frame in frames:
             facts_line(frame, self._known)
-        self.count = len(frames) + len(rgb)
+        self.count = len(frames)
 
-    def add(self, frame: AnyStored) -> None:
+    def add(self, frame: StoredFrame) -> None:
         """Append a line."""
         line, end = np.frombuffer(facts_line(frame, self._known), np.uint8), len(self._facts)
         self._facts.resize((end + len(line),))
@@ -186,7 +187,7 @@ class FactsWriter:
 
 
 def write_frame(
-    store: h5py.File, pixels: NDArray[np.uint16], frame: AnyStored, facts: FactsWriter, compression: Compression
+    store: h5py.File, pixels: NDArray[np.uint16], frame: StoredFrame, facts: FactsWriter, compression: Compression
 ) -> None:
     """Write the next frame."""
     store["frames"].create_dataset(frame.key, data=pixels, **layout(pixels.shape, compression))
@@ -227,7 +228,7 @@ def _commit(store: h5py.File, file: JournaledFile) -> None:
     file.commit()
 
 
-def _decoded(files: FrameFiles, unit: tuple[int, tuple[str, Role]]) -> tuple[NDArray[np.uint16], AnyStored]:
+def _decoded(files: FrameFiles, unit: tuple[int, tuple[str, Role]]) -> tuple[NDArray[np.uint16], StoredFrame]:
     from eldata.raw.reading import read_raw
 
     number, (path, role) = unit
@@ -235,8 +236,8 @@ def _decoded(files: FrameFiles, unit: tuple[int, tuple[str, Role]]) -> tuple[NDA
     require_files(file)
     if is_png(path):
         planes = np.ascontiguousarray(read_rgb16(file).transpose(2, 0, 1))
-        _, height, width = planes.shape
-        return planes, StoredRgb(key, path, role, height, width, pixels_digest(planes), PackedFile.of(file))
+        kept = pixels_digest(planes), PackedFile.of(file)
+        return planes, StoredFrame(key, path, role, rgb_sensor(*planes.shape[1:]), Exposure(), *kept)
     raw = read_raw(files.at(path))
     pixels = raw.whole_dn("a store")
     stated = raw.sensor, raw.exposure, pixels_digest(pixels), PackedFile.of(file), raw.channel_white_levels_dn
@@ -278,12 +279,12 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     workers = Workers.of(workers)
     store = open_store(path)
     problems = list(structure_problems(store))
-    count = len(store.every)
+    count = len(store.frames)
     if level == "full":
         work = partial(_pixels, store.dataset, PixelReader(store.path.absolute()))
         bar = tqdm(total=count, desc=f"{store.dataset} (full)", unit="frame", disable=None, leave=False)
         with bar:
-            for found in workers.read_ahead(work, store.every):
+            for found in workers.read_ahead(work, store.frames):
                 bar.update()
                 problems += found
     problems.sort(key=lambda problem: problem.path)
@@ -296,7 +297,7 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
 def structure_problems(store: Store) -> Iterator[Problem]:
     """Yield where frames are not of their stated size in whole pixels of uint16, and which pairs lack a reference."""
     with opened(store.path) as file:
-        for frame in store.every:
+        for frame in store.frames:
             if frame.key not in file["frames"]:
                 yield Problem(store.dataset, frame.path, "pixels", f"a frame {frame.key}", "nothing", _ADVICE)
                 continue
@@ -313,13 +314,13 @@ def structure_problems(store: Store) -> Iterator[Problem]:
             if found != expected:
                 yield Problem(store.dataset, frame.path, "pixels", expected, found, _ADVICE)
     if store.manifest is not None:
-        held = {frame.path for frame in store.every}
+        held = {frame.path for frame in store.frames}
         for record in store.manifest.records:
             if record.path in held and record.reference is not None and record.reference not in held:
                 yield Problem(store.dataset, record.path, "reference", record.reference, "nothing", _ADVICE)
 
 
-def _pixels(dataset: str, reader: PixelReader, frame: AnyStored) -> list[Problem]:
+def _pixels(dataset: str, reader: PixelReader, frame: StoredFrame) -> list[Problem]:
     require_files(reader.path)
     try:
         found = pixels_digest(reader.read(frame.key, slice(None), slice(None)))

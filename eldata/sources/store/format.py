@@ -29,15 +29,16 @@ from eldata.base.fields import TextFile
 from eldata.base.files import sha256_of
 from eldata.errors import ArgumentError, FileError, check_choice
 from eldata.manifest.patterns import is_png
-from eldata.records import from_columns
+from eldata.records import Exposure, Sensor, from_columns
 from eldata.sources.file_facts import exposure_data, exposure_of, more_of_sensor, sensor_data, sensor_of
+from eldata.sources.frames import RGB_WHITE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from eldata.manifest.catalogue import Manifest
-    from eldata.records import Exposure, Role, Sensor
+    from eldata.records import Role
 
 FORMAT = "eldata-store"
 VERSION = 3
@@ -80,7 +81,7 @@ class StoredFrame:
     path, role
         The file that it comes from, relative to the dataset's folder, and its role there.
     sensor, exposure
-        As the file states them: levels, CFA, white balance, matrix; exact fractions.
+        As the file states them: levels, CFA, white balance, matrix; exact fractions. Of RGB (:func:`rgb_sensor`).
     sha256
         Of its pixels, row by row, little-endian.
     file
@@ -100,29 +101,9 @@ class StoredFrame:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """That of its pixels, (H, W)."""
-        return self.sensor.height, self.sensor.width
-
-
-@dataclass(frozen=True, slots=True)
-class StoredRgb:
-    """An RGB frame of a store, without its pixels; the fields are as in :class:`StoredFrame`."""
-
-    key: str
-    path: str
-    role: Role
-    height: int
-    width: int
-    sha256: str
-    file: PackedFile
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """That of its pixels, (3, H, W)."""
-        return 3, self.height, self.width
-
-
-AnyStored = StoredFrame | StoredRgb
+        """That of its pixels, (H, W), of RGB (3, H, W)."""
+        size = self.sensor.height, self.sensor.width
+        return size if self.sensor.cfa else (3, *size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,9 +115,7 @@ class Store:
     manifest
         ``None`` for a store of clean frames.
     frames
-        The mosaics.
-    rgb
-        The RGB frames, of preprocessed clips.
+        Mosaics, or the RGB frames of preprocessed clips.
     """
 
     path: Path
@@ -144,27 +123,15 @@ class Store:
     compression: Compression
     manifest: Manifest | None
     frames: tuple[StoredFrame, ...]
-    rgb: tuple[StoredRgb, ...] = ()
-
-    @property
-    def every(self) -> tuple[AnyStored, ...]:
-        """All frames, the mosaics first."""
-        return *self.frames, *self.rgb
 
     @property
     def digest(self) -> str:
         """``sha256:<hex>`` of what frames it holds: paths, pixels, what their files state; not how they are kept."""
-        facts = {frame.path: [frame.role, frame.sha256] for frame in self.rgb} | {
-            frame.path: [
-                frame.role,
-                frame.sha256,
-                sensor_data(frame.sensor),
-                more_of_sensor(frame.sensor),
-                exposure_data(frame.exposure),
-                frame.channel_white_levels_dn,
-            ]
-            for frame in self.frames
-        }
+        facts: dict[str, list[Any]] = {frame.path: [frame.role, frame.sha256] for frame in self.frames}
+        for frame in self.frames:
+            if frame.sensor.cfa:
+                stated = sensor_data(frame.sensor), more_of_sensor(frame.sensor), exposure_data(frame.exposure)
+                facts[frame.path] += [*stated, frame.channel_white_levels_dn]
         return f"sha256:{hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()}"
 
 
@@ -199,7 +166,12 @@ def frame_key(number: int) -> str:
     return f"{number:06d}"
 
 
-def facts_line(frame: AnyStored, known: dict[str, int]) -> bytes:
+def rgb_sensor(height: int, width: int) -> Sensor:
+    """Return what stands for the sensor of an RGB frame, whose CFA is empty."""
+    return Sensor("", "", (), (0.0,), RGB_WHITE, height, width)
+
+
+def facts_line(frame: StoredFrame, known: dict[str, int]) -> bytes:
     """Return what a store states of a frame beside its pixels, as a line of JSON.
 
     ``[path, role, sha256 of the pixels, [size, sha256, decoder] of the file, sensor, exposure]``: the sensor as the
@@ -215,8 +187,8 @@ def facts_line(frame: AnyStored, known: dict[str, int]) -> bytes:
         The numbers of frames by what they state; this one is added.
     """
     line: list[Any] = [frame.path, frame.role, frame.sha256, astuple(frame.file)]
-    if isinstance(frame, StoredRgb):
-        line += [[frame.height, frame.width], None]
+    if not frame.sensor.cfa:
+        line += [frame.shape[1:], None]
     else:
         sensor = {"sensor": sensor_data(frame.sensor), "more": more_of_sensor(frame.sensor)}
         for stated in (sensor | {"whites": frame.channel_white_levels_dn}, exposure_data(frame.exposure)):
@@ -225,7 +197,7 @@ def facts_line(frame: AnyStored, known: dict[str, int]) -> bytes:
     return json.dumps(line, separators=(",", ":")).encode() + b"\n"
 
 
-def frames_in(facts: bytes) -> tuple[list[StoredFrame], list[StoredRgb]]:
+def frames_in(facts: bytes) -> list[StoredFrame]:
     """Return the frames that lines of :func:`facts_line` state; those that state the same share one record of it.
 
     Raises
@@ -236,25 +208,24 @@ def frames_in(facts: bytes) -> tuple[list[StoredFrame], list[StoredRgb]]:
     lines = TextFile("facts", ArgumentError, content=b'{"frames":[%s]}' % b",".join(facts.splitlines())).json()
     sensors: dict[int, tuple[Sensor, tuple[float, ...] | None]] = {}
     exposures: dict[int, Exposure] = {}
-    rows, rgb = [], []
+    rows = []
     for number, (path, role, sha256, file, sensor, exposure) in enumerate(lines.data["frames"]):
-        key = frame_key(number)
         if not isinstance(path, str):
             raise TypeError(f"path {path!r}")
         if isinstance(sensor, list):
-            height, width = map(int, sensor)
-            rgb.append(StoredRgb(key, path, role, height, width, sha256, PackedFile(*file)))
-            continue
-        of_sensor, of_exposure = sensor, exposure
-        if isinstance(sensor, dict):
-            of_sensor, whites = number, None if sensor["whites"] is None else tuple(map(float, sensor["whites"]))
-            sensors[number] = sensor_of(sensor["sensor"], sensor["more"]), whites
-        if isinstance(exposure, dict):
-            of_exposure, exposures[number] = number, exposure_of(exposure)
-        its_sensor, whites = sensors[of_sensor]
-        rows.append((key, path, role, its_sensor, exposures[of_exposure], sha256, file, whites))
+            its_sensor, its_exposure, whites = rgb_sensor(*map(int, sensor)), Exposure(), None
+        else:
+            of_sensor, of_exposure = sensor, exposure
+            if isinstance(sensor, dict):
+                of_sensor, whites = number, None if sensor["whites"] is None else tuple(map(float, sensor["whites"]))
+                sensors[number] = sensor_of(sensor["sensor"], sensor["more"]), whites
+            if isinstance(exposure, dict):
+                of_exposure, exposures[number] = number, exposure_of(exposure)
+            its_sensor, whites = sensors[of_sensor]
+            its_exposure = exposures[of_exposure]
+        rows.append((frame_key(number), path, role, its_sensor, its_exposure, sha256, file, whites))
     if not rows:
-        return [], rgb
+        return []
     columns: dict[str, Sequence[Any]] = dict(zip(StoredFrame.__slots__, zip(*rows, strict=True), strict=True))
     files = zip(PackedFile.__slots__, zip(*columns["file"], strict=True), strict=True)
-    return from_columns(StoredFrame, columns | {"file": from_columns(PackedFile, dict(files))}), rgb
+    return from_columns(StoredFrame, columns | {"file": from_columns(PackedFile, dict(files))})

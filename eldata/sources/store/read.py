@@ -9,7 +9,7 @@ import weakref
 import zlib
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,13 +23,12 @@ from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.pairs import select_pairs
 from eldata.protocols.named import default_protocol
 from eldata.records import FrameRecord, Records
-from eldata.sources.frames import Frame, part_shape
+from eldata.sources.frames import Frame, Pixels, part_shape
 from eldata.sources.store.format import (
     COMPRESSIONS,
     FORMAT,
     VERSION,
     Store,
-    StoredRgb,
     StoreError,
     frames_in,
     layout,
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
     from eldata.manifest.pairs import Choice
     from eldata.raw.levels import FrameLevels
     from eldata.records import PairRecord
-    from eldata.sources.store.format import AnyStored
 
 # A finished store is never written again, so readers need no lock, which some network disks do not have. But HDF5 opens
 # a file twice in one process only if both ask for the same: h5py's own default, or what the user's code says.
@@ -69,15 +67,15 @@ def open_store(path: Path | str) -> Store:
     with opened(path) as file, no_search_for_cycles():
         try:
             manifest = _manifest(path, file)
-            frames, rgb = frames_in(_facts(file))
+            frames = frames_in(_facts(file))
             listed, there = int(file.attrs["files"]), len(file["frames"])
             header = texts_of(file.attrs)
             dataset, compression = header["dataset"], header["compression"]
         except (OSError, RuntimeError, ValueError, LookupError, TypeError, EldataError) as error:
             raise _damaged(path, error) from error
-    if not len(frames) + len(rgb) == listed == there:
-        raise _damaged(path, f"expected {listed} frames, found {min(len(frames) + len(rgb), there)}")
-    return Store(path, dataset, compression, manifest, Records(frames), tuple(rgb))
+    if not len(frames) == listed == there:
+        raise _damaged(path, f"expected {listed} frames, found {min(len(frames), there)}")
+    return Store(path, dataset, compression, manifest, Records(frames))
 
 
 def opened(path: Path) -> h5py.File:
@@ -257,21 +255,6 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_before_fork)
 
 
-class StoredPixels:
-    """A frame's pixels in a store, (H, W) or (3, H, W) uint16."""
-
-    dtype = np.dtype(np.uint16)
-
-    def __init__(self, reader: PixelReader, key: str, shape: tuple[int, ...]) -> None:
-        self._reader = reader
-        self._key = key
-        self.shape = shape
-
-    def read(self, rows: slice, columns: slice) -> NDArray[np.uint16]:
-        """Read a part: :meth:`PixelReader.read`."""
-        return self._reader.read(self._key, rows, columns)
-
-
 # --- the source of frames -----------------------------------------------------------------------------------------
 
 
@@ -290,14 +273,14 @@ class StoreFrames:
         self.store = open_store(path)
         self.path = self.store.path
         self._reader = PixelReader(self.path)
-        self._held: dict[str, AnyStored] = {frame.path: frame for frame in self.store.every}
+        self._held = {frame.path: frame for frame in self.store.frames}
         self._before = f"{self.path.as_posix()}/"
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_held": {}}  # of this process's objects
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _held={frame.path: frame for frame in state["store"].every})
+        self.__dict__.update(state, _held={frame.path: frame for frame in state["store"].frames})
 
     @property
     def records(self) -> tuple[FrameRecord, ...]:
@@ -318,8 +301,8 @@ class StoreFrames:
         if held is None:
             raise DatasetError(f"{self.path}: holds no frame {path!r}; pack the dataset again")
         name = f"{self._before}{held.path}"
-        pixels = StoredPixels(self._reader, held.key, held.shape)
-        if isinstance(held, StoredRgb):
+        pixels = Pixels(held.shape, np.dtype(np.uint16), partial(self._reader.read, held.key))
+        if not held.sensor.cfa:
             return Frame.of_rgb(pixels, name)
         return Frame.of_raw(pixels, held.sensor, name, held.exposure, held.channel_white_levels_dn)
 

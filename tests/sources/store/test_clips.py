@@ -13,9 +13,10 @@ from eldata.base.pixels import read_rgb16
 from eldata.errors import ArgumentError, DatasetError, FileError
 from eldata.manifest.drv import scan_raw
 from eldata.raw import read_raw
+from eldata.records import Exposure
 from eldata.sources.store import build_store, open_store, source_of_dataset, verify_store
 from eldata.sources.store.build import pixels_digest
-from eldata.sources.store.format import PackedFile, StoredRgb
+from eldata.sources.store.format import PackedFile, StoredFrame, rgb_sensor
 from eldata.sources.store.read import PixelReader
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 from tests.sources.store.helpers import pack_tree
@@ -39,19 +40,20 @@ def packed(drv: SmallDrv, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_rgb_frames_are_held_as_decoded(drv: SmallDrv, packed: Path) -> None:
     store = open_store(packed)
-    assert (store.dataset, store.frames) == ("drv", ())
-    assert len(store.rgb) == 3 * FRAMES + 2
+    assert store.dataset == "drv"
+    assert len(store.frames) == 3 * FRAMES + 2
     with h5py.File(packed, locking=False) as file:
-        for frame in store.rgb:
+        for frame in store.frames:
             pixels = read_rgb16(drv.data / frame.path).transpose(2, 0, 1)
             np.testing.assert_array_equal(file[f"frames/{frame.key}"][...], pixels)
-            file_kept = PackedFile.of(drv.data / frame.path)
-            assert frame == StoredRgb(frame.key, frame.path, frame.role, *SIZE, pixels_digest(pixels), file_kept)
+            kept = pixels_digest(pixels), PackedFile.of(drv.data / frame.path)
+            found = StoredFrame(frame.key, frame.path, frame.role, rgb_sensor(*SIZE), Exposure(), *kept)
+            assert frame == found
 
 
 def test_parts_of_rgb_frames(drv: SmallDrv, packed: Path) -> None:
     reader = PixelReader(packed)
-    for frame in open_store(packed).rgb:
+    for frame in open_store(packed).frames:
         pixels = read_rgb16(drv.data / frame.path).transpose(2, 0, 1)
         part = slice(3, 290), slice(200, 270)
         np.testing.assert_array_equal(reader.read(frame.key, *part), pixels[:, 3:290, 200:270])
@@ -60,7 +62,7 @@ def test_parts_of_rgb_frames(drv: SmallDrv, packed: Path) -> None:
 def test_the_manifest_lists_the_files_in_the_place_of_patterns(packed: Path) -> None:
     store = open_store(packed)
     assert store.manifest is not None
-    assert {record.path for record in store.manifest.records} == {frame.path for frame in store.rgb}
+    assert {record.path for record in store.manifest.records} == {frame.path for frame in store.frames}
     assert store.manifest.card.counts == {"noisy": 3 * FRAMES, "reference": 2}
     by_path = {record.path: record for record in store.manifest.records}
     assert by_path["VBM4D_rawRGB/0007/0003.png"].reference == "long/0007/half0001_0.png"
@@ -68,7 +70,7 @@ def test_the_manifest_lists_the_files_in_the_place_of_patterns(packed: Path) -> 
 
 
 def test_frames_stand_in_order_with_their_reference_first(packed: Path) -> None:
-    paths = [frame.path for frame in open_store(packed).rgb]
+    paths = [frame.path for frame in open_store(packed).frames]
     clip = [f"VBM4D_rawRGB/0013/{number:04d}.png" for number in range(1, FRAMES + 1)]
     start = paths.index("long/0013/half0001_0.png")
     assert paths[start : start + 1 + FRAMES] == ["long/0013/half0001_0.png", *clip]
@@ -109,14 +111,14 @@ def test_what_cannot_be_packed(drv: SmallDrv, tmp_path: Path) -> None:
     frame.write_bytes(frame.read_bytes()[:-50])
     with pytest.raises(FileError, match=r"0002\.png: does not end as a PNG does"):
         pack_tree(spoilt, tmp_path / "x.h5")
-    assert open_store(pack_tree(drv, tmp_path / "y.h5").store).rgb
+    assert open_store(pack_tree(drv, tmp_path / "y.h5").store).frames
 
 
 def test_problems_of_clips_are_found(drv: SmallDrv, packed: Path, tmp_path: Path) -> None:
     store = pack_tree(drv, tmp_path / "store.h5").store
     assert verify_store(store, level="full", workers=2).ok
     assert verify_store(packed, level="full").datasets[0].files_hashed == 3 * FRAMES + 2
-    by_path = {frame.path: frame.key for frame in open_store(store).rgb}
+    by_path = {frame.path: frame.key for frame in open_store(store).frames}
     with h5py.File(store, "r+") as file:
         file[f"frames/{by_path['VBM4D_rawRGB/0007/0002.png']}"][2, 300, 200] ^= 1
     assert verify_store(store).ok

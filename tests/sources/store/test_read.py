@@ -54,7 +54,7 @@ def test_a_store_that_the_callers_h5py_holds_open(mode: str, options: dict[str, 
 
 def all_pixels(path: Path) -> None:
     source = StoreFrames(path)
-    for frame in source.store.every:
+    for frame in source.store.frames:
         source.frame(frame.path).whole()
 
 

@@ -10,12 +10,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eldata.sources.shards import splitting
+from eldata.datasets import streamed_pairs as splitting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from eldata.sources.shards.splitting import Run
+    from eldata.datasets.streamed_pairs import Run
 
 LENGTHS = st.lists(st.integers(1, 9), min_size=1, max_size=8)
 

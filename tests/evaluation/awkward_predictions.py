@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,8 +27,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-HEIGHT, WIDTH = 2000, 3000
+HEIGHT, WIDTH = 1600, 2400
 SENSOR = Sensor("Maker", "Model", ((0, 1), (3, 2)), (512.0,) * 4, 16383.0, HEIGHT, WIDTH, None, None)
+SMALL = replace(SENSOR, height=64, width=96)
 
 
 def mosaic(kind: str) -> NDArray[Any]:
@@ -72,9 +74,8 @@ AWKWARD: dict[str, Callable[[Path], None]] = {
 
 
 def times_of_array(folder: Path, small: Path, name: str) -> float:
-    """Load a small prediction, which loads libraries, and then the large one; return how often the peak held it."""
-    with_size = Sensor("Maker", "Model", SENSOR.cfa, SENSOR.black_level_dn, 16383.0, 64, 96, None, None)
-    load_prediction(small / name, with_size, "metadata")
+    """Load a small prediction, which maps libraries, and then the large one; return how often the peak held it."""
+    load_prediction(small / name, SMALL, "metadata")
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts again from what is in use now
     before = peak_kib()
     loaded = load_prediction(folder / name, SENSOR, "metadata")
@@ -82,7 +83,9 @@ def times_of_array(folder: Path, small: Path, name: str) -> float:
 
 
 def main(folder: Path, small: Path) -> None:
-    """Each in a process of its own, where no other has left memory that is used again."""
+    """Each in a fork of its own, where no other has left memory that is used again, of a process with all libraries."""
+    for name in AWKWARD:
+        load_prediction(small / name, SMALL, "metadata")
     with multiprocessing.get_context("fork").Pool(1, maxtasksperchild=1) as pool:
         found = pool.map(partial(times_of_array, folder, small), AWKWARD, chunksize=1)
     print(json.dumps(dict(zip(AWKWARD, found, strict=True))))

@@ -26,7 +26,7 @@ from eldata.raw.cfa import XTRANS_CFA, pack, unpack
 from eldata.raw.levels import pack_normalised
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
-from tests.datasets.methods import FORK
+from tests.datasets.methods import FORK, workers
 from tests.raw.helpers import (
     BAYER,
     CFAS,
@@ -193,7 +193,7 @@ def test_an_epoch_reaches_persistent_workers(method: str, copied: str | None, fo
     original, reference = raw_pairs(folder), raw_pairs(folder)
     copies = {None: original, "pickle": pickle.loads(pickle.dumps(original)), "deepcopy": copy.deepcopy(original)}
     dataset = copies[copied]
-    batches = loader(dataset, 2, method, persistent_workers=True, prefetch_factor=4)
+    batches = loader(dataset, workers(method), method, persistent_workers=True, prefetch_factor=4)
     for epoch in (0, 1, 5, 1):
         dataset.set_epoch(epoch)
         reference.set_epoch(epoch)

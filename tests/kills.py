@@ -211,7 +211,7 @@ class Bench:
     seconds: dict[int, float] = field(default_factory=dict)
     steps: int = 0
 
-    def prepare(self) -> list[str]:
+    def prepare(self, most_jobs: int) -> list[str]:
         """Make the inputs, run the command undisturbed, in several ways; return what is wrong already."""
         (self.base / "inputs").mkdir()
         self.case.inputs(self.base / "inputs")
@@ -223,9 +223,9 @@ class Bench:
         del os.environ["ELDATA_ISOLATE"]
         os.chdir(self.base)
         self.expected = self.contents()
-        for jobs, number in ((1, 0), (1, -1), (2, 0)):
+        for jobs in range(1, most_jobs + 1):
             self.begin()
-            run = self.run(jobs=jobs, number=number, step=number)
+            run = self.run(jobs=jobs)
             if run.code != 0:
                 return [f"undisturbed: exit code {run.code}: {run.said}"]
             if self.contents() != self.expected:
@@ -299,7 +299,7 @@ class Bench:
         finally:
             with suppress(Exception):
                 sys.stdout.flush()
-            if number == -1:
+            if not number:
                 (self.base / "steps").write_text(str(steps.seen), encoding="utf-8")
             os._exit(code)
 
@@ -454,7 +454,7 @@ def main(argv: list[str] | None = None) -> int:
         with tempfile.TemporaryDirectory() as folder:
             bench = Bench(CASES[name], Path(folder))
             with no_output():
-                wrong = bench.prepare()
+                wrong = bench.prepare(2 if arguments.trials >= WITH_WORKERS else 1)
             for word in arguments.signals if not wrong else ():
                 number = signal.Signals[f"SIG{word}"]
                 generator = random.Random(f"{name} {arguments.seed}")  # noqa: S311 # moments, no secrets

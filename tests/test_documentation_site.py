@@ -206,6 +206,8 @@ def test_the_start_page_links_what_notebooks_make() -> None:
 
 
 DEMO = "%%bash\neldata demo eldata-demo --scenes 1 --jobs 1\n"
+SHORTER = {"train-and-score": ("steps=10 * len(loader)", "steps=len(loader)")}
+"""A training of one epoch: whether it learns, tests of trainings ask."""
 
 
 @pytest.fixture(scope="module")
@@ -226,7 +228,10 @@ def one_scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run(notebook: Path, tmp_path: Path, one_scene: Path) -> None:
     """Their cells as one script, without a kernel: `make docs` runs them as notebooks."""
-    cells = _CELL.findall(notebook.read_text(encoding="utf-8"))
+    text = notebook.read_text(encoding="utf-8")
+    whole, shorter = SHORTER.get(notebook.stem, ("", ""))
+    assert whole in text
+    cells = _CELL.findall(text.replace(whole, shorter))
     assert len(cells) > 3
     script = ["import matplotlib, subprocess, sys", "matplotlib.use('Agg')"]
     for cell in cells:

@@ -43,19 +43,6 @@ def store(demo_tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         yield folder / "eld.h5"
 
 
-def trained(run: Path, *options: str, processes: int = 1) -> list[float]:
-    """Run the example, and return the losses of its epochs."""
-    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
-    done = subprocess.run(
-        [sys.executable, *(launch if processes > 1 else []), *EXAMPLE, "-o", str(run), *SMALL, *options],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
-    assert done.returncode == 0, done.stderr
-    return losses_in(done.stdout)
-
-
 def losses_in(text: str) -> list[float]:
     """The losses of the epochs that an example has shown."""
     return [float(found) for found in re.findall(r"epoch \d+: step \d+, loss (\S+),", text)]
@@ -150,23 +137,27 @@ def test_what_is_shown_at_the_end_runs(
 
 
 @pytest.mark.study
-def test_two_processes_train_one_network(store: Path, tmp_path: Path) -> None:
+def test_two_processes_train_one_network(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Ranks with half of the batch each step as one process with all of it: to float32's last digits, for gradients
     are summed in another order, and Adam's first steps are of the sign alone where a gradient is near 0."""
-    options = [*synthetic(store), "--epochs", "3"]
-    together = trained(tmp_path / "two", *options, "--batch-size", "2", processes=2)
-    alone = trained(tmp_path / "one", *options, "--batch-size", "4")
+    options = [*SMALL, *synthetic(store), "--epochs", "3"]
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    command = [sys.executable, *launch, *EXAMPLE, "-o", str(tmp_path / "two"), *options, "--batch-size", "2"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr
+    assert main(["-o", str(tmp_path / "one"), *options, "--batch-size", "4"]) == 0
+    together, alone = losses_in(done.stdout), losses_in(capsys.readouterr().out)
     assert together == pytest.approx(alone, rel=0.02)
     assert together[-1] < together[0]
 
 
 @pytest.mark.study
-def test_a_killed_run_goes_on_to_the_bit(store: Path, tmp_path: Path) -> None:
-    """kill -9 after the second epoch; then the same command."""
-    options = [*synthetic(store), "--epochs", "8", "--batch-size", "2"]
-    trained(tmp_path / "straight", *options)
+def test_a_killed_run_goes_on_to_the_bit(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """kill -9 after the second epoch; then the same command, in this process, as the undisturbed one."""
+    options = [*SMALL, *synthetic(store), "--epochs", "8", "--batch-size", "2"]
+    assert main(["-o", str(tmp_path / "straight"), *options]) == 0
     run = tmp_path / "killed"
-    command = [sys.executable, *EXAMPLE, "-o", str(run), *SMALL, *options]
+    command = [sys.executable, *EXAMPLE, "-o", str(run), *options]
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
         assert process.stdout is not None
@@ -176,7 +167,9 @@ def test_a_killed_run_goes_on_to_the_bit(store: Path, tmp_path: Path) -> None:
     assert b"epoch 1:" in line
     assert (run / "checkpoint.pt").exists()
     assert not (run / "weights.pt").exists()
-    assert 1 <= len(trained(run, *options)) <= 6
+    capsys.readouterr()
+    assert main(["-o", str(run), *options]) == 0
+    assert 1 <= len(losses_in(capsys.readouterr().out)) <= 6
     straight, resumed = (
         torch.load(folder / "weights.pt", weights_only=True) for folder in (tmp_path / "straight", run)
     )

@@ -143,6 +143,7 @@ def test_limits_of_k_are_of_what_is_given(isos: tuple[IsoCalibration, ...]) -> N
     assert profile.gain_range_dn_per_e == (isos[0].gain_dn_per_e, isos[2].gain_dn_per_e)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_no_profile_of_nothing(isos: tuple[IsoCalibration, ...]) -> None:
     dark = "the read noise or the colour bias is withheld at every ISO"
     cases: tuple[tuple[Figure, str], ...] = (
@@ -263,6 +264,7 @@ def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
     assert f"accepted, with larger errors\n  {said}" in found.format_text()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_pages_say_what_is_accepted(isos: tuple[IsoCalibration, ...]) -> None:
     found = with_findings(isos, *with_accepted([spoilt("dark signal", "read noise", 0.25)], ["dark signal"]))
     (said,) = found.accepted

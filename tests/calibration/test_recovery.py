@@ -157,11 +157,11 @@ DRAWS = 60
 
 @pytest.mark.study
 def test_standard_errors_cover_the_truth() -> None:
-    """60 cameras of 55 kilopixels, 8 bias frames, 4 pairs: 95 % intervals (Student's where few frames give them).
+    """60 cameras of 25 kilopixels, 8 bias frames, 4 pairs: 95 % intervals (Student's where few frames give them).
 
     Nominal coverage is missed by chance: 60 draws have a standard error of 2.8 %; allowed are four.
     """
-    camera = Camera(shape=(192, 288), tukey_lambda=-0.1, sigma_tl=1.5, sigma_row=0.6, hot_share=0.0)
+    camera = Camera(shape=(128, 192), tukey_lambda=-0.1, sigma_tl=1.5, sigma_row=0.6, hot_share=0.0)
     scores: dict[str, list[float]] = {}
     for seed in range(DRAWS):
         body = Body(camera, np.random.default_rng(seed))

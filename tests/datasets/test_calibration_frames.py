@@ -22,7 +22,7 @@ from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileErr
 from eldata.manifest.table import load_records, save_records
 from eldata.records import FrameRecord
 from tests.calibration.trees import CAMERA, FrameTree, made_tree, named
-from tests.datasets.methods import METHODS
+from tests.datasets.methods import METHODS, workers
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -303,7 +303,7 @@ def test_workers_and_the_default_collate(pristine: FrameTree, method: str) -> No
     loader: DataLoader[Any] = DataLoader(
         frames,  # type: ignore[arg-type] # has what a map-style dataset has
         batch_size=7,
-        num_workers=2,
+        num_workers=workers(method),
         multiprocessing_context=method,
         timeout=PATIENCE_S,
     )

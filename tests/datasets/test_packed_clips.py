@@ -21,7 +21,7 @@ from eldata.raw.dng import write_dng
 from eldata.sources.frames import Frame
 from eldata.sources.store import build_store, source_of_dataset
 from tests.datasets.comparing import same
-from tests.datasets.methods import METHODS
+from tests.datasets.methods import FORK, workers
 from tests.drv_tree import NOISY, REFERENCE, RGB_SIZE, SENSOR, SmallDrv, mosaic_of, small_drv, write_raw, write_raw_clip
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
 from tests.sources.store.helpers import pack_folder, pack_tree
@@ -154,14 +154,19 @@ def ours_clean(dataset: PackedClips, index: int) -> Any:
 # --- determinism --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("which", ["rgb", "raw"])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("method", "which"),
+    [
+        *(pytest.param("fork", which, marks=FORK.marks) for which in ("rgb", "raw")),
+        pytest.param("spawn", "raw", marks=pytest.mark.study),
+    ],
+)
 def test_workers_and_batches_change_nothing(method: str, which: str, rgb: Path, raw: Path) -> None:
     ids = ["0007"] if which == "raw" else None  # X-Trans and Bayer make no batch together
     dataset = PackedClips({"rgb": rgb, "raw": raw}[which], crop=8, crops_per_window=5, seed=6, ids=ids)
     dataset.set_epoch(3)
     reference = list(dataset)
-    options: dict[str, Any] = {"num_workers": 2, "multiprocessing_context": method, "timeout": PATIENCE_S}
+    options: dict[str, Any] = {"num_workers": workers(method), "multiprocessing_context": method, "timeout": PATIENCE_S}
     for item, wanted in zip(DataLoader(dataset, batch_size=None, **options), reference, strict=True):
         same(item, wanted)
     together = [item for batch in DataLoader(dataset, batch_size=3, **options) for item in items_of(batch)]

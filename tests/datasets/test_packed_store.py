@@ -22,7 +22,7 @@ from eldata.raw import read_raw, write_dng
 from eldata.raw.levels import pack_normalised, with_levels
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
-from tests.datasets.methods import METHODS
+from tests.datasets.methods import METHODS, workers
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 from tests.sid_tree import SmallTree, build_small_tree
 from tests.sources.store.helpers import pack_folder, pack_tree, write_clean
@@ -178,7 +178,12 @@ def some(store: Path, **options: Any) -> PackedStore:
 def loader(dataset: Any, method: str, **options: Any) -> Iterator[Any]:
     return iter(
         DataLoader(
-            dataset, batch_size=None, num_workers=2, multiprocessing_context=method, timeout=PATIENCE_S, **options
+            dataset,
+            batch_size=None,
+            num_workers=workers(method),
+            multiprocessing_context=method,
+            timeout=PATIENCE_S,
+            **options,
         )
     )
 

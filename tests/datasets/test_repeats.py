@@ -12,7 +12,7 @@ import pytest
 from torch.utils.data import DataLoader, Subset
 
 from eldata.datasets import Arrays, CleanClips, SyntheticClips, SyntheticPairs, evaluation_loader, training_loader
-from tests.datasets.methods import METHODS
+from tests.datasets.methods import METHODS, workers
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def test_a_copy_has_noted_what_the_original_had() -> None:
 def test_what_workers_draw_counts(method: str) -> None:
     """They end with their pass; the main process knows of it all the same."""
     dataset = pairs()
-    options: dict[str, Any] = {"num_workers": 2, "multiprocessing_context": method, "timeout": PATIENCE_S}
+    options: dict[str, Any] = {"num_workers": workers(method), "multiprocessing_context": method, "timeout": PATIENCE_S}
     assert warned(DataLoader(dataset, batch_size=4, **options)) == []
     assert len(warned(dataset)) == 1
 

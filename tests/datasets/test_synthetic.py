@@ -26,7 +26,7 @@ from eldata.raw.cfa import XTRANS_CFA, pack, unpack
 from eldata.raw.levels import pack_normalised
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
-from tests.datasets.methods import METHODS
+from tests.datasets.methods import FORK, workers
 from tests.raw.helpers import (
     BAYER,
     CFAS,
@@ -181,14 +181,19 @@ def test_batches_of_different_cameras_are_torchs_error() -> None:
         next(iter(DataLoader(dataset, batch_size=2)))
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("copied", [None, "pickle", "deepcopy"])
+@pytest.mark.parametrize(
+    ("method", "copied"),
+    [
+        *(pytest.param("fork", copied, marks=FORK.marks) for copied in (None, "pickle", "deepcopy")),
+        pytest.param("spawn", None, marks=pytest.mark.study),  # which pickles it
+    ],
+)
 def test_an_epoch_reaches_persistent_workers(method: str, copied: str | None, folder: Path) -> None:
     """Of the data set, and of a copy, whose epoch is not the original's."""
     original, reference = raw_pairs(folder), raw_pairs(folder)
     copies = {None: original, "pickle": pickle.loads(pickle.dumps(original)), "deepcopy": copy.deepcopy(original)}
     dataset = copies[copied]
-    batches = loader(dataset, 2, method, persistent_workers=True, prefetch_factor=4)
+    batches = loader(dataset, workers(method), method, persistent_workers=True, prefetch_factor=4)
     for epoch in (0, 1, 5, 1):
         dataset.set_epoch(epoch)
         reference.set_epoch(epoch)

@@ -181,5 +181,5 @@ def test_again_over_an_earlier_demo(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / ".eldata-demo").write_text("x")
     (folder / "data" / "ELD-demo").mkdir(parents=True)
-    run_calibration_demo(folder, workers=Workers(2))
+    run_calibration_demo(folder)
     assert [path.name for path in (folder / "data").iterdir()] == ["calibration"]

@@ -13,6 +13,7 @@ from eldata import __version__
 from eldata.base.numbers import counted
 from eldata.base.workers import Workers
 from eldata.calibration.audit.frames import FramesError, sorted_frames
+from eldata.calibration.core._frames import sites
 from eldata.calibration.one_iso import bias_pattern
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.dark_shading import DarkShading
@@ -236,7 +237,7 @@ class ShadingFit:
                 f"a pixel at ISO {slowest:g}, as much as there is or more; take more frames, or longer ones"
             )
             return None
-        _calm(current, self._hot, len(self._pattern))
+        _calm(current, self._hot, self._pattern)
         return DarkCurrent(
             current_dn=current,
             error_dn=error,
@@ -261,7 +262,7 @@ class ShadingFit:
             isos += _over_their_line([one for one in self._isos if one.mode == mode], number)
             lines = self._lines.pop(mode)
             for values in (lines.slope, lines.offset):
-                _calm(values, self._hot, len(self._pattern))
+                _calm(values, self._hot, self._pattern)
             fields.append((lines.slope, lines.offset))
         slope, offset = (
             values[0][None] if len(values) == 1 else np.stack(values) for values in zip(*fields, strict=True)
@@ -308,23 +309,22 @@ def _over_their_line(isos: Sequence[ShadingIso], mode: int) -> Iterator[ShadingI
         yield replace(one, mode=mode, level_error_dn=tuple(over.tolist()))
 
 
-def _calm(values: Plane, hot: Mask, period: int) -> None:
+def _calm(values: Plane, hot: Mask, pattern: Counts) -> None:
     """Replace hot pixels by the mean of the sound ones at the same site of the CFA near them, else anywhere."""
     around = np.mgrid[-_REACH : _REACH + 1, -_REACH : _REACH + 1].reshape(2, -1, 1)
-    for y in range(period):
-        for x in range(period):
-            of_site, hot_here = values[y::period, x::period], hot[y::period, x::period]
-            rows, columns = np.nonzero(hot_here)
-            if not len(rows):
-                continue
-            at = np.stack([rows, columns])[:, None] + around  # (2, neighbours, hot pixels)
-            inside = ((at >= 0) & (at < np.reshape(of_site.shape, (2, 1, 1)))).all(axis=0)
-            beside = tuple(np.where(inside, at, 0))
-            sound = inside & ~hot_here[beside]
-            count = sound.sum(axis=0)
-            total = of_site[beside].sum(axis=0, dtype=np.float64, where=sound)
-            everywhere = float(of_site.mean(where=~hot_here, dtype=np.float64)) if not hot_here.all() else 0.0
-            of_site[rows, columns] = np.where(count > 0, total / np.maximum(count, 1), everywhere)
+    for site, _ in sites(pattern):
+        of_site, hot_here = values[site], hot[site]
+        rows, columns = np.nonzero(hot_here)
+        if not len(rows):
+            continue
+        at = np.stack([rows, columns])[:, None] + around  # (2, neighbours, hot pixels)
+        inside = ((at >= 0) & (at < np.reshape(of_site.shape, (2, 1, 1)))).all(axis=0)
+        beside = tuple(np.where(inside, at, 0))
+        sound = inside & ~hot_here[beside]
+        count = sound.sum(axis=0)
+        total = of_site[beside].sum(axis=0, dtype=np.float64, where=sound)
+        everywhere = float(of_site.mean(where=~hot_here, dtype=np.float64)) if not hot_here.all() else 0.0
+        of_site[rows, columns] = np.where(count > 0, total / np.maximum(count, 1), everywhere)
 
 
 def dark_shading(

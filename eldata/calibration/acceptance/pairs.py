@@ -19,7 +19,7 @@ import numpy as np
 from eldata.calibration.acceptance.reproduction import compared_piece
 from eldata.calibration.acceptance.verdicts import CHANNELS
 from eldata.calibration.audit.frames import FrameFigures, FrameReader, clipped_black
-from eldata.calibration.core._frames import by_pixel, channels_of
+from eldata.calibration.core._frames import by_pixel, channels_of, sites
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -225,12 +225,9 @@ def smoothed(plane: Plane, sigma_dn: float, pattern: Counts) -> Plane:
         return found
 
     result = np.empty_like(plane)
-    period = len(pattern)
-    for row in range(period):
-        for column in range(period):
-            site = slice(row, None, period), slice(column, None, period)
-            first = mean(plane[site])
-            result[site] = mean(first + np.clip(plane[site] - first, -4 * sigma_dn, 4 * sigma_dn))
+    for site, _ in sites(pattern):
+        first = mean(plane[site])
+        result[site] = mean(first + np.clip(plane[site] - first, -4 * sigma_dn, 4 * sigma_dn))
     return result
 
 
@@ -330,16 +327,14 @@ def _shared(first: Values, second: Values) -> float:
 
 def _less_channels(values: NDArray[Any], pattern: Counts) -> tuple[Plane, Values]:
     """Return values less their channel's mean, and those means."""
-    period, channels = len(pattern), channels_of(pattern)
-    sums, counts = np.zeros(channels), np.zeros(channels)
-    for (y, x), channel in np.ndenumerate(pattern):
-        site = values[y::period, x::period]
-        sums[channel] += site.sum(dtype=np.float64)
-        counts[channel] += site.size
+    sums, counts = np.zeros((2, channels_of(pattern)))
+    for site, channel in sites(pattern):
+        sums[channel] += values[site].sum(dtype=np.float64)
+        counts[channel] += values[site].size
     means = sums / counts
     plane = values.astype(np.float32)
-    for (y, x), channel in np.ndenumerate(pattern):
-        plane[y::period, x::period] -= np.float32(means[channel])
+    for site, channel in sites(pattern):
+        plane[site] -= np.float32(means[channel])
     return plane, means
 
 

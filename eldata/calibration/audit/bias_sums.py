@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.calibration.audit.neighbours import UNITS, Neighbours, standardised
-from eldata.calibration.core._frames import channels_of
+from eldata.calibration.core._frames import channels_of, sites
 from eldata.calibration.core.single_frame import TILE
 from eldata.errors import DatasetError
 
@@ -154,9 +154,7 @@ class BiasAudit:
         sound = ~fixed.defects[rows, :width]
         total = fixed.total_dn[rows, :width] * sound
         sums, counts = np.zeros((2, self._columns, channels_of(fixed.pattern)))
-        period = len(fixed.pattern)
-        for (y, x), channel in np.ndenumerate(fixed.pattern):
-            site = slice(y, None, period), slice(x, None, period)
+        for site, channel in sites(fixed.pattern):
             for added, values in ((sums, total), (counts, sound)):
                 added[:, channel] += values[site].sum(axis=0, dtype=np.int64).reshape(self._columns, -1).sum(axis=1)
         return sums / np.maximum(counts, 1) / fixed.frames, counts.sum(axis=1)

@@ -20,6 +20,7 @@ Plane: TypeAlias = NDArray[np.float32]
 Values: TypeAlias = NDArray[np.floating[Any]]
 Counts: TypeAlias = NDArray[np.int64]
 Mask: TypeAlias = NDArray[np.bool_]
+Site: TypeAlias = tuple[slice, slice]
 
 _GROUPS = 64
 
@@ -33,6 +34,12 @@ def pattern_of(cfa: Cfa) -> Counts:
 def channels_of(pattern: Counts) -> int:
     """Return the number of channels: 4 for Bayer (R, G1, B, G2), 3 for X-Trans."""
     return int(pattern.max()) + 1
+
+
+def sites(pattern: Counts) -> list[tuple[Site, int]]:
+    """Return the rows and columns of each site of the CFA, and its channel."""
+    period = len(pattern)
+    return [((slice(y, None, period), slice(x, None, period)), int(of)) for (y, x), of in np.ndenumerate(pattern)]
 
 
 def by_pixel(values: NDArray[Any], pattern: Counts, shape: tuple[int, ...]) -> NDArray[Any]:
@@ -106,9 +113,8 @@ class FrameSums:
 def sums_by_row(values: NDArray[Any], pattern: Counts) -> Counts:
     """Return the sum of each row in each channel, (H, C), of integers or truth values."""
     sums = np.zeros((len(values), channels_of(pattern)), dtype=np.int64)
-    period = len(pattern)
-    for (y, x), channel in np.ndenumerate(pattern):
-        sums[y::period, channel] += values[y::period, x::period].sum(axis=1, dtype=np.int64)
+    for (rows, columns), channel in sites(pattern):
+        sums[rows, channel] += values[rows, columns].sum(axis=1, dtype=np.int64)
     return sums
 
 

@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.core._frames import FrameSums
+from eldata.calibration.core._frames import FrameSums, sites
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from eldata.calibration.core._frames import Counts, Mask, Mosaic, Values
@@ -179,6 +177,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
             f"{MINIMUM_FRAMES} are needed, ten or more advised, all at one ISO"
         )
     pattern, channels, frames = stack.pattern, stack.channels, stack.frames
+    sites_of = [[site for site, of in sites(pattern) if of == channel] for channel in range(channels)]
     total, lowest, highest = stack.total, stack.lowest, stack.highest
 
     scatter = stack.scatter
@@ -191,7 +190,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         """Mark the channel's pixels that are off their neighbourhood's level, and return what counts as off."""
         nonlocal off_level
         distances = []
-        for site in _sites(pattern, channel):
+        for site in sites_of[channel]:
             trimmed = total[site].astype(np.int32)
             trimmed -= lowest[site]
             trimmed -= highest[site]
@@ -219,7 +218,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         """Return variance over time, level, non-uniformity and its error, shading, and noise of an entry of it."""
         blocks: list[tuple[NDArray[Any], ...]] = []
         added, squared, counted = 0, 0.0, 0
-        for site in _sites(pattern, channel):
+        for site in sites_of[channel]:
             exact = scatter[site][~defect_rows[site]]
             added, counted = added + int(exact.sum()), counted + exact.size
             squared += float(np.square(exact, dtype=np.float64).sum())
@@ -258,15 +257,6 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
             shading_dn=np.stack(shading),
         ),
     )
-
-
-Site = tuple[slice, slice]
-
-
-def _sites(pattern: Counts, channel: int) -> Iterator[Site]:
-    period = len(pattern)
-    for y, x in np.argwhere(pattern == channel):
-        yield slice(y, None, period), slice(x, None, period)
 
 
 def _from_median(values: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.core._frames import sums_by_row
+from eldata.calibration.core._frames import sites, sums_by_row
 from eldata.calibration.core.photon_transfer import (
     CLIPPED_SHARE,
     FlatSums,
@@ -176,7 +176,6 @@ def power_spectrum(mosaic: Mosaic, fixed: FixedPattern) -> Plane:
     height, width = mosaic.shape
     if height < TILE or width < TILE:
         raise DatasetError(f"the spectrum needs a frame of {TILE} x {TILE} pixels or more; found {height} x {width}")
-    period = len(fixed.pattern)
     down, across = height // TILE, width // TILE
     step = max(1, round((down * across / _MOST_TILES) ** 0.5))
     power = np.zeros((TILE, TILE))
@@ -186,11 +185,8 @@ def power_spectrum(mosaic: Mosaic, fixed: FixedPattern) -> Plane:
             place = slice(y * TILE, (y + 1) * TILE), slice(x * TILE, (x + 1) * TILE)
             tile = mosaic[place].astype(np.float64)
             tile[fixed.defects[place]] = np.nan
-            for row in range(period):
-                for column in range(period):
-                    # By site, not by channel: the two greens of Bayer may differ.
-                    site = tile[row::period, column::period]
-                    site -= np.nanmean(site)
+            for within, _ in sites(fixed.pattern):  # by site, not by channel: the two greens of Bayer may differ
+                tile[within] -= np.nanmean(tile[within])
             power += np.abs(np.fft.fft2(np.nan_to_num(tile))) ** 2
             tiles += 1
     spectrum: Plane = np.fft.fftshift(power / (tiles * TILE * TILE)).astype(np.float32)

@@ -43,15 +43,9 @@ def store(demo_tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         yield folder / "eld.h5"
 
 
-def trained(run: Path, *options: str, processes: int = 1) -> list[float]:
-    """Run the example, and return the losses of its epochs."""
-    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
-    done = subprocess.run(
-        [sys.executable, *(launch if processes > 1 else []), *EXAMPLE, "-o", str(run), *SMALL, *options],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
+def trained(command: list[str]) -> list[float]:
+    """Run an example as a program, and return the losses of its epochs."""
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     return losses_in(done.stdout)
 
@@ -154,19 +148,19 @@ def test_two_processes_train_one_network(store: Path, tmp_path: Path) -> None:
     """Ranks with half of the batch each step as one process with all of it: to float32's last digits, for gradients
     are summed in another order, and Adam's first steps are of the sign alone where a gradient is near 0."""
     options = [*synthetic(store), "--epochs", "3"]
-    together = trained(tmp_path / "two", *options, "--batch-size", "2", processes=2)
-    alone = trained(tmp_path / "one", *options, "--batch-size", "4")
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    of_two, of_one = ([*EXAMPLE, "-o", str(tmp_path / name), *SMALL, *options] for name in ("two", "one"))
+    together = trained([sys.executable, *launch, *of_two, "--batch-size", "2"])
+    alone = trained([sys.executable, *of_one, "--batch-size", "4"])
     assert together == pytest.approx(alone, rel=0.02)
     assert together[-1] < together[0]
 
 
-@pytest.mark.study
-def test_a_killed_run_goes_on_to_the_bit(store: Path, tmp_path: Path) -> None:
-    """kill -9 after the second epoch; then the same command."""
-    options = [*synthetic(store), "--epochs", "8", "--batch-size", "2"]
-    trained(tmp_path / "straight", *options)
-    run = tmp_path / "killed"
-    command = [sys.executable, *EXAMPLE, "-o", str(run), *SMALL, *options]
+def goes_on_to_the_bit(command: list[str], folder: Path, most: int) -> None:
+    """Kill -9 a run after its second epoch; the same command ends with the weights of one that nothing ended."""
+    straight, run = folder / "straight", folder / "killed"
+    trained([*command, "-o", str(straight)])
+    command = [*command, "-o", str(run)]
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
         assert process.stdout is not None
@@ -176,8 +170,12 @@ def test_a_killed_run_goes_on_to_the_bit(store: Path, tmp_path: Path) -> None:
     assert b"epoch 1:" in line
     assert (run / "checkpoint.pt").exists()
     assert not (run / "weights.pt").exists()
-    assert 1 <= len(trained(run, *options)) <= 6
-    straight, resumed = (
-        torch.load(folder / "weights.pt", weights_only=True) for folder in (tmp_path / "straight", run)
-    )
-    assert all(torch.equal(straight[name], resumed[name]) for name in straight)
+    assert 1 <= len(trained(command)) <= most
+    whole, resumed = (torch.load(one / "weights.pt", weights_only=True) for one in (straight, run))
+    assert all(torch.equal(whole[name], resumed[name]) for name in whole)
+
+
+@pytest.mark.study
+def test_a_killed_run_goes_on_to_the_bit(store: Path, tmp_path: Path) -> None:
+    options = [*synthetic(store), "--epochs", "8", "--batch-size", "2"]
+    goes_on_to_the_bit([sys.executable, *EXAMPLE, *SMALL, *options], tmp_path, 6)

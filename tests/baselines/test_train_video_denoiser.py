@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shlex
-import subprocess
 import sys
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -18,12 +16,10 @@ from eldata.cli.main import parser as eldata_parser
 from eldata.examples.train_video_denoiser import main
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
-from tests.baselines.test_train_denoiser import losses_in
+from tests.baselines.test_train_denoiser import goes_on_to_the_bit, losses_in
 from tests.drv_tree import write_raw_clip, write_rgb_clip
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
 SMALL = ["--crop", "16", "--width", "4", "--depth", "1", "--learning-rate", "5e-3", "--device", "cpu", "--workers", "0"]
@@ -47,17 +43,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_raw_clip(root / "raw", name, 6)
         write_rgb_clip(root / "rgb", name, 12)
     return root
-
-
-def command(run: Path, options: Sequence[str]) -> list[str]:
-    return [sys.executable, "-m", "eldata.examples.train_video_denoiser", "-o", str(run), *SMALL, *options]
-
-
-def trained(run: Path, *options: str) -> list[float]:
-    """Run the example, and return the losses of its epochs."""
-    done = subprocess.run(command(run, options), capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-    assert done.returncode == 0, done.stderr
-    return losses_in(done.stdout)
 
 
 def moving(data: Path) -> list[str]:
@@ -102,20 +87,5 @@ def test_it_trains_and_leaves_a_network_that_predict_runs(
 
 @pytest.mark.study
 def test_a_killed_run_goes_on_to_the_bit(data: Path, tmp_path: Path) -> None:
-    """kill -9 after the second epoch; then the same command."""
-    options = [*moving(data), "--epochs", "6", "--batch-size", "2"]
-    trained(tmp_path / "straight", *options)
-    run = tmp_path / "killed"
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(command(run, options), stdout=subprocess.PIPE, env=environment) as process:
-        assert process.stdout is not None
-        while (line := process.stdout.readline()) and b"epoch 1:" not in line:
-            pass
-        process.kill()
-    assert b"epoch 1:" in line
-    assert not (run / "weights.pt").exists()
-    assert 1 <= len(trained(run, *options)) <= 4
-    straight, resumed = (
-        torch.load(folder / "weights.pt", weights_only=True) for folder in (tmp_path / "straight", run)
-    )
-    assert all(torch.equal(straight[name], resumed[name]) for name in straight)
+    command = [sys.executable, "-m", "eldata.examples.train_video_denoiser", *SMALL, *moving(data)]
+    goes_on_to_the_bit([*command, "--epochs", "6", "--batch-size", "2"], tmp_path, 4)

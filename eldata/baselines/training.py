@@ -16,6 +16,7 @@ from eldata.base.files import atomic_write, check_same_work
 from eldata.base.numbers import checked_number, checked_whole
 from eldata.baselines.exported import checked_window
 from eldata.datasets.loading import set_epoch
+from eldata.datasets.ranks import current_rank
 from eldata.errors import ArgumentError, EldataError, FileError, check_choice
 
 if TYPE_CHECKING:
@@ -209,9 +210,9 @@ class Training:
         self.loss = loss
         self.precision = precision
         self.step = 0
-        self._ranks = distributed.get_world_size() if _is_distributed() else 1
+        self._rank = current_rank()
         parallel = torch.nn.parallel.DistributedDataParallel
-        self._parallel = parallel(self.network) if _is_distributed() else self.network
+        self._parallel = parallel(self.network) if self._rank.of > 1 else self.network
         rate = checked_number("learning_rate", learning_rate, above=0)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=rate)
         self._schedule = torch.optim.lr_scheduler.LambdaLR(
@@ -225,7 +226,7 @@ class Training:
             "precision": precision,
             "batch_size": loader.batch_size or 1,
             "batches": len(loader),
-            "ranks": self._ranks,
+            "ranks": self._rank.of,
             **(settings or {}),
         }
 
@@ -258,7 +259,7 @@ class Training:
             batches = iter(self.loader)
             end = min(self.steps, (epoch + 1) * len(self.loader))
             self._parallel.train()
-            quiet = True if _rank() else None  # one bar, and only on a terminal
+            quiet = True if self._rank.number else None  # one bar, and only on a terminal
             with tqdm(total=len(self.loader), initial=first, desc=f"epoch {epoch}", disable=quiet, leave=False) as bar:
                 while self.step < end:
                     asked = time.perf_counter()
@@ -281,10 +282,10 @@ class Training:
         if self.device.type == "cuda":
             own["cuda"] = torch.cuda.get_rng_state(self.device)
         each: list[Any] = [own]
-        if _is_distributed():
-            each = [None] * self._ranks
+        if self._rank.of > 1:
+            each = [None] * self._rank.of
             distributed.all_gather_object(each, own)
-        if _rank() == 0:
+        if self._rank.number == 0:
             state = {
                 "settings": self.settings,
                 "step": self.step,
@@ -296,7 +297,7 @@ class Training:
             }
             with atomic_write(path) as file:
                 torch.save(state, file)
-        if _is_distributed():
+        if self._rank.of > 1:
             distributed.barrier()  # a rank that goes on alone could end the others before it is written
 
     def load(self, path: Path | str) -> None:
@@ -321,7 +322,7 @@ class Training:
         self.optimiser.load_state_dict(state["optimiser"])
         self._schedule.load_state_dict(state["schedule"])
         self._scaler.load_state_dict(state["scaler"])
-        mine = own[_rank()]
+        mine = own[self._rank.number]
         torch.set_rng_state(mine["torch"])
         if "cuda" in mine and self.device.type == "cuda":
             torch.cuda.set_rng_state(mine["cuda"], self.device)
@@ -346,13 +347,13 @@ class Training:
 
     def _report(self, epoch: int, done: int, first: int, seconds: float, waited: float) -> EpochReport:
         total = self._loss_sum.clone()
-        if _is_distributed():
+        if self._rank.of > 1:
             distributed.all_reduce(total)
         self._check_finite(total)
-        items = (done - first) * (self.loader.batch_size or 1) * self._ranks
+        items = (done - first) * (self.loader.batch_size or 1) * self._rank.of
         rate = float(self.settings["learning_rate"]) * published_rate(self.step - 1, self.steps)
         return EpochReport(
-            epoch, self.step, total.item() / (done * self._ranks), rate, items / seconds, waited / seconds
+            epoch, self.step, total.item() / (done * self._rank.of), rate, items / seconds, waited / seconds
         )
 
     def _check_finite(self, loss: torch.Tensor) -> None:
@@ -361,11 +362,3 @@ class Training:
                 f"the loss is not finite at step {self.step}; take a lower learning rate than "
                 f"{self.settings['learning_rate']}, or another precision than {self.precision}"
             )
-
-
-def _is_distributed() -> bool:
-    return distributed.is_available() and distributed.is_initialized()
-
-
-def _rank() -> int:
-    return distributed.get_rank() if _is_distributed() else 0

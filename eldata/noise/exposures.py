@@ -280,15 +280,9 @@ def drawn_dark(
     if is_clip or len(drawn) == 1:
         return of(drawn[0], len(drawn))
     each = [of(parameters, 1) for parameters in drawn]
-    black = np.concatenate([one.black_level_dn for one in each])
-    shading = [one.shading_dn for one in each if one.shading_dn is not None]
-    scale = [one.scale for one in each if one.scale is not None]
-    return DarkCrops(
-        np.concatenate([one.dn for one in each]),
-        black,
-        np.concatenate(shading) if shading else None,
-        np.concatenate(scale) if scale else None,
-    )
+    fields = [[getattr(one, name) for one in each] for name in DarkCrops.__slots__]
+    joined: list[Any] = [None if of_each[0] is None else np.concatenate(of_each) for of_each in fields]
+    return DarkCrops(*joined)
 
 
 def shading_of_each(

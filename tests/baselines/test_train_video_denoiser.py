@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shlex
-import subprocess
-import sys
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +12,14 @@ import torch
 
 from eldata.baselines import FastDVDnet, UNet, load_network
 from eldata.cli.main import parser as eldata_parser
+from eldata.examples import train_video_denoiser
 from eldata.examples.train_video_denoiser import main
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
-from tests.baselines.test_train_denoiser import losses_in
+from tests.baselines.test_train_denoiser import goes_on_to_the_bit, losses_in
 from tests.drv_tree import write_raw_clip, write_rgb_clip
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
 SMALL = ["--crop", "16", "--width", "4", "--depth", "1", "--learning-rate", "5e-3", "--device", "cpu", "--workers", "0"]
@@ -46,10 +43,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_raw_clip(root / "raw", name, 6)
         write_rgb_clip(root / "rgb", name, 12)
     return root
-
-
-def command(run: Path, options: Sequence[str]) -> list[str]:
-    return [sys.executable, "-m", "eldata.examples.train_video_denoiser", "-o", str(run), *SMALL, *options]
 
 
 def moving(data: Path) -> list[str]:
@@ -94,22 +87,5 @@ def test_it_trains_and_leaves_a_network_that_predict_runs(
 
 @pytest.mark.study
 def test_a_killed_run_goes_on_to_the_bit(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """kill -9 after the second epoch; then the same command, in this process, as the undisturbed one."""
-    options = [*moving(data), "--epochs", "6", "--batch-size", "2"]
-    assert main(["-o", str(tmp_path / "straight"), *SMALL, *options]) == 0
-    run = tmp_path / "killed"
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(command(run, options), stdout=subprocess.PIPE, env=environment) as process:
-        assert process.stdout is not None
-        while (line := process.stdout.readline()) and b"epoch 1:" not in line:
-            pass
-        process.kill()
-    assert b"epoch 1:" in line
-    assert not (run / "weights.pt").exists()
-    capsys.readouterr()
-    assert main(["-o", str(run), *SMALL, *options]) == 0
-    assert 1 <= len(losses_in(capsys.readouterr().out)) <= 4
-    straight, resumed = (
-        torch.load(folder / "weights.pt", weights_only=True) for folder in (tmp_path / "straight", run)
-    )
-    assert all(torch.equal(straight[name], resumed[name]) for name in straight)
+    options = [*SMALL, *moving(data), "--epochs", "6", "--batch-size", "2"]
+    goes_on_to_the_bit(train_video_denoiser, options, tmp_path, 4, capsys)

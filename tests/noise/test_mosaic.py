@@ -78,6 +78,3 @@ def test_errors() -> None:
         NoiseModel().on_mosaic(np.zeros((4, 4), np.float32), cfa=((0, 0), (0, 0)), **options)
     with pytest.raises(ArgumentError, match="numpy array or a torch tensor"):
         NoiseModel().on_mosaic([[0.0]], cfa=BAYER["RGGB"], **options)  # type: ignore[type-var]
-
-
-# --- rows under packed data -----------------------------------------------------------------------------------------

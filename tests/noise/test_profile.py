@@ -521,12 +521,6 @@ def test_a_measured_row_is_sampled_as_it_is_and_takes_as_many_numbers() -> None:
     assert FULL.sample(generators[0], iso=100, row="measured") == FULL.measured(100)
     FULL.sample(generators[1])
     assert generators[0].random() == generators[1].random()
-    with pytest.raises(ArgumentError, match=r"row='measured' gives the figures of one ISO; give iso"):
-        FULL.sample(generators[0], row="measured")
-    with pytest.raises(ArgumentError, match=r"row='measured' gives the figures of one ISO; give iso"):
-        FULL.sample(generators[0], gain_dn_per_e=0.1, row="measured")
-    with pytest.raises(ArgumentError, match=r"ISO 300 of .* was not measured"):
-        FULL.sample(generators[0], iso=300, row="measured")
 
 
 def test_an_iso_that_was_not_measured() -> None:
@@ -591,28 +585,28 @@ def test_levels_that_make_no_sense() -> None:
 # --- refusals -------------------------------------------------------------------------------------------------------
 
 
-def test_an_iso_and_a_gain() -> None:
-    with pytest.raises(ArgumentError, match=r"give iso or gain_dn_per_e, not both"):
-        FULL.sample(np.random.default_rng(0), iso=100, gain_dn_per_e=1.0)
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"iso": 100, "gain_dn_per_e": 1.0}, "give iso or gain_dn_per_e, not both"),
+    ({"row": "measured"}, "row='measured' gives the figures of one ISO; give iso"),
+    ({"row": "measured", "gain_dn_per_e": 0.1}, "row='measured' gives the figures of one ISO; give iso"),
+    ({"row": "measured", "iso": 300}, "ISO 300 of .* was not measured"),
+    *(({"row": row}, "row must be 'any', .* or 'measured'; found") for row in ("all", "nearest", "", None, 3)),
+    *(
+        ({"row": row, "gain_dn_per_e": gain}, "gain_dn_per_e must be")
+        for row in ("any", "nearest-gain")
+        for gain in (0.0, -1.0, math.nan, math.inf)
+    ),
+    *(
+        ({"generator": generator}, r"generator must be a numpy\.random\.Generator or a torch\.Generator")
+        for generator in (None, 0, np.random.RandomState(0), np.random.default_rng, "numpy")
+    ),
+]
 
 
-@pytest.mark.parametrize("row", ["all", "nearest", "", None, 3])
-def test_an_unknown_choice_of_rows(row: Any) -> None:
-    with pytest.raises(ArgumentError, match=r"row must be 'any', 'nearest-gain' or 'measured'; found"):
-        FULL.sample(np.random.default_rng(0), row=row)
-
-
-@pytest.mark.parametrize("row", ["any", "nearest-gain"])
-@pytest.mark.parametrize("gain", [0.0, -1.0, math.nan, math.inf])
-def test_a_gain_that_makes_no_sense(gain: float, row: Any) -> None:
-    with pytest.raises(ArgumentError, match="gain_dn_per_e must be"):
-        FULL.sample(np.random.default_rng(0), gain_dn_per_e=gain, row=row)
-
-
-@pytest.mark.parametrize("generator", [None, 0, np.random.RandomState(0), np.random.default_rng, "numpy"])
-def test_what_is_no_generator(generator: Any) -> None:
-    with pytest.raises(ArgumentError, match=r"generator must be a numpy\.random\.Generator or a torch\.Generator"):
-        FULL.sample(generator)
+@in_one_test("given, words", REFUSED)
+def test_what_a_draw_refuses(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(ArgumentError, match=words):
+        FULL.sample(**{"generator": np.random.default_rng(0)} | given)
 
 
 def test_no_global_generator_is_touched() -> None:

@@ -13,9 +13,9 @@ from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.raw import read_raw
 from eldata.records import PairRecord, Sensor, exact_fraction, exact_number
-from eldata.sources.file_facts import more_of_sensor, sensor_data, sensor_of
 from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts
 from eldata.sources.store import open_store
+from eldata.sources.store.format import more_of_sensor, sensor_data, sensor_of
 from tests.raw.helpers import EXPOSURE, make_sensor, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:

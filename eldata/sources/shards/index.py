@@ -32,7 +32,7 @@ from eldata.errors import ArgumentError, FileError
 from eldata.raw.cfa import packed_shape
 from eldata.raw.levels import FRAME_LEVELS, FrameLevels
 from eldata.records import PairRecord
-from eldata.sources.file_facts import exact, exposure_data, exposure_of, more_of_sensor, sensor_data, sensor_of
+from eldata.sources.store.format import exact, exposure_data, exposure_of, more_of_sensor, sensor_data, sensor_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

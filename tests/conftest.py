@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from tests.capture.checklist_browser import Browser
+    from tests.trees import Tree
 
 # A run that was started in the background of a shell ignores Ctrl-C, one under nohup the end of its terminal, and so
 # would every process that tests start.
@@ -69,6 +70,22 @@ def demo_tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
     with made_once(tmp_path_factory, "demo", build_tree) as folder:
         yield folder
+
+
+@pytest.fixture(scope="session")
+def pristine(demo_tree: Path) -> Tree:
+    """It as a manifest and its folder, not to be changed."""
+    from tests.trees import tree_in
+
+    return tree_in(demo_tree)
+
+
+@pytest.fixture
+def tree(pristine: Tree, tmp_path: Path) -> Tree:
+    """A copy that a test may change."""
+    from tests.trees import copy_tree
+
+    return copy_tree(pristine, tmp_path)
 
 
 @pytest.fixture(scope="session")

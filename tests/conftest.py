@@ -112,7 +112,7 @@ def commands_work_in_this_process() -> Iterator[None]:
     """Unless a test asks for ``--jobs``: each would start a worker for each CPU, on CPUs that the tests keep busy."""
     from eldata.base import console
 
-    running = console._running
+    running = console.running_options
 
     def alone() -> dict[str, dict[str, Any]]:
         options = running()
@@ -120,7 +120,7 @@ def commands_work_in_this_process() -> Iterator[None]:
         return options
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(console, "_running", alone)
+        patch.setattr(console, "running_options", alone)
         yield
 
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from tests.capture.checklist_browser import Browser
+    from tests.trees import Tree
 
 # A run that was started in the background of a shell ignores Ctrl-C, one under nohup the end of its terminal, and so
 # would every process that tests start.
@@ -72,6 +73,22 @@ def demo_tree(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session")
+def pristine(demo_tree: Path) -> Tree:
+    """It as a manifest and its folder, not to be changed."""
+    from tests.trees import tree_in
+
+    return tree_in(demo_tree)
+
+
+@pytest.fixture
+def tree(pristine: Tree, tmp_path: Path) -> Tree:
+    """A copy that a test may change."""
+    from tests.trees import copy_tree
+
+    return copy_tree(pristine, tmp_path)
+
+
+@pytest.fixture(scope="session")
 def chromium() -> str:
     found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if found is None:
@@ -95,7 +112,7 @@ def commands_work_in_this_process() -> Iterator[None]:
     """Unless a test asks for ``--jobs``: each would start a worker for each CPU, on CPUs that the tests keep busy."""
     from eldata.base import console
 
-    running = console._running
+    running = console.running_options
 
     def alone() -> dict[str, dict[str, Any]]:
         options = running()
@@ -103,7 +120,7 @@ def commands_work_in_this_process() -> Iterator[None]:
         return options
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(console, "_running", alone)
+        patch.setattr(console, "running_options", alone)
         yield
 
 

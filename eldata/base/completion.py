@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.console import add_running
+from eldata.base.console import running_options
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -57,9 +57,9 @@ def completion_script(parser: argparse.ArgumentParser, shell: str, names: Mappin
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    if parser.get_default("running"):
-        add_running(parser, shown=True)
     for action in parser._actions:  # noqa: SLF001 # nothing public lists them
+        if action.help == argparse.SUPPRESS and action.dest in running_options():
+            action.help = running_options()[action.dest]["help"]
         if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001 # its only name
             for one in action.choices.values():
                 yield from _actions(one)

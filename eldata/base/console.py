@@ -75,8 +75,6 @@ class Parser(argparse.ArgumentParser):
         given = sys.argv[1:] if args is None else list(args)
         if self._subparsers is not None:
             given = _behind_the_command(given)
-        elif "--debug" not in self._option_string_actions:
-            add_running(self, shown=False)
         self._refuse_unknown_options(given)
         return super().parse_known_args(given, namespace)
 
@@ -218,7 +216,7 @@ class _Default(int):
     """A default that argparse can tell from the same number on the command line: small ints share their identity."""
 
 
-def _running() -> dict[str, dict[str, Any]]:
+def running_options() -> dict[str, dict[str, Any]]:
     """Return the options of a program's running: how ``add_argument`` takes each."""
     cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return {
@@ -244,19 +242,11 @@ def _running() -> dict[str, dict[str, Any]]:
     }
 
 
-def add_running(parser: argparse.ArgumentParser, *, shown: bool) -> None:
-    """Add the options of a program's running that a subcommand takes, as :func:`add_shared` was told.
-
-    A subcommand gets them when it parses, and when its completion is made: they are shown once, in the program's help.
-    """
-    _add_running(parser, parser.get_default("running") or (), parser.get_default("json_kind"), shown=shown)
-
-
 def _add_running(
     container: argparse._ActionsContainer, names: Iterable[str], kind: FileKind | None, *, shown: bool
 ) -> None:
     workers = container.add_mutually_exclusive_group() if "jobs" in names else container  # one without any is an error
-    for name, shown_as in _running().items():
+    for name, shown_as in running_options().items():
         if name not in names:
             continue
         options = shown_as if shown else shown_as | {"help": argparse.SUPPRESS}
@@ -268,7 +258,7 @@ def _add_running(
 
 def _behind_the_command(given: Sequence[str]) -> list[str]:
     """Return arguments with the options of a program's running that come before the command's name behind it."""
-    known, rest, moved = _running(), list(given), []
+    known, rest, moved = running_options(), list(given), []
     while rest and rest[0].startswith("--"):
         name = rest[0].partition("=")[0].removeprefix("--").removeprefix("no-")
         if name not in known:
@@ -301,16 +291,16 @@ def add_shared(
         add_camera_and_isos(parser)
     names = [name for option in options for name in _BRINGS.get(option, ())]
     names += ["debug"] if json is None else ["json", "debug"]
-    forms = (f"--{name} {one.get('metavar', '')}".rstrip() for name, one in _running().items() if name in names)
+    forms = (f"--{name} {one.get('metavar', '')}".rstrip() for name, one in running_options().items() if name in names)
     parser.add_argument_group("running", f"{', '.join(forms)}: see {parser.prog.partition(' ')[0]} --help")
     parser.set_defaults(
         run=run,
         command=parser.prog,
         interrupted=interrupted,
-        running=names,
-        json_kind=json_kind(json) if isinstance(json, str) else json,
         actions=parser._actions,  # noqa: SLF001 # which of them name files that the subcommand reads
     )
+    # They are shown once, in the program's help.
+    _add_running(parser, names, json_kind(json) if isinstance(json, str) else json, shown=False)
 
 
 def command_line(

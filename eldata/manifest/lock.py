@@ -23,7 +23,7 @@ from eldata.manifest.catalogue import (
 from eldata.manifest.patterns import expand
 from eldata.manifest.table import load_table
 from eldata.manifest.verify import check_file, verify
-from eldata.manifest.verify_report import Problem, VerifyReport
+from eldata.manifest.verify_report import Problem, VerifyReport, row_fault
 from eldata.manifest.writing import save_manifest
 
 if TYPE_CHECKING:
@@ -103,20 +103,6 @@ def lock(
             unfit += [finding.of(loaded.name) for finding in findings]
     if unfit:
         return LockReport(path, checks, tuple(unfit), 0)
-    problems = tuple(
-        Problem(
-            loaded.name,
-            record.path,
-            "sha256",
-            record.sha256,
-            locked[record.path].sha256 or "",
-            "if this copy is the right one, empty the row's size_bytes and sha256 and lock again",
-        )
-        for record in chosen
-        if record.sha256 is not None and record.sha256 != locked[record.path].sha256
-    )
-    if problems:
-        return LockReport(path, checks, problems, 0)
     counts = counts_of(listed)
     path.parent.mkdir(exist_ok=True)
     save_manifest(path, replace(loaded.card, counts=counts), [locked.get(one.path, one) for one in listed])
@@ -154,6 +140,9 @@ def _locked(
 ) -> tuple[FrameRecord, list[Problem]]:
     path = files.folder / record.path
     require_files(path)
-    # A hash of a damaged file would make the damage official.
-    findings = check_file(files, cameras, "full", record).findings if record.sha256 is None else []
-    return replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path)), findings
+    locked = replace(record, size_bytes=path.stat().st_size, sha256=sha256_of(path))
+    if record.sha256 is None:  # a hash of a damaged file would make the damage official
+        return locked, check_file(files, cameras, "full", record).findings
+    advice = "if this copy is the right one, empty the row's size_bytes and sha256 and lock again"
+    apart = row_fault(record.path, "sha256", record.sha256, str(locked.sha256), advice)
+    return locked, [] if locked.sha256 == record.sha256 else [apart]

@@ -14,7 +14,7 @@ import pytest
 
 from capture.cli.main import main as capture_main
 from capture.cli.main import parser as capture_parser
-from eldata.base.console import add_running, each_of
+from eldata.base.console import each_of, running_options
 from eldata.base.outputs import Output
 from eldata.cli.main import main as eldata_main
 from eldata.cli.main import parser as eldata_parser
@@ -36,14 +36,17 @@ if TYPE_CHECKING:
 
 def options_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.Action]]:
     """Every option of a program, with the command that has it."""
-    if "running" in parser._defaults and "--debug" not in parser._option_string_actions:
-        add_running(parser, shown=True)
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for command in action.choices.values():
                 yield from options_of(command)
-        elif "running" in parser._defaults:  # and not of the program, which hands them on
+        elif "run" in parser._defaults:  # and not of the program, which hands them on
             yield parser.prog, action
+
+
+def help_of(action: argparse.Action) -> str:
+    """What it says, here or in the program's help."""
+    return str(running_options()[action.dest]["help"] if action.help == argparse.SUPPRESS else action.help)
 
 
 @pytest.mark.parametrize("parser", [eldata_parser(), capture_parser()], ids=["eldata", "capture"])
@@ -51,7 +54,7 @@ def test_every_option_that_names_a_file_to_write_is_tried_first(parser: argparse
     found = [
         (command, action.option_strings[-1], isinstance(action, Output))
         for command, action in options_of(parser)
-        if action.option_strings and action.metavar == "FILE" and re.search(r"\bwrite\b", str(action.help))
+        if action.option_strings and action.metavar == "FILE" and re.search(r"\bwrite\b", help_of(action))
     ]
     assert len(found) > 5
     assert [one for one in found if not one[2]] == []

@@ -24,6 +24,7 @@ from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
     Tag,
+    add_tags,
     black_levels,
     make_sensor,
     random_mosaic,
@@ -155,22 +156,13 @@ def test_colours_that_are_no_numbers(tags: tuple[Tag, ...], tmp_path: Path) -> N
 
 def test_more_pixels_than_the_file_can_hold(tmp_path: Path) -> None:
     """60,000 x 60,000 pixels, whose strips all lie in the same few bytes: LibRaw would take 7 GB for them."""
-    path = tmp_path / "a.dng"
+    path, sides = tmp_path / "a.dng", 60_000
     write_plain_dng(path, random_mosaic(64, 66), ("RG", "GB"))
-    content = bytearray(path.read_bytes())
-    (first,) = struct.unpack_from("<I", content, 4)
-    (count,) = struct.unpack_from("<H", content, first)
-    places = {struct.unpack_from("<H", content, first + 2 + 12 * i)[0]: first + 2 + 12 * i for i in range(count)}
-    for tag in (256, 257, 278):
-        struct.pack_into("<HII", content, places[tag] + 2, 4, 1, 60_000)
-    path.write_bytes(content)
+    size = path.stat().st_size
+    add_tags(path, *((tag, "I", 1, sides, True) for tag in (256, 257, 278)))
     refused(path, r"cannot hold 3600000000 pixels")
-    strips, end = 60_000, len(content)
-    for tag, place in ((273, end), (279, end + 4 * strips)):
-        struct.pack_into("<HII", content, places[tag] + 2, 4, strips, place)
-    struct.pack_into("<I", content, places[278] + 8, 1)
-    content += struct.pack(f"<{2 * strips}I", *[8] * strips, *[end - 8] * strips)
-    path.write_bytes(content)
+    offsets, lengths = ((tag, "I", sides, (value,) * sides, True) for tag, value in ((273, 8), (279, size - 8)))
+    add_tags(path, offsets, lengths, (278, "I", 1, 1, True))
     assert read_directories(path)[0].pixels == 3_600_000_000
     with pytest.raises(RawFileError, match=r"cannot hold 3600000000 pixels|LibRaw cannot decode it"):
         read_raw(path)
@@ -183,8 +175,7 @@ def test_image_data_before_the_file_begins(tmp_path: Path) -> None:
     content = bytearray(path.read_bytes())
     (first,) = struct.unpack_from("<I", content, 4)
     (count,) = struct.unpack_from("<H", content, first)
-    place = next(at for at in range(first + 2, first + 2 + 12 * count, 12) if content[at : at + 2] == b"\x11\x01")
-    path.write_bytes(content[:place] + struct.pack("<HHIi", 273, 9, 1, -5) + content[place + 12 :])
+    add_tags(path, (273, "i", 1, -5, True))
     refused(path, r"damaged: it declares 8448 bytes of image data at byte -5")
     preview = struct.pack("<HHHIi", 3, 273, 9, 1, -5) + struct.pack("<HHIIHHIII", 279, 4, 1, 64, 259, 3, 1, 7, 0)
     content[first + 2 + 12 * count : first + 6 + 12 * count] = struct.pack("<I", len(content))

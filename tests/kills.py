@@ -108,7 +108,7 @@ def store(folder: Path) -> None:
 def calibration_frames(folder: Path) -> None:
     from tests.calibration.trees import made_tree
 
-    made_tree(folder / "frames", isos=(100, 400), bias_frames=4, flat_levels=2)
+    made_tree(folder / "frames", isos=(100,), bias_frames=4, flat_levels=2)
 
 
 def memory_card(folder: Path) -> None:

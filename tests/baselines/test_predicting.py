@@ -99,6 +99,16 @@ def test_from_the_command_to_a_better_score(tree: Tree, tmp_path: Path, capsys: 
     assert "holds files, and none is predictions.json" in capsys.readouterr().err
 
 
+def test_the_number_of_jobs_changes_nothing(tree: Tree, tmp_path: Path) -> None:
+    found = []
+    for jobs in ("1", "2"):
+        out = tmp_path / jobs
+        assert main(["baseline", "gaussian", *of_set(tree), "-o", str(out), "--jobs", jobs]) == 0
+        found.append({path.relative_to(out): path.read_bytes() for path in out.rglob("*") if path.is_file()})
+    assert found[0] == found[1]
+    assert len(found[0]) == 13
+
+
 def test_a_profile_is_taken_between_its_isos() -> None:
     """K of a camera whose ISO 50 has the gain of ISO 100; by one line from end to end 1.6 times that at 125."""
     known = known_profile(CAMERAS[0], (100, 200, 400, 800))

@@ -93,7 +93,7 @@ def test_means_are_those_of_libraw_and_numpy(
     nights: Nights, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = nights.data / "DemoAlpha" / "scene-1"
-    assert average(nights, "--json", str(tmp_path / "means.json")) == 0
+    assert average(nights, "--jobs", "2", "--json", str(tmp_path / "means.json")) == 0
     output = capsys.readouterr().out
     where = "DemoAlpha/scene-1"
     for first, last in (("0001", "0004"), ("0007", "0010")):

@@ -134,10 +134,10 @@ def demo_raws(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Path]]:
 @pytest.mark.study
 @pytest.mark.parametrize("harm", LOST)
 def test_lost_pages_of_a_demo_are_noticed_on_reading(harm: str, demo_raws: list[Path], tmp_path: Path) -> None:
-    """400 trials of each damage and no miss: the rate of misses is below 0.75 %, of 2,000 together below 0.15 %."""
-    counts = rates(demo_raws, harm, 400, 2, tmp_path)
+    """200 trials of each damage and no miss: the rate of misses is below 1.5 %, of 1,000 together below 0.3 %."""
+    counts = rates(demo_raws, harm, 200, 2, tmp_path)
     assert set(counts) <= {"read", "harmless"}, counts
-    assert counts["harmless"] < 4
+    assert counts["harmless"] < 3
 
 
 @pytest.mark.study

@@ -220,27 +220,30 @@ MEASURE_PEAK = """
 import gc, sys, tracemalloc
 from eldata import StreamedPairs
 
-dataset = StreamedPairs(sys.argv[1], crop=8, shuffle_buffer=3)
-if sum(1 for _ in dataset) != len(dataset):  # what is loaded and remembered once
-    raise SystemExit("not every sample came")
-tracemalloc.start()
-count = 0
-for _ in dataset:
-    count += 1
-    if count % 8 == 0:  # else a large process collects so rarely that garbage is most of the peak
-        gc.collect()
-print(count, tracemalloc.get_traced_memory()[1])
+for folder in sys.argv[1:]:
+    dataset = StreamedPairs(folder, crop=8, shuffle_buffer=3)
+    if sum(1 for _ in dataset) != len(dataset):  # what is loaded and remembered once
+        raise SystemExit("not every sample came")
+    tracemalloc.start()
+    count = 0
+    for _ in dataset:
+        count += 1
+        if count % 8 == 0:  # else a large process collects so rarely that garbage is most of the peak
+            gc.collect()
+    print(count, tracemalloc.get_traced_memory()[1])
+    tracemalloc.stop()
 """
 
 
 @pytest.mark.memory
 def test_memory_is_bounded_by_the_buffer(tiles: Path, frames: Path) -> None:
     """All samples are 24 x 64 x 96 x 2 x 2 bytes = 590 kB; a buffer of 3 crops of 8 holds 3 x 2 kB."""
-    for folder, size, samples in ((frames, 590_000, 24), (tiles, 144 * 34 * 34 * 4, 144)):
-        command = [sys.executable, "-c", MEASURE_PEAK, str(folder)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
-        assert done.returncode == 0, done.stderr
-        count, peak = map(int, done.stdout.split())
+    command = [sys.executable, "-c", MEASURE_PEAK, str(frames), str(tiles)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+    assert done.returncode == 0, done.stderr
+    cases = ((frames, 590_000, 24), (tiles, 144 * 34 * 34 * 4, 144))
+    for (folder, size, samples), line in zip(cases, done.stdout.splitlines(), strict=True):
+        count, peak = map(int, line.split())
         assert count == samples
         largest = 2 * 24_576 + 4096 if folder == frames else 2 * 2312 + 4096
         # Beside the samples: records, and garbage of a few of them.

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.audit.neighbours import UNITS, Neighbours, standardised
+from eldata.calibration.audit.neighbours import UNITS, Neighbours, standardised, variance_and_level
 from eldata.calibration.core._frames import channels_of, sites
 from eldata.calibration.core.single_frame import TILE
 from eldata.errors import DatasetError
@@ -181,13 +181,12 @@ class BiasAudit:
         standardised(1, first, second, defects, pattern, self._of_difference, _LIMIT, band)
         self._neighbours.add_difference(band)
 
-        w = np.square(np.clip(band, -_CLIP, _CLIP), dtype=np.int32)
-        f = self._levels_in_others(index, total.astype(np.int64) - first - second) * ~defects
-        figures, below = (w, f, f * f, f * w, f * f * w), f < 0
-        squares, levels, levels_squared, products, bends, *of_lower = (
-            _by_block(one, self._columns).astype(np.float64)
-            for one in (*figures, below, *(figure * below for figure in figures[:-1]))
-        )
+        phases = np.arange(self._columns * BLOCK) % len(pattern)
+        by_column = np.repeat((frames - 2) * self._level_dn[index], BLOCK, axis=0)  # (columns, channels)
+        level = by_column[np.arange(len(phases)), pattern[:, phases]].astype(np.float32)
+        sums = np.zeros((self._columns, 10), dtype=np.int64)
+        variance_and_level(band, total, first, second, defects, level, self._level_scale, BLOCK, _CLIP, sums)
+        squares, levels, levels_squared, products, bends, *of_lower = sums.T.astype(np.float64)
         pixels = np.maximum(self._pixels[index], 1)
         mean = levels / pixels
         whole = (
@@ -204,18 +203,6 @@ class BiasAudit:
         self._sizes += np.bincount(sizes.ravel(), minlength=self._sizes.size)
         of_blocks = _by_block(sizes, self._columns), _by_block(np.square(sizes, dtype=np.int64), self._columns)
         self._sums[:, index] += (*whole, *lower, *of_blocks, of_blocks[0].astype(np.float64) ** 2)
-
-    def _levels_in_others(self, index: int, others: Counts) -> NDArray[np.int32]:
-        """Return the pixels' deviation from their block's level in the other frames, in its units, up to 64 of them."""
-        pattern, width = self._fixed.pattern, self._columns * BLOCK
-        by_column = np.repeat((self._fixed.frames - 2) * self._level_dn[index], BLOCK, axis=0)  # (columns, channels)
-        phases = np.arange(width) % len(pattern)
-        level = by_column[np.arange(width), pattern[:, phases]].astype(np.float32)
-        by_period = others[:, :width].astype(np.float32).reshape(-1, *level.shape)
-        steps = np.floor(np.clip((by_period - level) * self._level_scale, -64, 64) + np.float32(0.5))
-        found = np.zeros(others.shape, dtype=np.int32)
-        found[:, :width] = steps.reshape(-1, width)
-        return found
 
     def statistics(self) -> BiasStatistics:
         """Return what was found."""

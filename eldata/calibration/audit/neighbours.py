@@ -96,23 +96,11 @@ class Neighbours:
         self._induced += pairs * self._rows_took / width
 
     def add_frame(self, band: NDArray[np.int16]) -> None:
-        """Add rows of one frame less its pixels' means, standardised: what a filter has done to outliers.
-
-        Whether one of an outlier's neighbours goes further to its side than all of those of the pixel ``_AWAY`` columns
-        from it, or the other way round, is counted for the highest level that the outlier exceeds.
-        """
-        cubes = np.power(band, 3, dtype=np.int64)
-        self._powers += cubes.sum(), np.square(cubes, dtype=np.float64).sum()
+        """Add rows of one frame less its pixels' means, standardised: what a filter has done to outliers."""
+        outlier_neighbours(
+            band, self._offsets, self._reach, _AWAY, np.array(OUTLIERS) * UNITS, self._wins, self._powers
+        )
         self._values += band.size
-        inner = slice(self._reach, -self._reach)
-        rows, columns = np.nonzero(np.abs(band[inner, inner]) >= OUTLIERS[0] * UNITS) + np.array(self._reach)
-        there = np.where(columns + _AWAY + self._reach < band.shape[1], columns + _AWAY, columns - _AWAY)
-        period, sign = len(self._offsets), np.sign(band[rows, columns])
-        down, across = self._offsets[rows % period, columns % period].T  # (neighbours, outliers)
-        own, other = ((sign * band[rows + down, place + across]).max(axis=0) for place in (columns, there))
-        level = np.searchsorted(np.array(OUTLIERS) * UNITS, sign * band[rows, columns], side="right") - 1
-        differs = own != other
-        np.add.at(self._wins, ((sign > 0)[differs] * 1, level[differs], (own < other)[differs] * 1), 1)
 
     def statistics(self) -> NeighbourStatistics:
         """Return what was found."""
@@ -197,6 +185,105 @@ def lag_products(band: NDArray[np.int16], lags: Counts, sums: Counts) -> None:
             for column in range(here.size):
                 added += np.int32(here[column]) * np.int32(there[column])
             sums[index] += added
+
+
+@kernel
+def outlier_neighbours(
+    band: NDArray[np.int16], offsets: Counts, reach: int, away: int, levels: Counts, wins: Counts, powers: Values
+) -> None:
+    """Compare the neighbours of outliers with those of the pixel ``away`` columns from it.
+
+    ``offsets`` (row phase, column phase, neighbours, 2) are within ``reach``. Counted in ``wins`` (side, levels, 2),
+    for outliers below and above and the highest level that they exceed: whether one of the neighbours goes further to
+    the outlier's side than all of those others, or the other way round. ``powers`` (2,) gets the sums of the
+    third and sixth powers of all values.
+    """
+    height, width = band.shape
+    period = offsets.shape[0]
+    lowest = levels[0]
+    for row in range(height):
+        third: Any = 0
+        sixth = 0.0
+        for column in range(width):
+            cube = np.int64(band[row, column]) * np.int64(band[row, column]) * np.int64(band[row, column])
+            third += cube
+            sixth += np.float64(cube) * np.float64(cube)
+        powers[0] += third
+        powers[1] += sixth
+    for row in range(reach, height - reach):
+        for column in range(reach, width - reach):
+            value = np.int64(band[row, column])
+            if -lowest < value < lowest:
+                continue
+            sign = 1 if value > 0 else -1
+            there = column + away if column + away + reach < width else column - away
+            own = np.int64(-(1 << 30))
+            other = np.int64(-(1 << 30))
+            for index in range(offsets.shape[2]):
+                down, across = offsets[row % period, column % period, index]
+                own = max(own, sign * np.int64(band[row + down, column + across]))
+                other = max(other, sign * np.int64(band[row + down, there + across]))
+            level = 0
+            while level + 1 < levels.size and sign * value >= levels[level + 1]:
+                level += 1
+            if own != other:
+                wins[(sign + 1) // 2, level, 0 if own > other else 1] += 1
+
+
+@kernel
+def variance_and_level(
+    band: NDArray[np.int16],
+    total: NDArray[np.uint32],
+    first: Mosaic,
+    second: Mosaic,
+    defects: Mask,
+    level: Plane,
+    scale: Plane,
+    size: int,
+    clip: int,
+    sums: Counts,
+) -> None:
+    """Add up, by block of ``size`` columns, the squares w of a band, clipped, and the levels f of its pixels.
+
+    f is the deviation of ``total - first - second`` from ``level`` (row phase, columns), times ``scale`` (likewise),
+    within +-64. Added to ``sums`` (blocks, 10): w, f, f^2, f w, f^2 w; and of the pixels with f < 0 how many they are,
+    w, f, f^2, f w.
+    """
+    period = level.shape[0]
+    edge, half = np.float32(64), np.float32(0.5)
+    squares = np.zeros(size, dtype=np.int32)
+    levels = np.zeros(size, dtype=np.int32)
+    for row in range(band.shape[0]):
+        phase = row % period
+        for block in range(sums.shape[0]):
+            start = block * size
+            for index in range(size):
+                column = start + index
+                value: Any = np.int32(band[row, column])
+                value = min(value, clip)
+                value = max(value, -clip)
+                squares[index] = value * value
+                others = np.int64(total[row, column]) - np.int64(first[row, column]) - np.int64(second[row, column])
+                fixed = (np.float32(others) - level[phase, column]) * scale[phase, column]
+                fixed = min(fixed, edge)
+                fixed = max(fixed, -edge)
+                levels[index] = 0 if defects[row, column] else np.int32(np.floor(fixed + half))
+            added = np.zeros(10, dtype=np.int64)
+            for index in range(size):
+                fixed_square = levels[index] * levels[index]
+                product = levels[index] * squares[index]
+                below = np.int32(1) if levels[index] < 0 else np.int32(0)
+                added[0] += squares[index]
+                added[1] += levels[index]
+                added[2] += fixed_square
+                added[3] += product
+                added[4] += levels[index] * product
+                added[5] += below
+                added[6] += below * squares[index]
+                added[7] += below * levels[index]
+                added[8] += below * fixed_square
+                added[9] += below * product
+            sums[block] += added
 
 
 def _same_colour(pattern: Counts) -> Counts:

@@ -127,7 +127,7 @@ def diagnose(
     Raises
     ------
     ArgumentError
-        If the spec is unusable.
+        If the spec or the seed is unusable.
     """
     one = _Examined(NoiseModel(spec), parameters, parameters if simulated is None else simulated, seed)
     over_signal = _over_signal(one)
@@ -215,6 +215,8 @@ def _finite(variance: float) -> float | None:
 
 def _generator(seed: int, stream: int) -> np.random.Generator:
     """Return the generator of one purpose: none of them shares numbers with another."""
+    if seed < 0:
+        raise ArgumentError(f"the seed must be 0 or more; found {seed}")
     return np.random.default_rng([seed, stream])
 
 

@@ -340,9 +340,7 @@ def test_moments_say_what_to_move_and_are_metered_once(film: Page) -> None:
     for scene in planned.scenes:
         assert dials(film, scene.name) == [f"{row.dial} s" for row in rows(scene.shots)]
     assert film.text("#live").startswith("scene-1-moment-1 is planned for 2 s. 4 shots were taken at other settings")
-    film.click("#export")
-    path = film.downloads / "DemoAlpha-progress.json"
-    film.wait(path.exists)
+    path = download(film, "DemoAlpha")
     assert load_progress(path, film_plan(3, scenes=2)).as_metered(film_plan(3, scenes=2)) == planned
     content = json.loads(path.read_text(encoding="utf-8"))
     content["scenes"][1]["metered_s"] = "4"
@@ -472,11 +470,11 @@ def test_a_refused_wake_lock_is_said(page: Page) -> None:
 # --- export and import ----------------------------------------------------------------------------------------------
 
 
-def download(page: Page) -> Path:
-    path = page.downloads / "SonyA7S2-progress.json"
+def download(page: Page, camera: str = "SonyA7S2") -> Path:
+    path = page.downloads / f"{camera}-progress.json"
     path.unlink(missing_ok=True)
     page.click("#export")
-    page.wait(path.exists)
+    page.wait(lambda: path.exists() and path.stat().st_size > 0)  # an empty file keeps the name until all is there
     return path
 
 

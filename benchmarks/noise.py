@@ -105,9 +105,13 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
         timings.faster(case, "eldata, one thread", "plain numpy", at_least=8 if cores == 1 else None),
         timings.faster(case, "eldata, one thread", "scipy's tukeylambda.rvs", at_least=12 if cores == 1 else None),
         timings.faster(case, "eldata", "plain torch"),
-        timings.faster(case, "eldata, P*+D from a store, one thread", "eldata, one thread", at_least=1.0),
-        timings.faster(case, "eldata, P*+D, frames of the store kept, one thread", "eldata, one thread", at_least=1.0),
-        *(timings.cost(case, f"eldata, {spec}, one thread", "eldata, one thread") for spec in _WITH_STRUCTURE),
+        timings.faster(
+            "P*+D from a store", "eldata, P*+D from a store, one thread", "eldata, one thread", at_least=1.0
+        ),
+        timings.faster(
+            "P*+D, kept", "eldata, P*+D, frames of the store kept, one thread", "eldata, one thread", at_least=1.0
+        ),
+        *(timings.cost(spec, f"eldata, {spec}, one thread", "eldata, one thread") for spec in _WITH_STRUCTURE),
         timings.cost(case, "eldata, one thread", "numpy uniforms, float32"),
         timings.cost(case, "eldata, one thread", "copy of the patch"),
     ]

@@ -26,6 +26,7 @@ from eldata.errors import ArgumentError, DatasetError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.manifest.verify_report import Problem
 
 _SHADING = FileKind(rb"PK\x03\x04.{26}about\.npy")  # the first of its arrays
@@ -130,24 +131,12 @@ def run(arguments: console.Arguments) -> int:
     from eldata.calibration.camera import calibrate, stated_gains
     from eldata.calibration.shading_fit import dark_shading
     from eldata.datasets.calibration_frames import CalibrationFrames
-    from eldata.manifest.catalogue import find_manifests, is_manifest
     from eldata.noise.profile import CameraProfile
 
-    if is_manifest(arguments.frames):
-        (manifest,) = find_manifests(arguments.frames, arguments.root)
-        folder = manifest.folder(arguments.root)
-        frames = CalibrationFrames(folder, arguments.camera, manifest=manifest.path, isos=arguments.isos)
-    else:
-        if arguments.root:
-            raise ArgumentError("--root says where a manifest's files lie; with a folder of frames, leave it out")
-        frames = CalibrationFrames(arguments.frames, arguments.camera, isos=arguments.isos)
+    frames = _frames(arguments)
     if arguments.dark_current and not arguments.dark_shading:
         raise ArgumentError("--dark-current is a part of the dark shading; give --dark-shading FILE, too")
-    modes = arguments.modes
-    if modes and None in modes:
-        if modes != [None]:
-            raise ArgumentError("--mode none says that the camera does not switch: give it alone, or leave it out")
-        modes = []
+    modes = _modes(arguments.modes)
     gains: dict[float, float] = {}
     for profile in (name for name in arguments.gains if isinstance(name, str)):
         gains |= stated_gains(frames, CameraProfile.load(profile))
@@ -216,6 +205,29 @@ def run(arguments: console.Arguments) -> int:
     lacking = arguments.output and found.made_profile is None
     lacking = lacking or (arguments.dark_shading and shading is None)
     return console.PROBLEMS if lacking or found.problems or any(one.withheld for one in found.all_isos) else console.OK
+
+
+def _frames(arguments: console.Arguments) -> CalibrationFrames:
+    """Return the frames of a manifest, or of a folder."""
+    from eldata.datasets.calibration_frames import CalibrationFrames
+    from eldata.manifest.catalogue import find_manifests, is_manifest
+
+    if is_manifest(arguments.frames):
+        (manifest,) = find_manifests(arguments.frames, arguments.root)
+        folder = manifest.folder(arguments.root)
+        return CalibrationFrames(folder, arguments.camera, manifest=manifest.path, isos=arguments.isos)
+    if arguments.root:
+        raise ArgumentError("--root says where a manifest's files lie; with a folder of frames, leave it out")
+    return CalibrationFrames(arguments.frames, arguments.camera, isos=arguments.isos)
+
+
+def _modes(stated: Sequence[int | None] | None) -> list[int] | None:
+    """Return the ISOs from which modes begin, none of a camera that does not switch; ``None``: to be found."""
+    if stated is None:
+        return None
+    if None in stated and len(stated) > 1:
+        raise ArgumentError("--mode none says that the camera does not switch: give it alone, or leave it out")
+    return [iso for iso in stated if iso is not None]
 
 
 def _listed(isos: Iterable[float]) -> str:

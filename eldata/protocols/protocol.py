@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
@@ -39,14 +40,14 @@ _DIGEST = re.compile("sha256:[0-9a-f]{64}")
 _REGION = re.compile(r"full|(centre|border)-([1-9][0-9]{0,4})")
 
 
-class _Described:
+class _Described(ABC):
     """What says of itself in fields how something was scored: in a line, and in a notebook."""
 
     __slots__ = ()
 
+    @abstractmethod
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as plain types."""
-        raise NotImplementedError
 
     @property
     def digest(self) -> str:

@@ -396,9 +396,8 @@ def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = Non
     packed = np.empty(shape, dtype=mosaic.dtype) if out is None else out
     if packed.shape != shape or packed.dtype != mosaic.dtype:
         raise ArgumentError(f"out must be {mosaic.dtype} of shape {shape}; found {packed.dtype} {packed.shape}")
-    bits = _as_bits(area)
     if sites.period == 2 and with_rows(packed) is packed:
-        gather_bayer(bits, _as_bits(packed), sites.channel_of)
+        gather_bayer(_as_bits(area), _as_bits(packed), sites.channel_of)
     else:
         for in_mosaic, in_packed in sites.slices:
             packed[in_packed] = area[in_mosaic]

@@ -212,7 +212,7 @@ class FrameReader:
             del frame
 
     def read_new(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
-        """Yield those that are no copies; the difference of a frame and its copy holds no noise."""
+        """Yield the frames without copies of others: the difference of a frame and its copy holds no noise."""
         for record, frame in self.read(records):
             if self.copies.original(record, frame.mosaic) is None:
                 yield record, frame

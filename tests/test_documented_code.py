@@ -16,7 +16,7 @@ import sys
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,7 +33,6 @@ from eldata.manifest.catalogue import shipped_manifest
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor
 from tests.drv_tree import build_drv_tree, write_raw_clip
-from tests.integrations.published_sets import sid_like
 from tests.sid_tree import build_sid_tree
 from tests.sidd_tree import write_corrected
 from tests.trees import build_published_tree
@@ -240,29 +239,9 @@ def of_stores(_: pytest.MonkeyPatch) -> Names:
     return {"network": lambda images: images}
 
 
-def of_hub(_: pytest.MonkeyPatch) -> Names:
-    pytest.importorskip("datasets", reason="needs datasets, which only the tests use")
-    sid_like(Path())
-    for line in (
-        "pack own --manifest own.csv --root data -o my-set.h5 --jobs 1",
-        "shard my-set.h5 -o shards --tile 16 --split train",
-        "export hub my-set --manifest own.csv --shards shards",
-    ):
-        assert main(line.split()) == 0
-    return {}
-
-
-def of_lightning(patch: pytest.MonkeyPatch) -> Names:
-    lightning = pytest.importorskip("lightning", reason="needs eldata[lightning]")
-    names = of_stores(patch)
-    patch.setattr(
-        lightning, "Trainer", lambda **_: SimpleNamespace(fit=lambda _, data: next(iter(data.train_dataloader())))
-    )
-    return names | {"module": torch.nn.Identity()}
-
-
 def of_published_code(patch: pytest.MonkeyPatch) -> Names:
     """LED is not installed: its package's names, with the registries' interface."""
+    build_sid_tree(shipped_manifest("sid-sony"), Path("data/SID"))
     from tests.integrations.test_basicsr import registry_module
 
     for name in ("led", "led.utils", "led.train"):
@@ -277,8 +256,6 @@ NEEDS: dict[str, Callable[[pytest.MonkeyPatch], Names]] = {
     "docs/calibration.md": of_calibration,
     "docs/datasets.md": of_datasets,
     "docs/evaluation.md": of_evaluation,
-    "docs/hub.md": of_hub,
-    "docs/lightning.md": of_lightning,
     "docs/manifests.md": of_manifests,
     "docs/metrics.md": of_metrics,
     "docs/noise.md": of_noise,
@@ -316,7 +293,7 @@ def in_this_process(work: Any, units: Any, _: Any) -> Iterator[Any]:
 # Those that score or pack whole sets, and calibrate.
 LONG = {"README.md", *(f"docs/{name}.md" for name in (
     "calibration", "datasets", "evaluation", "metrics", "noise", "plots", "published-numbers", "reports", "streaming",
-    "lightning", "training",
+    "training",
 ))}  # fmt: skip
 
 

@@ -93,7 +93,6 @@ SCORES = FileKind(rb"(protocol,)?(path|scene,split),camera,")
 COMPARISON_DATA = json_kind("methods warnings statistics")
 COMPARISON_PAGE = page_kind("compare")
 CARD = json_kind("name title folder")
-CROISSANT = json_kind("@context @type conformsTo")
 
 
 class Output(argparse.Action):

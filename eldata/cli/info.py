@@ -6,7 +6,6 @@ those.
 
     eldata info
     eldata info eld --root data
-    eldata info eld --croissant eld.croissant.json
 """
 
 from __future__ import annotations
@@ -15,29 +14,18 @@ import sys
 from functools import partial
 
 from eldata.base import console
-from eldata.base.files import write_json
-from eldata.base.outputs import CROISSANT, add_output, json_kind
-from eldata.errors import ArgumentError, EldataError
+from eldata.base.outputs import json_kind
+from eldata.errors import EldataError
 
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
     parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
-    add_output(
-        parser,
-        "--croissant",
-        kind=CROISSANT,
-        nargs="?",
-        const="",
-        help="describe DATASET, or the set of a manifest's CSV file, in Croissant 1.1 (JSON-LD): in FILE, or printed",
-    )
     console.add_shared(parser, run, "root", json=json_kind("datasets", begins=rb'\{\n  "datasets"'))
 
 
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
-    if arguments.croissant is not None:
-        return _describe(arguments)
     from eldata.base.tables import text_table
     from eldata.download.overview import overview_of
     from eldata.manifest.catalogue import data_root, known_names
@@ -61,28 +49,3 @@ def run(arguments: console.Arguments) -> int:
     said = [partial(print, f"eldata info: {problem}", file=sys.stderr) for problem in problems]
     console.show_and_write(arguments, told, lambda: {"datasets": [one.as_dict() for one in found]}, *said)
     return console.PROBLEMS if problems else console.OK
-
-
-def _describe(arguments: console.Arguments) -> int:
-    """Print or write one set's card and manifest as Croissant."""
-    from eldata.base.files import json_text
-    from eldata.manifest.catalogue import carded_names, known_manifest, load_manifest, shipped_card, shipped_names
-    from eldata.manifest.croissant import to_croissant
-
-    name = arguments.dataset
-    if name is None or arguments.json:
-        raise ArgumentError(
-            "--croissant describes one set, and is JSON already: eldata info eld --croissant eld.croissant.json"
-        )
-    if name in carded_names() and name not in shipped_names():
-        described, table = to_croissant(shipped_card(name)), None
-    else:
-        manifest = load_manifest(name) if name.endswith(".csv") else known_manifest(name)
-        described, table = to_croissant(manifest), manifest.path
-    if not arguments.croissant:
-        print(json_text(described), end="")
-        return console.OK
-    write_json(arguments.croissant, described)
-    beside = f"; it reads {table.name}: put {table} beside it" if table is not None else ""
-    print(f"{name} in Croissant: {arguments.croissant}{beside}")
-    return console.OK

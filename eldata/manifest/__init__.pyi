@@ -5,7 +5,6 @@ from .catalogue import load_manifest as load_manifest
 from .catalogue import shipped_card as shipped_card
 from .catalogue import shipped_manifest as shipped_manifest
 from .catalogue import shipped_names as shipped_names
-from .croissant import to_croissant as to_croissant
 from .lock import lock as lock
 from .own import OwnSet as OwnSet
 from .own import sort_own_set as sort_own_set

@@ -125,7 +125,7 @@ def test_what_is_shown_at_the_end_runs(
     demo_tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On clean raws, without what extras install; the score is that of the validation, as far as the table tells it."""
-    for name in ("torchmetrics", "lightning", "tensorboard", "skimage", "hdf5plugin", "onnxruntime", "distributed"):
+    for name in ("torchmetrics", "tensorboard", "skimage", "hdf5plugin", "onnxruntime", "distributed"):
         monkeypatch.setitem(sys.modules, name, None)
     tree = tree_in(demo_tree)
     clean = ["--clean", str(tree.data / "DemoAlpha"), "--camera", "SonyA7S2", "--crops-per-frame", "1"]

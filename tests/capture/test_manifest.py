@@ -18,9 +18,7 @@ import pytest
 from capture.calibration import plan_calibration
 from capture.cli import main
 from eldata.base.files import sha256_of, write_text
-from eldata.cli.main import main as eldata_main
-from eldata.manifest import load_manifest, to_croissant, verify
-from eldata.manifest.writing import save_manifest
+from eldata.manifest import load_manifest, verify
 from tests.capture.simulated import CAMERA, Nights, Taken, plan_of, shoot, whole_plan
 from tests.cases import in_one_test
 from tests.waiting import PATIENCE_S
@@ -82,13 +80,6 @@ def test_scenes_from_card_to_dataset(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert field.problems() == []
 
 
-def describe(field: Field) -> Path:
-    """Describe the set in Croissant."""
-    described = field.csv.with_suffix(".croissant.json")
-    assert eldata_main(["info", str(field.csv), "--croissant", str(described)]) == 0
-    return described
-
-
 def stop_before(number: int, patch: pytest.MonkeyPatch) -> None:
     """Have the so-manyth file of a set meet Ctrl-C."""
     names = []
@@ -102,39 +93,21 @@ def stop_before(number: int, patch: pytest.MonkeyPatch) -> None:
     patch.setattr("eldata.manifest.writing.write_text", write)
 
 
-@pytest.mark.parametrize(("how", "files"), [("new", 2), ("--replace", 2), ("--append", 3)])
-def test_the_files_of_a_set_are_right_after_an_interruption(how: str, files: int, tmp_path: Path) -> None:
-    """Before each of Croissant, card and table: the same command again ends with those that it writes."""
-    for number in range(files):
+@pytest.mark.parametrize("how", ["new", "--replace", "--append"])
+def test_the_files_of_a_set_are_right_after_an_interruption(how: str, tmp_path: Path) -> None:
+    """Before each of card and table: the same command again ends with those that it writes."""
+    for number in range(2):
         field = Field(tmp_path / str(number), plan_of("4", "1", factors=(1,)))
         options = [] if how == "new" else [how]
         if how != "new":
             assert field.copy("--only", "scene-1", "--yes") == 0
-        if how == "--append":
-            describe(field)
         with pytest.MonkeyPatch.context() as patch:
             stop_before(number, patch)
             assert field.copy(*options) == 130
         assert field.copy(*options) == 0
         manifest = load_manifest(field.csv)
         assert len(manifest.records) == len(field.plan.shots)
-        names = ["mine.csv", "mine.json"]
-        if how == "--append":
-            names.insert(0, "mine.croissant.json")
-            assert json.loads((field.csv.parent / names[0]).read_text()) == to_croissant(manifest)
-        assert sorted(path.name for path in field.csv.parent.iterdir()) == names
-
-
-def test_a_croissant_follows_its_set_unless_somebody_changed_it(small: Field) -> None:
-    assert small.copy() == 0
-    described = describe(small)
-    manifest = load_manifest(small.csv)
-    records = [replace(one, measured_ratio=Fraction(3, 2)) if one.reference else one for one in manifest.records]
-    manifest = save_manifest(small.csv, manifest.card, records)
-    assert json.loads(described.read_text()) == to_croissant(manifest)
-    described.write_text("mine")
-    save_manifest(small.csv, manifest.card, manifest.records)
-    assert described.read_text() == "mine"
+        assert sorted(path.name for path in field.csv.parent.iterdir()) == ["mine.csv", "mine.json"]
 
 
 def test_check_says_that_its_frames_are_too_small(small: Field, capsys: pytest.CaptureFixture[str]) -> None:

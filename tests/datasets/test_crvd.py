@@ -11,10 +11,8 @@ import tifffile
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata import evaluate
-from eldata.cli.main import main
 from eldata.datasets import CRVDDataset, PairDataset
-from eldata.errors import ArgumentError, DatasetError, ManifestError
-from eldata.integrations.exports.frames import exported_pairs
+from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest import shipped_manifest, verify
 from eldata.manifest.writing import save_manifest
 from eldata.protocols import get_protocol
@@ -102,14 +100,6 @@ def test_scores_are_those_of_the_published_code(protocol: str, tree: tuple[Manif
     assert len(result.scores) == 14
     for score in result.scores:
         np.testing.assert_allclose((score.psnr_db, score.ssim), expected[score.path], rtol=0, atol=1e-6)
-
-
-def test_what_libraw_cannot_read_is_not_exported(tree: tuple[Manifest, Path], tmp_path: Path) -> None:
-    manifest, folder = tree
-    arguments = ["export", "led", str(tmp_path / "out"), "--manifest", str(manifest.path), "--root", str(folder)]
-    assert main(arguments) == 2
-    with pytest.raises(DatasetError, match="write them as DNG"):
-        exported_pairs(manifest=manifest.path, root=folder, subset="test-first")
 
 
 def test_cutting_down_to_whole_dn_is_for_raw_predictions() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
 SENSOR = Sensor(
     "NIKON CORPORATION", "NIKON D850", ((2, 3), (1, 0)), (400.0, 401.0, 402.0, 401.0), 16000.0, 50, 68, (2.0, 1, 1.5, 1)
 )
-# As SID's code and PMN's take every file to be.
-SONY = replace(SENSOR, cfa=((0, 1), (3, 2)), black_level_dn=(512.0,) * 4, white_level_dn=16383.0)
 LONG_S = Fraction(10)
 SHORT_S = {"0.04": Fraction(1, 25), "0.1": Fraction(1, 10), "0.033": Fraction(1, 30)}
 RATIO = {"0.04": 250, "0.1": 100, "0.033": 300}
@@ -51,29 +48,6 @@ def sid_like(folder: Path, suffix: str = "ARW", sensor: Sensor = SENSOR) -> Mani
                 photograph(folder / "data/OWN" / path, 200, seconds, number := number + 1, sensor)
                 ratio = Fraction(RATIO[text])
                 records.append(FrameRecord(path, "noisy", "Own", scene, split, Fraction(200), seconds, ratio, long))
-    return _saved(folder, "own", records)
-
-
-def eld_like(folder: Path, references: tuple[int, ...] = (1, 6, 11, 16)) -> Manifest:
-    """ELD's layout, two scenes: ISO 100 at 2/3 s against times that no decimal states, factors 1, 10, 100 and 200."""
-    records, number, long_s = [], 0, Fraction(2, 3)
-    for scene in ("scene-1", "scene-2"):
-        paths = {id_: f"Own/{scene}/IMG_{id_:04d}.dng" for id_ in range(1, 17)}
-        for id_ in references:
-            photograph(folder / "data/OWN" / paths[id_], 100, long_s, number := number + 1)
-            records.append(FrameRecord(paths[id_], "reference", "Own", scene, "test"))
-        for place, iso in enumerate((800, 1600, 3200)):
-            for step, factor in enumerate((1, 10, 100, 200)):
-                id_ = 5 * place + 2 + step
-                if id_ in references:
-                    continue
-                nearest = min(references, key=lambda one: abs(one - id_))
-                seconds = long_s * 100 / (iso * factor)
-                photograph(folder / "data/OWN" / paths[id_], iso, seconds, number := number + 1)
-                ratio, reference = Fraction(factor), paths[nearest]
-                records.append(
-                    FrameRecord(paths[id_], "noisy", "Own", scene, "test", Fraction(iso), None, ratio, reference)
-                )
     return _saved(folder, "own", records)
 
 

@@ -1,14 +1,7 @@
 from .libraw import render_libraw as render_libraw
-from .radiometric import CurveModel as CurveModel
-from .radiometric import fit_to_exposures as fit_to_exposures
-from .radiometric import fit_to_samples as fit_to_samples
 from .rendering import CameraColour as CameraColour
 from .rendering import Gamma as Gamma
 from .rendering import Rendering as Rendering
 from .rendering import render_pair_for_scoring as render_pair_for_scoring
 from .response import ResponseCurve as ResponseCurve
-from .response_files import read_curve_model as read_curve_model
-from .response_files import read_dorf as read_dorf
-from .response_files import read_published_response as read_published_response
-from .response_files import read_response_table as read_response_table
-from .response_files import write_response_table as write_response_table
+from .response import read_response_table as read_response_table

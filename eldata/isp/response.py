@@ -1,16 +1,19 @@
-"""A camera's response function as a measured curve: applied and inverted by linear interpolation, on torch."""
+"""A camera's response function as a measured curve, read from a table and applied by linear interpolation, on torch."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eldata.base.fields import TextFile
 from eldata.base.numbers import number_of
-from eldata.errors import ArgumentError
+from eldata.errors import ArgumentError, FileError
 
 if TYPE_CHECKING:
     import torch
@@ -21,6 +24,11 @@ if TYPE_CHECKING:
 _LEAST_POINTS = 2
 _CURVE, _GAMMA = "curve ", "gamma-"
 _END_TOLERANCE = 1e-4
+_SEPARATORS = re.compile(r"[\s,;]+")
+
+
+class ResponseFileError(FileError):
+    """A file with a response curve cannot be used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +36,7 @@ class ResponseCurve:
     """Brightness as a function of irradiance, both in [0, 1], one curve for all colours or one each for R, G, B.
 
     Between its points the curve is straight, as in the published code (ELD repository, util/process.py), so that it is
-    differentiable everywhere else, and its inverse is exact.
+    differentiable everywhere else.
 
     Attributes
     ----------
@@ -93,52 +101,28 @@ class ResponseCurve:
         ArgumentError
             If there are three curves and the image does not have three channels.
         """
-        return self._interpolated(linear, self.irradiance, self.brightness)
-
-    def inverse(self, brightness: torch.Tensor) -> torch.Tensor:
-        """Return an irradiance that has this brightness; ``curve(curve.inverse(b)) == b`` up to rounding.
-
-        Where the curve is flat it is the lowest one. Arguments and errors are a call's.
-        """
-        return self._interpolated(brightness, self.brightness, self.irradiance)
-
-    def _interpolated(
-        self, values: torch.Tensor, along: NDArray[np.float64], across: NDArray[np.float64]
-    ) -> torch.Tensor:
         import torch
 
-        if len(along) == 3 and (values.ndim < 3 or values.shape[-3] != 3):
+        if len(self.irradiance) == 3 and (linear.ndim < 3 or linear.shape[-3] != 3):
             raise ArgumentError(
                 f"{self.name}: has a curve each for R, G, B; expected an image (..., 3, h, w), found shape "
-                f"{tuple(values.shape)}"
+                f"{tuple(linear.shape)}"
             )
         # (curves, values): the points of one channel are those of its curve.
-        rows = values.movedim(-3, 0).reshape(3, -1) if len(along) == 3 else values.reshape(1, -1)
+        rows = linear.movedim(-3, 0).reshape(3, -1) if len(self.irradiance) == 3 else linear.reshape(1, -1)
         # Half precision cannot tell neighbouring points apart.
         rows = rows.clamp(0, 1).to(torch.promote_types(rows.dtype, torch.float32))
-        x = torch.tensor(along, dtype=rows.dtype, device=rows.device)
-        y = torch.tensor(across, dtype=rows.dtype, device=rows.device)
+        x = torch.tensor(self.irradiance, dtype=rows.dtype, device=rows.device)
+        y = torch.tensor(self.brightness, dtype=rows.dtype, device=rows.device)
         # The segment whose left end lies below the value and whose right end does not: it is never flat.
         left = (torch.searchsorted(x, rows.detach().contiguous()) - 1).clamp(0, x.shape[1] - 2)
         x0, x1, y0, y1 = (points.gather(1, index) for points in (x, y) for index in (left, left + 1))
         width = torch.where(x1 > x0, x1 - x0, torch.ones_like(x0))  # a flat start, where the share is 0
-        result = (y0 + (rows - x0) / width * (y1 - y0)).to(values.dtype)
-        if len(along) == 3:
-            moved = values.movedim(-3, 0)
+        result = (y0 + (rows - x0) / width * (y1 - y0)).to(linear.dtype)
+        if len(self.irradiance) == 3:
+            moved = linear.movedim(-3, 0)
             return result.reshape(moved.shape).movedim(0, -3)
-        return result.reshape(values.shape)
-
-    def on_grid(self, points: int = 1024) -> ResponseCurve:
-        """Return the curve at equal steps of irradiance: what tables and other programs want.
-
-        Raises
-        ------
-        ArgumentError
-            If there are fewer than 2 points.
-        """
-        grid = np.linspace(0, 1, max(points, 0))
-        brightness = [np.interp(grid, e, b) for e, b in zip(self.irradiance, self.brightness, strict=True)]
-        return ResponseCurve(np.broadcast_to(grid, (len(brightness), len(grid))), np.array(brightness), self.name)
+        return result.reshape(linear.shape)
 
     @property
     def text(self) -> str:
@@ -154,6 +138,39 @@ class ResponseCurve:
 
     def __repr__(self) -> str:
         return f"ResponseCurve({self.name!r}, {len(self.irradiance)} x {self.irradiance.shape[1]} points)"
+
+
+def read_response_table(path: Path | str) -> ResponseCurve:
+    """Read a text file of two columns (irradiance, brightness) or four (irradiance, brightness of R, G, B).
+
+    Numbers are separated by white space, commas or semicolons; ``#`` starts a comment.
+
+    Raises
+    ------
+    ResponseFileError
+        If the file is missing, not text, has lines of other lengths, or the curve does not rise from 0 to 1.
+    """
+    path = Path(path)
+    lines = TextFile(path, ResponseFileError).text("a text file with a response curve").splitlines()
+    rows = []
+    for number, line in enumerate(lines, 1):
+        try:
+            rows.append([number_of(text) for text in _SEPARATORS.split(line.partition("#")[0].strip()) if text])
+        except ArgumentError as error:
+            raise ResponseFileError(path, f"line {number}: {error}") from error
+    rows = [row for row in rows if row]
+    widths = {len(row) for row in rows}
+    if widths not in ({2}, {4}):
+        raise ResponseFileError(
+            path,
+            "expected lines of 2 numbers (irradiance, brightness) or 4 (irradiance, brightness of R, G, B); found "
+            f"{'no line of numbers' if not rows else f'lines of {sorted(widths)} numbers'}",
+        )
+    irradiance, *brightness = np.array(rows).T
+    try:
+        return ResponseCurve(np.broadcast_to(irradiance, (len(brightness), len(rows))), np.array(brightness), path.stem)
+    except ArgumentError as error:
+        raise ResponseFileError(path, str(error)) from error
 
 
 @lru_cache(maxsize=8)

@@ -181,8 +181,8 @@ def load_protocol(path: Path | str) -> Protocol:
     """Load a protocol from a TOML file.
 
     It has ``base``, the name of a shipped protocol, ``name``, ``title``, and any field of :class:`Protocol` that is to
-    differ from the base's. ``response`` may name files beside it: ``{table = "mine.txt"}``, ``{published = FILE}`` or
-    ``{emor = "emor.txt", coefficients = [...]}`` (:mod:`eldata.isp.response_files`); their points are taken over.
+    differ from the base's. ``response`` may name a table beside it, ``{table = "mine.txt"}``
+    (:func:`~eldata.isp.response.read_response_table`), whose points are taken over.
     ``source`` is by default the base's with the file's name.
 
     Raises
@@ -222,22 +222,14 @@ def _ratio(top: Fields, name: str) -> Any:
 
 def _response_in(top: Fields, folder: Path) -> str:
     """Return the response that a file states, with the points of the curve in the files that it names."""
-    from eldata.isp.response_files import read_curve_model, read_published_response, read_response_table
+    from eldata.isp.response import read_response_table
 
     if isinstance(top.data["response"], str):
         return top.text("response")
     stated = top.inside("response")
-    names = tuple(sorted(stated.data))
-    if names == ("table",):
-        return read_response_table(folder / stated.text("table")).text
-    if names == ("published",):
-        return read_published_response(folder / stated.text("published")).text
-    if names == ("coefficients", "emor"):
-        expected = "a list of numbers, the weights of the leading components"
-        weights = stated.each("coefficients", type(stated).number, expected=expected, fewest=1)
-        return read_curve_model(folder / stated.text("emor")).response(weights).text
-    expected = "'gamma-2.2', {table = FILE}, {published = FILE} or {emor = FILE, coefficients = [...]}"
-    raise top.wrong("response", expected, ", ".join(names))
+    if tuple(stated.data) != ("table",):
+        raise top.wrong("response", "'gamma-2.2' or {table = FILE}", ", ".join(sorted(stated.data)))
+    return read_response_table(folder / stated.text("table")).text
 
 
 def _field_of(top: Fields, name: str) -> Any:

@@ -44,42 +44,17 @@ def test_points_and_ends_are_met_and_the_outside_is_clipped() -> None:
     assert THREE(outside)[:, :, 0, 0].tolist() == [[0.0] * 3, [0.0] * 3, [1.0] * 3, [1.0] * 3]
 
 
-def test_the_inverse_undoes_the_curve() -> None:
-    for curve in family():
-        values = image()
-        torch.testing.assert_close(curve.inverse(curve(values)), values, atol=1e-12, rtol=0)
-
-
-def test_flat_stretches_have_the_least_inverse() -> None:
-    brightness = image(4)
-    brightness[0] = torch.tensor([0.3, 0.2, 0.0], dtype=torch.float64).view(3, 1, 1)
-    irradiance = THREE.inverse(brightness)
-    torch.testing.assert_close(THREE(irradiance), brightness, atol=1e-12, rtol=0)
-    np.testing.assert_allclose(irradiance[0, :, 0, 0], [0.1, 0.1, 0.0], atol=1e-12)
-    assert THREE.inverse(torch.ones(3, 1, 1, dtype=torch.float64)).flatten().tolist() == [1.0, 1.0, 0.6]
-
-
 def test_gradients() -> None:
     # 0.01 away from the points, where the slope jumps.
     values = image(low=0.16, high=0.59).requires_grad_()
     assert torch.autograd.gradcheck(THREE, (values,))
-    assert torch.autograd.gradcheck(THREE.inverse, (image(low=0.51, high=0.79).requires_grad_(),))
 
 
 def test_gradients_are_finite_everywhere() -> None:
     values = torch.from_numpy(np.tile(np.array([-1.0, 0.0, 0.1, 0.15, 0.6, 1.0, 2.0]), (3, 1))[..., None])
-    for function in (THREE, THREE.inverse):
-        leaf = values.clone().requires_grad_()
-        (gradient,) = torch.autograd.grad(function(leaf).sum(), leaf)
-        assert gradient.isfinite().all()
-
-
-def test_a_curve_on_a_grid() -> None:
-    on_grid = THREE.on_grid(21)  # steps of 0.05: every point of the curve is one of it
-    np.testing.assert_allclose(on_grid.irradiance, np.tile(np.linspace(0, 1, 21), (3, 1)))
-    torch.testing.assert_close(on_grid(image()), THREE(image()), atol=1e-12, rtol=0)
-    with pytest.raises(ArgumentError, match="2 or more points"):
-        THREE.on_grid(1)
+    values.requires_grad_()
+    (gradient,) = torch.autograd.grad(THREE(values).sum(), values)
+    assert gradient.isfinite().all()
 
 
 def test_ends_with_few_digits_are_set() -> None:

@@ -4,7 +4,6 @@
     python examples/prove_noise_models.py proof                       # all rows, both cameras, three seeds
     python examples/prove_noise_models.py proof --check               # the acceptance test of each model, too
     python examples/prove_noise_models.py docs/proof --table          # only the table of what is recorded
-    python examples/prove_noise_models.py proof --reference new.safetensors   # the network that ships with eldata
 
 `proof/<camera>.json` records the scores of each row and seed that is finished. What it has is not done again, and a
 training goes on from its checkpoint in `proof/runs`, so that the same command goes on after any end; two cameras may
@@ -20,7 +19,7 @@ import math
 import os
 import shutil
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,8 +31,7 @@ from eldata import PackedStore, SyntheticPairs
 from eldata.base.fields import TextFile
 from eldata.base.files import write_json
 from eldata.base.tables import markdown_table
-from eldata.baselines import BaselineDenoiser, Training, UNet, absolute_error, reference_network, write_predictions
-from eldata.baselines.unet import blank_reference, save_weights
+from eldata.baselines import BaselineDenoiser, Training, UNet, absolute_error, write_predictions
 from eldata.calibration import check_noise
 from eldata.datasets import CleanFrames, DarkFrames, Noise2Noise, training_loader
 from eldata.datasets.loading import set_epoch
@@ -166,7 +164,6 @@ UNTRAINED = {
     "dct": "VST + DCT",
     "bm3d": "BM3D",
     "anscombe-bm3d": "A-BM3D",
-    "reference": "the network that ships with eldata",
 }
 SPECS = ("G", "P+G", "P*+G", "P*+G*", "P*+G*+B", "P*+G*+B+R", FULL, "P*+D")
 TRAINED = (*SPECS, "shading", "any ISO", "virtual", "noise2noise", "paired")
@@ -206,12 +203,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--cameras", nargs="+", default=["BenchAlpha", "BenchBeta"])
     parser.add_argument("--check", action="store_true", help="run the acceptance test of each noise model")
     parser.add_argument("--table", action="store_true", help="only print the table of what is recorded")
-    parser.add_argument("--reference", type=Path, metavar="FILE", help="train the network that ships, and write it")
     options = parser.parse_args(argv)
     torch.set_num_threads(1)
-    if options.reference is not None:
-        train_reference(options.folder, options.cameras, options.reference, options.device)
-        return
     recipe = Recipe(options.steps, options.width, options.depth)
     files = {camera: options.folder / f"{camera}.json" for camera in options.cameras}
     if options.table:
@@ -236,8 +229,6 @@ def work(bench: Bench, recipe: Recipe, record: Record, options: argparse.Namespa
 
 def untrained(bench: Bench, row: str) -> Any:
     """Return what denoises without a training of ours; for the noisy input nothing does."""
-    if row == "reference":
-        return Trained(reference_network(), "cpu")
     return None if row == "input" else BaselineDenoiser(row, (bench.profile,))
 
 
@@ -386,23 +377,6 @@ def speeds(loader: Any, network: UNet, device: str) -> dict[str, float]:
         optimiser.step()
 
     return {"data_per_s": per_second(lambda: next(batches)), "network_per_s": per_second(step)}
-
-
-def train_reference(folder: Path, cameras: Sequence[str], out: Path, device: str) -> None:
-    """Train the network that ships: 8000 steps on the clean frames of the benchmark, with the noise of no camera."""
-    clean = [path for camera in cameras for path in Bench(folder, camera).clean_files()]
-    virtual = VirtualCameras(100, replace(LED_RANGES, gain_dn_per_e=(0.1, 10.0)), seed=0)
-    per = math.ceil(EPOCH * BATCH / len(clean))
-    frames = CleanFrames(clean, keep=len(clean))
-    pairs = SyntheticPairs(
-        frames, virtual, ratio=(10.0, 300.0), clip=CLIP, crop=CROP, crops_per_frame=per, augment=True, seed=0
-    )
-    loader = training_loader(pairs, BATCH, seed=0, workers=0)
-    network = arranged(blank_reference())
-    training = Training(network, loader, steps=8000, learning_rate=RATE, device=device, settings={"data": repr(pairs)})
-    for report in training.epochs(out.with_suffix(".pt")):
-        print(report, flush=True)
-    save_weights(network, out)
 
 
 def check(bench: Bench, row: str) -> dict[str, float]:

@@ -557,7 +557,7 @@ def test_the_wheel_holds_what_it_must_and_nothing_else(wheel: Path) -> None:
     assert "eldata/__init__.pyi" in ours
     data = {"eldata/py.typed", "capture/py.typed", "eldata/protocols/shipped.toml", "capture/check/kinds.toml"}
     assert {*ours, *data} <= names
-    assert "eldata/baselines/reference.safetensors" in names
+    assert "eldata/baselines/noise_aware.safetensors" in names
     assert {name.split("/")[0].split("-")[0] for name in names} == {"eldata", "capture"}
     assert not [name for name in names if "__pycache__" in name or "tests" in name.split("/")]
     suffixes = {Path(name).suffix for name in names if "dist-info" not in name}

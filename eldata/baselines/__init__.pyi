@@ -12,6 +12,4 @@ from .training import Training as Training
 from .training import absolute_error as absolute_error
 from .training import clip_error as clip_error
 from .training import consistent_error as consistent_error
-from .unet import FastDVDnet as FastDVDnet
 from .unet import UNet as UNet
-from .unet import reference_network as reference_network

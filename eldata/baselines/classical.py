@@ -282,8 +282,6 @@ def _threshold(channel: NDArray[np.float32], sigma: NDArray[np.float32]) -> NDAr
 
 # --- the baselines ----------------------------------------------------------------------------------------------------
 
-_GAUSSIAN_PX = 2.0
-
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
@@ -327,19 +325,15 @@ class Baseline:
         return found
 
 
-_WAVELET = {"pywt": "PyWavelets", "skimage.restoration": "scikit-image"}  # which asks for the first only at work
 _BM3D = {"bm3d": "bm3d"}
-_EXTRAS = {
-    **dict.fromkeys(_WAVELET, "wavelet needs scikit-image and PyWavelets: pip install 'eldata[baselines]'"),
-    "bm3d": "BM3D is not installed: pip install 'eldata[bm3d]'. Its authors allow it for non-commercial use only",
-}
+_NO_BM3D = "BM3D is not installed: pip install 'eldata[bm3d]'. Its authors allow it for non-commercial use only"
 
 
 def _imported(module: str) -> Any:
     try:
         return import_module(module)
     except ImportError as error:
-        raise EldataError(_EXTRAS[module]) from error
+        raise EldataError(_NO_BM3D) from error
 
 
 def _known(line: SignalNoise | None) -> SignalNoise:
@@ -352,26 +346,8 @@ def _input(image: Values, _: SignalNoise | None) -> Values:
     return image
 
 
-def _gaussian(image: Values, _: SignalNoise | None) -> Values:
-    from scipy.ndimage import gaussian_filter
-
-    return np.asarray(gaussian_filter(image, (0.0, _GAUSSIAN_PX, _GAUSSIAN_PX)))
-
-
 def _dct(image: Values, line: SignalNoise | None) -> Values:
     return dct_thresholded(image, _known(line))
-
-
-def _wavelet(image: Values, line: SignalNoise | None) -> Values:
-    line = _known(line)
-    return unstabilised(_in_brightness(stabilised(image, line), _wavelet_of_white), line)
-
-
-def _wavelet_of_white(image: Values) -> Values:
-    _imported("pywt")
-    denoise = _imported("skimage.restoration").denoise_wavelet
-    shrunk = [denoise(channel, sigma=1.0, wavelet="sym4", method="BayesShrink") for channel in image]
-    return np.stack(shrunk)
 
 
 def _bm3d(image: Values, line: SignalNoise | None) -> Values:
@@ -410,8 +386,6 @@ def _in_brightness(image: Values, denoise: Callable[[Values], Values]) -> Values
 BASELINES: Mapping[str, Baseline] = MappingProxyType(
     {
         "input": Baseline("the noisy input, amplified, nothing else", _input, uses_noise=False),
-        "gaussian": Baseline(f"a Gaussian filter of {_GAUSSIAN_PX:g} packed pixels", _gaussian, uses_noise=False),
-        "wavelet": Baseline("BayesShrink of stabilised values (scikit-image)", _wavelet, needs=_WAVELET),
         "dct": Baseline("sliding-window DCT thresholding", _dct),
         "bm3d": Baseline("BM3D with one noise level for the frame", _bm3d, needs=_BM3D),
         "anscombe-bm3d": Baseline(

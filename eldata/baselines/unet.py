@@ -1,4 +1,4 @@
-"""The paper's networks: a U-Net from packed raw to packed raw, of clips a cascade of such; and those that ship."""
+"""The paper's U-Net, from packed raw to packed raw, of frames or of clips; and the network that ships."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     Values = NDArray[np.floating[Any]]
 
-_REFERENCE = "reference.safetensors"
 LEAK = 0.2  # slope of the leaky ReLUs below 0
 _DRAWN = 6  # keeps these random numbers apart from those of items, order, workers and turns
 
@@ -50,17 +49,14 @@ class UNet(nn.Module):
     seed
         Of the first weights.
     inputs
-        Channels of the input, where it has others than the output, such as those of several frames.
-    residual
-        Predict what the input is off by, at first nothing, which the published network does not.
-    bias
-        Whether its layers add constants. Without them the prediction of a brighter image is the brighter prediction,
-        and a blind network carries over to noise that it was not trained on (S. Mohan et al., ICLR 2020).
+        Channels of the input, where it has others than the output.
+    frames
+        Of a clip that it takes to predict the middle one: an odd number. It sees them as channels.
 
     Raises
     ------
     ArgumentError
-        If a number is out of its range, or a residual network has other inputs than outputs.
+        If a number is out of its range.
 
     Examples
     --------
@@ -70,8 +66,6 @@ class UNet(nn.Module):
     torch.Size([1, 4, 32, 32])
     """
 
-    window = 1  # frames that it takes
-
     def __init__(
         self,
         channels: int = 4,
@@ -80,29 +74,25 @@ class UNet(nn.Module):
         depth: int = 4,
         seed: int = 0,
         inputs: int | None = None,
-        residual: bool = False,
-        bias: bool = True,
+        frames: int = 1,
     ) -> None:
         super().__init__()
-        taken = channels if inputs is None else inputs
-        if residual and taken != channels:
-            raise ArgumentError(f"a residual network has as many inputs as outputs; found {taken} and {channels}")
-        if min(channels, width, taken) < 1 or depth < 0:
+        taken = frames * (channels if inputs is None else inputs)
+        if min(channels, width, taken) < 1 or depth < 0 or frames % 2 == 0:
             raise ArgumentError(
-                f"channels and width are 1 or more, depth is 0 or more; found {channels}, {width}, {depth}"
+                "channels and width are 1 or more, depth is 0 or more, frames are odd; found "
+                f"{channels}, {width}, {depth}, {frames}"
             )
-        self.channels, self.width, self.depth, self.residual = channels, width, depth, residual
+        self.channels, self.width, self.depth, self.window = channels, width, depth, frames
         widths = [width << level for level in range(depth + 1)]
         self.down = nn.ModuleList(
-            _two(before, after, bias=bias)
+            _two(before, after)
             for before, after in zip([taken, *widths], widths)  # noqa: B905
         )
-        self.up = nn.ModuleList(nn.ConvTranspose2d(2 * one, one, 2, stride=2, bias=bias) for one in widths[-2::-1])
-        self.merge = nn.ModuleList(_two(2 * one, one, bias=bias) for one in widths[-2::-1])
-        self.last = nn.Conv2d(width, channels, 1, bias=bias)
+        self.up = nn.ModuleList(nn.ConvTranspose2d(2 * one, one, 2, stride=2) for one in widths[-2::-1])
+        self.merge = nn.ModuleList(_two(2 * one, one) for one in widths[-2::-1])
+        self.last = nn.Conv2d(width, channels, 1)
         draw_weights(self, seed, last=(self.last,))
-        if residual:
-            nn.init.zeros_(self.last.weight)
 
     @property
     def multiple(self) -> int:
@@ -110,8 +100,8 @@ class UNet(nn.Module):
         return 1 << self.depth
 
     def forward(self, noisy: torch.Tensor) -> torch.Tensor:
-        """Return an estimate of the clean images, (N, C, h, w) float32, of noisy ones."""
-        features, above = noisy, []
+        """Return an estimate of the clean images, (N, C, h, w) float32, of noisy ones or of windows (N, T, C, h, w)."""
+        features, above = noisy.flatten(1, 2) if self.window > 1 else noisy, []
         for level, convolutions in enumerate(self.down):
             if level:
                 features = nn.functional.max_pool2d(features, 2)
@@ -120,57 +110,8 @@ class UNet(nn.Module):
         above.pop()
         for enlarge, convolutions in zip(self.up, self.merge, strict=True):
             features = convolutions(torch.cat([enlarge(features), above.pop()], dim=1))
-        made: torch.Tensor = self.last(features)
-        return noisy - made if self.residual else made
-
-
-class FastDVDnet(nn.Module):
-    """A network of five frames of a clip in the manner of FastDVDnet (M. Tassano et al., CVPR 2020).
-
-    Two steps, no motion estimation. A small U-Net takes frames 0 to 2, 1 to 3 and 2 to 4, with the same weights each
-    time, and a second one takes the three results; each predicts what its middle frame is off by. Theirs is for sRGB
-    with a noise map, with normalisation layers, strided convolutions and sums in place of joined features; here both
-    are :class:`UNet`, which halves its image twice as theirs does, on packed raw, and blind to the noise level as the
-    paper's networks are. Their weights do not fit.
-
-    Parameters
-    ----------
-    channels, width, depth, seed
-        As :class:`UNet` has them; with the published width and depth and 4 channels it has 938,440 parameters.
-
-    Raises
-    ------
-    ArgumentError
-        If a number is out of its range.
-    """
-
-    window = 5
-
-    def __init__(self, channels: int = 4, *, width: int = 32, depth: int = 2, seed: int = 0) -> None:
-        super().__init__()
-        self.first = UNet(channels, width=width, depth=depth, inputs=3 * channels)
-        self.second = UNet(channels, width=width, depth=depth, inputs=3 * channels)
-        # Drawn anew as one: two blocks of one seed would begin alike. At first nothing is taken off the middle frame:
-        # with drawn last layers, 240 steps of training gained 0.7 dB.
-        draw_weights(self, seed)
-        for block in (self.first, self.second):
-            nn.init.zeros_(block.last.weight)
-
-    @property
-    def multiple(self) -> int:
-        """What heights and widths are multiples of."""
-        return self.first.multiple
-
-    def forward(self, noisy: torch.Tensor) -> torch.Tensor:
-        """Return an estimate of the clean middle frames, (N, C, h, w) float32, of windows (N, 5, C, h, w)."""
-        threes = torch.cat([noisy[:, start : start + 3] for start in range(3)])  # one call for all: faster
-        near = _corrected(self.first, threes).chunk(3)
-        return _corrected(self.second, torch.stack(near, dim=1))
-
-
-def _corrected(block: UNet, three: torch.Tensor) -> torch.Tensor:
-    corrected: torch.Tensor = three[:, 1] - block(three.flatten(1, 2))
-    return corrected
+        clean: torch.Tensor = self.last(features)
+        return clean
 
 
 def draw_weights(network: nn.Module, seed: int, *, last: Collection[nn.Module] = ()) -> None:
@@ -188,44 +129,16 @@ def draw_weights(network: nn.Module, seed: int, *, last: Collection[nn.Module] =
                     layer.bias.zero_()
 
 
-def _two(before: int, after: int, *, bias: bool) -> nn.Sequential:
+def _two(before: int, after: int) -> nn.Sequential:
     return nn.Sequential(
-        nn.Conv2d(before, after, 3, padding=1, bias=bias),
+        nn.Conv2d(before, after, 3, padding=1),
         nn.LeakyReLU(LEAK),
-        nn.Conv2d(after, after, 3, padding=1, bias=bias),
+        nn.Conv2d(after, after, 3, padding=1),
         nn.LeakyReLU(LEAK),
     )
 
 
-# --- the network that ships with the package, to score beside others --------------------------------------------------
-
-
-def blank_reference(seed: int = 0) -> UNet:
-    """Return the network with its first weights, as its training begins."""
-    return UNet(4, width=14, depth=3, residual=True, bias=False, seed=seed)
-
-
-def reference_network() -> UNet:
-    """Return a small U-Net for Bayer cameras that was trained on the noise of virtual cameras alone.
-
-    368,648 parameters. It takes (N, 4, h, w) float32 of any camera, packed, black 0 and white 1, amplified and not
-    clipped, in sides that are multiples of 8, and saw no real photograph. docs/proof.md has its card: how it was
-    trained, what it scores, and where it fails.
-
-    Raises
-    ------
-    FileError
-        If its weights are not there or not its own: the installation is damaged.
-
-    Examples
-    --------
-    >>> from eldata.baselines import reference_network
-    >>> sum(weights.numel() for weights in reference_network().parameters())
-    368648
-    """
-    network = blank_reference()
-    load_weights(network, _REFERENCE)
-    return network
+# --- weights that ship ------------------------------------------------------------------------------------------------
 
 
 def load_weights(network: nn.Module, name: str) -> None:

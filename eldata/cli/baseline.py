@@ -1,10 +1,10 @@
 """`eldata baseline`: denoise a dataset without a network of yours, for the other rows of a table.
 
 Denoise each noisy frame that a protocol scores by a method without training, or by the network that ships, and write
-the predictions that eldata evaluate reads. input is the amplified frame itself; gaussian a filter; wavelet, BayesShrink
-(scikit-image); dct, sliding-window thresholding; bm3d takes one noise level for a frame, anscombe-bm3d stabilises the
-variance first. Both need the bm3d package, which its authors allow for non-commercial use only. network was trained for
-all cameras and is told the noise. Predictions that are there are kept, so that interrupted work goes on.
+the predictions that eldata evaluate reads. input is the amplified frame itself; dct, sliding-window thresholding; bm3d
+takes one noise level for a frame, anscombe-bm3d stabilises the variance first. Both need the bm3d package, which its
+authors allow for non-commercial use only. network was trained for all cameras and is told the noise. Predictions that
+are there are kept, so that interrupted work goes on.
 
     eldata baseline anscombe-bm3d --dataset eld --root data -o preds/bm3d
 """
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from eldata.baselines.predicting import PredictionReport
 
-NAMES = ("input", "gaussian", "wavelet", "dct", "bm3d", "anscombe-bm3d", "network")
+NAMES = ("input", "dct", "bm3d", "anscombe-bm3d", "network")
 
 
 def add_options(parser: console.Parser) -> None:

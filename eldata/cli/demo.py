@@ -37,7 +37,7 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the noise (default: %(default)s)")
     parser.add_argument(
         "--beside",
-        choices=("dct", "wavelet", "bm3d", "anscombe-bm3d"),
+        choices=("dct", "bm3d", "anscombe-bm3d"),
         metavar="NAME",
         help="the baseline beside the network, as eldata baseline has it; bm3d takes minutes (default: dct)",
     )

@@ -5,8 +5,8 @@ The loss is the published one, recovery of two predictions of one scene and --co
 (eldata.baselines.clip_error). RUN gets checkpoint.pt, from which the same command goes on, model.pt2 and weights.pt.
 
     python -m eldata.examples.train_video_denoiser --clean moving --camera SonyA7S2
-    python -m eldata.examples.train_video_denoiser --clean clean.h5 --still --camera SonyA7S2 --network unet
-    python -m eldata.examples.train_video_denoiser --clips drv-train.h5 --network unet
+    python -m eldata.examples.train_video_denoiser --clean clean.h5 --still --camera SonyA7S2 --frames 1
+    python -m eldata.examples.train_video_denoiser --clips drv-train.h5 --frames 1
     python -m eldata.examples.train_video_denoiser --clips data/DRV --split train --rgb
 
 The commands at the end name DRV; for a network of raw, drv-raw.csv is the manifest of its raws (docs/manifests.md). A
@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata import DRVDataset, SyntheticClips
 from eldata.base import console
-from eldata.baselines import FastDVDnet, UNet, clip_error
+from eldata.baselines import UNet, clip_error
 from eldata.datasets import CleanClips, CleanFrames
 from eldata.datasets.packed import PackedClips
 from eldata.errors import ArgumentError
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
     from torch.utils.data import Dataset
 
-NETWORKS: dict[str, tuple[Any, int]] = {"fastdvdnet": (FastDVDnet, 2), "unet": (UNet, 4)}  # and their depth
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
@@ -54,13 +52,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run(options: argparse.Namespace) -> int:
     """Train, or go on with a training; print each epoch's loss."""
     device = start_ranks(options.device)
-    kind, depth = NETWORKS[options.network]
-    data = training_clips(options, frames=kind.window + 1)  # two windows: one more frame
+    data = training_clips(options, frames=options.frames + 1)  # two windows: one more frame
     channels = next(iter(data))["input"].shape[1]
-    depth = depth if options.depth is None else options.depth
-    network = kind(channels, width=options.width, depth=depth, seed=options.seed)
+    shape = {"width": options.width, "depth": options.depth, "frames": options.frames}
+    network = UNet(channels, **shape, seed=options.seed)
     loss = partial(clip_error, window=network.window, weight=options.consistency)
-    settings = {"consistency": options.consistency, "network": options.network, "depth": depth}
+    settings = {"consistency": options.consistency, "frames": options.frames, "depth": options.depth}
     train(options, device, data, network, loss, settings, lambda *_: {})
     scored = ("--dataset", "drv") if channels == 3 else ("--manifest", "drv-raw.csv")
     return keep_and_show(options, network, channels, scored)
@@ -104,12 +101,15 @@ def parser() -> console.Parser:
     data.add_argument("--ids", nargs="+", metavar="ID", help="of --clips, such as 0001 0004 (default: all)")
     data.add_argument("--crops-per-clip", type=int, default=1, metavar="N", help="in an epoch (default: %(default)s)")
     how.add_argument(
-        "--network",
-        choices=NETWORKS,
-        default="fastdvdnet",
-        help="of five frames to the middle one, or frame by frame (default: %(default)s)",
+        "--frames",
+        type=int,
+        default=5,
+        metavar="T",
+        help="that the network takes for the middle one, an odd number (default: %(default)s)",
     )
-    how.add_argument("--depth", type=int, metavar="D", help="how often it halves the image (default: 2; 4 for unet)")
+    how.add_argument(
+        "--depth", type=int, default=4, metavar="D", help="how often it halves the image (default: %(default)s)"
+    )
     how.add_argument(
         "--consistency", type=float, default=0.05, metavar="W", help="its weight in the loss (default: %(default)s)"
     )

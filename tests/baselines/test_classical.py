@@ -56,9 +56,8 @@ def psnr(image: NDArray[Any], clean: NDArray[Any]) -> float:
 def test_what_knows_the_noise_is_better_than_the_input(number: int, name: str) -> None:
     """Errors of 24,576 values, alike within 8 x 8, are 384: a mean square scatters by 7 %, 0.31 dB, two by 0.44."""
     noisy, clean = noisy_and_clean(number, LINES[name])
-    scores = {key: psnr(BASELINES[key].denoise(noisy, LINES[name]), clean) for key in ("input", "wavelet", "dct")}
-    assert scores["dct"] > scores["wavelet"] + 1
-    assert scores["wavelet"] > scores["input"] + 1
+    scores = {key: psnr(BASELINES[key].denoise(noisy, LINES[name]), clean) for key in ("input", "dct")}
+    assert scores["dct"] > scores["input"] + 2
 
 
 @pytest.mark.parametrize("name", ["bm3d", "anscombe-bm3d"])
@@ -101,11 +100,10 @@ def test_the_order_at_every_iso_of_a_camera() -> None:
         assert (means > bound).all()
 
 
-@pytest.mark.parametrize("name", ["gaussian", "wavelet", "dct"])
-def test_xtrans_has_nine_channels(name: str) -> None:
+def test_xtrans_has_nine_channels() -> None:
     noisy, clean = noisy_and_clean(1, LINES["read noise too"], 3)
     before = noisy.copy()
-    found = BASELINES[name].denoise(noisy, LINES["read noise too"])
+    found = BASELINES["dct"].denoise(noisy, LINES["read noise too"])
     assert found.shape == noisy.shape == (9, 64, 96)
     assert psnr(found, clean) > psnr(noisy, clean) + 1
     assert np.array_equal(noisy, before)
@@ -114,14 +112,15 @@ def test_xtrans_has_nine_channels(name: str) -> None:
 def test_mean_brightness_is_kept_in_the_dark() -> None:
     """Where a value holds one electron or two, plain inversion of the root loses a sixth of it.
 
-    The scatter that is left in the denoised values, through a convex inverse, adds some 4 %.
+    The mean of 36,864 stabilised values scatters by 1 / 192, and what is inverted by 0.5 % of the signal.
     """
     line = SignalNoise(0.01, 0.005**2)
     signal = np.full((4, 96, 96), 0.015)
     generator = np.random.default_rng(0)
     noisy = 0.01 * generator.poisson(signal / 0.01) + 0.005 * generator.standard_normal(signal.shape)
-    found = BASELINES["wavelet"].denoise(noisy.astype(np.float32), line)
-    assert found.mean() == pytest.approx(0.015, rel=0.06)
+    mean = stabilised(noisy, line).mean(keepdims=True)
+    assert unstabilised(mean, line).item() == pytest.approx(0.015, rel=0.025)
+    assert 0.01 * (mean.item() ** 2 / 4 - 3 / 8 - 0.25) < 0.9 * 0.015  # so the bound above can fail
 
 
 def test_a_missing_line_is_named() -> None:

@@ -18,13 +18,12 @@ import pytest
 import torch
 
 from eldata.base.files import wait_for_lock, write_json
-from eldata.baselines import FastDVDnet, NetworkDenoiser, Training, UNet, clip_error, load_network, save_network
+from eldata.baselines import NetworkDenoiser, Training, UNet, clip_error, load_network, save_network
 from eldata.baselines.noisy_frames import mirrored_window
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.baselines.prediction_folder import begun
 from eldata.baselines.tiling import tiled
 from eldata.baselines.training import consistent_error
-from eldata.baselines.unet import draw_weights
 from eldata.cli.main import main
 from eldata.datasets import Arrays, CleanClips, SyntheticClips, training_loader
 from eldata.datasets.published.clips import DRVDataset
@@ -112,9 +111,9 @@ def test_of_a_still_it_is_the_published_loss() -> None:
 def test_batches_that_make_no_two_windows_are_refused() -> None:
     batch = {"input": torch.zeros(2, 5, 4, 8, 8), "target": torch.zeros(2, 4, 8, 8)}
     with pytest.raises(ArgumentError, match=r"clips of 6 frames or more, .*; found \(2, 5, 4, 8, 8\)"):
-        clip_error(FastDVDnet(width=4), batch, window=5)
+        clip_error(UNet(width=4, depth=1, frames=5), batch, window=5)
     with pytest.raises(ArgumentError, match="number is odd; found 4"):
-        clip_error(FastDVDnet(width=4), batch, window=4)
+        clip_error(UNet(width=4, depth=1, frames=5), batch, window=4)
     with pytest.raises(ArgumentError, match="weight is 0 or more"):
         clip_error(UNet(width=4, depth=1), batch, window=1, weight=-1.0)
 
@@ -122,25 +121,15 @@ def test_batches_that_make_no_two_windows_are_refused() -> None:
 # --- the network ------------------------------------------------------------------------------------------------------
 
 
-def test_the_cascade_is_two_blocks_of_which_the_first_sees_three_windows() -> None:
-    network = FastDVDnet(3, width=4, seed=2)
-    frames = torch.rand(2, 5, 3, 8, 12, generator=torch.Generator().manual_seed(0))
-    first, second = (block.down[0][0].weight.clone() for block in (network.first, network.second))  # type: ignore[index]
+def test_a_network_of_windows_sees_frames_as_channels() -> None:
+    network = UNet(3, width=4, depth=1, frames=5, seed=2)
+    single = UNet(3, width=4, depth=1, inputs=15, seed=2)
+    windows = torch.rand(2, 5, 3, 8, 12, generator=torch.Generator().manual_seed(0))
     with torch.inference_mode():
-        assert torch.equal(network(frames), frames[:, 2])
-        drawn(network)
-        near = [
-            frames[:, k + 1] - network.first(torch.cat([frames[:, k], frames[:, k + 1], frames[:, k + 2]], dim=1))
-            for k in range(3)
-        ]
-        expected = near[1] - network.second(torch.cat(near, dim=1))
-        torch.testing.assert_close(network(frames), expected, rtol=0, atol=1e-6)
-    assert not torch.equal(first, second)
-    assert torch.equal(first, FastDVDnet(3, width=4, seed=2).first.down[0][0].weight)  # type: ignore[index]
-    assert not torch.equal(first, FastDVDnet(3, width=4, seed=3).first.down[0][0].weight)  # type: ignore[index]
-    pairs = [(12, 32), (32, 32), (32, 64), (64, 64), (64, 128), (128, 128), (128, 64), (64, 64), (64, 32), (32, 32)]
-    block = sum((9 * a + 1) * b for a, b in pairs) + (4 * 128 + 1) * 64 + (4 * 64 + 1) * 32 + 33 * 4
-    assert sum(one.numel() for one in FastDVDnet().parameters()) == 2 * block == 938_440  # as its docstring says
+        assert torch.equal(network(windows), single(windows.reshape(2, 15, 8, 12)))
+    assert (network.window, single.window) == (5, 1)
+    with pytest.raises(ArgumentError, match="frames are odd"):
+        UNet(frames=4)
 
 
 # --- training ---------------------------------------------------------------------------------------------------------
@@ -163,10 +152,10 @@ def training(network: torch.nn.Module, steps: int = 11, **options: Any) -> Train
     return Training(network, loader, steps=steps, learning_rate=options.pop("learning_rate", 3e-3), loss=loss)
 
 
-@pytest.mark.parametrize("is_single", [False, True])
-def test_the_loss_falls(is_single: bool) -> None:
-    """Four steps an epoch. The cascade from drawn weights: from its own, the input's error falls slowly."""
-    network = UNet(width=6, depth=1) if is_single else drawn(FastDVDnet(width=6, depth=1))
+@pytest.mark.parametrize("frames", [1, 5])
+def test_the_loss_falls(frames: int) -> None:
+    """Four steps an epoch."""
+    network = UNet(width=6, depth=1, frames=frames)
     losses = [report.loss for report in training(network, steps=40, learning_rate=1e-2).epochs()]
     assert len(losses) == 10
     assert np.mean(losses[-3:]) < 0.7 * losses[0]
@@ -175,14 +164,8 @@ def test_the_loss_falls(is_single: bool) -> None:
 # --- predictions ------------------------------------------------------------------------------------------------------
 
 
-def drawn(network: FastDVDnet) -> FastDVDnet:
-    """The network with every weight drawn: at first it predicts the middle frame as it is."""
-    draw_weights(network, 4)
-    return network
-
-
-def small_network() -> FastDVDnet:
-    return drawn(FastDVDnet(3, width=3, depth=1))
+def small_network() -> UNet:
+    return UNet(3, width=3, depth=1, frames=5, seed=4)
 
 
 def later(window: torch.Tensor) -> torch.Tensor:
@@ -268,8 +251,8 @@ def test_windows_are_mirrored_at_the_ends() -> None:
 
 
 def test_tiles_of_a_clip_are_the_whole_frame() -> None:
-    """One block of depth 1 reaches 9 pixels, two of them 18; a quarter of an overlap of 80 is 20."""
-    network = drawn(FastDVDnet(4, width=3, depth=1)).eval()
+    """A network of depth 1 reaches 9 pixels; a quarter of an overlap of 40 is 10."""
+    network = UNet(4, width=3, depth=1, frames=5, seed=4).eval()
     frames = np.random.default_rng(0).random((5, 4, 210, 187)).astype(np.float32)
 
     def run(window: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -289,7 +272,7 @@ def test_tiles_of_a_clip_are_the_whole_frame() -> None:
     padded = np.pad(frames, ((0, 0), (0, 0), (0, 0), (0, 1)), mode="reflect")
     np.testing.assert_allclose(whole, run(padded)[:, :, :187], atol=1e-6)
     for tile in (160, 192):
-        found = NetworkDenoiser(run, {}, tile=tile, overlap=80, multiple=2, window=5)(frame)
+        found = NetworkDenoiser(run, {}, tile=tile, overlap=40, multiple=2, window=5)(frame)
         assert np.abs(found - whole).max() < 5e-6
     narrow = NetworkDenoiser(run, {}, tile=160, overlap=8, multiple=2, window=5)(frame)
     assert np.abs(narrow - whole).max() > 1e-5  # so the bound above can fail

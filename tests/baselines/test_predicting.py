@@ -103,7 +103,7 @@ def test_the_number_of_jobs_changes_nothing(tree: Tree, tmp_path: Path) -> None:
     found = []
     for jobs in ("1", "2"):
         out = tmp_path / jobs
-        assert main(["baseline", "gaussian", *of_set(tree), "-o", str(out), "--jobs", jobs]) == 0
+        assert main(["baseline", "input", *of_set(tree), "-o", str(out), "--jobs", jobs]) == 0
         found.append({path.relative_to(out): path.read_bytes() for path in out.rglob("*") if path.is_file()})
     assert found[0] == found[1]
     assert len(found[0]) == 13
@@ -127,18 +127,18 @@ def test_what_is_there_is_kept_and_other_settings_are_refused(tree: Tree, tmp_pa
     def again(name: str, **options: Any) -> Any:
         return write_predictions(BaselineDenoiser(name), "", out, manifest=tree.csv, root=tree.root, **options)
 
-    again("gaussian", cameras=["DemoAlpha"])
+    again("input", cameras=["DemoAlpha"])
     first = sorted(out.rglob("*.npy"))
     assert len(first) == 6
     times = [file.stat().st_mtime_ns for file in first]
     first[3].unlink()
-    report = again("gaussian")
+    report = again("input")
     assert (report.written, report.kept) == (7, 5)
     assert [file.stat().st_mtime_ns for file in first if file != first[3]] == [*times[:3], *times[4:]]
-    with pytest.raises(ArgumentError, match="was begun with another denoiser: expected dct, found gaussian"):
+    with pytest.raises(ArgumentError, match="was begun with another denoiser: expected dct, found input"):
         again("dct")
     with pytest.raises(ArgumentError, match="was begun with another dtype: expected uint16, found float32"):
-        again("gaussian", dtype="uint16")
+        again("input", dtype="uint16")
 
 
 def test_a_folder_without_a_prediction_begins_again(tree: Tree, tmp_path: Path) -> None:
@@ -151,17 +151,17 @@ def test_a_folder_without_a_prediction_begins_again(tree: Tree, tmp_path: Path) 
             return {"denoiser": "failing"}
 
         def __call__(self, frame: NoisyFrame) -> Any:
-            with pytest.raises(ArgumentError, match="another denoiser: expected gaussian, found failing"):
-                again(BaselineDenoiser("gaussian"))  # while this one works, it is refused
+            with pytest.raises(ArgumentError, match="another denoiser: expected input, found failing"):
+                again(BaselineDenoiser("input"))  # while this one works, it is refused
             raise EldataError(f"not for {len(frame.image)} channels")
 
     def again(denoiser: Denoiser) -> PredictionReport:
         return write_predictions(denoiser, "", out, manifest=tree.csv, root=tree.root, cameras=["DemoAlpha"])
 
     assert (again(Failing()).written, list(out.rglob("*.npy"))) == (0, [])
-    assert again(BaselineDenoiser("gaussian")).written == 6
-    assert json.loads((out / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "gaussian"
-    with pytest.raises(ArgumentError, match="another denoiser: expected failing, found gaussian"):
+    assert again(BaselineDenoiser("input")).written == 6
+    assert json.loads((out / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "input"
+    with pytest.raises(ArgumentError, match="another denoiser: expected failing, found input"):
         again(Failing())
 
 
@@ -247,8 +247,6 @@ def test_a_missing_extra_is_one_line_before_anything_is_written(
     for name, module, extra in (
         ("bm3d", "bm3d", "bm3d"),
         ("anscombe-bm3d", "bm3d", "bm3d"),
-        ("wavelet", "pywt", "baselines"),
-        ("wavelet", "skimage.restoration", "baselines"),
     ):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, module, None)  # what an import of a package that is not installed meets
@@ -324,7 +322,7 @@ def test_damaged_frames_are_listed_and_the_rest_is_predicted(
     content = bytearray(victim.read_bytes())
     content[start + length // 4 : start + length] = bytes(length - length // 4)
     victim.write_bytes(content)
-    code = main(["baseline", "gaussian", "--manifest", str(tree.csv), "--root", str(tmp_path / "data"), "-o",
+    code = main(["baseline", "input", "--manifest", str(tree.csv), "--root", str(tmp_path / "data"), "-o",
                  str(tmp_path / "p"), "--jobs", "1"])  # fmt: skip
     shown = capsys.readouterr().out
     assert code == 1
@@ -338,7 +336,7 @@ def test_one_noise_level_is_for_bm3d_alone() -> None:
     assert denoiser.settings(["DemoAlpha"], (4,))["noise"] == "each frame's own, by chen2015"
     assert BaselineDenoiser("bm3d").settings(["DemoAlpha"], (4,))["noise"] == "each frame's own"
     known = known_profile(CAMERAS[0], (800, 1600, 3200))
-    for name, profiles in (("anscombe-bm3d", ()), ("gaussian", ()), ("bm3d", (known,))):
+    for name, profiles in (("anscombe-bm3d", ()), ("input", ()), ("bm3d", (known,))):
         with pytest.raises(ArgumentError, match="one level for a frame, for bm3d without a profile; found that"):
             BaselineDenoiser(name, profiles, noise="chen2015")
     with pytest.raises(ArgumentError, match="noise must be"):

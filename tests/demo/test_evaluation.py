@@ -170,9 +170,9 @@ def test_running_again_after_an_interruption(tmp_path: Path, monkeypatch: pytest
         with pytest.raises(KeyboardInterrupt):
             run_demo(tmp_path / "x", scenes=1)
     assert (tmp_path / "x").exists()
-    results = run_demo(tmp_path / "x", scenes=1, beside="wavelet")  # and another baseline beside the network
-    assert list(results) == ["amplified", "wavelet", "network"]
-    assert (tmp_path / "x" / "wavelet.csv").is_file()
+    results = run_demo(tmp_path / "x", scenes=1, beside="dct")  # and another baseline beside the network
+    assert list(results) == ["amplified", "dct", "network"]
+    assert (tmp_path / "x" / "dct.csv").is_file()
 
 
 @pytest.mark.usefixtures("small")

@@ -111,7 +111,7 @@ def test_mosaics_are_scored_packed_and_denoised_as_raws_are(as_dng: Path, tmp_pa
     assert scored(path) == expected_scores
     common = ["--manifest", str(path), "--root", str(tmp_path / "data"), "--jobs", "1"]
     predictions = str(tmp_path / "preds")
-    assert main(["baseline", "gaussian", *common, "-o", predictions]) == 0
+    assert main(["baseline", "dct", *common, "-o", predictions]) == 0
     assert main(["evaluate", predictions, *common]) == 0
     assert main(["pack", "own", *common, "-o", str(tmp_path / "own.h5")]) == 0
     assert scored(path, store=tmp_path / "own.h5") == expected_scores

@@ -155,7 +155,6 @@ CASES = {
     "predict": Case(
         "eldata", f"predict tests.baselines.test_predicting:halved {ELD} -o preds --tile 16 --overlap 0", demo_tree
     ),
-    "shard": Case("eldata", "shard ../inputs/eld.h5 -o shards --tile 16 --samples-per-shard 20", store),
     "calibrate": Case(
         "eldata",
         f"calibrate ../inputs/frames/data/calibration -o p.json --json d.json --jobs {JOBS}",

@@ -1,4 +1,4 @@
-"""Where frames come from: the one small interface of raw files, arrays, stores, shards, and sources of your own.
+"""Where frames come from: the one small interface of raw files, arrays, stores, and sources of your own.
 
 A :class:`FrameSource` says which frames it holds (``records``) and opens them by path; a :class:`Frame` says what its
 file states of the sensor, and reads parts of the pixels (``read(rows, columns)``). What is cut, turned, normalised and

@@ -232,7 +232,7 @@ def frames_in(facts: bytes) -> list[StoredFrame]:
     return from_columns(StoredFrame, columns | {"file": from_columns(PackedFile, dict(files))})
 
 
-# --- what raw files state, as JSON in stores and shards: written in one way, and checked as it is read ----------------
+# --- what raw files state, as JSON in stores: written in one way, and checked as it is read ----------------
 
 # A sensor is written with levels, white balance and matrix as floats; beside it, where there is any, what such a record
 # has no room for.

@@ -18,11 +18,11 @@ from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, Cropping, DrawnItem, Part
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, known_names, load_manifest
-from eldata.manifest.pairs import Choice, select_pairs, whole_shift_px
+from eldata.manifest.pairs import Choice, select_pairs
 from eldata.protocols.named import default_protocol
 from eldata.raw.cfa import packed_area, packed_shape, unpack
 from eldata.records import Exposure, Records
-from eldata.sources.frames import Files, Frame, checked_ratio, overlap, stated_ratio
+from eldata.sources.frames import Files, Frame, checked_ratio, stated_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -181,7 +181,7 @@ class SourcePairs(CroppedItems[Sample]):
         if self.reads_parts:
             self._check_pairs()
         outlined = cache(self._outlined)
-        self._lay_grid(_shown_by_both(record, outlined(record.reference)) for record in self.records)
+        self._lay_grid(outlined(record.reference) for record in self.records)
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -217,7 +217,7 @@ class SourcePairs(CroppedItems[Sample]):
         # Of a reference once; by number, for to look at the hash of fractions takes longer than all else here.
         kind_of = cache(lambda path: numbers.setdefault(_kind_of(self.source.frame(path)), len(numbers)))
         for record in self.records:
-            own = record.camera, record.ratio, record.flags, record.measured_ratio, whole_shift_px(record)
+            own = record.camera, record.ratio, record.flags
             kind = kind_of(record.reference), kind_of(record.path), own
             if kind not in kinds:
                 kinds.add(kind)
@@ -240,7 +240,7 @@ class SourcePairs(CroppedItems[Sample]):
 
     def _begun(self, record: PairRecord) -> OpenedPair:
         target = self.source.frame(record.reference).with_levels(self.levels)
-        return OpenedPair(record, _shown_by_both(record, target))
+        return OpenedPair(record, target)
 
     def _opened(self, record: PairRecord) -> OpenedPair:
         pair = self._begun(record)
@@ -250,14 +250,10 @@ class SourcePairs(CroppedItems[Sample]):
     def _open_input(self, pair: OpenedPair) -> None:
         record, target = pair.record, pair.target
         noisy = self._noisy(record, target)
-        place = None
-        if whole_shift_px(record) != (0, 0):
-            rows, columns = overlap(record, "noisy", noisy.shape, noisy.cfa)
-            noisy, place = noisy.part(rows, columns), (rows.start, columns.start)
         ratio = checked_ratio(record, target, noisy)
         pair.ratio = stated_ratio(record, self.amplification) or ratio
         pair.exposure = noisy.exposure
-        pair.input = noisy if self.dark_shading is None else noisy.less(self.dark_shading, place)
+        pair.input = noisy if self.dark_shading is None else noisy.less(self.dark_shading)
 
     def _noisy(self, record: PairRecord, target: Frame) -> Frame:
         """Open the noisy frame of a pair; ``target`` is its reference."""
@@ -385,10 +381,6 @@ def _manifest(manifest: Path | str) -> Manifest:
     if isinstance(manifest, str) and "/" not in manifest and not manifest.endswith(".csv"):
         return known_manifest(manifest)
     return load_manifest(manifest)
-
-
-def _shown_by_both(record: PairRecord, reference: Frame) -> Frame:
-    return reference.part(*overlap(record, "reference", reference.shape, reference.cfa))
 
 
 def _kind_of(frame: Frame) -> tuple[object, ...]:

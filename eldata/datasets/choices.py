@@ -36,8 +36,7 @@ class Representation(TypedDict, total=False):
         [0, 1] whatever it is.
     amplification
         What the input is multiplied by: ``"metadata"``, the ratio of ISO times exposure time that the files state,
-        ``"nominal"``, the manifest's ratio, or ``"measured"``, the one that ``capture check --write`` found in the
-        pixels and put into the manifest. The files' ratio is checked each time.
+        or ``"nominal"``, the manifest's ratio. The files' ratio is checked each time.
     dark_shading
         What the sensor shows of itself in the dark (:class:`~eldata.noise.DarkShading`, or its file), taken off the
         input of each pair or clip, in DN of the file, before anything is clipped. ``None``, the default: nothing. A

@@ -13,7 +13,6 @@ from eldata.datasets.base import SIDES, PairFacts, PairItem, Sample
 from eldata.datasets.batches import Field, new_arrays
 from eldata.datasets.items import DrawnItem, Part, ReadItems, checked_index
 from eldata.errors import ArgumentError, check_choice
-from eldata.manifest.pairs import whole_shift_px
 from eldata.raw.cfa import packed_shape, packing_sites
 from eldata.raw.levels import CLIP_RANGES, pack_normalised, packed_black_level_dn
 
@@ -243,7 +242,7 @@ class Noise2Noise(_OfPairs[Sample]):
         super().__init__(pairs)
         groups: dict[object, list[int]] = defaultdict(list)
         for number, record in enumerate(pairs.records):
-            like = record.camera, record.reference, record.iso, record.ratio, whole_shift_px(record)
+            like = record.camera, record.reference, record.iso, record.ratio
             groups[like].append(number)
         self._groups = [group for group in groups.values() if len(group) > 1]
         self._count = sum(map(len, self._groups))

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal, Unpack, get_args
 
 from eldata.errors import ArgumentError, DatasetError, ManifestError, check_choice
 from eldata.manifest.card import find_subset
-from eldata.manifest.pairs import Choice, narrowed, refuse_shifted, wanted_values
+from eldata.manifest.pairs import Choice, narrowed, wanted_values
 from eldata.manifest.patterns import is_pattern, sequence_of
 
 if TYPE_CHECKING:
@@ -227,8 +227,6 @@ def clips_of(records: Iterable[FrameRecord]) -> tuple[Clip, ...]:
 
 
 def _clip(scene: str, rows: Sequence[FrameRecord], files: Collection[str]) -> Clip:
-    for row in rows:
-        refuse_shifted(row, "clips take frames as they lie: leave this one out, or photograph it again")
     moments = {row.path: moment[1] for row in rows if (moment := moment_of(row.scene)) is not None}
     if moments:
         return _sequence(scene, sorted(rows, key=lambda row: moments[row.path]), tuple(sorted(moments.values())), files)

@@ -14,7 +14,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from eldata.manifest.card import Card, stated
-from eldata.manifest.table import MEASURED, number_text
+from eldata.manifest.table import number_text
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
@@ -76,11 +76,9 @@ _COLUMNS = {
     "size_bytes": "size of the file in bytes",
     "sha256": "sha256:<hex> of the file",
     "flags": "remarks, separated by semicolons",
-    "measured_ratio": "exposure ratio as measured in the pixels",
-    "measured_shift_px": "shift against the reference as measured, pixels of the mosaic: down;right",
 }
 _WHOLE = {"width", "height", "size_bytes"}
-_NUMBERS = {"iso", "exposure_s", "ratio", "measured_ratio"}
+_NUMBERS = {"iso", "exposure_s", "ratio"}
 _OF_PAIRS = ("path", "reference", "camera", "scene", "split", "iso", "exposure_s", "ratio", "flags")
 
 
@@ -202,8 +200,7 @@ def _distribution(manifest: Manifest) -> list[dict[str, Any]]:
 
 
 def _record_sets(manifest: Manifest) -> list[dict[str, Any]]:
-    measured = any(getattr(record, name) is not None for record in manifest.records for name in MEASURED)
-    columns = [field.name for field in fields(FrameRecord) if measured or field.name not in MEASURED]
+    columns = [field.name for field in fields(FrameRecord)]
     frames = {
         "@type": "cr:RecordSet",
         "@id": "frames",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
 from eldata.base.arguments import keywords
 from eldata.base.fields import names_of
-from eldata.errors import ArgumentError, DatasetError, did_you_mean
+from eldata.errors import ArgumentError, did_you_mean
 from eldata.manifest.card import find_subset
 from eldata.records import PairRecord, from_columns
 
@@ -75,21 +75,6 @@ def wanted_values(choice: Choice) -> dict[str, Collection[object] | None]:
         "split": splits_of(choice.get("split")),
         "flag": choice.get("exclude_flags", ()),
     }
-
-
-def whole_shift_px(record: PairRecord | FrameRecord) -> tuple[int, int]:
-    """Return a pair's measured shift to the nearest whole pixel, (down, right); (0, 0) where none was measured."""
-    down, right = record.measured_shift_px or (0, 0)
-    return round(down), round(right)
-
-
-def refuse_shifted(record: PairRecord | FrameRecord, why: str) -> None:
-    """Refuse a pair whose frames do not lie on each other, where they are taken as they lie, with a DatasetError."""
-    if whole_shift_px(record) != (0, 0):
-        raise DatasetError(
-            f"{record.path}: lies {whole_shift_px(record)} pixels (down, right) from its reference, by "
-            f"measured_shift_px of the manifest, and {why}"
-        )
 
 
 def unpaired(records: Iterable[FrameRecord], subset: Subset) -> tuple[FrameRecord, ...]:

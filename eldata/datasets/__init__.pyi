@@ -29,6 +29,4 @@ from .synthetic.arrays import Arrays as Arrays
 from .synthetic.dark_frames import DarkFrames as DarkFrames
 from .synthetic.pairs import SyntheticClips as SyntheticClips
 from .synthetic.pairs import SyntheticPairs as SyntheticPairs
-from .views import DnPairs as DnPairs
 from .views import Noise2Noise as Noise2Noise
-from .views import normalise_batch as normalise_batch

@@ -40,13 +40,16 @@ Side = Literal["input", "target"]
 SIDES: tuple[Side, ...] = get_args(Side)
 
 
-class PairFacts(TypedDict):
-    """What a sample of a pair has beside its tensors.
+class Sample(TypedDict):
+    """One pair, as torch's default collate accepts it.
 
-    ``ratio`` is the files' own exposure ratio, or with another ``amplification`` the manifest's nominal or measured
-    one; ``nominal_ratio`` is always the nominal one. ``iso`` and ``exposure_s`` (seconds) are the noisy file's.
+    ``input`` and ``target`` are (C, h, w) float32, normalised, the input multiplied by ``ratio``: the files' own
+    exposure ratio, or with another ``amplification`` the manifest's nominal one, which ``nominal_ratio`` always is.
+    ``iso`` and ``exposure_s`` (seconds) are the noisy file's.
     """
 
+    input: torch.Tensor
+    target: torch.Tensor
     ratio: float
     nominal_ratio: float
     iso: float
@@ -57,16 +60,6 @@ class PairFacts(TypedDict):
     path: str
     reference: str
     flags: str
-
-
-class Sample(PairFacts):
-    """One pair, as torch's default collate accepts it.
-
-    ``input`` and ``target`` are (C, h, w) float32, normalised, the input multiplied by ``ratio``.
-    """
-
-    input: torch.Tensor
-    target: torch.Tensor
 
 
 class PairCropping(Cropping, total=False):

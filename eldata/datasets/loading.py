@@ -159,7 +159,7 @@ def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> N
 
 
 def _parts(dataset: Any) -> Iterator[Any]:
-    """Yield a dataset and those that it wraps, as Subset, ConcatDataset and DnPairs do."""
+    """Yield a dataset and those that it wraps, as Subset, ConcatDataset and StagedPairs do."""
     yield dataset
     inner = [getattr(dataset, name) for name in ("dataset", "pairs") if hasattr(dataset, name)]
     for part in [*inner, *getattr(dataset, "datasets", ())]:

@@ -9,7 +9,6 @@ from eldata.base.memory import no_search_for_cycles
 from eldata.datasets.base import PairCropping, PairOptions, SourcePairs
 from eldata.datasets.choices import Representation, understood
 from eldata.datasets.clips import ClipWindows, WindowOptions
-from eldata.datasets.views import DnPairs
 from eldata.errors import DatasetError
 from eldata.manifest.pairs import Choice
 from eldata.sources.store.read import StoreFrames
@@ -70,16 +69,6 @@ class PackedStore(SourcePairs):
                 representation=representation | {"levels": representation.get("levels") or source.levels},
                 cropping={"crop": 512, "augment": True} | cropping,
             )
-
-    def in_dn(self) -> DnPairs:
-        """Return the same items in DN, for :func:`~eldata.datasets.views.normalise_batch` after the DataLoader.
-
-        Raises
-        ------
-        ArgumentError
-            If a dark shading is taken off the input.
-        """
-        return DnPairs(self)
 
     def _place(self) -> str:
         return str(self.source.path)

@@ -116,8 +116,6 @@ def test_a_shading_that_is_not_the_inputs(tree: Tree, tmp_path: Path) -> None:
     store = pack_tree(tree, tmp_path / "s.h5").store
     with pytest.raises(DatasetError, match="not measured at ISO 3200"):  # before an item is read
         PackedStore(store, cameras=["DemoBeta"], dark_shading=shading_of(sensor, (800, 1600)))
-    with pytest.raises(ArgumentError, match="whole DN, and less a dark shading the input has fractions"):
-        PackedStore(store, cameras=["DemoBeta"], dark_shading=right).in_dn()
     with pytest.raises(DatasetError, match=r"f: states no ISO, and the dark shading of Planted differs by ISO"):
         Frame.of_raw(beta.mosaic, sensor, "f", Exposure()).less(right)
     write_rgb_clip(tmp_path / "drv", "0001", 5)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from torch.utils.data import ConcatDataset, DataLoader, Dataset, IterableDataset, Subset
 
 from eldata import PackedStore
-from eldata.datasets import loading, ranks
+from eldata.datasets import loading, ranks, raw2rgb
 from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
 from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank, loader_workers
 from eldata.errors import ArgumentError
@@ -132,7 +132,7 @@ def test_random_numbers_that_a_transform_draws_are_seeded_by_epoch() -> None:
 
 def test_the_epoch_reaches_what_is_wrapped(store: Path) -> None:
     first, second, third = pairs(store), pairs(store), pairs(store)
-    loader = training_loader(ConcatDataset([Subset(first, [0, 1, 2]), second.in_dn(), third]), 2, workers=0)
+    loader = training_loader(ConcatDataset([Subset(first, [0, 1, 2]), raw2rgb(second), third]), 2, workers=0)
     set_epoch(loader, 7)
     assert (first.epoch, second.epoch, third.epoch) == (7, 7, 7)
     with pytest.raises(ArgumentError, match="epoch must be 0 or more; found -1"):

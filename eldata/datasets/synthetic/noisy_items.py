@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
@@ -13,7 +12,7 @@ from eldata.base.arguments import keywords
 from eldata.base.numbers import checked_number
 from eldata.datasets.base import SIDES
 from eldata.datasets.batches import threads_here
-from eldata.datasets.items import CroppedItems, Cropping, DrawnItem, SharedMemory
+from eldata.datasets.items import CroppedItems, Cropping, DrawnItem
 from eldata.datasets.synthetic.dark_frames import GAIN_SPREAD, DarkFrames
 from eldata.datasets.synthetic.draws import NoiseChoice, Turns, fewest_members
 from eldata.errors import ArgumentError, check_choice
@@ -82,12 +81,11 @@ class NoiseOptions(Cropping, Noise, total=False):
 
 @dataclass(slots=True, eq=False)
 class NoisyItem(DrawnItem):
-    """An item with its (first) clean frame, what was drawn for it, the generator of its noise, and its number."""
+    """An item with its (first) clean frame, what was drawn for it, and the generator of its noise."""
 
     frame: Frame
     draw: NoiseDraw
     generator: np.random.Generator
-    index: int
 
 
 Sample = TypeVar("Sample")
@@ -134,15 +132,9 @@ class NoisyItems(CroppedItems[Sample]):
         records = map(getattr(source, method), range(len(source)))
         self._lay_grid(records if method == "frame" else (clip.frame(0) for clip in records))
         self._length = self._length_of(len(source), crops[1])
-        self._repeats = Repeats(owner, self._length)
 
     def __len__(self) -> int:
         return self._length
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch whose items are drawn from now on, in running workers too."""
-        super().set_epoch(epoch)
-        self._repeats.settle()
 
     def _noisy(
         self,
@@ -165,7 +157,7 @@ class NoisyItems(CroppedItems[Sample]):
             names = self._dark.names(draw.iso)
             beside["dark_frame"] = ", ".join(names[member] for member in draw.dark)
         shapes: dict[str, tuple[int, ...]] = dict.fromkeys(SIDES, (*frames, *crop.packed_shape))
-        return NoisyItem(crop, shapes, parts, beside, frame.sensor, frame, draw, generator, index)
+        return NoisyItem(crop, shapes, parts, beside, frame.sensor, frame, draw, generator)
 
     def _finish(self, items: Sequence[NoisyItem], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Add the noise: ours to all items at once, for the call alone costs as much as the noise of a small crop."""
@@ -185,10 +177,6 @@ class NoisyItems(CroppedItems[Sample]):
         else:
             for place, item in enumerate(items):
                 self._add_noise(item, clean[place], noisy[place])
-
-    def _given(self, items: Sequence[NoisyItem]) -> None:
-        """Note the items, for a second pass over the same ones."""
-        self._repeats.note(*(item.index for item in items))
 
     def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is, as names and values."""
@@ -319,62 +307,3 @@ def _clipped(owner: str, model: Any, clip: Clip | None, usual: Clip) -> tuple[Cl
             f"give clip= to {owner} and to the datasets that you test on"
         )
     return clip, model.with_clip(clip)
-
-
-_NUMBERS = 3  # items that were made, how often one came again, whether all is said
-_HEADER_BYTES = 8 * _NUMBERS
-_LOOKS = 8  # an item is looked at before training begins
-
-
-class Repeats(SharedMemory):
-    """Warns once, in whichever process, when a second pass gives the items of the first one again.
-
-    Which items were made is kept in shared memory, a byte each, for workers come and go. Looking at some items before
-    the first pass is not a second one. So half of the items that were made, and a few more, have to come again; where
-    they are a part of the dataset (a rank's, those of a ``Subset``, or those that were looked at), all of them three
-    times. Processes may miss each other's count, which says it later.
-
-    Parameters
-    ----------
-    owner
-        Name of the dataset.
-    length
-        Number of its items.
-    """
-
-    def __init__(self, owner: str, length: int) -> None:
-        self.owner = owner
-        super().__init__(_HEADER_BYTES + length)
-
-    @property
-    def _numbers(self) -> NDArray[np.int64]:
-        return self._array[:_HEADER_BYTES].view(np.int64)
-
-    def settle(self) -> None:
-        """Say nothing from now on: the epoch was chosen."""
-        self._numbers[2] = 1
-
-    def note(self, *indices: int) -> None:
-        """Note that items were made."""
-        for index in indices:
-            if self._numbers[2]:
-                return
-            self._note(index)
-
-    def _note(self, index: int) -> None:
-        numbers, is_made = self._numbers, self._array[_HEADER_BYTES:]
-        if not is_made[index]:
-            is_made[index] = 1
-            numbers[0] += 1
-            return
-        numbers[1] += 1
-        made, again = int(numbers[0]), int(numbers[1])
-        is_whole = 4 * made >= 3 * is_made.size
-        if again > (made // 2 if is_whole else 3 * made) + _LOOKS:
-            self.settle()
-            warnings.warn(
-                f"{self.owner}: items of epoch 0 come again, with the same crops and the same noise to the bit, "
-                "for set_epoch was not called; call dataset.set_epoch(epoch) before each pass. If they are to stay the "
-                "same, as for validation, call dataset.set_epoch(0) once",
-                stacklevel=3,
-            )

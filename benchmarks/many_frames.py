@@ -15,11 +15,13 @@ from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.table import table_text
 from eldata.raw.cfa import bayer_cfa
 from eldata.records import Exposure, FrameRecord, Sensor
-from eldata.sources.store.build import FactsWriter, _begin, _header, finish, pixels_digest, write_frame
+from eldata.sources.store.build import pixels_digest, write_frames
 from eldata.sources.store.format import PackedFile, StoredFrame, frame_key
 from eldata.sources.store.sources import Source
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
 SIDE = 34  # of a mosaic: crops of 16 packed pixels, turned
@@ -55,16 +57,16 @@ def write_small_store(path: Path, frames: int) -> Path:
     files = tuple((record.path, record.role) for record in manifest.records)
     source = Source("small", path.parent, files, manifest, listing)
     generator = np.random.default_rng(0)
-    with h5py.File(path, "w", libver="earliest") as store:
-        _begin(store, source, _header(source, "none"))
-        facts = FactsWriter(store)
+
+    def frames() -> Iterator[tuple[NDArray[np.uint16], StoredFrame]]:
         for number, record in enumerate(manifest.records):
             mosaic = _pixels(generator)
             exposure, digest = _LONG if record.role == "reference" else _SHORT, pixels_digest(mosaic)
-            packed = PackedFile(3000, digest, "none")
-            stated = record.role, _sensor(number), exposure, digest, packed
-            write_frame(store, mosaic, StoredFrame(frame_key(number), record.path, *stated), facts, "none")
-        finish(store)
+            stated = record.role, _sensor(number), exposure, digest, PackedFile(3000, digest, "none")
+            yield mosaic, StoredFrame(frame_key(number), record.path, *stated)
+
+    with h5py.File(path, "w", libver="earliest") as store:
+        write_frames(store, source, "none", frames())
     return path
 
 

@@ -360,8 +360,8 @@ def marked(mark: str) -> list[int]:
 
 
 def is_own(name: str) -> bool:
-    """Whether a file's name is its own, and not one of unfinished work: hidden, a store's part or its journal."""
-    return not any(part.startswith(".") for part in Path(name).parts) and ".part" not in name
+    """Whether a file's name is its own, and not a hidden one of unfinished work."""
+    return not any(part.startswith(".") for part in Path(name).parts)
 
 
 def half_written(bench: Bench) -> list[str]:

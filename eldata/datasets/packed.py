@@ -36,7 +36,7 @@ class PackedStore(SourcePairs):
     Raises
     ------
     StoreError
-        If the file is not a store, truncated, not complete, or of a newer version.
+        If the file is not a store, truncated, or of a newer version.
     DatasetError
         If the store holds no pairs, or frames of a pair differ in size, CFA or exposure ratio from what they should be.
     ArgumentError
@@ -92,7 +92,7 @@ class PackedClips(ClipWindows):
     Raises
     ------
     StoreError
-        If the file is not a store, truncated, not complete, or of another version.
+        If the file is not a store, truncated, or of another version.
     DatasetError
         If the store holds no clip of this kind; if frames of a clip differ in size, CFA or exposure, or are exposed
         more than their reference.

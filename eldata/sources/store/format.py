@@ -2,8 +2,7 @@
 
 ::
 
-    /                   attributes format, version, written_by, dataset, compression, files_digest, files, complete,
-                        facts_crc32
+    /                   attributes format, version, written_by, dataset, compression, files, facts_crc32
     /manifest/csv       the manifest's bytes, uint8; its digest is that of the file (not in a store of clean frames)
     /manifest/json      the dataset card's bytes, uint8
     /facts              a line of JSON a frame, in their order, uint8 (:func:`facts_line`)

@@ -59,7 +59,7 @@ def open_store(path: Path | str) -> Store:
     Raises
     ------
     StoreError
-        If the file is missing, truncated, damaged, not a store, not complete, or of another version.
+        If the file is missing, truncated, damaged, not a store, or of another version.
     ArgumentError
         If it is compressed and hdf5plugin is not installed.
     """
@@ -126,8 +126,6 @@ def _check_header(path: Path, header: Mapping[str, Any]) -> None:
             f"is a store of version {version}, written by {header.get('written_by')}; this eldata reads version "
             f"{VERSION}: {advice}",
         )
-    if not header.get("complete"):
-        raise StoreError(path, "is not complete; the eldata pack command that began it goes on with it")
     compression = next((name for name in COMPRESSIONS if name == header.get("compression")), None)
     if compression is None:
         raise StoreError(path, f"has the unknown compression {header.get('compression')!r}; is it damaged?")
@@ -264,7 +262,7 @@ class StoreFrames:
     Raises
     ------
     StoreError
-        If the file is not a store, truncated, not complete, or of another version.
+        If the file is not a store, truncated, or of another version.
     """
 
     reads_parts = True

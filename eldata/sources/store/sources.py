@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -79,14 +78,6 @@ class Source:
         if self.manifest is None:
             return FrameFiles(self.folder)
         return FrameFiles.of(self.folder, self.manifest.card, self.manifest.records)
-
-    @property
-    def digest(self) -> str:
-        """``sha256:<hex>`` of manifest and file list: a part made from others is not resumed."""
-        lines = [self.dataset, "" if self.manifest is None else self.manifest.digest]
-        lines += [f"{role} {path}" for path, role in self.files]
-        text = "\n".join(lines)
-        return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
 @spell_keywords(Choice)

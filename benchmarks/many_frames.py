@@ -58,7 +58,7 @@ def write_small_store(path: Path, frames: int) -> Path:
     source = Source("small", path.parent, files, manifest, listing)
     generator = np.random.default_rng(0)
 
-    def frames() -> Iterator[tuple[NDArray[np.uint16], StoredFrame]]:
+    def decoded() -> Iterator[tuple[NDArray[np.uint16], StoredFrame]]:
         for number, record in enumerate(manifest.records):
             mosaic = _pixels(generator)
             exposure, digest = _LONG if record.role == "reference" else _SHORT, pixels_digest(mosaic)
@@ -66,7 +66,7 @@ def write_small_store(path: Path, frames: int) -> Path:
             yield mosaic, StoredFrame(frame_key(number), record.path, *stated)
 
     with h5py.File(path, "w", libver="earliest") as store:
-        write_frames(store, source, "none", frames())
+        write_frames(store, source, "none", decoded())
     return path
 
 

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from bisect import bisect_right
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypedDict, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar, get_args
 
 import torch
 from torch.utils.data import Dataset
@@ -228,41 +228,14 @@ class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
         self._finish(items, arrays)
 
 
-class Cropping(TypedDict, total=False):
-    """Which part of frames is an item: keyword arguments of every dataset of pairs or clips.
-
-    Item i of epoch e depends on (seed, e, i) alone: not on workers, their number, or what was read before.
-
-    Attributes
-    ----------
-    crop
-        Side of the square crop in pixels of the packed (or RGB) frame, even for X-Trans; ``None`` takes whole frames.
-    augment
-        Draw one of the eight orientations; a mosaic's CFA stays in order.
-    crops
-        ``"random"``, the default: each item is of a place that is drawn. ``"grid"``: the crops lie side by side from
-        the frame's first row and column on, in order with the CFA, and each is one item, so once an epoch, turned anew
-        in each (K. Wei et al., TPAMI 2021, section 4.1.1). What is left over at the bottom and at the right is
-        in none; turning a mosaic shifts a crop by at most one period of its CFA. Frames that are decoded whole are
-        decoded once for their size as the dataset is made.
-    seed
-        First part of each item's seed, below 2^128.
-    """
-
-    crop: int | None
-    augment: bool
-    crops: Crops
-    seed: int
-
-
 class CroppedItems(ReadItems[Sample]):
-    """Items that are crops, drawn from (seed, epoch, index).
+    """Items that are crops: item i of epoch e depends on (seed, e, i) alone, not on workers or what was read before.
 
     Parameters
     ----------
-    cropping
-        By default whole frames as they are.
-    crops
+    crop, augment, crops, seed
+        See :class:`eldata.datasets.base.PairDataset`.
+    repeats
         Items per record, and the name of this argument.
 
     Raises
@@ -271,20 +244,19 @@ class CroppedItems(ReadItems[Sample]):
         If one is out of its range.
     """
 
-    def __init__(self, cropping: Cropping, crops: tuple[str, int]) -> None:
-        crop, seed = cropping.get("crop"), checked_seed(cropping.get("seed", 0))
-        if crops[1] < 1 or (crop is not None and crop < 2):
-            raise ArgumentError(f"{crops[0]} must be 1 or more and crop 2 or more; found {crops[1]}, {crop}")
-        self.crop = crop
-        self.augment = cropping.get("augment", False)
-        self.crops: Crops = cropping.get("crops", "random")
-        check_choice("crops", self.crops, get_args(Crops))
-        if self.crops == "grid" and (crop is None or crops[1] != 1):
+    def __init__(self, crop: int | None, augment: bool, crops: Crops, seed: int, repeats: tuple[str, int]) -> None:
+        name, number = repeats
+        self.seed = checked_seed(seed)
+        if number < 1 or (crop is not None and crop < 2):
+            raise ArgumentError(f"{name} must be 1 or more and crop 2 or more; found {number}, {crop}")
+        check_choice("crops", crops, get_args(Crops))
+        if crops == "grid" and (crop is None or number != 1):
             raise ArgumentError(
-                f"crops='grid' has each crop of a frame once: give crop=, its side, and leave {crops[0]} at 1; found "
-                f"crop={crop}, {crops[0]}={crops[1]}"
+                f"crops='grid' has each crop of a frame once: give crop=, its side, and leave {name} at 1; found "
+                f"crop={crop}, {name}={number}"
             )
-        self.seed = seed
+        self.crop, self.augment = crop, augment
+        self.crops: Crops = crops
         self._epoch = SharedNumber()
         self._starts: list[int] | None = None  # of a grid: the first item of each record, and their number
 

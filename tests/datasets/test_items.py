@@ -57,7 +57,7 @@ def test_crops_of_files_stores_and_other_sources_are_the_same(pristine: Tree, st
     assert isinstance(source, FrameSource)
     others = [
         PairDataset(pristine.data, pristine.csv, **cropping),
-        SourcePairs(source, stored.records, representation={"levels": "published"}, cropping=cropping),
+        SourcePairs(source, stored.records, levels="published", **cropping),
     ]
     for other in others:
         assert len(other) == len(stored) == 48

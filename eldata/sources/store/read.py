@@ -20,7 +20,7 @@ from eldata.base.files import file_problem
 from eldata.base.memory import no_search_for_cycles, scratch
 from eldata.errors import DatasetError, EldataError
 from eldata.manifest.catalogue import load_manifest
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.protocols.named import default_protocol
 from eldata.records import FrameRecord, Records
 from eldata.sources.frames import Frame, Pixels, part_shape
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.manifest.catalogue import Manifest
-    from eldata.manifest.pairs import Choice
     from eldata.raw.levels import FrameLevels
     from eldata.records import PairRecord
 
@@ -323,18 +322,16 @@ class StoreFrames:
         manifest = self.store.manifest
         if manifest is None:
             raise DatasetError(f"{self.path}: holds clean frames, not pairs; read it with CleanFrames")
-        subset = choice.get("subset")
-        if subset is not None:  # counted on the whole manifest: a store of a part may lack some
-            wanted = {pair.path for pair in select_pairs(manifest.records, manifest.card.subsets, subset=subset)}
+        if choice.subset is not None:  # counted on the whole manifest: a store of a part may lack some
+            every = Choice(subset=choice.subset).pairs(manifest.records, manifest.card.subsets)
+            wanted = {pair.path for pair in every}
             lacking = sorted(wanted - set(self._held))
             if lacking:
                 raise DatasetError(
-                    f"{self.path}: lacks {len(lacking)} of the {len(wanted)} pairs of the subset {subset!r}, such as "
-                    f"{lacking[0]}; pack the whole dataset, or that subset"
+                    f"{self.path}: lacks {len(lacking)} of the {len(wanted)} pairs of the subset {choice.subset!r}, "
+                    f"such as {lacking[0]}; pack the whole dataset, or that subset"
                 )
             held = [record for record in self.records if record.role != "noisy" or record.path in wanted]
         else:
             held = list(self.records)
-        rest = choice.copy()
-        rest["subset"] = None  # it is chosen
-        return select_pairs(held, (), **rest)
+        return replace(choice, subset=None).pairs(held)  # it is chosen

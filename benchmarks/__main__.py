@@ -33,7 +33,6 @@ NAMES = (
         "calibration",
     ),
     "store",
-    "streaming",
     "scale",
     "manifest",
     "shading",

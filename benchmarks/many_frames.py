@@ -1,4 +1,4 @@
-"""A store and shards of as many small frames as one likes, in a minute: for what grows with their number."""
+"""A store of as many small frames as one likes, in a minute: for what grows with their number."""
 
 from __future__ import annotations
 
@@ -14,19 +14,18 @@ from eldata.manifest.card import CameraCard, Card, card_text
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.table import table_text
 from eldata.raw.cfa import bayer_cfa
-from eldata.records import Exposure, FrameRecord, PairRecord, Sensor
-from eldata.sources.shards.index import INDEX, Facts, Shard, ShardIndex, Side, index_text, key_of, to_bytes
-from eldata.sources.shards.writing import _written
-from eldata.sources.store.build import FactsWriter, _begin, _header, finish, pixels_digest, write_frame
+from eldata.records import Exposure, FrameRecord, Sensor
+from eldata.sources.store.build import pixels_digest, write_frames
 from eldata.sources.store.format import PackedFile, StoredFrame, frame_key
 from eldata.sources.store.sources import Source
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
 SIDE = 34  # of a mosaic: crops of 16 packed pixels, turned
 _NOISY = 9  # of each reference
-_EACH_SHARD = 64
 _LONG, _SHORT = Exposure(Fraction(100), Fraction(10)), Exposure(Fraction(800), Fraction(1, 10))
 _CAMERA = Sensor("eldata", "Small", bayer_cfa(), (512.0,) * 4, 16383.0, SIDE, SIDE)
 
@@ -53,42 +52,22 @@ def small_manifest(frames: int) -> tuple[bytes, bytes]:
 
 
 def write_small_store(path: Path, frames: int) -> Path:
-    """Write a store of so many frames, as eldata pack does, but without a commit after each."""
+    """Write a store of so many frames, as eldata pack does."""
     manifest = load_manifest(path.with_suffix(".csv"), listing := small_manifest(frames))
     files = tuple((record.path, record.role) for record in manifest.records)
     source = Source("small", path.parent, files, manifest, listing)
     generator = np.random.default_rng(0)
-    with h5py.File(path, "w", libver="earliest") as store:
-        _begin(store, source, _header(source, "none"))
-        facts = FactsWriter(store)
+
+    def decoded() -> Iterator[tuple[NDArray[np.uint16], StoredFrame]]:
         for number, record in enumerate(manifest.records):
             mosaic = _pixels(generator)
             exposure, digest = _LONG if record.role == "reference" else _SHORT, pixels_digest(mosaic)
-            packed = PackedFile(3000, digest, "none")
-            stated = record.role, _sensor(number), exposure, digest, packed
-            write_frame(store, mosaic, StoredFrame(frame_key(number), record.path, *stated), facts, "none")
-        finish(store)
+            stated = record.role, _sensor(number), exposure, digest, PackedFile(3000, digest, "none")
+            yield mosaic, StoredFrame(frame_key(number), record.path, *stated)
+
+    with h5py.File(path, "w", libver="earliest") as store:
+        write_frames(store, source, "none", decoded())
     return path
-
-
-def write_small_shards(folder: Path, samples: int) -> Path:
-    """Write so many samples as shards, 64 in each."""
-    folder.mkdir()
-    generator = np.random.default_rng(0)
-    shards: list[Shard] = []
-    for first in range(0, samples, _EACH_SHARD):
-        contents = []
-        for number in range(first, min(first + _EACH_SHARD, samples)):
-            path = f"Small/scene-{number:06d}"
-            times = _SHORT.iso, _SHORT.exposure_s, Fraction(25, 2)
-            record = PairRecord(f"{path}/1.dng", f"{path}/0.dng", "Small", f"scene-{number}", "train", *times)
-            sides = Side(_sensor(number), _SHORT), Side(_sensor(number), _LONG)
-            facts = Facts(record, Fraction(25, 2), 0, 0, *sides)
-            contents.append(to_bytes(key_of(number), facts, _pixels(generator), _pixels(generator)))
-        shards.append(_written(folder / f"shard-{len(shards):06d}.tar", contents))
-    index = ShardIndex("small", None, 0, 0, tuple(shards))
-    (folder / INDEX).write_text(index_text(index, "eldata"))
-    return folder
 
 
 def _pixels(generator: np.random.Generator) -> NDArray[np.uint16]:

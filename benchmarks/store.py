@@ -15,9 +15,9 @@ import numpy as np
 from torch.utils.data import DataLoader
 
 from benchmarks.harness import Row, Spread, in_turn
-from benchmarks.store_routes import CROP, Lmdb, Memmap, MemmapInDn, SameValues
+from benchmarks.store_routes import CROP, Lmdb, Memmap, SameValues
 from eldata.base.workers import Workers
-from eldata.datasets import PackedStore, normalise_batch
+from eldata.datasets import PackedStore
 from eldata.raw import read_raw
 from eldata.sources.store import build_store, source_of_dataset
 
@@ -86,10 +86,8 @@ def _ways(files: Files, folder: Path) -> Iterator[tuple[str, Any]]:
     yield "store, lz4", store("lz4")
     yield "store, zstd", store("zstd")
     yield "store, turned", store("none", augment=True)
-    yield "store, in DN", store("none").in_dn()
     frames = [[read_raw(pairs.root / path) for path in (r.path, r.reference)] for r in pairs.records]
     yield "memmap x 1/white", Memmap(folder, frames, _COUNT)
-    yield "memmap, in DN", MemmapInDn(folder, frames, _COUNT)
     ratios = [sample["ratio"] for sample in store("none")][: len(pairs)]
     mapped, contiguous = [], []
     with h5py.File(folder / "contiguous.h5", "w") as file:
@@ -123,7 +121,6 @@ def _one_process(datasets: Mapping[str, Any], files: Files, rounds: int) -> list
         timings.faster(case, "store", "LMDB of fixed patches", at_least=1.5),
         timings.faster(case, "store", "raw decode", at_least=80, values="bit-identical"),
         timings.cost(case, "store", "memcpy"),
-        timings.faster(f"{case}, in DN", "store, in DN", "memmap, in DN", values="bit-identical"),
         timings.cost(f"{case}: store, turned", "store, turned", "store"),
         *(timings.faster(f"{case}: {way}", way, "memmap x 1/white") for way in _OTHERS),
         *(timings.faster(f"{case}: {way}", way, "LMDB of fixed patches", at_least=1.5) for way in _OTHERS),
@@ -207,12 +204,11 @@ _OTHERS = ("store, lz4", "store, zstd", "store, turned")
 
 
 def _loaders(datasets: Mapping[str, Any], rounds: int) -> list[Row]:
-    names = ("store", "store, lz4", "store, turned", "store, in DN", "memmap x 1/white", "LMDB of fixed patches")
+    names = ("store", "store, lz4", "store, turned", "memmap x 1/white", "LMDB of fixed patches")
     rows = []
     for workers in (2, 4):
         loaders = {name: _loader(datasets[name], workers) for name in names}
         ways: dict[str, Callable[[], object]] = {name: partial(_epoch, loaders[name]) for name in names}
-        ways["store, in DN, converted here"] = partial(_epoch, loaders["store, in DN"], normalise_batch)
         ways["store, each copied"] = partial(_epoch, loaders["store"], _copied)
         ways["LMDB, each copied"] = partial(_epoch, loaders["LMDB of fixed patches"], _copied)
         timings = in_turn(rounds, ways, dict.fromkeys(ways, _COUNT))
@@ -225,10 +221,6 @@ def _loaders(datasets: Mapping[str, Any], rounds: int) -> list[Row]:
             timings.faster(f"{case}: turned", "store, turned", lmdb, at_least=1.5),
             timings.faster(f"{case}: lz4", "store, lz4", "memmap x 1/white"),
             timings.faster(f"{case}: lz4", "store, lz4", lmdb, at_least=1.5),
-            timings.faster(f"{case}: in DN", "store, in DN", "store"),
-            timings.faster(
-                f"{case}: in DN, converted here", "store, in DN, converted here", "store", values="bit-identical"
-            ),
         ]
     return rows
 
@@ -305,5 +297,3 @@ def _check_equal(datasets: Mapping[str, Any], pairs: Any) -> None:
         for side in ("input", "target"):
             part = wanted[side][:, top : top + CROP, left : left + CROP]
             assert np.array_equal(datasets[name][1][side], part)
-    in_dn = normalise_batch(datasets["store, in DN"][1])
-    assert np.array_equal(in_dn["input"], datasets["store"][1]["input"])

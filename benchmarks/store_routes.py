@@ -65,13 +65,6 @@ class Memmap(Crops):
         return np.multiply(part, np.float32(1 / 16383), dtype=np.float32)
 
 
-class MemmapInDn(Memmap):
-    """Memory maps of packed uint16, copied as they are."""
-
-    def crop(self, pair: int, number: int, top: int, left: int) -> NDArray[Any]:
-        return np.array(self.frames[pair][number][:, top : top + CROP, left : left + CROP])
-
-
 class SameValues(Crops):
     """Mosaics in anything that numpy can slice, by our kernel: the very values of the store's crops."""
 

@@ -21,7 +21,6 @@ from .datasets import ELDDataset as ELDDataset
 from .datasets import PackedClips as PackedClips
 from .datasets import PackedStore as PackedStore
 from .datasets import SIDDataset as SIDDataset
-from .datasets import StreamedPairs as StreamedPairs
 from .datasets import SyntheticClips as SyntheticClips
 from .datasets import SyntheticPairs as SyntheticPairs
 from .evaluation.evaluate import evaluate as evaluate

@@ -198,10 +198,7 @@ class RawFrame:
 class FrameRecord:
     """One row of a manifest: one file of a dataset. ``path`` and ``reference`` are relative POSIX paths.
 
-    The fields, in this order, are the columns of a manifest's file: others read them, so none changes. The last two are
-    what ``capture check --write`` measured of a noisy frame: its exposure ratio to the reference, dimensionless, and
-    how far it lies from it, down and right, in pixels of the mosaic: what the reference has at (y, x) the noisy frame
-    has at (y + down, x + right). A file in which nothing was measured lacks both columns.
+    The fields, in this order, are the columns of a manifest's file: others read them, so none changes.
     """
 
     path: str
@@ -218,8 +215,6 @@ class FrameRecord:
     size_bytes: int | None = None
     sha256: str | None = None
     flags: tuple[str, ...] = ()
-    measured_ratio: Fraction | None = None
-    measured_shift_px: tuple[Fraction, Fraction] | None = None
 
 
 def from_columns(kind: type[_Record], columns: Mapping[str, Sequence[object]]) -> list[_Record]:
@@ -273,10 +268,6 @@ class PairRecord:
         The noisy file and its reference, POSIX paths relative to the dataset's folder.
     ratio
         Nominal exposure ratio: the low-light factor f.
-    measured_ratio
-        The one that the pixels show, if it was measured.
-    measured_shift_px
-        How far the noisy frame lies from its reference, as :class:`FrameRecord` has it, if it was measured.
     """
 
     path: str
@@ -288,5 +279,3 @@ class PairRecord:
     exposure_s: Fraction | None
     ratio: Fraction
     flags: tuple[str, ...] = ()
-    measured_ratio: Fraction | None = None
-    measured_shift_px: tuple[Fraction, Fraction] | None = None

@@ -155,7 +155,6 @@ CASES = {
     "predict": Case(
         "eldata", f"predict tests.baselines.test_predicting:halved {ELD} -o preds --tile 16 --overlap 0", demo_tree
     ),
-    "shard": Case("eldata", "shard ../inputs/eld.h5 -o shards --tile 16 --samples-per-shard 20", store),
     "calibrate": Case(
         "eldata",
         f"calibrate ../inputs/frames/data/calibration -o p.json --json d.json --jobs {JOBS}",
@@ -361,8 +360,8 @@ def marked(mark: str) -> list[int]:
 
 
 def is_own(name: str) -> bool:
-    """Whether a file's name is its own, and not one of unfinished work: hidden, a store's part or its journal."""
-    return not any(part.startswith(".") for part in Path(name).parts) and ".part" not in name
+    """Whether a file's name is its own, and not a hidden one of unfinished work."""
+    return not any(part.startswith(".") for part in Path(name).parts)
 
 
 def half_written(bench: Bench) -> list[str]:

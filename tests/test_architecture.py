@@ -350,7 +350,6 @@ WRITES = {
     "eldata.evaluation.comparison": "one value of a setting in a sentence",
     "eldata.protocols.digests": "what a digest is made of",
     "eldata.reports.evaluation": "one value of a setting in a sentence",
-    "eldata.sources.shards.index": "an index with one line per shard, and a sample's own JSON",
     "eldata.sources.store.format": "a data set of an HDF5 store, a line a frame",
     "capture.checklist": "what a digest is made of, and a script's data",
 }

@@ -53,6 +53,7 @@ _FENCE = re.compile(r"^```(.*)\n((?:.*\n)*?)```$", re.MULTILINE)
 # Whose blocks are run by another test.
 ELSEWHERE = {
     "docs/adding-a-dataset.md": "tests/test_adding_a_dataset.py",
+    "docs/clusters.md": "tests/datasets/test_webdataset.py",
     "docs/srgb.md": "tests/isp/test_docs.py",
 }
 # Sizes and times alone are made smaller.
@@ -63,7 +64,6 @@ SMALLER = {
     "range(100)": "range(2)",
     "range(200)": "range(2)",
     "(3072, 4096)": "(48, 64)",
-    "s3://bucket/shards": "shards",
 }
 
 SENSOR = Sensor("SONY", "ILCE-7SM2", ((0, 1), (3, 2)), (512.0,) * 4, 16383.0, 96, 128, (2.0, 1.0, 1.5, 1.0))
@@ -232,7 +232,6 @@ def of_stores(_: pytest.MonkeyPatch) -> Names:
         "pack sid-sony --subset indoor-15 -o sid-train.h5",
         "pack clean -o clean.h5",
         "pack drv --clip 0001 -o drv-train.h5",
-        "shard sid-train.h5 -o shards --tile 16",
     ):
         assert main(line.split()) == 0
     shutil.copy("sid-train.h5", "eld.h5")
@@ -264,7 +263,6 @@ NEEDS: dict[str, Callable[[pytest.MonkeyPatch], Names]] = {
     "docs/published-numbers.md": of_published,
     "docs/raw-files.md": of_raw_files,
     "docs/reports.md": of_reports,
-    "docs/streaming.md": of_stores,
     "docs/training.md": of_stores,
 }
 # What a block takes to be otherwise than those before it have left it.
@@ -292,8 +290,7 @@ def in_this_process(work: Any, units: Any, _: Any) -> Iterator[Any]:
 
 # Those that score or pack whole sets, and calibrate.
 LONG = {"README.md", *(f"docs/{name}.md" for name in (
-    "calibration", "datasets", "evaluation", "metrics", "noise", "plots", "published-numbers", "reports", "streaming",
-    "training",
+    "calibration", "datasets", "evaluation", "metrics", "noise", "plots", "published-numbers", "reports", "training",
 ))}  # fmt: skip
 
 

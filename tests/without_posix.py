@@ -86,10 +86,8 @@ def refusals(folder: Path) -> Iterator[str]:
     from eldata.download.fetching import open_partial
     from eldata.download.unpacking import _staging_folder
     from eldata.errors import EldataError
-    from eldata.sources.store.journal import journaled
 
     uses: tuple[Callable[[], Any], ...] = (
-        lambda: journaled(folder / "store.h5").__enter__(),
         lambda: open_partial(folder / "archive.zip").__enter__(),
         lambda: _staging_folder(folder / "data").__enter__(),
         lambda: isolation().__enter__(),

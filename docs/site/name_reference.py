@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 PAGES = (
     *("eldata", "eldata.datasets", "eldata.evaluation", "eldata.protocols", "eldata.metrics", "eldata.noise"),
     *("eldata.calibration", "eldata.raw", "eldata.isp", "eldata.manifest", "eldata.baselines", "eldata.download"),
-    *("eldata.sources.store", "eldata.sources.shards", "eldata.integrations.torchmetrics"),
+    *("eldata.sources.store", "eldata.integrations.torchmetrics"),
     *("eldata.integrations.basicsr", "eldata.records", "eldata.errors"),
     *("capture", "capture.checklist", "capture.check"),
 )

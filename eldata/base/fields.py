@@ -180,10 +180,8 @@ class TextFile:
             raise self.problem(f"expected an object, found {shown(data)}")
         return Fields(self, data)
 
-    def rows(self, columns: Sequence[str], also: Sequence[str] = ()) -> Iterator[TextRow]:
-        """Yield the rows of a CSV file whose first line names these columns, and ``also`` those or not.
-
-        Cells of columns that a file lacks are empty.
+    def rows(self, columns: Sequence[str]) -> Iterator[TextRow]:
+        """Yield the rows of a CSV file whose first line names these columns.
 
         Raises
         ------
@@ -194,26 +192,24 @@ class TextFile:
         file.text("CSV")  # before the first row is judged
         reader = _csv_reader(file.content)
         try:
-            header = self._header(reader, columns, also)
-            absent = dict.fromkeys((*columns, *also)[len(header) :], "")
+            header = self._header(reader, columns)
             for cells in reader:
                 if len(cells) != len(header):
                     reason = f"expected {len(header)} fields, found {len(cells)}"
                     raise self.problem(reason, f"line {reader.line_num}")
                 texts = map(text_of_cell, cells)
-                yield TextRow(self, dict(zip(header, texts, strict=True)) | absent, f"line {reader.line_num}")
+                yield TextRow(self, dict(zip(header, texts, strict=True)), f"line {reader.line_num}")
         except csv.Error as error:
             raise self.problem(f"is not CSV ({error})", f"line {reader.line_num}") from error
 
-    def _header(self, reader: Any, columns: Sequence[str], also: Sequence[str]) -> list[str]:
+    def _header(self, reader: Any, columns: Sequence[str]) -> list[str]:
         header: list[str] = next(reader, [])
-        if header not in ([*columns], [*columns, *also]):
+        if header != [*columns]:
             found = shown(",".join(header), longest=400)
-            more = f", or these and {','.join(also)}" if also else ""
-            raise self.problem(f"expected the columns {','.join(columns)}{more}; found {found}", "line 1")
+            raise self.problem(f"expected the columns {','.join(columns)}; found {found}", "line 1")
         return header
 
-    def columns(self, columns: Sequence[str], also: Sequence[str] = ()) -> Iterator[list[tuple[str, ...]]]:
+    def columns(self, columns: Sequence[str]) -> Iterator[list[tuple[str, ...]]]:
         """Yield the columns of some rows at a time, of a file such as :meth:`rows` reads; for millions of rows.
 
         What is wrong with a row raises a ``ValueError`` that does not say where: read it by :meth:`rows` then, which
@@ -223,13 +219,12 @@ class TextFile:
         reader = _csv_reader(file.content)
         quoted = _may_have_quoted_cells(file.content)
         try:
-            absent = len(columns) + len(also) - len(self._header(reader, columns, also))
+            self._header(reader, columns)
             while rows := list(islice(reader, _ROWS_AT_ONCE)):
                 found = list(zip(*rows, strict=True))
-                if len(found) + absent != len(columns) + len(also):
+                if len(found) != len(columns):
                     raise ValueError(columns)
-                cells_of = [tuple(map(text_of_cell, cells)) for cells in found] if quoted else found
-                yield cells_of + [("",) * len(rows)] * absent
+                yield [tuple(map(text_of_cell, cells)) for cells in found] if quoted else found
         except csv.Error as error:
             raise ValueError(columns) from error
 

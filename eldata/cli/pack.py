@@ -3,8 +3,7 @@
 Decode each file of a dataset's pairs or clips, or of a folder of clean raws, once, into one HDF5 file: the pixels in DN
 with levels, CFA, exposure and manifest (of preprocessed clips, their 16-bit RGB), lossless. PackedStore, PackedClips,
 CleanFrames and CleanClips read random crops of it; DarkFrames reads those of bias frames, CAMERA/bias/ISO100/... below
-the folder (that of DATASET calibration). Work that was interrupted, even by kill -9, goes on where it was if the
-command is repeated.
+the folder (that of DATASET calibration).
 
     eldata pack sid-sony --split train -o sid-train.h5
     eldata pack data/SID/Sony/long -o clean.h5
@@ -46,8 +45,7 @@ def add_options(parser: console.Parser) -> None:
         default="none",
         help="lossless; lz4 and zstd need the extra eldata[compression] (default: %(default)s)",
     )
-    kept = "the finished frames are kept in {output}.part, and the same command goes on"
-    console.add_shared(parser, run, "root", "workers", interrupted=kept)
+    console.add_shared(parser, run, "root", "workers")
 
 
 def run(arguments: console.Arguments) -> int:
@@ -57,9 +55,8 @@ def run(arguments: console.Arguments) -> int:
     source = _source(arguments)
     with console.chosen_workers(arguments) as workers:
         report = build_store(source, arguments.output, compression=arguments.compression, workers=workers)
-    resumed = f" ({report.resumed} of them before)" if report.resumed else ""
     print(
-        f"{counted(report.frames, 'frame')} packed{resumed}: {report.path}, {report.store_bytes / 1e6:.1f} MB for "
+        f"{counted(report.frames, 'frame')} packed: {report.path}, {report.store_bytes / 1e6:.1f} MB for "
         f"{report.pixel_bytes / 1e6:.1f} MB of pixels"
     )
     print(f"to check: eldata verify {shlex.quote(str(report.path))} --level full")

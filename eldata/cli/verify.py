@@ -1,9 +1,8 @@
-"""`eldata verify`: check the files on disk against manifests, or a store or shards.
+"""`eldata verify`: check the files on disk against manifests, or a store.
 
 Check the files on disk against manifests and list every problem. Levels: quick (present, size, no unlisted raw files),
 metadata (also: opens, camera, ISO, exposure, ratio; remarks), full (also: hashes). Nothing is written. For a training
-store (.h5) every level checks its structure, full also its pixels; shards (their index.json, at any address) are read
-whole.
+store (.h5) every level checks its structure, full also its pixels.
 
     eldata verify
     eldata verify eld --root data --level metadata
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
     from eldata.base.workers import Workers
     from eldata.manifest.verify_report import VerifyReport
 
-_INDEX = "index.json"
-
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
@@ -37,41 +34,26 @@ def add_options(parser: console.Parser) -> None:
         metavar="MANIFESTS",
         nargs="*",
         help=(
-            "datasets by name, such as eld; manifests (CSV files), or folders of them; a store, or shards' index "
+            "datasets by name, such as eld; manifests (CSV files), or folders of them; or a store "
             "(default: every known dataset that is there)"
         ),
     )
     console.add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
-    console.add_shared(parser, run, "root", "workers", json=json_kind("level ok datasets", "shards problems"))
+    console.add_shared(parser, run, "root", "workers", json=json_kind("level ok datasets"))
 
 
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
-    alone = next((one for one in arguments.manifests if one.endswith(_INDEX) or _is_store(one)), None)
+    alone = next(filter(_is_store, arguments.manifests), None)
     if alone is not None and len(arguments.manifests) > 1:
         raise ArgumentError(f"{alone} is checked alone: give it in a command of its own")
-    if alone is not None and not _is_store(alone):
-        return _of_shards(arguments, alone)
     with console.chosen_workers(arguments) as workers:
         report = _of_files(arguments, workers) if alone is None else _of_store(arguments, alone, workers)
     console.show_and_write(
         arguments, report.format_text if arguments.manifests else partial(_all_known, report), report.as_dict
     )
     return console.OK if report.ok else console.PROBLEMS
-
-
-def _of_shards(arguments: console.Arguments, index: str) -> int:
-    from eldata.sources.shards.reading import verify_shards
-
-    _refuse_choices(arguments, "shards are checked whole")
-    if arguments.dask is not None:
-        raise ArgumentError("--dask is for manifests and stores; shards are read in their order")
-    address = index.removesuffix(_INDEX) or "."
-    problems = verify_shards(address)
-    told = "\n".join(problems) if problems else f"{address}: every shard is whole"
-    console.show_and_write(arguments, lambda: told, lambda: {"shards": address, "problems": problems})
-    return console.PROBLEMS if problems else console.OK
 
 
 def _is_store(path: str) -> bool:
@@ -81,13 +63,9 @@ def _is_store(path: str) -> bool:
 def _of_store(arguments: console.Arguments, path: str, workers: Workers) -> VerifyReport:
     from eldata.sources.store.build import verify_store
 
-    _refuse_choices(arguments, "a store is checked whole")
-    return verify_store(path, level=arguments.level, workers=workers)
-
-
-def _refuse_choices(arguments: console.Arguments, why: str) -> None:
     if arguments.root is not None or arguments.cameras:
-        raise ArgumentError(f"--root and --camera are for manifests; {why}")
+        raise ArgumentError("--root and --camera are for manifests; a store is checked whole")
+    return verify_store(path, level=arguments.level, workers=workers)
 
 
 def _of_files(arguments: console.Arguments, workers: Workers) -> VerifyReport:

@@ -25,11 +25,8 @@ from .registry import open_dataset as open_dataset
 from .rgb import StagedPairs as StagedPairs
 from .rgb import raw2rgb as raw2rgb
 from .rgb import rgb2rgb as rgb2rgb
-from .streamed_pairs import StreamedPairs as StreamedPairs
 from .synthetic.arrays import Arrays as Arrays
 from .synthetic.dark_frames import DarkFrames as DarkFrames
 from .synthetic.pairs import SyntheticClips as SyntheticClips
 from .synthetic.pairs import SyntheticPairs as SyntheticPairs
-from .views import DnPairs as DnPairs
 from .views import Noise2Noise as Noise2Noise
-from .views import normalise_batch as normalise_batch

@@ -5,24 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
 
 import numpy as np
 
-from eldata.base.arguments import spell_keywords
 from eldata.base.files import file_problem, inside
 from eldata.base.pixels import NpyError, read_npy
 from eldata.base.tables import frame_of
-from eldata.datasets.choices import Options, Representation, chosen_shading, shading_text, understood
+from eldata.datasets.choices import check_representation, chosen_shading, shading_text
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, Cropping, DrawnItem, Part
+from eldata.datasets.items import CroppedItems, DrawnItem, Part
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, known_names, load_manifest
-from eldata.manifest.pairs import Choice, select_pairs, whole_shift_px
+from eldata.manifest.pairs import Choice
 from eldata.protocols.named import default_protocol
 from eldata.raw.cfa import packed_area, packed_shape, unpack
 from eldata.records import Exposure, Records
-from eldata.sources.frames import Files, Frame, checked_ratio, overlap, stated_ratio
+from eldata.sources.frames import Files, Frame, checked_ratio, stated_ratio
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -32,7 +31,11 @@ if TYPE_CHECKING:
     import torch
 
     from eldata.base.pixels import NpyHeader
+    from eldata.datasets.items import Crops
     from eldata.manifest.card import Card
+    from eldata.noise.dark_shading import DarkShading
+    from eldata.protocols.protocol import Amplification
+    from eldata.raw.levels import Clip, FrameLevels
     from eldata.records import PairRecord
     from eldata.sources.frames import FrameSource
 
@@ -40,13 +43,16 @@ Side = Literal["input", "target"]
 SIDES: tuple[Side, ...] = get_args(Side)
 
 
-class PairFacts(TypedDict):
-    """What a sample of a pair has beside its tensors.
+class Sample(TypedDict):
+    """One pair, as torch's default collate accepts it.
 
-    ``ratio`` is the files' own exposure ratio, or with another ``amplification`` the manifest's nominal or measured
-    one; ``nominal_ratio`` is always the nominal one. ``iso`` and ``exposure_s`` (seconds) are the noisy file's.
+    ``input`` and ``target`` are (C, h, w) float32, normalised, the input multiplied by ``ratio``: the files' own
+    exposure ratio, or with another ``amplification`` the manifest's nominal one, which ``nominal_ratio`` always is.
+    ``iso`` and ``exposure_s`` (seconds) are the noisy file's.
     """
 
+    input: torch.Tensor
+    target: torch.Tensor
     ratio: float
     nominal_ratio: float
     iso: float
@@ -57,32 +63,6 @@ class PairFacts(TypedDict):
     path: str
     reference: str
     flags: str
-
-
-class Sample(PairFacts):
-    """One pair, as torch's default collate accepts it.
-
-    ``input`` and ``target`` are (C, h, w) float32, normalised, the input multiplied by ``ratio``.
-    """
-
-    input: torch.Tensor
-    target: torch.Tensor
-
-
-class PairCropping(Cropping, total=False):
-    """Which parts of pairs are items.
-
-    Attributes
-    ----------
-    crops_per_frame
-        Items per pair: the length is this times the number of pairs, and item i is of pair i modulo that number.
-    """
-
-    crops_per_frame: int
-
-
-class PairOptions(Options, PairCropping, total=False):
-    """All of the keyword arguments that a dataset of pairs has."""
 
 
 # Pairs whose frames stay open, 2 kB each. To open one again takes a tenth of a millisecond.
@@ -150,10 +130,8 @@ class SourcePairs(CroppedItems[Sample]):
         The pairs.
     name
         Of the dataset.
-    representation
-        Levels, clipping and amplification.
-    cropping
-        Crop, orientations, items per pair, seed; by default whole frames as they are.
+    levels, clip, amplification, dark_shading, crop, augment, crops, crops_per_frame, seed
+        As of :class:`PairDataset`; by default the levels of the files.
     """
 
     source: FrameSource
@@ -164,24 +142,26 @@ class SourcePairs(CroppedItems[Sample]):
         records: Collection[PairRecord],
         *,
         name: str = "",
-        representation: Representation | None = None,
-        cropping: PairCropping | None = None,
-    ) -> None:
-        chosen, cut = representation or {}, cropping or {}
+        levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
+        check_representation(levels, clip, amplification)
         self.source = source
         self.records: tuple[PairRecord, ...] = Records(records)
         self.name = name
-        self.levels = chosen.get("levels", "metadata")
-        self.clip = chosen.get("clip", "both")
-        self.amplification = chosen.get("amplification", "metadata")
-        self.dark_shading = chosen_shading(chosen, (record.camera for record in self.records))
-        self.crops_per_frame = cut.get("crops_per_frame", 1)
-        super().__init__(cut, ("crops_per_frame", self.crops_per_frame))
+        self.levels: FrameLevels = levels
+        self.clip = clip
+        self.amplification: Amplification = amplification
+        self.dark_shading = chosen_shading(dark_shading, (record.camera for record in self.records))
+        self.crops_per_frame = crops_per_frame
+        super().__init__(crop, augment, crops, seed, ("crops_per_frame", crops_per_frame))
         self._pairs: dict[int, OpenedPair] = {}
         if self.reads_parts:
             self._check_pairs()
         outlined = cache(self._outlined)
-        self._lay_grid(_shown_by_both(record, outlined(record.reference)) for record in self.records)
+        self._lay_grid(outlined(record.reference) for record in self.records)
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -217,7 +197,7 @@ class SourcePairs(CroppedItems[Sample]):
         # Of a reference once; by number, for to look at the hash of fractions takes longer than all else here.
         kind_of = cache(lambda path: numbers.setdefault(_kind_of(self.source.frame(path)), len(numbers)))
         for record in self.records:
-            own = record.camera, record.ratio, record.flags, record.measured_ratio, whole_shift_px(record)
+            own = record.camera, record.ratio, record.flags
             kind = kind_of(record.reference), kind_of(record.path), own
             if kind not in kinds:
                 kinds.add(kind)
@@ -240,7 +220,7 @@ class SourcePairs(CroppedItems[Sample]):
 
     def _begun(self, record: PairRecord) -> OpenedPair:
         target = self.source.frame(record.reference).with_levels(self.levels)
-        return OpenedPair(record, _shown_by_both(record, target))
+        return OpenedPair(record, target)
 
     def _opened(self, record: PairRecord) -> OpenedPair:
         pair = self._begun(record)
@@ -250,14 +230,10 @@ class SourcePairs(CroppedItems[Sample]):
     def _open_input(self, pair: OpenedPair) -> None:
         record, target = pair.record, pair.target
         noisy = self._noisy(record, target)
-        place = None
-        if whole_shift_px(record) != (0, 0):
-            rows, columns = overlap(record, "noisy", noisy.shape, noisy.cfa)
-            noisy, place = noisy.part(rows, columns), (rows.start, columns.start)
         ratio = checked_ratio(record, target, noisy)
         pair.ratio = stated_ratio(record, self.amplification) or ratio
         pair.exposure = noisy.exposure
-        pair.input = noisy if self.dark_shading is None else noisy.less(self.dark_shading, place)
+        pair.input = noisy if self.dark_shading is None else noisy.less(self.dark_shading)
 
     def _noisy(self, record: PairRecord, target: Frame) -> Frame:
         """Open the noisy frame of a pair; ``target`` is its reference."""
@@ -310,12 +286,44 @@ class PairDataset(SourcePairs):
         The dataset's own folder, such as ``data/ELD``. Default: the card's folder below ``$ELDATA_ROOT`` or ``./data``.
     manifest
         A manifest's CSV file, or the name of a shipped one.
-    options
-        Which pairs (:class:`~eldata.manifest.pairs.Choice`): ``cameras``, ``scenes``, ``isos``, ``ratios``, ``split``,
-        ``subset``, ``exclude_flags``. What becomes of their DN (:class:`~eldata.datasets.choices.Representation`):
-        ``levels`` (default: the card's), ``clip`` (``"both"``), ``amplification`` (``"metadata"``),
-        ``dark_shading``. Which part of them (:class:`PairCropping`): ``crop``, ``augment``, ``crops``,
-        ``crops_per_frame``, ``seed``; by default whole frames.
+    cameras, scenes, isos, ratios
+        Which pairs; ``None`` means all. A scene is its name or its number: 3 for ``scene-3``, 34 for ``00034``. A ratio
+        is the nominal one.
+    split
+        Name of a split, or several.
+    subset
+        Name of a subset on the dataset's card (:mod:`eldata.manifest.card`); the rest chooses within it.
+    exclude_flags
+        What has one of these flags is left out.
+    levels
+        ``"published"``: white level 16383 for every camera; ``"metadata"``: the file's own. Black is the file's either
+        way. Or the constants of the SID code, or of LRID's, by name: :func:`eldata.raw.levels.with_levels`. RGB is
+        divided by 65535. ``None``: those of the protocol that the set's card names: ``"published"`` of ELD and SID,
+        ``"metadata"`` of a set of one's own.
+    clip
+        Of the input. ``"both"``: the normalised frame is clipped to [0, 1] before and after it is multiplied by the
+        ratio, as published; ``"upper"``: at 1 only, so that negative read noise is kept; ``"none"``. The target lies in
+        [0, 1] whatever it is.
+    amplification
+        What the input is multiplied by: ``"metadata"``, the ratio of ISO times exposure time that the files state,
+        or ``"nominal"``, the manifest's ratio. The files' ratio is checked each time.
+    dark_shading
+        What the sensor shows of itself in the dark (:class:`~eldata.noise.DarkShading`, or its file), taken off the
+        input, in DN of the file, before anything is clipped. A frame of another model, size, CFA or ISO is refused.
+    crop
+        Side of the square crop in pixels of the packed (or RGB) frame, even for X-Trans; ``None`` takes whole frames.
+    augment
+        Draw one of the eight orientations; a mosaic's CFA stays in order.
+    crops
+        ``"random"``: each item is of a place that is drawn. ``"grid"``: the crops lie side by side from the frame's
+        first row and column on, in order with the CFA, and each is one item, so once an epoch, turned anew in each (K.
+        Wei et al., TPAMI 2021, section 4.1.1). What is left over at the bottom and at the right is in none; turning a
+        mosaic shifts a crop by at most one period of its CFA. Frames that are decoded whole are decoded once for their
+        size as the dataset is made.
+    crops_per_frame
+        Items per pair: the length is this times the number of pairs, and item i is of pair i modulo that number.
+    seed
+        First part of each item's seed, below 2^128: item i of epoch e depends on (seed, e, i) alone.
 
     Raises
     ------
@@ -333,23 +341,32 @@ class PairDataset(SourcePairs):
     a store (:class:`~eldata.datasets.packed.PackedStore`).
     """
 
-    @spell_keywords(PairOptions)
-    def __init__(self, root: Path | str | None, manifest: Path | str, **options: Unpack[PairOptions]) -> None:
-        choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
+    def __init__(
+        self,
+        root: Path | str | None,
+        manifest: Path | str,
+        *,
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
         loaded = _manifest(manifest)
         self.root = loaded.own_folder(root)
-        records = select_pairs(loaded.records, loaded.card.subsets, **choice)
-        levels = representation.get("levels") or default_protocol(loaded.card).frame_levels
+        choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
+        records = choice.pairs(loaded.records, loaded.card.subsets)
         self._check_folders(loaded, records)
         files = FrameFiles.of(self.root, loaded.card, loaded.records)
         self._stated = files.stated
         super().__init__(
-            Files(files, loaded.records),
-            records,
-            name=loaded.name,
-            representation=representation | {"levels": levels},
-            cropping=cropping,
-        )
+            Files(files, loaded.records), records, name=loaded.name,
+            levels=levels or default_protocol(loaded.card).frame_levels, clip=clip, amplification=amplification,
+            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, crops_per_frame=crops_per_frame,
+            seed=seed,
+        )  # fmt: skip
 
     def _place(self) -> str:
         return str(self.root)
@@ -385,10 +402,6 @@ def _manifest(manifest: Path | str) -> Manifest:
     if isinstance(manifest, str) and "/" not in manifest and not manifest.endswith(".csv"):
         return known_manifest(manifest)
     return load_manifest(manifest)
-
-
-def _shown_by_both(record: PairRecord, reference: Frame) -> Frame:
-    return reference.part(*overlap(record, "reference", reference.shape, reference.cfa))
 
 
 def _kind_of(frame: Frame) -> tuple[object, ...]:

@@ -74,7 +74,7 @@ class CleanFrames:
     ManifestError
         If a manifest is malformed.
     StoreError
-        If the store is truncated, not complete, or of another version.
+        If the store is truncated, or of another version.
     ArgumentError
         If ``levels`` is unknown, or ``keep`` negative.
 
@@ -248,7 +248,7 @@ class CleanClips:
         If there is no clip, the names of a clip do not follow one numbering, or a store holds a dataset's pairs or
         clips.
     StoreError
-        If the store is truncated, not complete, or of another version.
+        If the store is truncated, or of another version.
     ArgumentError
         If ``levels`` is unknown.
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from functools import cache
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict
 
-from eldata.base.arguments import spell_keywords
-from eldata.datasets.choices import Options, Representation, chosen_shading, shading_text, understood
-from eldata.datasets.crops import Crop, Region
-from eldata.datasets.items import CroppedItems, Cropping, DrawnItem, Part
+from eldata.datasets.choices import check_representation, chosen_shading, shading_text
+from eldata.datasets.crops import Crop
+from eldata.datasets.items import CroppedItems, DrawnItem, Part
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
@@ -27,8 +26,14 @@ if TYPE_CHECKING:
     import pandas as pd
     import torch
 
+    from eldata.datasets.crops import Region
+    from eldata.datasets.items import Crops
     from eldata.manifest.card import Subset
     from eldata.manifest.clips import Clip, ClipRecord, FrameRange
+    from eldata.noise.dark_shading import DarkShading
+    from eldata.protocols.protocol import Amplification
+    from eldata.raw.levels import Clip as Clipping
+    from eldata.raw.levels import FrameLevels
     from eldata.records import FrameRecord
     from eldata.sources.frames import Frame, FrameSource
 
@@ -68,41 +73,6 @@ class ClipSample(UnpairedClipSample):
     reference: str
 
 
-class Windowing(TypedDict, total=False):
-    """Which windows of which clips, and which part of them.
-
-    Attributes
-    ----------
-    ids
-        Which clips, such as ``["0007", "0013"]``: their scenes. ``None`` (default) is all.
-    window
-        Number of frames of a sample; default 5.
-    stride
-        How far apart the samples of a clip begin; ``None`` (default) is ``window``, so that none overlap.
-    frames
-        Which frames of a clip (:func:`eldata.manifest.clips.frame_range`): ``"all"`` (default); ``"authors"``, those
-        that the DRV repository's test_video.py takes, the fifth to the fourth from the end; ``"evaluation"``, five
-        continuous ones as in the ELD paper, the fifth to the ninth (the paper does not say which).
-    region
-        (top, left, height, width) in pixels of the packed frame: the part that is kept of each frame. ``None``
-        (default) is all of it: for DRV 15 MB a frame preprocessed and 80 MB raw. Or a random ``crop``
-        (:class:`~eldata.datasets.items.Cropping`): every frame and the reference are cut and turned alike.
-    crops_per_window
-        Items per window: the length is this times the number of windows, and item i is of window i modulo that number.
-    """
-
-    ids: Collection[str] | None
-    window: int
-    stride: int | None
-    frames: FrameRange
-    region: Region | None
-    crops_per_window: int
-
-
-class WindowOptions(Options, Cropping, Windowing, total=False):
-    """All of the keyword arguments that a dataset of clips has."""
-
-
 class ClipWindows(CroppedItems[ClipSample]):
     """Windows of clips of any source: ``dataset[i]`` is a :class:`ClipSample`.
 
@@ -119,9 +89,26 @@ class ClipWindows(CroppedItems[ClipSample]):
     dynamic
         The clips have no reference: ``dataset[i]`` is an :class:`UnpairedClipSample`, which has no ``target``, and is
         not amplified.
-    options
-        See :class:`Windowing`, :class:`~eldata.datasets.items.Cropping`, :class:`~eldata.manifest.pairs.Choice` and
-        :class:`~eldata.datasets.choices.Representation`.
+    ids
+        Which clips, such as ``["0007", "0013"]``: their scenes. ``None`` is all.
+    window
+        Number of frames of a sample.
+    stride
+        How far apart the samples of a clip begin; ``None`` is ``window``, so that none overlap.
+    frames
+        Which frames of a clip (:func:`eldata.manifest.clips.frame_range`): ``"all"``; ``"authors"``, those that the DRV
+        repository's test_video.py takes, the fifth to the fourth from the end; ``"evaluation"``, five continuous ones
+        as in the ELD paper, the fifth to the ninth (the paper does not say which).
+    region
+        (top, left, height, width) in pixels of the packed frame: the part that is kept of each frame. ``None`` is all
+        of it: for DRV 15 MB a frame preprocessed and 80 MB raw. Or a random ``crop``: every frame and the reference are
+        cut and turned alike.
+    crops_per_window
+        Items per window: the length is this times the number of windows, and item i is of window i modulo that number.
+    cameras, scenes, isos, ratios, split, subset, exclude_flags
+        Which clips: those of whose noisy frames one is chosen, as of :class:`~eldata.datasets.base.PairDataset`.
+    levels, clip, amplification, dark_shading, crop, augment, crops, seed
+        As of :class:`~eldata.datasets.base.PairDataset`; by default the levels of the files.
 
     Raises
     ------
@@ -134,7 +121,6 @@ class ClipWindows(CroppedItems[ClipSample]):
 
     source: FrameSource
 
-    @spell_keywords(WindowOptions)
     def __init__(
         self,
         source: FrameSource,
@@ -143,44 +129,47 @@ class ClipWindows(CroppedItems[ClipSample]):
         place: Path,
         *,
         dynamic: bool = False,
-        **options: Unpack[WindowOptions],
-    ) -> None:
+        ids: Collection[str] | None = None, window: int = 5, stride: int | None = None, frames: FrameRange = "all",
+        region: Region | None = None, crops_per_window: int = 1,
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels = "metadata", clip: Clipping = "both", amplification: Amplification = "metadata",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
+    ) -> None:  # fmt: skip
+        check_representation(levels, clip, amplification)
         self._is_paired = not dynamic
-        choice, representation, cropping, windowing = understood(
-            self, options, Choice, Representation, Cropping, Windowing
-        )
-        self.region: Region | None = windowing.get("region")
+        self.region = region
         if self.region is not None and (min(self.region[:2]) < 0 or min(self.region[2:]) < 1):
             raise ArgumentError(f"region must be (top, left, height, width), the sizes above 0; found {self.region}")
-        if self.region is not None and cropping.get("crop") is not None:
+        if self.region is not None and crop is not None:
             raise ArgumentError("give a region or a crop, not both")
-        self.crops_per_window: int = windowing.get("crops_per_window", 1)
-        super().__init__(cropping, ("crops_per_window", self.crops_per_window))
+        self.crops_per_window = crops_per_window
+        super().__init__(crop, augment, crops, seed, ("crops_per_window", crops_per_window))
         self.source = source
         self.root = place
-        self.levels = representation.get("levels", "metadata")
-        self.clip = representation.get("clip", "both")
-        self.amplification = representation.get("amplification", "metadata")
-        chosen = expand(choose_clips(rows, subsets, ids=windowing.get("ids"), **choice), place)
-        self.dark_shading = chosen_shading(representation, (row.camera for row in chosen))
+        self.levels: FrameLevels = levels
+        self.clip = clip
+        self.amplification: Amplification = amplification
+        choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
+        chosen = expand(choose_clips(rows, subsets, choice, ids=ids), place)
+        self.dark_shading = chosen_shading(dark_shading, (row.camera for row in chosen))
         self.layout = Layout.of(chosen)
         self.clips = clips_of(chosen)
-        lone = [clip.scene for clip in self.clips if clip.reference is None]
+        lone = [each.scene for each in self.clips if each.reference is None]
         if self._is_paired and lone:
             raise DatasetError(f"{place}: no reference of {len(lone)} clips: {', '.join(lone)}")
         self._row_of = {row.path: row for row in chosen}
-        length = windowing.get("window", 5)
-        stride = windowing.get("stride")
-        frames = windowing.get("frames", "all")
         self.records: tuple[ClipRecord, ...] = tuple(
             record
-            for clip in self.clips
-            for record in windows(clip, length=length, stride=length if stride is None else stride, frames=frames)
+            for each in self.clips
+            for record in windows(each, length=window, stride=window if stride is None else stride, frames=frames)
         )
-        self._text = f"{len(self.clips)} clips, {len(self.records)} windows of {length} frames (frames={frames!r})"
+        self._text = f"{len(self.clips)} clips, {len(self.records)} windows of {window} frames (frames={frames!r})"
         if self.reads_parts:
-            for clip in self.clips:
-                self._check(clip)
+            for each in self.clips:
+                self._check(each)
         if self.crops == "grid":  # clips may have several windows
             like = cache(lambda path: self.source.frame(path).without_pixels())
             self._lay_grid(like(record.reference or record.path) for record in self.records)

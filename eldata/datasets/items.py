@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from bisect import bisect_right
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypedDict, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar, get_args
 
 import torch
 from torch.utils.data import Dataset
@@ -36,61 +36,24 @@ if TYPE_CHECKING:
 Crops = Literal["random", "grid"]
 
 
-class SharedMemory:
-    """Bytes, at first 0, that persistent workers see as they change."""
-
-    def __init__(self, size: int) -> None:
-        self._memory = torch.zeros(size, dtype=torch.uint8)
-        self._share()
-
-    def _share(self) -> None:
-        self._memory.share_memory_()  # type: ignore[no-untyped-call]
-        self._array: NDArray[np.uint8] = self._memory.numpy()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_array"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._share()  # a copy has memory of its own, which its workers share again
-
-
-class SharedNumber(SharedMemory):
-    """A whole number of 64 bits, such as the current epoch."""
+class SharedNumber:
+    """A whole number of 64 bits, at first 0, that persistent workers see as it changes."""
 
     def __init__(self) -> None:
-        super().__init__(8)
+        self._memory = torch.zeros(1, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
 
     @property
     def value(self) -> int:
-        """The number, at first 0."""
-        return int(self._array.view("i8")[0])
+        """The number."""
+        return int(self._memory)
 
     def set(self, value: int) -> None:
         """Choose the number."""
-        self._array.view("i8")[0] = value
+        self._memory[0] = value
 
-
-class Epochs:
-    """A dataset whose items are drawn anew in each epoch."""
-
-    def __init__(self) -> None:
-        self._epoch = SharedNumber()
-
-    @property
-    def epoch(self) -> int:
-        """The current epoch."""
-        return self._epoch.value
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch of items drawn from now on, of a stream from its next iteration on, in running workers too.
-
-        Raises
-        ------
-        ArgumentError
-            If it is not a whole number from 0 up to below 2^32.
-        """
-        self._epoch.set(checked_epoch(epoch))
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._memory.share_memory_()  # a copy has memory of its own, which its workers share again
 
 
 def checked_index(index: int, length: int) -> int:
@@ -145,7 +108,6 @@ Sample = TypeVar("Sample")
 class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
     """Items that are read part by part. Subclasses say what an item is."""
 
-    dtype = "<f4"
     clip: Clip = "both"
     source: Any = None
 
@@ -166,15 +128,8 @@ class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
     def item(self, index: int) -> DrawnItem:
         """Draw an item, before its pixels are read."""
 
-    def _fill(self, item: DrawnItem, part: Part, out: NDArray[Any]) -> None:
-        """Read one part."""
-        item.crop.fill(part.frame, out, clip="both" if part.is_light else self.clip, gain=part.gain)
-
     def _finish(self, items: Sequence[Any], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Make what is not read, of several items at once; the arrays have as many, one after the other."""
-
-    def _given(self, items: Sequence[Any]) -> None:
-        """Note that items were given out, to be trained on; those that are only looked at are not noted."""
 
     def _seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
         """Read one item to be looked at, and the sensor of its target; raises like ``dataset[index]``."""
@@ -225,13 +180,11 @@ class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
             If a frame is smaller than the crop (with ``augment`` a mosaic needs one period of the CFA more), or the
             frames of an item do not belong together.
         """
-        item = self.item(index)
-        sample: Any = self._sample(item)
-        self._given([item])
+        sample: Any = self._sample(self.item(index))
         return sample  # type: ignore[no-any-return] # a TypedDict of the subclass
 
     def _sample(self, item: DrawnItem) -> dict[str, Any]:
-        arrays = new_arrays([Field(name, shape, self.dtype) for name, shape in item.shapes.items()])
+        arrays = new_arrays([Field(name, shape, "<f4") for name, shape in item.shapes.items()])
         self._read([item], {name: array[None] for name, array in arrays.items()})
         return {name: torch.from_numpy(array) for name, array in arrays.items()} | item.facts
 
@@ -248,12 +201,11 @@ class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
             items = [self.item(index) for index in group]
             shapes = items[0].shapes
             if batch is None:
-                batch = new_batch([Field(name, (len(indices), *shape), self.dtype) for name, shape in shapes.items()])
+                batch = new_batch([Field(name, (len(indices), *shape), "<f4") for name, shape in shapes.items()])
             if batch is None or any(item.shapes != batch.shapes for item in items):
                 return [self[index] for index in indices]
             places = slice(len(samples), len(samples) + len(items))
             self._read(items, {name: array[places] for name, array in batch.arrays.items()})
-            self._given(items)
             samples += [dict.fromkeys(shapes) | item.facts for item in items]
             del items  # their frames, before the next ones are decoded
         return [] if batch is None else batch.parts(samples)
@@ -261,7 +213,8 @@ class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
     def _read(self, items: Sequence[DrawnItem], arrays: Mapping[str, NDArray[Any]]) -> None:
         def fill(place: int, part: Part) -> None:
             array = arrays[part.tensor][place]
-            self._fill(items[place], part, array if part.place is None else array[part.place])
+            out, clip = array if part.place is None else array[part.place], "both" if part.is_light else self.clip
+            items[place].crop.fill(part.frame, out, clip=clip, gain=part.gain)
 
         if self.reads_parts:
             works = [(place, part) for place, item in enumerate(items) for part in item.parts]
@@ -275,41 +228,14 @@ class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
         self._finish(items, arrays)
 
 
-class Cropping(TypedDict, total=False):
-    """Which part of frames is an item: keyword arguments of every dataset of pairs or clips.
-
-    Item i of epoch e depends on (seed, e, i) alone: not on workers, their number, or what was read before.
-
-    Attributes
-    ----------
-    crop
-        Side of the square crop in pixels of the packed (or RGB) frame, even for X-Trans; ``None`` takes whole frames.
-    augment
-        Draw one of the eight orientations; a mosaic's CFA stays in order.
-    crops
-        ``"random"``, the default: each item is of a place that is drawn. ``"grid"``: the crops lie side by side from
-        the frame's first row and column on, in order with the CFA, and each is one item, so once an epoch, turned anew
-        in each (K. Wei et al., TPAMI 2021, section 4.1.1). What is left over at the bottom and at the right is
-        in none; turning a mosaic shifts a crop by at most one period of its CFA. Frames that are decoded whole are
-        decoded once for their size as the dataset is made.
-    seed
-        First part of each item's seed, below 2^128.
-    """
-
-    crop: int | None
-    augment: bool
-    crops: Crops
-    seed: int
-
-
-class CroppedItems(Epochs, ReadItems[Sample]):
-    """Items that are crops, drawn from (seed, epoch, index).
+class CroppedItems(ReadItems[Sample]):
+    """Items that are crops: item i of epoch e depends on (seed, e, i) alone, not on workers or what was read before.
 
     Parameters
     ----------
-    cropping
-        By default whole frames as they are.
-    crops
+    crop, augment, crops, seed
+        See :class:`eldata.datasets.base.PairDataset`.
+    repeats
         Items per record, and the name of this argument.
 
     Raises
@@ -318,22 +244,36 @@ class CroppedItems(Epochs, ReadItems[Sample]):
         If one is out of its range.
     """
 
-    def __init__(self, cropping: Cropping, crops: tuple[str, int]) -> None:
-        crop, seed = cropping.get("crop"), checked_seed(cropping.get("seed", 0))
-        if crops[1] < 1 or (crop is not None and crop < 2):
-            raise ArgumentError(f"{crops[0]} must be 1 or more and crop 2 or more; found {crops[1]}, {crop}")
-        self.crop = crop
-        self.augment = cropping.get("augment", False)
-        self.crops: Crops = cropping.get("crops", "random")
-        check_choice("crops", self.crops, get_args(Crops))
-        if self.crops == "grid" and (crop is None or crops[1] != 1):
+    def __init__(self, crop: int | None, augment: bool, crops: Crops, seed: int, repeats: tuple[str, int]) -> None:
+        name, number = repeats
+        self.seed = checked_seed(seed)
+        if number < 1 or (crop is not None and crop < 2):
+            raise ArgumentError(f"{name} must be 1 or more and crop 2 or more; found {number}, {crop}")
+        check_choice("crops", crops, get_args(Crops))
+        if crops == "grid" and (crop is None or number != 1):
             raise ArgumentError(
-                f"crops='grid' has each crop of a frame once: give crop=, its side, and leave {crops[0]} at 1; found "
-                f"crop={crop}, {crops[0]}={crops[1]}"
+                f"crops='grid' has each crop of a frame once: give crop=, its side, and leave {name} at 1; found "
+                f"crop={crop}, {name}={number}"
             )
-        self.seed = seed
-        super().__init__()
+        self.crop, self.augment = crop, augment
+        self.crops: Crops = crops
+        self._epoch = SharedNumber()
         self._starts: list[int] | None = None  # of a grid: the first item of each record, and their number
+
+    @property
+    def epoch(self) -> int:
+        """The current epoch."""
+        return self._epoch.value
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch whose items are drawn from now on, in running workers too.
+
+        Raises
+        ------
+        ArgumentError
+            If it is not a whole number from 0 up to below 2^32.
+        """
+        self._epoch.set(checked_epoch(epoch))
 
     def _lay_grid(self, frames: Iterable[Frame]) -> None:
         """Count the crops of a grid, if it is to be one, in a frame of each record."""

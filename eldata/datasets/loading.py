@@ -15,16 +15,15 @@ import sys
 import threading
 from multiprocessing import connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset
 
-from eldata.base.arguments import keywords, require_main_guard, spell_keywords
+from eldata.base.arguments import require_main_guard
 from eldata.base.numbers import checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
-from eldata.datasets.items import CroppedItems
 from eldata.datasets.ranks import START_METHODS, Rank, ShuffledSampler, current_rank, loader_workers
 from eldata.errors import ArgumentError, check_choice
 
@@ -43,17 +42,34 @@ _PRELOADED = ("eldata.datasets._preloaded",)
 _WORKERS = 2
 
 
-class LoaderOptions(TypedDict, total=False):
-    """Keyword arguments of both loaders.
+def training_loader(
+    dataset: Dataset[Any],
+    batch_size: int,
+    *,
+    workers: int | None = None,
+    seed: int = 0,
+    device: torch.device | str | None = None,
+    prefetch: int = 2,
+    start_method: StartMethod = "forkserver",
+    collate: Callable[[list[Any]], Any] | None = None,
+    rank: Rank | None = None,
+) -> DataLoader[Any]:
+    """Return a DataLoader for training: shuffled again each epoch, as many whole batches on every rank.
 
-    Attributes
+    Call :func:`set_epoch` before each epoch. :func:`describe` says what was chosen, and why.
+
+    Parameters
     ----------
+    dataset
+        One with ``len`` and indices. Items are to depend on (seed, epoch, index) alone, as those of this package do.
+    batch_size
+        Items per batch; the last batch is dropped if it is smaller.
     workers
         Number of worker processes; 0 reads in this process; ``None`` chooses by CPUs and memory, for which one item is
         read.
     seed
-        Of the order (a stream has a seed of its own) and of the random numbers that a transform of yours may draw in a
-        worker from torch, numpy or random.
+        Of the order, and of the random numbers that a transform of yours may draw in a worker from torch, numpy or
+        random.
     device
         Where batches will go: they are put into pinned memory if it is a CUDA device (``None``: if CUDA is there).
     prefetch
@@ -65,42 +81,12 @@ class LoaderOptions(TypedDict, total=False):
         In place of torch's default collate.
     rank
         Which process of how many this is; ``None`` asks torch.distributed.
-    """
-
-    workers: int | None
-    seed: int
-    device: torch.device | str | None
-    prefetch: int
-    start_method: StartMethod
-    collate: Callable[[list[Any]], Any] | None
-    rank: Rank | None
-
-
-@spell_keywords(LoaderOptions)
-def training_loader(
-    dataset: Dataset[Any],
-    batch_size: int,
-    **options: Unpack[LoaderOptions],
-) -> DataLoader[Any]:
-    """Return a DataLoader for training: shuffled again each epoch, as many whole batches on every rank.
-
-    Call :func:`set_epoch` before each epoch. :func:`describe` says what was chosen, and why.
-
-    Parameters
-    ----------
-    dataset
-        One with ``len`` and indices, or an iterable one that splits itself (eldata.datasets.StreamedPairs). Items
-        are to depend on (seed, epoch, index) alone, as those of this package do.
-    batch_size
-        Items per batch; the last batch is dropped if it is smaller.
-    options
-        See :class:`LoaderOptions`.
 
     Raises
     ------
     ArgumentError
-        If an argument is out of its range, the dataset cannot be sent to workers or be split, or no whole batch is
-        there; or if ``WORLD_SIZE`` is above 1 without torch.distributed.
+        If an argument is out of its range, the dataset cannot be sent to workers, or no whole batch is there;
+        or if ``WORLD_SIZE`` is above 1 without torch.distributed.
 
     Examples
     --------
@@ -110,22 +96,30 @@ def training_loader(
     >>> len(loader), next(iter(loader))["input"].shape
     (6, torch.Size([4, 4, 64, 64]))
     """
-    return _Loader(dataset, batch_size, options, is_training=True)
+    reading = _Reading(workers, prefetch, start_method, device)
+    return _Loader(dataset, batch_size, seed, rank, reading, collate, is_training=True)
 
 
-@spell_keywords(LoaderOptions)
 def evaluation_loader(
     dataset: Dataset[Any],
     batch_size: int = 1,
-    **options: Unpack[LoaderOptions],
+    *,
+    workers: int | None = None,
+    seed: int = 0,
+    device: torch.device | str | None = None,
+    prefetch: int = 2,
+    start_method: StartMethod = "forkserver",
+    collate: Callable[[list[Any]], Any] | None = None,
+    rank: Rank | None = None,
 ) -> DataLoader[Any]:
     """Return a DataLoader for validation and evaluation: each item exactly once over all ranks, in order.
 
-    Several workers of a stream give the batches of their parts in turn. Ranks may get unequal numbers of batches:
-    gather their results afterwards, and do not synchronise batch by batch. Parameters and errors are those of
+    Ranks may get unequal numbers of batches: gather their results afterwards, and do not synchronise batch by batch.
+    Parameters and errors are those of
     :func:`training_loader`; but the last batch may be smaller, and a rank may have none.
     """
-    return _Loader(dataset, batch_size, options, is_training=False)
+    reading = _Reading(workers, prefetch, start_method, device)
+    return _Loader(dataset, batch_size, seed, rank, reading, collate, is_training=False)
 
 
 def describe(loader: DataLoader[Any]) -> str:
@@ -143,8 +137,7 @@ def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> N
     """Choose the epoch that the next iteration over a loader gives: its order, its items' crops and noise.
 
     The same call after a restart goes on with that epoch, with ``first_batch`` in the middle of it: the batches before
-    are not read, and the others are the same, from a stream with as many workers as before. (Numbers that a transform
-    draws in a worker are those of another place.)
+    are not read, and the others are the same. (Numbers that a transform draws in a worker are those of another place.)
 
     Raises
     ------
@@ -157,8 +150,6 @@ def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> N
     checked_whole("first_batch", first_batch, at_least=0)
     if isinstance(loader.sampler, ShuffledSampler):
         loader.sampler.set_epoch(epoch, first_batch * (loader.batch_size or 1))
-    elif known.is_training:
-        loader.dataset.set_first_batch(first_batch)  # type: ignore[attr-defined] # StreamedPairs
     elif first_batch:
         raise ArgumentError(f"first_batch={first_batch}: only a training loader can begin there")
     for part in _parts(loader.dataset):
@@ -168,7 +159,7 @@ def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> N
 
 
 def _parts(dataset: Any) -> Iterator[Any]:
-    """Yield a dataset and those that it wraps, as Subset, ConcatDataset and DnPairs do."""
+    """Yield a dataset and those that it wraps, as Subset, ConcatDataset and StagedPairs do."""
     yield dataset
     inner = [getattr(dataset, name) for name in ("dataset", "pairs") if hasattr(dataset, name)]
     for part in [*inner, *getattr(dataset, "datasets", ())]:
@@ -184,43 +175,41 @@ def _known(loader: DataLoader[Any]) -> _Loader:
 # --- building -----------------------------------------------------------------------------------------------------
 
 
-_DEFAULTS: LoaderOptions = {
-    "workers": None,
-    "seed": 0,
-    "device": None,
-    "prefetch": 2,
-    "start_method": "forkserver",
-    "collate": None,
-    "rank": None,
-}
+class _Reading(NamedTuple):
+    """How batches are read: arguments of :func:`training_loader`."""
+
+    workers: int | None
+    prefetch: int
+    start_method: StartMethod
+    device: torch.device | str | None
 
 
 class _Loader(DataLoader[Any]):
     """A DataLoader that knows why it is as it is; ``seed`` and ``rank`` are those of its order."""
 
-    def __init__(self, dataset: Any, batch_size: int, options: LoaderOptions, *, is_training: bool) -> None:
-        name = "training_loader" if is_training else "evaluation_loader"
-        chosen = _chosen(name, batch_size, options)
-        self.seed = chosen["seed"]
-        self.is_training = is_training
-        self.rank = rank = chosen["rank"] or current_rank()
-        sampler: Any = None
-        order = "in order"
-        if isinstance(dataset, IterableDataset):
-            if not hasattr(dataset, "for_training"):
-                raise ArgumentError(
-                    f"{type(dataset).__name__} is an iterable dataset that does not split itself over ranks and "
-                    "workers, so each would give every item; expected StreamedPairs, or a dataset with len and indices"
-                )
-            splits: Any = dataset
-            split = splits.for_training if is_training else splits.for_evaluation
-            dataset = split(batch_size, rank)
-            items, order = len(dataset), "in the order of the shards, the workers' batches in turn"
-        else:
-            length = _length(dataset)
-            parts = range(rank.number, length, rank.of)
-            sampler = ShuffledSampler(length, seed=self.seed, rank=rank) if is_training else parts
-            items = len(sampler)
+    def __init__(
+        self,
+        dataset: Any,
+        batch_size: int,
+        seed: int,
+        rank: Rank | None,
+        reading: _Reading,
+        collate: Callable[[list[Any]], Any] | None,
+        *,
+        is_training: bool,
+    ) -> None:
+        if batch_size < 1 or reading.prefetch < 1:
+            raise ArgumentError(f"batch_size and prefetch must be 1 or more; found {batch_size}, {reading.prefetch}")
+        self.seed = checked_seed(seed)
+        check_choice("start_method", reading.start_method, START_METHODS)
+        if reading.start_method not in multiprocessing.get_all_start_methods():
+            raise ArgumentError(f"this system has no start method {reading.start_method!r}; take 'spawn'")
+        self.rank = rank = rank or current_rank()
+        length = _length(dataset)
+        sampler: Any = range(rank.number, length, rank.of)
+        if is_training:
+            sampler = ShuffledSampler(length, seed=self.seed, rank=rank)
+        items = len(sampler)
         if is_training and items < batch_size:
             raise ArgumentError(
                 f"{items} items for rank {rank.number} of {rank.of} do not fill a batch of {batch_size}; take a "
@@ -236,15 +225,11 @@ class _Loader(DataLoader[Any]):
             stay = "workers stay for the next epochs (persistent_workers)"
         else:
             batches = -(-items // batch_size)
-            told = [f"evaluation: {items} items in {batches} batches of up to {batch_size}, {order}"]
+            told = [f"evaluation: {items} items in {batches} batches of up to {batch_size}, in order"]
             promise = "every item exactly once over all of them, so they may differ by one batch"
             stay = "workers end with each pass, which gives their memory back"
         told.append("ranks: one process" if rank.of == 1 else f"ranks: number {rank.number} of {rank.of}; {promise}")
-        if not is_training:  # which is meant to give the same items in each pass
-            for part in _parts(dataset):
-                if isinstance(part, CroppedItems):
-                    part.set_epoch(part.epoch)
-        settings = _settings(dataset, batch_size, chosen, rank, told)
+        settings = _settings(dataset, batch_size, reading, rank, told)
         if settings["num_workers"] > 0:
             told.append(stay)
         self.why = tuple(told)
@@ -253,7 +238,7 @@ class _Loader(DataLoader[Any]):
             batch_size=batch_size,
             sampler=sampler,
             drop_last=is_training,
-            collate_fn=chosen["collate"],
+            collate_fn=collate,
             generator=torch.Generator(),  # torch seeds the workers' random numbers from it
             persistent_workers=is_training and settings["num_workers"] > 0,
             worker_init_fn=_end_with_parent,
@@ -287,22 +272,9 @@ def _ended_with(sentinel: int) -> None:
     os._exit(1)
 
 
-def _chosen(name: str, batch_size: int, options: LoaderOptions) -> LoaderOptions:
-    """Return the options of a loader, those that were not given by their defaults."""
-    (given,) = keywords(name, options, LoaderOptions)
-    chosen: LoaderOptions = {**_DEFAULTS, **given}
-    prefetch, start_method = chosen["prefetch"], chosen["start_method"]
-    if batch_size < 1 or prefetch < 1:
-        raise ArgumentError(f"batch_size and prefetch must be 1 or more; found {batch_size}, {prefetch}")
-    chosen["seed"] = checked_seed(chosen["seed"])
-    check_choice("start_method", start_method, START_METHODS)
-    if start_method not in multiprocessing.get_all_start_methods():
-        raise ArgumentError(f"this system has no start method {start_method!r}; take 'spawn'")
-    return chosen
-
-
 def _length(dataset: Any) -> int:
-    if not hasattr(dataset, "__len__") or not hasattr(dataset, "__getitem__"):
+    has_both = hasattr(dataset, "__len__") and hasattr(dataset, "__getitem__")
+    if isinstance(dataset, IterableDataset) or not has_both:
         raise ArgumentError(f"expected a dataset with len and indices; found {type(dataset).__name__}")
     length = len(dataset)
     if length == 0:
@@ -310,12 +282,11 @@ def _length(dataset: Any) -> int:
     return length
 
 
-def _settings(dataset: Any, batch_size: int, chosen: LoaderOptions, rank: Rank, told: list[str]) -> dict[str, Any]:
+def _settings(dataset: Any, batch_size: int, reading: _Reading, rank: Rank, told: list[str]) -> dict[str, Any]:
     """Return the DataLoader's settings of workers and memory; the reasons are added to ``told``."""
-    workers, start_method, prefetch = chosen["workers"], chosen["start_method"], chosen["prefetch"]
+    workers, prefetch, start_method, device = reading
     if workers is None:
-        held = getattr(dataset, "buffer_bytes", 0)
-        count, why = loader_workers(_sample_bytes(dataset) * batch_size, prefetch, start_method, rank, held_bytes=held)
+        count, why = loader_workers(_nbytes(dataset[0]) * batch_size, prefetch, start_method, rank)
         told.append(f"workers: {count} ({why})")
     elif workers < 0:
         raise ArgumentError(f"workers must be 0 or more; found {workers}")
@@ -328,7 +299,7 @@ def _settings(dataset: Any, batch_size: int, chosen: LoaderOptions, rank: Rank, 
         settings |= {"multiprocessing_context": _context(start_method), "prefetch_factor": prefetch}
         told.append(f"start method: {start_method} ({_WHY[start_method]})")
         told.append(f"read ahead: {prefetch} batches a worker")
-    settings["pin_memory"], why = _pinned(chosen["device"])
+    settings["pin_memory"], why = _pinned(device)
     told.append(f"pinned memory: {why}")
     return settings
 
@@ -372,13 +343,8 @@ def _pinned(device: torch.device | str | None) -> tuple[bool, str]:
     return True, "yes (CUDA copies from it while the network runs: batch.to(device, non_blocking=True))"
 
 
-def _sample_bytes(dataset: Any) -> int:
-    """Return the size of an item's tensors and arrays: of the first one, unless the dataset says it."""
-    stated = getattr(dataset, "sample_bytes", None)
-    return stated if isinstance(stated, int) else _nbytes(dataset[0])
-
-
 def _nbytes(item: Any) -> int:
+    """Return the size of an item's tensors and arrays."""
     if isinstance(item, (torch.Tensor, np.ndarray)):
         return int(item.nbytes)
     if isinstance(item, dict):

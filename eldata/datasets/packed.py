@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING
 
-from eldata.base.arguments import spell_keywords
 from eldata.base.memory import no_search_for_cycles
-from eldata.datasets.base import PairCropping, PairOptions, SourcePairs
-from eldata.datasets.choices import Representation, understood
-from eldata.datasets.clips import ClipWindows, WindowOptions
-from eldata.datasets.views import DnPairs
+from eldata.datasets.base import SourcePairs
+from eldata.datasets.clips import ClipWindows
 from eldata.errors import DatasetError
 from eldata.manifest.pairs import Choice
 from eldata.sources.store.read import StoreFrames
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+    from fractions import Fraction
     from pathlib import Path
+
+    from eldata.datasets.crops import Region
+    from eldata.datasets.items import Crops
+    from eldata.manifest.clips import FrameRange
+    from eldata.noise.dark_shading import DarkShading
+    from eldata.protocols.protocol import Amplification
+    from eldata.raw.levels import Clip, FrameLevels
 
 
 class PackedStore(SourcePairs):
@@ -30,14 +36,14 @@ class PackedStore(SourcePairs):
     ----------
     path
         The store.
-    options
-        As for :class:`~eldata.datasets.base.PairDataset`: the store holds DN, so nothing of them is fixed by it. By
-        default ``crop=512`` and ``augment=True``.
+    cameras, scenes, isos, ratios, split, subset, exclude_flags, levels, clip, amplification, dark_shading, crop, \
+    augment, crops, crops_per_frame, seed
+        As for :class:`~eldata.datasets.base.PairDataset`: the store holds DN, so nothing of them is fixed by it.
 
     Raises
     ------
     StoreError
-        If the file is not a store, truncated, not complete, or of a newer version.
+        If the file is not a store, truncated, or of a newer version.
     DatasetError
         If the store holds no pairs, or frames of a pair differ in size, CFA or exposure ratio from what they should be.
     ArgumentError
@@ -58,28 +64,26 @@ class PackedStore(SourcePairs):
 
     source: StoreFrames
 
-    @spell_keywords(PairOptions)
-    def __init__(self, path: Path | str, **options: Unpack[PairOptions]) -> None:
-        choice, representation, cropping = understood(self, options, Choice, Representation, PairCropping)
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = 512, augment: bool = True, crops: Crops = "random", crops_per_frame: int = 1,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
+        choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
         with no_search_for_cycles():
             source = StoreFrames(path)
             super().__init__(
-                source,
-                source.pairs(choice),
-                name=source.store.dataset,
-                representation=representation | {"levels": representation.get("levels") or source.levels},
-                cropping={"crop": 512, "augment": True} | cropping,
-            )
-
-    def in_dn(self) -> DnPairs:
-        """Return the same items in DN, for :func:`~eldata.datasets.views.normalise_batch` after the DataLoader.
-
-        Raises
-        ------
-        ArgumentError
-            If a dark shading is taken off the input.
-        """
-        return DnPairs(self)
+                source, source.pairs(choice), name=source.store.dataset,
+                levels=levels or source.levels, clip=clip, amplification=amplification, dark_shading=dark_shading,
+                crop=crop, augment=augment, crops=crops, crops_per_frame=crops_per_frame, seed=seed,
+            )  # fmt: skip
 
     def _place(self) -> str:
         return str(self.source.path)
@@ -97,13 +101,14 @@ class PackedClips(ClipWindows):
     ----------
     path
         The store, as ``eldata pack drv`` or ``eldata pack drv-raw`` makes it.
-    dynamic, options
-        As for :class:`~eldata.datasets.clips.ClipWindows`; by default ``crop=512`` and ``augment=True``.
+    dynamic, ids, window, stride, frames, region, crops_per_window, cameras, scenes, isos, ratios, split, subset, \
+    exclude_flags, levels, clip, amplification, dark_shading, crop, augment, crops, seed
+        As for :class:`~eldata.datasets.clips.ClipWindows`.
 
     Raises
     ------
     StoreError
-        If the file is not a store, truncated, not complete, or of another version.
+        If the file is not a store, truncated, or of another version.
     DatasetError
         If the store holds no clip of this kind; if frames of a clip differ in size, CFA or exposure, or are exposed
         more than their reference.
@@ -111,10 +116,20 @@ class PackedClips(ClipWindows):
         If a value is unknown (the message lists the known ones) or out of its range.
     """
 
-    @spell_keywords(WindowOptions)
-    def __init__(self, path: Path | str, *, dynamic: bool = False, **options: Unpack[WindowOptions]) -> None:
-        options.setdefault("crop", 512)
-        options.setdefault("augment", True)
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        dynamic: bool = False,
+        ids: Collection[str] | None = None, window: int = 5, stride: int | None = None, frames: FrameRange = "all",
+        region: Region | None = None, crops_per_window: int = 1,
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
+    ) -> None:  # fmt: skip
         source = StoreFrames(path)
         if source.store.manifest is None:
             raise DatasetError(f"{source.path}: holds clean frames, not clips; read it with CleanFrames or CleanClips")
@@ -127,4 +142,10 @@ class PackedClips(ClipWindows):
             raise DatasetError(f"{source.path}: holds no clip {what} a reference; read it with dynamic={not dynamic}")
         rows = [row for row in source.store.manifest.records if row.scene in scenes]
         subsets = source.store.manifest.card.subsets
-        super().__init__(source, rows, subsets, source.path, dynamic=dynamic, **options)
+        super().__init__(
+            source, rows, subsets, source.path, dynamic=dynamic,
+            cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
+            exclude_flags=exclude_flags, ids=ids, window=window, stride=stride, frames=frames, region=region,
+            crops_per_window=crops_per_window, levels=levels, clip=clip, amplification=amplification,
+            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, seed=seed,
+        )  # fmt: skip

@@ -83,7 +83,7 @@ class ShuffledSampler(Sampler[int]):
 StartMethod = Literal["forkserver", "spawn", "fork"]
 START_METHODS: tuple[StartMethod, ...] = get_args(StartMethod)
 
-# What a worker adds to the memory in use beside its batches: measured with PackedStore, docs/streaming.md has the
+# What a worker adds to the memory in use beside its batches: measured with PackedStore, docs/training.md has the
 # figures. With fork and forkserver, pages of the libraries are shared with the process that it comes from.
 _WORKER_BYTES: dict[StartMethod, int] = {"forkserver": 100_000_000, "spawn": 300_000_000, "fork": 100_000_000}
 # Half of the memory is left to the model, the page cache and everybody else.
@@ -92,9 +92,7 @@ _MEMORY_SHARE = 0.5
 _MOST_WORKERS = 16
 
 
-def loader_workers(
-    batch_bytes: int, prefetch: int, start_method: StartMethod, rank: Rank, *, held_bytes: int = 0
-) -> tuple[int, str]:
+def loader_workers(batch_bytes: int, prefetch: int, start_method: StartMethod, rank: Rank) -> tuple[int, str]:
     """Return a number of workers and the reasons: CPUs, memory and shared memory, shared by the ranks of this machine.
 
     Parameters
@@ -107,8 +105,6 @@ def loader_workers(
         Workers that share pages of libraries need less memory.
     rank
         For the number of ranks, if the environment does not state how many of them run here.
-    held_bytes
-        What the dataset holds in each worker beside its batches.
     """
     here = _ranks_here(rank)
     cpus = usable_cpus()
@@ -120,7 +116,7 @@ def loader_workers(
         reasons.append(f"more than {_MOST_WORKERS} bring little")
     ahead = prefetch * batch_bytes
     for what, free, share, each in (
-        ("memory", available_memory_bytes(), _MEMORY_SHARE, _WORKER_BYTES[start_method] + held_bytes + ahead),
+        ("memory", available_memory_bytes(), _MEMORY_SHARE, _WORKER_BYTES[start_method] + ahead),
         ("shared memory (/dev/shm)", shared_memory_bytes(), 1.0, ahead),
     ):
         if free is None:
@@ -130,8 +126,6 @@ def loader_workers(
         reasons.append(f"{what} for {most}" if most < 1000 else f"{what} for any number")
         count = min(count, most)
     reasons.append(f"{batch_bytes / 1e6:.1f} MB a batch" if batch_bytes else "size of a batch not known")
-    if held_bytes:
-        reasons.append(f"{held_bytes / 1e6:.1f} MB a worker holds to shuffle")
     return count, "; ".join(reasons)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
 
 import numpy as np
 
@@ -21,14 +21,12 @@ from eldata.evaluation.originals import less_shading, levels_dn, normalised_fram
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
 from eldata.evaluation.scores import Pair, amplified_by, ratio_of
 from eldata.isp.response import response_of
-from eldata.manifest.clips import ClipRecord
 from eldata.metrics.registry import OF_FRAMES
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.digests import CHOOSING, OF_INPUT, canonical
 from eldata.protocols.protocol import NO_SHADING, Amplification, Levels
-from eldata.raw.cfa import packing_sites, unpack
+from eldata.raw.cfa import unpack
 from eldata.raw.levels import check_in_dn, packed_black_level_dn, with_levels
-from eldata.sources.frames import overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -175,7 +173,7 @@ class NoisyInput:
         def is_equal(amplification: Amplification) -> bool:
             try:
                 return self._ratio(amplification) == taken
-            except (RawFileError, DatasetError):  # a file that states no exposure; no measured ratio
+            except RawFileError:  # a file that states no exposure
                 return False
 
         return frozenset(filter(is_equal, get_args(Amplification)))
@@ -209,15 +207,6 @@ def _file_problem_of(path: str) -> Iterator[None]:
         raise RawFileError(path, str(error).removeprefix(f"{path}: ")) from error
 
 
-def _size_of_both(pair: Pair, reference: Reference) -> tuple[int, int] | None:
-    """Return the (H, W) that both frames of a shifted pair show; ``None`` of any other."""
-    if isinstance(pair, ClipRecord) or pair.measured_shift_px is None:
-        return None
-    mosaic = reference.frame.mosaic
-    height, width = mosaic[overlap(pair, "noisy", mosaic.shape[:2], reference.frame.sensor.cfa)].shape
-    return height, width
-
-
 class ComparedFrame:
     """A noisy frame, its reference, and its prediction, whose file is read once; without a file, the input itself."""
 
@@ -229,31 +218,15 @@ class ComparedFrame:
         dng = read_once(lambda: load_dng(place, reference.frame.sensor))
         self._dng = dng
         self._dng_normalised = cache(lambda levels: normalised_frame(dng(), levels, clip="none"))
-        self._raw = read_once(
-            lambda: load_prediction(place, reference.frame.sensor, levels, _size_of_both(pair, reference))
-        )
+        self._raw = read_once(lambda: load_prediction(place, reference.frame.sensor, levels))
         self._colours = cache(lambda pixels, shape: load_colours(place, shape, pixels))
 
-    def _shown_by_both(self, side: Literal["noisy", "reference"], protocol: Protocol, of: NDArray[Any]) -> NDArray[Any]:
-        """Return the part of an image of one of the pair's frames that the other shows, too."""
-        if isinstance(self._pair, ClipRecord) or self._pair.measured_shift_px is None:
-            return of
-        cfa = self.reference.frame.sensor.cfa
-        scale = packing_sites(cfa).scale if protocol.is_of_packed else 1
-        part: NDArray[Any] = of[..., *overlap(self._pair, side, of.shape[-2:], cfa, scale)]
-        return part
-
     def target(self, protocol: Protocol) -> NDArray[Any]:
-        """Return what the prediction is compared with, (C, h, w) of the whole frame, or of what both frames show."""
-        return self._shown_by_both("reference", protocol, self.reference.target(protocol))
+        """Return what the prediction is compared with, (C, h, w)."""
+        return self.reference.target(protocol)
 
     def prediction(self, protocol: Protocol) -> NDArray[Any]:
-        """Return the prediction of the whole frame, or of what both frames show, which it may be of alone."""
-        found = self._whole(protocol)
-        is_cut = found.shape != self.reference.target(protocol).shape
-        return found if is_cut else self._shown_by_both("noisy", protocol, found)
-
-    def _whole(self, protocol: Protocol) -> NDArray[Any]:
+        """Return the prediction, (C, h, w)."""
         values = self._values(protocol)
         if protocol.quantisation == "none":
             return values
@@ -276,7 +249,7 @@ class ComparedFrame:
 
     def input(self, protocol: Protocol) -> NDArray[Any]:
         """Return the amplified noisy input as a protocol has it, or what both frames show of it."""
-        return self._shown_by_both("noisy", protocol, self._noisy.amplified(protocol))
+        return self._noisy.amplified(protocol)
 
     def _check_shading(self) -> None:
         """Refuse a dark shading of another sensor than the reference's, which is the inputs'."""

@@ -16,7 +16,7 @@ from eldata.manifest.card import find_subset
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
-from eldata.manifest.pairs import select_pairs, unpaired
+from eldata.manifest.pairs import Choice, select_pairs, unpaired
 from eldata.manifest.patterns import expand, is_png
 from eldata.manifest.verify import check_files
 from eldata.noise.dark_shading import dark_shading_in
@@ -220,10 +220,8 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
         choose_clips(
             [row for row in manifest.records if row.split in paired],
             manifest.card.subsets,
+            Choice(cameras=request.cameras, subset=subset, exclude_flags=flags),
             ids=request.ids,
-            subset=subset,
-            cameras=request.cameras,
-            exclude_flags=flags,
         )
         for flags in ((), request.exclude_flags)
     )

@@ -101,9 +101,7 @@ def save_clip_prediction(folder: Path | str, record: ClipRecord, prediction: NDA
     ]
 
 
-def load_prediction(
-    path: Path, sensor: Sensor, levels: Levels, shown: tuple[int, int] | None = None
-) -> NDArray[np.float32 | np.float64]:
+def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.float32 | np.float64]:
     """Load a prediction and check it against the reference's sensor.
 
     Parameters
@@ -114,8 +112,6 @@ def load_prediction(
         The reference's: its CFA and size decide the expected shape.
     levels
         Levels that normalise a DNG's DN (:attr:`eldata.protocols.Protocol.levels`).
-    shown
-        (H, W) of the part that both frames of a shifted pair show: a prediction may be of that alone, but for a DNG.
 
     Returns
     -------
@@ -130,7 +126,7 @@ def load_prediction(
     """
     if path.suffix.lower() == ".dng":
         return normalised_frame(load_dng(path, sensor), levels, clip="none")
-    values = _floating(read_array(path, partial(_check_raw, path, sensor, shown)))
+    values = _floating(read_array(path, partial(_check_raw, path, sensor)))
     if values.ndim == 2:
         values = pack(values, sensor.cfa)
     leveled = with_levels(sensor, "metadata" if levels == "metadata-per-channel" else levels)
@@ -248,14 +244,12 @@ def other_look(protocol: Protocol, found: FoundPredictions, manifest: Manifest, 
     return f"protocol {protocol.name} scores {LOOKS[wanted]}, and these are {there}; {advice}"
 
 
-def _check_raw(path: Path, sensor: Sensor, shown: tuple[int, int] | None, declared: Declared) -> None:
+def _check_raw(path: Path, sensor: Sensor, declared: Declared) -> None:
     """Refuse what is neither packed nor a mosaic like the reference, of numbers that have a scale."""
     _check_type(path, declared)
     mosaic_shape = (sensor.height, sensor.width)
     shape = packed_shape(mosaic_shape, sensor.cfa)
-    if declared.shape in (shape, mosaic_shape) or (
-        shown is not None and declared.shape in (shown, packed_shape(shown, sensor.cfa))
-    ):
+    if declared.shape in (shape, mosaic_shape):
         return
     hint = "predict the whole frame, in the reference's orientation"
     if len(declared.shape) == 3 and path.suffix.lower() == ".png":

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from eldata.base.numbers import counted
 from eldata.base.visible import in_line
-from eldata.errors import DatasetError
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clips import ClipRecord, moment_of
 from eldata.records import PairRecord
@@ -53,19 +52,9 @@ def ratio_of(pair: Pair) -> float | None:
 
 
 def amplified_by(pair: Pair, amplification: Amplification) -> float | None:
-    """Return what the manifest has an input multiplied by; ``None``: by the files' ratio, as windows of clips are.
-
-    Raises
-    ------
-    DatasetError
-        If it is to be the measured ratio, and the manifest has none.
-    """
-    if isinstance(pair, PairRecord):
-        ratio = stated_ratio(pair, amplification)
-        return None if ratio is None else float(ratio)
-    if amplification == "measured":
-        raise DatasetError(f"clip {pair.scene}: no ratio of clips is measured; amplification 'metadata' needs none")
-    return None
+    """Return what the manifest has an input multiplied by; ``None``: by the files' ratio, as windows of clips are."""
+    ratio = stated_ratio(pair, amplification) if isinstance(pair, PairRecord) else None
+    return None if ratio is None else float(ratio)
 
 
 def iso_of(pair: Pair) -> float:

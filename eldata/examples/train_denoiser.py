@@ -32,7 +32,7 @@ import torch
 from torch import distributed
 from torch.utils.data import ConcatDataset, Dataset
 
-from eldata import ELDDataset, PackedStore, StreamedPairs, SyntheticClips, SyntheticPairs
+from eldata import ELDDataset, PackedStore, SyntheticClips, SyntheticPairs
 from eldata.base import console
 from eldata.base.arguments import named_object
 from eldata.base.files import atomic_write
@@ -133,13 +133,14 @@ def training_data(options: argparse.Namespace) -> Dataset[Any]:
     representation = {"clip": options.input_clip, "levels": options.levels, "augment": True}
     parts: list[Dataset[Any]] = []
     if options.pairs:
-        parts.append(real_pairs(options.pairs, options.noise2noise, crops | representation))
+        pairs = PackedStore(options.pairs, **crops, **representation)
+        parts.append(Noise2Noise(pairs) if options.noise2noise else pairs)
     if options.clean:
         parts.append(synthetic_pairs(options, crops))
     if not parts:
         raise ArgumentError("give --clean with --camera, --pairs, or both")
-    if options.task != "raw2raw" and (options.noise2noise or any(isinstance(part, StreamedPairs) for part in parts)):
-        raise ArgumentError(f"--task {options.task} takes stores or clean frames: not shards, nor --noise2noise")
+    if options.task != "raw2raw" and options.noise2noise:
+        raise ArgumentError(f"--task {options.task} has clean targets: leave --noise2noise out")
     parts = [as_task(part, options) for part in parts]
     return parts[0] if len(parts) == 1 else ConcatDataset([Sides(part) for part in parts])
 
@@ -155,17 +156,6 @@ def as_task(pairs: Dataset[Any], options: argparse.Namespace) -> Dataset[Any]:
 def scored_protocol(options: argparse.Namespace) -> str:
     """Return the protocol that was asked for, or the task's own."""
     return options.protocol or ("eld" if options.task == "raw2raw" else f"eld-{options.task}")
-
-
-def real_pairs(place: str, is_noise2noise: bool, choice: dict[str, Any]) -> Dataset[Any]:
-    """Return the pairs of a store or of shards, or two noisy frames of a scene each."""
-    if Path(place).is_file():
-        pairs = PackedStore(place, **choice)
-        return Noise2Noise(pairs) if is_noise2noise else pairs
-    if is_noise2noise:
-        raise ArgumentError("--noise2noise takes a store: shards give their pairs one by one")
-    choice.pop("crops", None)  # shards are tiles already, each of which comes once
-    return StreamedPairs(place, **choice)
 
 
 def synthetic_pairs(options: argparse.Namespace, crops: dict[str, Any]) -> Dataset[Any]:
@@ -324,13 +314,13 @@ def parser() -> console.Parser:
     data.add_argument(
         "--range-dn", type=float, metavar="DN", help="the noise's camera: white minus black, for --clean of others"
     )
-    data.add_argument("--pairs", metavar="PAIRS", help="a packed store, or the address of a folder of shards")
+    data.add_argument("--pairs", metavar="STORE", help="a packed store of pairs")
     data.add_argument("--noise2noise", action="store_true", help="a second noisy frame in place of the clean one")
     data.add_argument(
         "--crops-per-frame",
         type=int,
         metavar="N",
-        help="so many at random in an epoch (default: the paper's, each of a grid once; of shards one of each tile)",
+        help="so many at random in an epoch (default: the paper's, each of a grid once)",
     )
     data.add_argument(
         "--task",

@@ -15,11 +15,11 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Literal, Unpack, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from eldata.errors import ArgumentError, DatasetError, ManifestError, check_choice
 from eldata.manifest.card import find_subset
-from eldata.manifest.pairs import Choice, narrowed, refuse_shifted, wanted_values
+from eldata.manifest.pairs import Choice, narrowed
 from eldata.manifest.patterns import is_pattern, sequence_of
 
 if TYPE_CHECKING:
@@ -147,9 +147,9 @@ def clip_names(records: Iterable[FrameRecord]) -> dict[str, str]:
 def choose_clips(
     records: Iterable[FrameRecord],
     subsets: Sequence[Subset],
+    choice: Choice = Choice(),  # noqa: B008 # frozen
     *,
     ids: Collection[str] | None = None,
-    **choice: Unpack[Choice],
 ) -> tuple[FrameRecord, ...]:
     """Return the rows of the chosen clips: those of whose noisy frames one is chosen.
 
@@ -157,10 +157,10 @@ def choose_clips(
     ----------
     records, subsets
         Rows of a manifest, and the subsets of its card.
+    choice
+        By the values of their noisy frames.
     ids
         Names of clips; the name of a sequence, or of a setting of it, is all of its clips.
-    choice
-        See :class:`~eldata.manifest.pairs.Choice`.
 
     Raises
     ------
@@ -171,18 +171,16 @@ def choose_clips(
     """
     rows = tuple(records)
     chosen = noisy = [row for row in rows if row.role == "noisy"]
-    name = choice.get("subset")
-    if name is not None:
-        subset = find_subset(subsets, name)
+    if choice.subset is not None:
+        subset = find_subset(subsets, choice.subset)
         chosen = subset.members(noisy)
         clips = {row.scene for row in chosen}
         if len(clips) != subset.pairs:
             raise ManifestError(
-                f"subset {name!r}: the card expects {subset.pairs} clips, the manifest has {len(clips)}; name "
+                f"subset {choice.subset!r}: the card expects {subset.pairs} clips, the manifest has {len(clips)}; name "
                 "those with ids"
             )
-    wanted = wanted_values(choice)
-    chosen = narrowed(chosen, noisy, "clip", wanted)
+    chosen = narrowed(chosen, noisy, "clip", choice.wanted_values)
     if ids is not None:
         chosen = _of_ids(chosen, noisy, ids)
     kept = {setting_name(row) for row in chosen}
@@ -227,8 +225,6 @@ def clips_of(records: Iterable[FrameRecord]) -> tuple[Clip, ...]:
 
 
 def _clip(scene: str, rows: Sequence[FrameRecord], files: Collection[str]) -> Clip:
-    for row in rows:
-        refuse_shifted(row, "clips take frames as they lie: leave this one out, or photograph it again")
     moments = {row.path: moment[1] for row in rows if (moment := moment_of(row.scene)) is not None}
     if moments:
         return _sequence(scene, sorted(rows, key=lambda row: moments[row.path]), tuple(sorted(moments.values())), files)

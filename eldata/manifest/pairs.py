@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from bisect import bisect
+from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, TypeVar
 
-from eldata.base.arguments import keywords
 from eldata.base.fields import names_of
-from eldata.errors import ArgumentError, DatasetError, did_you_mean
+from eldata.errors import ArgumentError, did_you_mean
 from eldata.manifest.card import find_subset
 from eldata.records import PairRecord, from_columns
 
@@ -35,8 +35,9 @@ _OF_PAIRS = names_of(PairRecord)
 _SHOWN, _NEAR = 30, 5
 
 
-class Choice(TypedDict, total=False):
-    """Which pairs or clips: keyword arguments of every dataset; ``None`` (default) means all.
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Which pairs or clips; ``None`` means all.
 
     Attributes
     ----------
@@ -51,45 +52,43 @@ class Choice(TypedDict, total=False):
         What has one of these flags is left out.
     """
 
-    cameras: Collection[str] | None
-    scenes: Collection[str | int] | None
-    isos: Collection[int] | None
-    ratios: Collection[float | Fraction] | None
-    split: str | Collection[str] | None
-    subset: str | None
-    exclude_flags: Collection[str]
+    cameras: Collection[str] | None = None
+    scenes: Collection[str | int] | None = None
+    isos: Collection[int] | None = None
+    ratios: Collection[float | Fraction] | None = None
+    split: str | Collection[str] | None = None
+    subset: str | None = None
+    exclude_flags: Collection[str] = ()
+
+    @property
+    def wanted_values(self) -> dict[str, Collection[object] | None]:
+        """The wanted values by kind, for :func:`narrowed`."""
+        split, flags = splits_of(self.split), self.exclude_flags
+        values = self.cameras, self.scenes, self.isos, self.ratios, split, flags
+        return dict(zip(("camera", "scene", "ISO", "ratio", "split", "flag"), values, strict=True))
+
+    def pairs(self, records: Iterable[FrameRecord], subsets: Sequence[Subset] = ()) -> tuple[PairRecord, ...]:
+        """Return the chosen pairs of a manifest's rows, in their order; raises like :func:`select_pairs`."""
+        noisy = [
+            record
+            for record in records
+            if record.role == "noisy" and record.reference is not None and record.ratio is not None
+        ]
+        pairs = from_columns(PairRecord, {name: list(map(attrgetter(name), noisy)) for name in _OF_PAIRS})
+        found = None if self.subset is None else find_subset(subsets, self.subset)
+        alone = () if found is None else unpaired(records, found)
+        if alone:
+            raise ArgumentError(
+                f"the {len(alone)} noisy frames of the subset {self.subset!r}, such as {alone[0].path}, have no "
+                "references, so they cannot be scored here; eldata predict and eldata baseline predict them (--subset)"
+            )
+        chosen = pairs if found is None else found.choose(pairs)
+        return tuple(narrowed(chosen, pairs, "pair", self.wanted_values))
 
 
 def splits_of(split: str | Collection[str] | None) -> Collection[str] | None:
     """Return one split, or several, as several."""
     return (split,) if isinstance(split, str) else split
-
-
-def wanted_values(choice: Choice) -> dict[str, Collection[object] | None]:
-    """Return the wanted values of a choice by kind, for :func:`narrowed`."""
-    return {
-        "camera": choice.get("cameras"),
-        "scene": choice.get("scenes"),
-        "ISO": choice.get("isos"),
-        "ratio": choice.get("ratios"),
-        "split": splits_of(choice.get("split")),
-        "flag": choice.get("exclude_flags", ()),
-    }
-
-
-def whole_shift_px(record: PairRecord | FrameRecord) -> tuple[int, int]:
-    """Return a pair's measured shift to the nearest whole pixel, (down, right); (0, 0) where none was measured."""
-    down, right = record.measured_shift_px or (0, 0)
-    return round(down), round(right)
-
-
-def refuse_shifted(record: PairRecord | FrameRecord, why: str) -> None:
-    """Refuse a pair whose frames do not lie on each other, where they are taken as they lie, with a DatasetError."""
-    if whole_shift_px(record) != (0, 0):
-        raise DatasetError(
-            f"{record.path}: lies {whole_shift_px(record)} pixels (down, right) from its reference, by "
-            f"measured_shift_px of the manifest, and {why}"
-        )
 
 
 def unpaired(records: Iterable[FrameRecord], subset: Subset) -> tuple[FrameRecord, ...]:
@@ -99,7 +98,16 @@ def unpaired(records: Iterable[FrameRecord], subset: Subset) -> tuple[FrameRecor
 
 
 def select_pairs(
-    records: Iterable[FrameRecord], subsets: Sequence[Subset] = (), **choice: Unpack[Choice]
+    records: Iterable[FrameRecord],
+    subsets: Sequence[Subset] = (),
+    *,
+    cameras: Collection[str] | None = None,
+    scenes: Collection[str | int] | None = None,
+    isos: Collection[int] | None = None,
+    ratios: Collection[float | Fraction] | None = None,
+    split: str | Collection[str] | None = None,
+    subset: str | None = None,
+    exclude_flags: Collection[str] = (),
 ) -> tuple[PairRecord, ...]:
     """Return the chosen pairs of a manifest's rows, in their order.
 
@@ -107,7 +115,7 @@ def select_pairs(
     ----------
     records, subsets
         Rows of a manifest, and the subsets of its card.
-    choice
+    cameras, scenes, isos, ratios, split, subset, exclude_flags
         See :class:`Choice`.
 
     Raises
@@ -118,23 +126,7 @@ def select_pairs(
     ManifestError
         If the subset has another number of pairs than its card says.
     """
-    noisy = [
-        record
-        for record in records
-        if record.role == "noisy" and record.reference is not None and record.ratio is not None
-    ]
-    pairs = from_columns(PairRecord, {name: list(map(attrgetter(name), noisy)) for name in _OF_PAIRS})
-    (choice,) = keywords("select_pairs", choice, Choice)
-    subset = choice.get("subset")
-    found = None if subset is None else find_subset(subsets, subset)
-    alone = () if found is None else unpaired(records, found)
-    if alone:
-        raise ArgumentError(
-            f"the {len(alone)} noisy frames of the subset {subset!r}, such as {alone[0].path}, have no references, so "
-            "they cannot be scored here; eldata predict and eldata baseline predict them (--subset)"
-        )
-    chosen = pairs if found is None else found.choose(pairs)
-    return tuple(narrowed(chosen, pairs, "pair", wanted_values(choice)))
+    return Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags).pairs(records, subsets)
 
 
 def narrowed(

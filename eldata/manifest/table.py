@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, get_args
 from eldata.base.fields import TextFile, TextRow, names_of
 from eldata.base.files import path_problem, write_text
 from eldata.base.memory import no_search_for_cycles
-from eldata.base.numbers import fraction_of
 from eldata.base.tables import csv_text
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, ManifestError
@@ -21,10 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-MEASURED = ("measured_ratio", "measured_shift_px")
-"""The columns of what was measured: in files where something was, after the others."""
-_ALL = names_of(FrameRecord)
-COLUMNS = tuple(name for name in _ALL if name not in MEASURED)
+COLUMNS = names_of(FrameRecord)
 ROLES: tuple[Role, ...] = get_args(Role)
 
 _LARGEST_BYTES = 1 << 30  # millions of rows
@@ -80,7 +76,7 @@ def _by_rows(file: TextFile, begun: Sequence[FrameRecord] = ()) -> list[FrameRec
     """Return the rows in order, or say what is wrong first; those ``begun`` with are right by themselves."""
     records: list[FrameRecord] = []
     places: dict[str, str] = {}
-    for row in file.rows(COLUMNS, MEASURED):
+    for row in file.rows(COLUMNS):
         if len(records) < len(begun):
             record = begun[len(records)]
         else:
@@ -118,14 +114,14 @@ def _by_columns(file: TextFile, records: list[FrameRecord]) -> None:
 
     What was added until then is right by itself.
     """
-    known = {name: _Known(file, name) for name in _ALL}
+    known = {name: _Known(file, name) for name in COLUMNS}
     # Of names that one file system would hold as one file, the hashes: those of a million names are small.
     keys: set[int] = set()
     to_be_references: set[object] = set()
     are_references: set[object] = set()
-    for columns in file.columns(COLUMNS, MEASURED):
+    for columns in file.columns(COLUMNS):
         values: dict[str, Sequence[object]] = {}
-        for name, cells in zip(_ALL, columns, strict=True):
+        for name, cells in zip(COLUMNS, columns, strict=True):
             plain, value_of = _PLAIN.get(name, (None, None))
             if plain is None or value_of is None or not all(map(plain.fullmatch, cells)):
                 value_of = known[name].__getitem__
@@ -175,9 +171,7 @@ def table_text(path: Path, records: Iterable[FrameRecord]) -> str:
         If :func:`load_records` would refuse a row.
     """
     ordered = tuple(sorted(records, key=attrgetter("path")))
-    measured = any(getattr(record, column) is not None for record in ordered for column in MEASURED)
-    columns = _ALL if measured else COLUMNS
-    text = csv_text(columns, ([cell_text(getattr(record, column)) for column in columns] for record in ordered))
+    text = csv_text(COLUMNS, ([cell_text(getattr(record, column)) for column in COLUMNS] for record in ordered))
     for record, read_back in zip(ordered, _parse(TextFile(path, ManifestError, content=text)), strict=True):
         if record != read_back:
             raise ManifestError(f"{path}, row {record.path!r}: cannot be written as text and read back the same")
@@ -222,14 +216,6 @@ def _flags(row: TextRow, name: str) -> tuple[str, ...]:
     return tuple(flags)
 
 
-def _shift(text: str) -> tuple[Fraction, Fraction]:
-    parts = text.split(";")
-    if len(parts) != 2:
-        raise ArgumentError(f"expected pixels down and right, such as 2;-4, found {shown(text)}")
-    down, right = (fraction_of(part.removeprefix("-")) * (-1 if part.startswith("-") else 1) for part in parts)
-    return down, right
-
-
 # How each column is read, in the order in which a row's problems are looked for.
 _READ: dict[str, Callable[[TextRow, str], Any]] = {
     "flags": _flags,
@@ -246,6 +232,4 @@ _READ: dict[str, Callable[[TextRow, str], Any]] = {
     "height": lambda row, name: row.optional(name, row.whole),
     "size_bytes": lambda row, name: row.optional(name, row.whole),
     "sha256": lambda row, name: row.optional(name, row.parsed, parse=_sha256),
-    "measured_ratio": lambda row, name: row.optional(name, row.fraction, above=0),
-    "measured_shift_px": lambda row, name: row.optional(name, row.parsed, parse=_shift),
 }

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Levels = Literal["metadata", "published", "metadata-per-channel", "sid-sony", "sid-fuji", "lrid"]
 Clip = Literal["both", "upper", "none"]
-Amplification = Literal["metadata", "nominal", "measured"]
+Amplification = Literal["metadata", "nominal"]
 Space = Literal["raw", "srgb"]
 Pixels = Literal["packed", "srgb", "rgb"]
 Rendering = Literal["none", "libraw", "eld-isp"]

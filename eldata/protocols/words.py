@@ -40,7 +40,6 @@ _PIXELS = {"packed": "packed raw", "rgb": "preprocessed RGB"}
 _AMPLIFICATIONS = {
     "metadata": "by the files' exposure ratio",
     "nominal": "by the manifest's ratio",
-    "measured": "by the measured ratio",
 }
 
 

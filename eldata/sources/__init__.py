@@ -1,4 +1,4 @@
-"""Where frames come from: raw files, arrays, stores and shards."""
+"""Where frames come from: raw files, arrays and stores."""
 
 import lazy_loader
 

@@ -1,2 +1,1 @@
-from . import shards as shards
 from . import store as store

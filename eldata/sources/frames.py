@@ -1,4 +1,4 @@
-"""Where frames come from: the one small interface of raw files, arrays, stores, shards, and sources of your own.
+"""Where frames come from: the one small interface of raw files, arrays, stores, and sources of your own.
 
 A :class:`FrameSource` says which frames it holds (``records``) and opens them by path; a :class:`Frame` says what its
 file states of the sensor, and reads parts of the pixels (``read(rows, columns)``). What is cut, turned, normalised and
@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from eldata.base.memory import scratch
 from eldata.base.pixels import read_rgb16
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import FrameFiles
-from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO, whole_shift_px
+from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.manifest.patterns import is_png
 from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
@@ -136,15 +136,8 @@ class Frame:
         check_white_in_dn(self.name, self.sensor, chosen.white_level_dn)
         return replace(self, black_level_dn=chosen.black_level_dn, white_level_dn=chosen.white_level_dn)
 
-    def less(self, shading: DarkShading, place: tuple[int, int] | None = None) -> Frame:
+    def less(self, shading: DarkShading) -> Frame:
         """Return the frame less a dark shading, in float32 DN: fractions of a DN, and no clip.
-
-        Parameters
-        ----------
-        shading
-            Of the camera body.
-        place
-            Of a part of a frame: its first row and column on the sensor.
 
         Raises
         ------
@@ -157,7 +150,7 @@ class Frame:
                 f"{self.name}: is not a raw frame in DN, so the dark shading of {shading.camera} does not belong to it"
             )
         check_in_dn(self.name, self.sensor, f"the dark shading of {shading.camera}")
-        shading.check_sensor(self.name, self.shape, self.cfa, self.sensor.model, place)
+        shading.check_sensor(self.name, self.shape, self.cfa, self.sensor.model)
         if self.exposure.iso is None:
             raise DatasetError(f"{self.name}: states no ISO, and the dark shading of {shading.camera} differs by ISO")
         iso = float(self.exposure.iso)
@@ -170,20 +163,12 @@ class Frame:
         except ArgumentError as error:
             raise DatasetError(f"{self.name}: {error}") from error
         exposure_s = None if self.exposure.exposure_s is None else float(self.exposure.exposure_s)
-        reads = partial(_less_shading, self, shading, iso, exposure_s, place or (0, 0))
+        reads = partial(_less_shading, self, shading, iso, exposure_s)
         return replace(self, mosaic=Pixels(self.shape, np.dtype(np.float32), reads))
 
     def without_pixels(self) -> Frame:
         """Return the frame, its pixels forgotten."""
         return replace(self, mosaic=np.broadcast_to(np.uint16(0), self.mosaic.shape))
-
-    def part(self, rows: slice, columns: slice) -> Frame:
-        """Return a part of the frame, which starts at whole periods of the CFA; nothing is read."""
-        if isinstance(self.mosaic, np.ndarray):
-            return replace(self, mosaic=self.mosaic[..., rows, columns])
-        pixels = self.mosaic
-        shape = *pixels.shape[:-2], *part_shape(pixels.shape, rows, columns)
-        return replace(self, mosaic=Pixels(shape, pixels.dtype, partial(_part_of, pixels, rows, columns)))
 
     def read(self, rows: slice, columns: slice) -> NDArray[Any]:
         """Return a part, (rows, columns) in DN or (3, rows, columns), to be used before the thread reads the next."""
@@ -201,26 +186,14 @@ def _less_shading(
     shading: DarkShading,
     iso: float,
     exposure_s: float | None,
-    place: tuple[int, int],
     rows: slice,
     columns: slice,
 ) -> NDArray[np.float32]:
-    """Return a part less the dark shading, which is worked out for it; ``place``: of the frame's first pixel."""
+    """Return a part less the dark shading, which is worked out for it."""
     taken = scratch("less_shading", part_shape(frame.shape, rows, columns), np.dtype(np.float32))
-    on_sensor = [
-        slice(start + part.indices(side)[0], start + part.indices(side)[1])
-        for start, part, side in zip(place, (rows, columns), frame.shape, strict=True)
-    ]
-    shading.at(iso, *on_sensor, exposure_s=exposure_s, out=taken)
+    shading.at(iso, rows, columns, exposure_s=exposure_s, out=taken)
     np.subtract(frame.read(rows, columns), taken, out=taken)
     return taken
-
-
-def _part_of(pixels: Pixels, rows: slice, columns: slice, inner_rows: slice, inner_columns: slice) -> NDArray[Any]:
-    """Return a part of a part."""
-    parts = zip((rows, columns), (inner_rows, inner_columns), pixels.shape[-2:], strict=True)
-    inner = [range(*whole.indices(side))[part] for whole, part, side in parts]
-    return pixels.read(*(slice(one.start, one.stop) for one in inner))
 
 
 def part_shape(shape: tuple[int, ...], rows: slice, columns: slice) -> tuple[int, int]:
@@ -312,56 +285,7 @@ def checked_ratio(record: PairRecord, reference: Frame, noisy: Frame) -> Fractio
     return ratio
 
 
-def overlap(
-    record: PairRecord, side: Literal["noisy", "reference"], shape: tuple[int, int], cfa: CfaRows, scale: int = 1
-) -> tuple[slice, slice]:
-    """Return the part of a noisy frame, or of its reference, that both show: all of it where no shift was measured.
-
-    Parameters
-    ----------
-    record
-        The pair, whose measured shift counts to the nearest whole pixel.
-    side
-        Which of its frames.
-    shape
-        (H, W) of the frame in pixels of the mosaic, or of what has one pixel for ``scale`` x ``scale`` of them.
-    cfa
-        Of the mosaic; the parts have it, too.
-
-    Raises
-    ------
-    DatasetError
-        If the shift is no multiple of the CFA's period, or more than half of the frame.
-    """
-    shift, period = whole_shift_px(record), len(cfa) or 1
-    if shift == (0, 0):
-        return slice(None), slice(None)
-    if any(pixels % period or 2 * abs(pixels) > scale * size for pixels, size in zip(shift, shape, strict=True)):
-        raise DatasetError(
-            f"{record.path}: lies {shift} pixels (down, right) from its reference, by measured_shift_px of the "
-            f"manifest; pairs are cut to what both show where these are multiples of {period} and at most half of the "
-            "frame: leave this pair out, or photograph it again"
-        )
-    sign = 1 if side == "noisy" else -1
-    rows, columns = (
-        slice(max(sign * pixels // scale, 0), size + min(sign * pixels // scale, 0))
-        for pixels, size in zip(shift, shape, strict=True)
-    )
-    return rows, columns
-
-
 def stated_ratio(record: PairRecord | FrameRecord, amplification: Amplification) -> Fraction | None:
-    """Return the ratio that the manifest has for a way to amplify; ``None`` if files are to say it, or it has none.
-
-    Raises
-    ------
-    DatasetError
-        If it is to be the measured one, and none was measured.
-    """
-    if amplification == "measured" and record.measured_ratio is None:
-        raise DatasetError(
-            f"{record.path}: the manifest has no measured ratio for amplification 'measured'; capture check --write "
-            "measures it, 'nominal' and 'metadata' need none"
-        )
-    of_files = record.ratio if NOMINAL_RATIO in record.flags else None
-    return {"metadata": of_files, "nominal": record.ratio, "measured": record.measured_ratio}[amplification]
+    """Return the ratio that the manifest has for a way to amplify; ``None`` if files are to say it, or it has none."""
+    is_manifests = amplification == "nominal" or NOMINAL_RATIO in record.flags
+    return record.ratio if is_manifests else None

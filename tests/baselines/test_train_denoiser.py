@@ -17,7 +17,6 @@ from eldata.baselines import UNet, load_network
 from eldata.cli.main import main as eldata
 from eldata.examples import train_denoiser
 from eldata.examples.train_denoiser import main, parser
-from eldata.sources.shards import write_shards
 from tests.shared import made_once
 from tests.sources.store.helpers import pack_tree
 from tests.trees import tree_in
@@ -39,7 +38,6 @@ def store(demo_tree: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     def make(folder: Path) -> None:
         folder.mkdir()
         pack_tree(tree_in(demo_tree), folder / "eld.h5")
-        write_shards(folder / "eld.h5", folder / "tiles", tile=16, samples_per_shard=50)
 
     with made_once(tmp_path_factory, "training", make) as folder:
         yield folder / "eld.h5"
@@ -63,7 +61,7 @@ def test_the_defaults_are_the_papers() -> None:
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("data", ["pairs", "shards", "synthetic", "noise2noise", "mixed"])
+@pytest.mark.parametrize("data", ["pairs", "synthetic", "noise2noise", "mixed"])
 def test_it_learns_and_leaves_a_network_that_predict_runs(
     data: str, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -71,7 +69,6 @@ def test_it_learns_and_leaves_a_network_that_predict_runs(
     pairs = ["--pairs", str(store)]
     options = {
         "pairs": pairs,
-        "shards": ["--pairs", str(store.parent / "tiles")],
         "synthetic": synthetic(store),
         "noise2noise": [*synthetic(store), "--noise2noise", "--input-clip", "none"],
         "mixed": [*pairs, *synthetic(store)],

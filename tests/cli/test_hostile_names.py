@@ -103,8 +103,6 @@ def test_sets_and_predictions(run: Callable[..., tuple[int, str]], demo_tree: Pa
     packed = run("eldata", "pack", "eld-demo", "--manifest", tree.manifest, *where, "-o", store, "--jobs", "1")
     assert packed[0] == 0, packed[1]
     assert run("eldata", "verify", store, "--level", "full", "--jobs", "1")[0] == 0
-    assert run("eldata", "shard", store, "-o", place_for_all / "shards", "--tile", "8")[0] == 0
-    assert run("eldata", "verify", place_for_all / "shards" / "index.json")[0] == 0
     clean = tree.files
     made = run(
         "eldata",

@@ -66,7 +66,6 @@ FOLDERS = {
     ("eldata predict", "--output"),
     ("eldata evaluate", "--output"),
     ("eldata synthesize", "--output"),
-    ("eldata shard", "--output"),
 }
 
 

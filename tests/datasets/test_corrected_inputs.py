@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import torch
 
-from eldata.datasets import DRVDataset, PackedStore, PairDataset, StreamedPairs
+from eldata.datasets import DRVDataset, PackedStore, PairDataset
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw import read_raw
 from eldata.records import Exposure
 from eldata.sources.frames import Frame
-from eldata.sources.shards import write_shards
 from tests.drv_tree import NOISY, SENSOR, write_raw_clip, write_rgb_clip
 from tests.planted_shading import plant, shading_of
 from tests.sid_tree import build_small_tree
@@ -40,7 +39,7 @@ def same(expected: Any, found: Any) -> None:
             assert torch.equal(expected[index][side], found[index][side]), (index, side)
 
 
-def test_files_stores_and_shards(pristine: Tree, tree: Tree, tmp_path: Path) -> None:
+def test_files_and_stores(pristine: Tree, tree: Tree, tmp_path: Path) -> None:
     """GBRG, published levels with the early clip and the file's without: DN are corrected before they are clipped."""
     shading = planted(tree, "DemoBeta")
     shading.save(tmp_path / "beta.npz")
@@ -62,16 +61,6 @@ def test_files_stores_and_shards(pristine: Tree, tree: Tree, tmp_path: Path) -> 
     batches = [one.__getitems__(range(5)) for one in (clean, corrected)]
     assert all(torch.equal(a["input"], b["input"]) for a, b in zip(*batches, strict=True))
     assert f"dark_shading={shading.digest[:15]}" in repr(corrected)
-    for tile in (None, 16):
-        folders = [tmp_path / f"{name}-{tile}" for name in ("clean", "planted")]
-        for store, folder in zip(stores, folders, strict=True):
-            write_shards(store, folder, tile=tile, samples_per_shard=50, cameras=["DemoBeta"])
-        of: dict[str, Any] = {"crop": 12, "clip": "none", "crops_per_frame": 2}
-        streams = (
-            StreamedPairs(str(folders[0]), **of),
-            StreamedPairs(str(folders[1]), **of, dark_shading=shading),
-        )
-        same(*map(list, streams))
 
 
 def test_x_trans_and_clips(tmp_path: Path) -> None:
@@ -127,8 +116,6 @@ def test_a_shading_that_is_not_the_inputs(tree: Tree, tmp_path: Path) -> None:
     store = pack_tree(tree, tmp_path / "s.h5").store
     with pytest.raises(DatasetError, match="not measured at ISO 3200"):  # before an item is read
         PackedStore(store, cameras=["DemoBeta"], dark_shading=shading_of(sensor, (800, 1600)))
-    with pytest.raises(ArgumentError, match="whole DN, and less a dark shading the input has fractions"):
-        PackedStore(store, cameras=["DemoBeta"], dark_shading=right).in_dn()
     with pytest.raises(DatasetError, match=r"f: states no ISO, and the dark shading of Planted differs by ISO"):
         Frame.of_raw(beta.mosaic, sensor, "f", Exposure()).less(right)
     write_rgb_clip(tmp_path / "drv", "0001", 5)

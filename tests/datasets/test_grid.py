@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from eldata import DRVDataset, PackedStore, StreamedPairs, SyntheticClips, SyntheticPairs
+from eldata import DRVDataset, PackedStore, SyntheticClips, SyntheticPairs
 from eldata.datasets import Arrays, CleanClips, Noise2Noise, PairDataset, Rank, set_epoch, training_loader
 from eldata.datasets.base import SIDES
 from eldata.errors import ArgumentError, DatasetError
@@ -154,8 +154,6 @@ def test_what_cannot_be_a_grid_is_refused() -> None:
     with pytest.raises(DatasetError, match="take a smaller crop"):
         grid(source, crop=16)  # turning takes a period more
     assert len(grid(source, crop=16, augment=False)) == 2
-    with pytest.raises(ArgumentError, match="--tile"):
-        StreamedPairs("memory://none", crops="grid")  # type: ignore[call-arg]
     with pytest.raises(ArgumentError, match="even for X-Trans"):
         grid(Mosaics([random_mosaic(60, 60, seed=1)], XTRANS_CFA), crop=5)
 

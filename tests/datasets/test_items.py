@@ -10,17 +10,15 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from eldata import DRVDataset, PackedClips, PackedStore, StreamedPairs
-from eldata.datasets import PairDataset, SourcePairs, normalise_batch, raw2rgb
+from eldata import DRVDataset, PackedClips, PackedStore
+from eldata.datasets import PairDataset, SourcePairs, raw2rgb
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
-from eldata.datasets.views import _by_torch, _images
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import save_card
 from eldata.noise import CameraProfile
 from eldata.raw import pack, read_raw, write_dng
 from eldata.raw.levels import packed_black_level_dn
 from eldata.sources.frames import Frame, FrameSource
-from eldata.sources.shards import write_shards
 from tests.datasets.comparing import same
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 from tests.sources.store.helpers import pack_tree
@@ -59,7 +57,7 @@ def test_crops_of_files_stores_and_other_sources_are_the_same(pristine: Tree, st
     assert isinstance(source, FrameSource)
     others = [
         PairDataset(pristine.data, pristine.csv, **cropping),
-        SourcePairs(source, stored.records, representation={"levels": "published"}, cropping=cropping),
+        SourcePairs(source, stored.records, levels="published", **cropping),
     ]
     for other in others:
         assert len(other) == len(stored) == 48
@@ -87,15 +85,7 @@ def test_turned_crops_are_normalised_by_their_own_greens_levels(tree: Tree, tmp_
         )
     options: Any = {"crop": 16, "augment": True, "crops_per_frame": 4, "levels": "metadata", "clip": "none"}
     store = pack_tree(tree, tmp_path / "eld.h5").store
-    write_shards(store, tmp_path / "shards", tile=None)
-    stored = PackedStore(store, **options)
-    ways: list[Iterable[Any]] = [
-        PairDataset(tree.data, tree.csv, **options),
-        stored,
-        StreamedPairs(str(tmp_path / "shards"), **options),
-        (normalise_batch(sample, clip="none") for sample in stored.in_dn()),
-    ]
-    for samples in ways:
+    for samples in (PairDataset(tree.data, tree.csv, **options), PackedStore(store, **options)):
         seen = 0
         for sample in samples:
             seen += 1
@@ -118,22 +108,10 @@ def test_the_clip_is_of_the_input_on_every_route(clip: Any, tree: Tree, tmp_path
         write_dng(tree.data / record.path, raw.mosaic, raw.sensor, raw.exposure)
     options: Any = {"levels": "metadata", "clip": clip}
     store = pack_tree(tree, tmp_path / "eld.h5").store
-    write_shards(store, tmp_path / "shards", tile=None)
     stored = PackedStore(store, crop=None, augment=False, **options)
-    in_dn = list(stored.in_dn())
     ways: dict[str, Iterable[Any]] = {
         "files": PairDataset(tree.data, tree.csv, **options),
         "store": stored,
-        "shards": StreamedPairs(str(tmp_path / "shards"), augment=False, **options),
-        "in DN": [normalise_batch(sample, clip=clip) for sample in in_dn],
-        "in DN, on a device": [
-            sample
-            | {
-                side: _by_torch(list(_images(sample, side, clip if side == "input" else "both")))[0]
-                for side in ("input", "target")
-            }
-            for sample in in_dn
-        ],
     }
     for name, samples in ways.items():
         for sample in samples:
@@ -155,11 +133,9 @@ def test_levels_are_those_of_the_protocol_that_the_card_names(
     """So that the input is what the set is scored with, on every route."""
     save_card(tree.csv.with_suffix(".json"), replace(tree.manifest.card, protocol=protocol))
     store = pack_tree(tree, tmp_path / "eld.h5").store
-    write_shards(store, tmp_path / "shards", tile=None)
     usual: list[Any] = [
         PairDataset(tree.data, tree.csv),
         PackedStore(store, crop=None, augment=False),
-        StreamedPairs(str(tmp_path / "shards"), augment=False),
     ]
     wanted = {sample["path"]: sample for sample in PairDataset(tree.data, tree.csv, levels=levels)}
     for dataset in usual:

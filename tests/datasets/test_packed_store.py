@@ -14,7 +14,7 @@ import torch
 from torch.utils.data import DataLoader, default_collate
 
 from eldata import PackedStore, SyntheticPairs
-from eldata.datasets import CleanFrames, PairDataset, normalise_batch, views
+from eldata.datasets import CleanFrames, PairDataset
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import Subset, save_card
@@ -137,37 +137,6 @@ def test_references_are_clean_frames(eld: Path, pristine: Tree) -> None:
         CleanFrames(eld, levels="sid-sony")  # type: ignore[arg-type]
 
 
-# --- DN batches ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("clip", ["both", "upper", "none"])
-@pytest.mark.parametrize("which", ["eld", "fuji"])
-def test_a_batch_in_dn_becomes_the_raw_routes(
-    which: str, clip: Any, eld: Path, fuji: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(torch, "get_num_threads", lambda: 3)
-    levels: Any
-    for levels in ("published", "metadata"):
-        pairs = PackedStore({"eld": eld, "fuji": fuji}[which], crop=6, levels=levels, clip=clip)
-        in_dn = DataLoader(pairs.in_dn(), batch_size=5)
-        for batch, wanted in zip(in_dn, DataLoader(pairs, batch_size=5), strict=True):
-            assert batch["input_dn"].dtype == batch["target_dn"].dtype == torch.uint16
-            same(normalise_batch(batch, clip=clip), wanted)
-            # What runs on a device, here on the CPU.
-            for side in ("input", "target"):
-                images = list(views._images(batch, side, clip if side == "input" else "both"))
-                assert torch.equal(views._by_torch(images), wanted[side])
-        same(normalise_batch(pairs.in_dn()[1], clip=clip), pairs[1])
-
-
-def test_only_batches_in_dn_are_converted(eld: Path) -> None:
-    pairs = PackedStore(eld, crop=6)
-    with pytest.raises(ArgumentError, match="expected a batch in DN"):
-        normalise_batch(pairs[0])
-    with pytest.raises(ArgumentError, match="clip must be one of"):
-        normalise_batch(pairs.in_dn()[0], clip="lower")  # type: ignore[arg-type]
-
-
 # --- determinism --------------------------------------------------------------------------------------------------
 
 
@@ -191,18 +160,13 @@ def loader(dataset: Any, method: str, **options: Any) -> Iterator[Any]:
 @pytest.mark.parametrize("workers", [0, 2])
 @pytest.mark.parametrize("which", ["eld", "fuji"])
 def test_batches_hold_the_items(which: str, workers: int, eld: Path, fuji: Path) -> None:
-    """Which DataLoaders ask for at once, in this process by threads; in DN too; the last batch is smaller."""
+    """Which DataLoaders ask for at once, in this process by threads; the last batch is smaller."""
     dataset = some({"eld": eld, "fuji": fuji}[which], crops_per_frame=3)
     dataset.set_epoch(2)
     options: dict[str, Any] = {"batch_size": 5, "num_workers": workers, "timeout": PATIENCE_S if workers else 0}
     wanted = [default_collate([dataset[index] for index in indices]) for indices in batched(len(dataset), 5)]
     for batch, other in zip(DataLoader(dataset, **options), wanted, strict=True):
         assert list(batch) == list(other)
-        same(batch, other)
-    in_dn = dataset.in_dn()
-    wanted = [default_collate([in_dn[index] for index in indices]) for indices in batched(len(dataset), 5)]
-    for batch, other in zip(DataLoader(in_dn, **options), wanted, strict=True):
-        assert set(batch) == set(other)
         same(batch, other)
 
 
@@ -211,10 +175,10 @@ def batched(length: int, size: int) -> list[range]:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_workers_read_compressed_stores_in_dn(method: str, fuji: Path) -> None:
+def test_workers_read_compressed_stores(method: str, fuji: Path) -> None:
     dataset = some(fuji)
-    for item, wanted in zip(loader(dataset.in_dn(), method), dataset, strict=True):
-        same(normalise_batch(item), wanted)
+    for item, wanted in zip(loader(dataset, method), dataset, strict=True):
+        same(item, wanted)
 
 
 # --- choices and refusals -----------------------------------------------------------------------------------------

@@ -186,7 +186,7 @@ def test_choices(options: dict[str, Any], count: int, sid: Path) -> None:
         ({"camera": "Sony"}, "camera must be one of 'sony', 'fuji'; found 'Sony'"),
         ({"split": "dev"}, "split must be one of 'train', 'val', 'test', 'eval'; found 'dev'"),
         ({"levels": "sid-fuji"}, "of another camera; those of 'sony' are 'sid-sony'"),
-        ({"amplification": "exif"}, "amplification must be one of 'metadata', 'nominal', 'measured'; found 'exif'"),
+        ({"amplification": "exif"}, "amplification must be one of 'metadata', 'nominal'; found 'exif'"),
     ],
 )
 def test_unknown_values_list_the_known(options: dict[str, Any], said: str, sid: Path) -> None:

@@ -14,14 +14,12 @@ import exifread
 import numpy as np
 import pytest
 
-from eldata.base.files import try_lock
 from eldata.cli.main import main
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clips import ClipWindows
 from eldata.datasets.packed import PackedStore
 from eldata.datasets.synthetic import synthesis
 from eldata.datasets.synthetic.draws import draw_splits
-from eldata.datasets.synthetic.journal import NAME
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
 from eldata.manifest import load_manifest, verify
@@ -31,7 +29,7 @@ from eldata.noise.shading_content import DarkCurrent
 from eldata.raw import bayer_cfa, read_raw, write_dng
 from eldata.raw.cfa import XTRANS_CFA
 from eldata.raw.levels import pack_normalised
-from eldata.records import Exposure, RawFrame, Sensor, exact_fraction
+from eldata.records import Exposure, Sensor, exact_fraction
 from eldata.sources.frames import Files
 from tests.planted_shading import shading_of
 from tests.raw.helpers import write_plain_dng
@@ -181,39 +179,33 @@ def unfinished(clean: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return out, everything(whole)
 
 
+BEGUN = ".begun.json"
+
+
 def test_an_ended_run_goes_on(
     unfinished: tuple[Path, dict[str, bytes]], clean: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, whole = unfinished
-    assert sorted(path.name for path in out.iterdir()) == [NAME, "data", "manifests"], "no manifest yet, no parameters"
+    assert sorted(path.name for path in out.iterdir()) == [BEGUN, "data", "manifests"], "no manifest yet, no parameters"
     assert not list((out / "manifests").iterdir())
-    decoded: list[str] = []
+    written: list[str] = []
 
-    def reading(path: Path) -> RawFrame:
-        decoded.append(path.name)
-        return read_raw(path)
+    def writing(path: Path, *rest: Any, **options: Any) -> None:
+        written.append(path.name)
+        write_dng(path, *rest, **options)
 
-    monkeypatch.setattr(synthesis, "read_raw", reading)
-    with (out / NAME).open("ab") as journal:
-        journal.write(b'{"scene": 1, "cle')  # a kill in the middle of a line
+    monkeypatch.setattr(synthesis, "write_dng", writing)
     half = out / "data" / "set" / "SonyA7S2" / "scene-2" / ".noisy-2.dng.eldata.part"
     half.write_bytes(b"half")
     synthesize(clean, out, Recipe(SONY, per_image=2))
-    assert decoded == ["b.dng"], "the first scene was whole"
+    assert written == ["noisy-2.dng"], "all others were whole"
     assert everything(out) == whole
 
 
-@pytest.mark.parametrize("damage", ["changed", "gone"])
-def test_a_finished_scene_that_is_not_whole_any_more_is_made_again(
-    damage: str, unfinished: tuple[Path, dict[str, bytes]], clean: Path
-) -> None:
+@pytest.mark.parametrize("name", ["clean.dng", "noisy-1.dng"])
+def test_a_file_that_is_gone_is_made_again(name: str, unfinished: tuple[Path, dict[str, bytes]], clean: Path) -> None:
     out, whole = unfinished
-    path = out / "data" / "set" / "SonyA7S2" / "scene-1" / "noisy-1.dng"
-    if damage == "gone":
-        path.unlink()
-    else:
-        content = path.read_bytes()
-        path.write_bytes(content[:-9] + bytes(9))
+    (out / "data" / "set" / "SonyA7S2" / "scene-1" / name).unlink()
     synthesize(clean, out, Recipe(SONY, per_image=2))
     assert everything(out) == whole
 
@@ -235,25 +227,10 @@ def test_only_the_same_work_goes_on(unfinished: tuple[Path, dict[str, bytes]], c
     assert everything(out) == before
 
 
-def test_two_runs_at_a_time(unfinished: tuple[Path, dict[str, bytes]], clean: Path) -> None:
-    out, whole = unfinished
-    with (out / NAME).open("rb") as held:
-        assert try_lock(out, held)
-        with pytest.raises(EldataError, match="set: another process is writing it; wait for that one"):
-            synthesize(clean, out, Recipe(SONY, per_image=2))
-    synthesize(clean, out, Recipe(SONY, per_image=2))
-    assert everything(out) == whole
-
-
-def test_a_journal_that_is_damaged_is_named(unfinished: tuple[Path, dict[str, bytes]], clean: Path) -> None:
+def test_what_was_begun_and_is_damaged_is_named(unfinished: tuple[Path, dict[str, bytes]], clean: Path) -> None:
     out, _ = unfinished
-    first = (out / NAME).read_bytes().splitlines(keepends=True)[0]
-    for content, words in (
-        (b"", "is not JSON"),
-        (first + b"[]\n", r"line 2: expected an object, found \[\]; remove .*set to start again"),
-        (first + b'{"scene": 0}\n', "line 2, field clean: expected an object, found nothing"),
-    ):
-        (out / NAME).write_bytes(content)
+    for content, words in ((b"", "is not JSON"), (b"[]", r"expected an object, found \[\]; remove .*set to start")):
+        (out / BEGUN).write_bytes(content)
         with pytest.raises(EldataError, match=words):
             synthesize(clean, out, Recipe(SONY, per_image=2))
 

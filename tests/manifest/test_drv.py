@@ -21,6 +21,7 @@ from eldata.manifest.catalogue import load_manifest, shipped_manifest
 from eldata.manifest.clips import FRAME_RANGES, Clip, choose_clips, clips_of, frame_range, windows
 from eldata.manifest.drv import UNUSED, scan_preprocessed, scan_raw
 from eldata.manifest.lock import lock
+from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand, matching, sequence_of
 from eldata.manifest.verify import verify
 from eldata.records import FrameRecord
@@ -173,7 +174,7 @@ def test_windows_that_make_no_sense(length: int, stride: int) -> None:
 def test_unknown_clips_and_splits_list_the_known() -> None:
     records = shipped_manifest("drv").records
     with pytest.raises(ArgumentError, match="no clip has split holidays; known are dynamic, test, train, val"):
-        choose_clips(records, (), split=["holidays"])
+        choose_clips(records, (), Choice(split=["holidays"]))
     of_val = [record for record in records if record.split == "val"]
     with pytest.raises(ArgumentError, match=r"no clip has scene 0001; known are 0004, 0018"):
         choose_clips(of_val, (), ids=["0001"])

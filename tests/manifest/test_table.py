@@ -435,29 +435,3 @@ def test_what_load_would_refuse_is_not_saved(path: Path, records: list[FrameReco
     assert str(path) in str(raised.value)
     assert path.read_bytes() == before
     assert list(path.parent.iterdir()) == [path]
-
-
-# --- what was measured --------------------------------------------------------------------------------------------
-
-
-def test_columns_of_what_was_measured_are_there_if_something_was(path: Path) -> None:
-    path.write_text(as_csv(rows()), encoding="utf-8")
-    reference, noisy = load_records(path)
-    assert (noisy.measured_ratio, noisy.measured_shift_px) == (None, None)
-    save_records(path, [reference, noisy])
-    assert path.read_text().splitlines()[0] == ",".join(COLUMNS)
-    measured = replace(noisy, measured_ratio=Fraction("101.6"), measured_shift_px=(Fraction("-0.05"), Fraction(4)))
-    save_records(path, [reference, measured])
-    assert path.read_text().splitlines()[0] == ",".join([*COLUMNS, "measured_ratio", "measured_shift_px"])
-    assert path.read_text().splitlines()[1].endswith(",,")
-    assert load_records(path) == (reference, measured)
-    text = path.read_text()
-    for cells, said in (
-        (",0,-0.05;4", "column measured_ratio: expected"),
-        (",101.6,1", "column measured_shift_px: expected pixels"),
-        (",101.6,1;x", "column measured_shift_px: expected a number"),
-        (",101.6", "expected 16 fields, found 15"),
-    ):
-        path.write_text(text.replace(",101.6,'-0.05;4", cells))
-        with pytest.raises(ManifestError, match=said):
-            load_records(path)

@@ -1,4 +1,4 @@
-"""What stores and shards hold of a sensor: floats, and the fractions beside them."""
+"""What stores hold of a sensor: floats, and the fractions beside them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ import pytest
 from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.raw import read_raw
-from eldata.records import PairRecord, Sensor, exact_fraction, exact_number
-from eldata.sources.shards.index import Facts, Side, facts_text, parse_facts
+from eldata.records import Sensor, exact_fraction, exact_number
 from eldata.sources.store import open_store
 from eldata.sources.store.format import more_of_sensor, sensor_data, sensor_of
-from tests.raw.helpers import EXPOSURE, make_sensor, random_mosaic, write_plain_dng
+from tests.raw.helpers import make_sensor, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -74,17 +73,6 @@ def test_a_sensor_is_floats_with_what_they_do_not_hold_beside_them() -> None:
 def test_what_does_not_go_together_is_refused(more: dict[str, Any], words: str) -> None:
     with pytest.raises(ArgumentError, match=words):
         sensor_of(through_json(sensor_data(THIRDS)), more)
-
-
-def test_the_facts_of_a_sample_keep_fractions() -> None:
-    record = PairRecord("a.dng", "b.dng", "C", "s", "", Fraction(100), Fraction(1, 30), Fraction(100))
-    plain = make_sensor()
-    facts = Facts(record, Fraction(100), 0, 0, Side(THIRDS, EXPOSURE), Side(plain, EXPOSURE))
-    text = facts_text(facts).encode()
-    back = parse_facts(text)
-    assert fractions_of(back.input.sensor) == fractions_of(THIRDS)
-    assert back.target.sensor == plain
-    assert "sensor_more" not in json.loads(text)["target"]
 
 
 def test_a_store_keeps_fractions(tmp_path: Path) -> None:

@@ -5,17 +5,16 @@ from __future__ import annotations
 import pickle
 from typing import TYPE_CHECKING, Any
 
-import pytest
-
-from benchmarks.many_frames import write_small_shards, write_small_store
-from eldata import PackedStore, StreamedPairs
+from benchmarks.many_frames import write_small_store
+from eldata import PackedStore
 from eldata.datasets import base, training_loader
 from eldata.records import Records
-from eldata.sources.shards import index, reading
 from eldata.sources.store import verify_store
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import pytest
 
 
 def test_opening_a_store_opens_one_pair_of_each_kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,25 +53,3 @@ def test_a_dataset_goes_to_workers_by_columns(tmp_path: Path) -> None:
     assert (sent[3]["input"] == first["input"]).all()
     assert pickle.loads(pickle.dumps(Records())) == ()
     assert isinstance(sent.records, tuple)
-
-
-@pytest.mark.parametrize("samples", [200, 1000])
-def test_a_stream_reads_what_it_gives_and_its_buffer(
-    samples: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """However many samples there are, and wherever in the epoch it begins."""
-    shards = write_small_shards(tmp_path / "shards", samples)
-    decoded: list[int] = []
-    from_bytes = index.from_bytes
-
-    def counted(content: bytes) -> Any:
-        decoded.append(len(content))
-        return from_bytes(content)
-
-    monkeypatch.setattr(reading, "from_bytes", counted)
-    loader = training_loader(StreamedPairs(str(shards), crop=16, shuffle_buffer=20), 4, workers=0)
-    for first_batch in (0, samples // 8):
-        loader.dataset.set_first_batch(first_batch)  # type: ignore[attr-defined] # a stream
-        decoded.clear()
-        next(iter(loader))
-        assert 4 <= len(decoded) <= 4 + 20

@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, Unpack, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
-from eldata.base.arguments import keywords, spell_keywords
 from eldata.datasets.base import no_folder
-from eldata.datasets.choices import Representation
-from eldata.datasets.clips import ClipWindows, Windowing, WindowOptions
-from eldata.datasets.items import Cropping
+from eldata.datasets.clips import ClipWindows
 from eldata.errors import ArgumentError, ManifestError, check_choice
 from eldata.manifest.catalogue import FrameFiles, known_manifest, load_manifest, shipped_manifest
 from eldata.manifest.clips import moment_name
 from eldata.manifest.drv import DYNAMIC, scan_raw
-from eldata.manifest.pairs import Choice, select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.sources.frames import Files
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
+    from fractions import Fraction
     from pathlib import Path
 
+    from eldata.datasets.crops import Region
+    from eldata.datasets.items import Crops
     from eldata.manifest.catalogue import Manifest
+    from eldata.manifest.clips import FrameRange
     from eldata.manifest.drv import Scan
+    from eldata.noise.dark_shading import DarkShading
+    from eldata.protocols.protocol import Amplification
+    from eldata.raw.levels import Clip, FrameLevels
     from eldata.records import FrameRecord, PairRecord
 
 
@@ -61,10 +65,11 @@ class DRVDataset(ClipWindows):
     reference
         Of camera raws that are looked for: pattern of the references' file names, for copies with several raws in a
         folder below ``long``.
-    options
-        Which windows of which clips: ``window``, ``stride``, ``frames``, ``region``, ``split`` (``"train"``, ``"val"``
-        or ``"test"``), ``ids`` and all else of :class:`~eldata.datasets.clips.Windowing`. ``levels`` of camera raws is
-        ``"metadata"`` by default.
+    split
+        ``"train"``, ``"val"`` or ``"test"``.
+    ids, window, stride, frames, region, crops_per_window, cameras, scenes, isos, ratios, subset, exclude_flags, \
+    levels, clip, amplification, dark_shading, crop, augment, crops, seed
+        As for :class:`~eldata.datasets.clips.ClipWindows`.
 
     Raises
     ------
@@ -87,7 +92,6 @@ class DRVDataset(ClipWindows):
     (49, torch.Size([5, 3, 918, 1374]), torch.Size([3, 918, 1374]))
     """
 
-    @spell_keywords(WindowOptions)
     def __init__(
         self,
         root: Path | str | None = None,
@@ -96,8 +100,15 @@ class DRVDataset(ClipWindows):
         dynamic: bool = False,
         manifest: Path | str | None = None,
         reference: str = "*",
-        **options: Unpack[WindowOptions],
-    ) -> None:
+        ids: Collection[str] | None = None, window: int = 5, stride: int | None = None, frames: FrameRange = "all",
+        region: Region | None = None, crops_per_window: int = 1,
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
+    ) -> None:  # fmt: skip
         check_choice("form", form, FORMS)
         published = shipped_manifest("drv")
         folder = published.own_folder(root)
@@ -110,7 +121,13 @@ class DRVDataset(ClipWindows):
             found = scan_raw(folder, reference=reference)
         rows = [row for row in found.records if (row.split == DYNAMIC) == dynamic]
         files = Files(FrameFiles.of(folder, found.card, rows), rows)
-        super().__init__(files, rows, found.card.subsets, folder, dynamic=dynamic, **options)
+        super().__init__(
+            files, rows, found.card.subsets, folder, dynamic=dynamic,
+            cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
+            exclude_flags=exclude_flags, ids=ids, window=window, stride=stride, frames=frames, region=region,
+            crops_per_window=crops_per_window, levels=levels, clip=clip, amplification=amplification,
+            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, seed=seed,
+        )  # fmt: skip
 
 
 # --- the Captured Raw Video Denoising dataset (CRVD), indoor ----------------------------------------------------------
@@ -119,10 +136,6 @@ SHOTS = range(10)
 """The noisy shots of a frame."""
 
 _FRAME = re.compile(r".*/frame([1-9][0-9]*)_noisy([0-9])\.tiff")
-
-
-class _OfWindows(Representation, Cropping, Windowing, total=False):
-    """What of the options is not the choice of frames."""
 
 
 class CRVDDataset(ClipWindows):
@@ -144,10 +157,9 @@ class CRVDDataset(ClipWindows):
         Which of the ten noisy shots of each frame, from 0; the published code scores the first: ``shots=[0]``.
     manifest
         A manifest's CSV file in place of the shipped one, such as one that ``eldata lock`` has filled in.
-    options
-        Which frames (:class:`~eldata.manifest.pairs.Choice`): ``scenes``, ``isos``, ``split``, ``subset`` and so on;
-        which windows of their clips: ``window``, ``stride``, ``ids`` and all else of
-        :class:`~eldata.datasets.clips.Windowing`.
+    ids, window, stride, frames, region, crops_per_window, cameras, scenes, isos, ratios, split, subset, \
+    exclude_flags, levels, clip, amplification, dark_shading, crop, augment, crops, seed
+        As for :class:`~eldata.datasets.clips.ClipWindows`; the choice is of frames.
 
     Raises
     ------
@@ -169,23 +181,33 @@ class CRVDDataset(ClipWindows):
     (50, torch.Size([3, 4, 540, 960]), torch.Size([3, 4, 540, 960]))
     """
 
-    @spell_keywords(WindowOptions)
     def __init__(
         self,
         root: Path | str | None = None,
         *,
         shots: Collection[int] = SHOTS,
         manifest: Path | str = "crvd",
-        **options: Unpack[WindowOptions],
-    ) -> None:
+        ids: Collection[str] | None = None, window: int = 5, stride: int | None = None, frames: FrameRange = "all",
+        region: Region | None = None, crops_per_window: int = 1,
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels = "metadata", clip: Clip = "both", amplification: Amplification = "metadata",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
+    ) -> None:  # fmt: skip
         found = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)
         folder = found.own_folder(root)
         if not folder.is_dir():
             raise no_folder(folder, found.card, "indoor_raw_noisy and indoor_raw_gt")
-        choice, of_windows = keywords("CRVDDataset", options, Choice, _OfWindows)
-        rows = _moments(found, select_pairs(found.records, found.card.subsets, **choice), shots)
+        choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
+        rows = _moments(found, choice.pairs(found.records, found.card.subsets), shots)
         files = Files(FrameFiles.of(folder, found.card, rows), rows)
-        super().__init__(files, rows, (), folder, **of_windows)
+        super().__init__(
+            files, rows, (), folder, ids=ids, window=window, stride=stride, frames=frames, region=region,
+            crops_per_window=crops_per_window, levels=levels, clip=clip, amplification=amplification,
+            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, seed=seed,
+        )  # fmt: skip
 
 
 def _moments(manifest: Manifest, pairs: Iterable[PairRecord], shots: Collection[int]) -> list[FrameRecord]:

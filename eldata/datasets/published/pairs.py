@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, Unpack
+from typing import TYPE_CHECKING, Literal
 
-from eldata.base.arguments import spell_keywords
-from eldata.datasets.base import PairDataset, PairOptions
+from eldata.datasets.base import PairDataset
 from eldata.errors import ArgumentError, check_choice
 from eldata.manifest.pairs import splits_of
 from eldata.raw.levels import CAMERA_LEVELS_DN
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+    from fractions import Fraction
     from pathlib import Path
+
+    from eldata.datasets.items import Crops
+    from eldata.noise.dark_shading import DarkShading
+    from eldata.protocols.protocol import Amplification
+    from eldata.raw.levels import Clip, FrameLevels
 
 SidCameraName = Literal["sony", "fuji"]
 
@@ -48,12 +54,25 @@ class ELDDataset(PairDataset):
     (6, torch.Size([4, 256, 384]), 'DemoAlpha/scene-1/IMG_0004.dng')
     """
 
-    @spell_keywords(PairOptions)
     def __init__(
-        self, root: Path | str | None = None, *, manifest: Path | str = "eld", **options: Unpack[PairOptions]
-    ) -> None:
-        options.setdefault("ratios", (100, 200))
-        super().__init__(root, manifest, **options)
+        self,
+        root: Path | str | None = None,
+        *,
+        manifest: Path | str = "eld",
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = (100, 200),
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
+        super().__init__(
+            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
+            exclude_flags=exclude_flags, levels=levels, clip=clip, amplification=amplification,
+            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, crops_per_frame=crops_per_frame,
+            seed=seed,
+        )  # fmt: skip
 
 
 class SIDDataset(PairDataset):
@@ -105,27 +124,36 @@ class SIDDataset(PairDataset):
     >>> training = SIDDataset("data/SID", camera="fuji", split="train")  # doctest: +SKIP
     """
 
-    @spell_keywords(PairOptions)
     def __init__(
         self,
         root: Path | str | None = None,
         *,
         camera: SidCameraName = "sony",
         manifest: Path | str | None = None,
-        **options: Unpack[PairOptions],
-    ) -> None:
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "nominal",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
         check_choice("camera", camera, _MANIFESTS)
         shipped = _MANIFESTS[camera]
-        levels, split = options.get("levels"), options.get("split")
         if levels in CAMERA_LEVELS_DN and levels != shipped:
             raise ArgumentError(f"levels {levels!r} are of another camera; those of {camera!r} are {shipped!r}")
         names = splits_of(split)
         if names is not None:
             for name in names:
                 check_choice("split", name, _SPLITS)
-            options["split"] = [part for name in names for part in _SPLITS[name]]
-        options.setdefault("amplification", "nominal")
-        super().__init__(root, shipped if manifest is None else manifest, **options)
+            split = [part for name in names for part in _SPLITS[name]]
+        manifest = shipped if manifest is None else manifest
+        super().__init__(
+            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
+            exclude_flags=exclude_flags, levels=levels, clip=clip, amplification=amplification,
+            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, crops_per_frame=crops_per_frame,
+            seed=seed,
+        )  # fmt: skip
 
 
 class LRDDataset(PairDataset):
@@ -151,12 +179,25 @@ class LRDDataset(PairDataset):
     60
     """
 
-    @spell_keywords(PairOptions)
     def __init__(
-        self, root: Path | str | None = None, *, manifest: Path | str = "lrd", **options: Unpack[PairOptions]
-    ) -> None:
-        options.setdefault("amplification", "nominal")
-        super().__init__(root, manifest, **options)
+        self,
+        root: Path | str | None = None,
+        *,
+        manifest: Path | str = "lrd",
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "nominal",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
+        super().__init__(
+            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
+            exclude_flags=exclude_flags, levels=levels, clip=clip, amplification=amplification,
+            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, crops_per_frame=crops_per_frame,
+            seed=seed,
+        )  # fmt: skip
 
 
 class LRIDDataset(PairDataset):
@@ -184,13 +225,25 @@ class LRIDDataset(PairDataset):
     9
     """
 
-    @spell_keywords(PairOptions)
     def __init__(
-        self, root: Path | str | None = None, *, manifest: Path | str = "lrid", **options: Unpack[PairOptions]
-    ) -> None:
-        options.setdefault("amplification", "nominal")
-        options.setdefault("clip", "none")
-        super().__init__(root, manifest, **options)
+        self,
+        root: Path | str | None = None,
+        *,
+        manifest: Path | str = "lrid",
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels | None = None, clip: Clip = "none", amplification: Amplification = "nominal",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
+        super().__init__(
+            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
+            exclude_flags=exclude_flags, levels=levels, clip=clip, amplification=amplification,
+            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, crops_per_frame=crops_per_frame,
+            seed=seed,
+        )  # fmt: skip
 
 
 class SIDDDataset(PairDataset):
@@ -219,9 +272,24 @@ class SIDDDataset(PairDataset):
     1280
     """
 
-    @spell_keywords(PairOptions)
     def __init__(
-        self, root: Path | str | None = None, *, manifest: Path | str | None = None, **options: Unpack[PairOptions]
-    ) -> None:
-        shipped = "sidd-blocks" if options.get("subset") in ("validation", "benchmark") else "sidd"
-        super().__init__(root, shipped if manifest is None else manifest, **options)
+        self,
+        root: Path | str | None = None,
+        *,
+        manifest: Path | str | None = None,
+        cameras: Collection[str] | None = None, scenes: Collection[str | int] | None = None,
+        isos: Collection[int] | None = None, ratios: Collection[float | Fraction] | None = None,
+        split: str | Collection[str] | None = None, subset: str | None = None, exclude_flags: Collection[str] = (),
+        levels: FrameLevels | None = None, clip: Clip = "both", amplification: Amplification = "metadata",
+        dark_shading: DarkShading | Path | str | None = None,
+        crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
+        seed: int = 0,
+    ) -> None:  # fmt: skip
+        if manifest is None:
+            manifest = "sidd-blocks" if subset in ("validation", "benchmark") else "sidd"
+        super().__init__(
+            root, manifest, cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,
+            exclude_flags=exclude_flags, levels=levels, clip=clip, amplification=amplification,
+            dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, crops_per_frame=crops_per_frame,
+            seed=seed,
+        )  # fmt: skip

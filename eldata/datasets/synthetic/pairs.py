@@ -6,13 +6,12 @@ et al., TPAMI 2021, section 4.6: parameters are drawn once per clip, noise for e
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING
 
-from eldata.base.arguments import spell_keywords
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import Part
 from eldata.datasets.synthetic.draws import NoiseFacts
-from eldata.datasets.synthetic.noisy_items import NoiseOptions, NoisyItem, NoisyItems
+from eldata.datasets.synthetic.noisy_items import NoisyItem, NoisyItems
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -22,7 +21,11 @@ if TYPE_CHECKING:
     import torch
 
     from eldata.datasets.clean import CleanSource, ClipSource
-    from eldata.datasets.synthetic.draws import Cameras
+    from eldata.datasets.items import Crops
+    from eldata.datasets.synthetic.draws import Cameras, Isos
+    from eldata.noise.makers import NoiseMaker
+    from eldata.noise.profile import RowChoice
+    from eldata.raw.levels import Clip
     from eldata.sources.frames import Frame
 
 
@@ -53,10 +56,29 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         One camera profile or several (one is drawn for each item), by name, path or object.
     crops_per_frame
         Items per clean frame: the length is this times the number of frames.
-    options
-        What noise is made (:class:`~eldata.datasets.synthetic.noisy_items.Noise`): ``model``, ``ratio``, ``iso``,
-        ``row``; and from which crops (:class:`~eldata.datasets.items.Cropping`): ``crop`` (default 512), ``augment``
-        (``True``), ``crops`` (``"random"``), ``seed``.
+    model
+        The noise model: a :class:`~eldata.noise.model.NoiseModel`, by default (``None``) the full one, or a callable of
+        your own (:class:`~eldata.noise.makers.NoiseMaker`). With real dark frames it is
+        ``NoiseModel("P*+D", dark_frames=DarkFrames(...))``: each frame of an ISO is used once before any is used twice.
+        With a dark shading, ``NoiseModel("P*+G*+R+U+S", dark_shading=...)``, clean frames are of its sensor.
+    clip
+        Of the input, as in every dataset of pairs: give those that you test on the same. The target, which stands for
+        light, lies in [0, 1] whatever it is.
+    ratio
+        Low-light factors: (lowest, highest), drawn uniformly, or one fixed number.
+    iso
+        ``None``: K is drawn for each item, as in the paper; with dark frames or a dark shading, their ISOs, drawn
+        alike. One ISO; or several, as a sequence, which are drawn alike, or as a mapping to their weights.
+    range_dn
+        White minus black level of the simulated camera, in DN, which the profile's figures are in. ``None`` is each
+        clean frame's own: right for frames of that camera. Frames of fewer bits are as bright in photons with it, so
+        clean frames of several cameras need it. Dark frames and a dark shading take none.
+    row, extrapolate
+        As in :meth:`eldata.noise.CameraProfile.sample`. By default each of several ISOs has its own row: as it was
+        measured, where the profile has all figures of that ISO, else ``"nearest-gain"``; the repr says which. One ISO,
+        or a drawn gain, has ``"any"``.
+    crop, augment, crops, seed
+        As of :class:`~eldata.datasets.base.PairDataset`.
 
     Raises
     ------
@@ -76,16 +98,21 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
     True
     """
 
-    @spell_keywords(NoiseOptions)
     def __init__(
         self,
         source: CleanSource,
         profiles: Cameras,
         *,
         crops_per_frame: int = 1,
-        **options: Unpack[NoiseOptions],
-    ) -> None:
-        super().__init__(source, "frame", profiles, ("crops_per_frame", crops_per_frame), options)
+        model: NoiseMaker | None = None, clip: Clip = "both", ratio: float | tuple[float, float] = (100.0, 300.0),
+        iso: Isos | None = None, range_dn: float | None = None, row: RowChoice | None = None, extrapolate: bool = False,
+        crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
+    ) -> None:  # fmt: skip
+        super().__init__(
+            source, "frame", profiles, ("crops_per_frame", crops_per_frame), model=model, clip=clip,
+            ratio=ratio, iso=iso, range_dn=range_dn, row=row, extrapolate=extrapolate, crop=crop, augment=augment,
+            crops=crops, seed=seed,
+        )  # fmt: skip
         self.source = source
         self.crops_per_frame = crops_per_frame
 
@@ -146,7 +173,6 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
     torch.Size([5, 4, 64, 64])
     """
 
-    @spell_keywords(NoiseOptions)
     def __init__(
         self,
         source: ClipSource,
@@ -154,11 +180,17 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
         *,
         frames: int = 5,
         windows_per_clip: int = 1,
-        **options: Unpack[NoiseOptions],
-    ) -> None:
+        model: NoiseMaker | None = None, clip: Clip = "both", ratio: float | tuple[float, float] = (100.0, 300.0),
+        iso: Isos | None = None, range_dn: float | None = None, row: RowChoice | None = None, extrapolate: bool = False,
+        crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
+    ) -> None:  # fmt: skip
         if frames < 1 or windows_per_clip < 1:
             raise ArgumentError(f"frames and windows_per_clip must be 1 or more; found {frames}, {windows_per_clip}")
-        super().__init__(source, "clip", profiles, ("windows_per_clip", windows_per_clip), options, frames)
+        super().__init__(
+            source, "clip", profiles, ("windows_per_clip", windows_per_clip), frames, model=model, clip=clip,
+            ratio=ratio, iso=iso, range_dn=range_dn, row=row, extrapolate=extrapolate, crop=crop, augment=augment,
+            crops=crops, seed=seed,
+        )  # fmt: skip
         self.source = source
         self.frames = frames
         self.windows_per_clip = windows_per_clip

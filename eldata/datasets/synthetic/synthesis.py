@@ -2,7 +2,7 @@
 
 ``OUT/data/<name>/<camera>/scene-<n>/clean.dng`` and ``noisy-<k>.dng`` (or ``.npy``), ``OUT/manifests/<name>.csv`` with
 its card, and ``OUT/parameters.json`` with all that the noise was made with. ``<name>`` is OUT's own name. Until all is
-written, ``OUT/.begun.jsonl`` says that the run is unfinished. Of clips the m-th frame of the n-th is the scene
+written, ``OUT/.begun.json`` says what was begun. Of clips the m-th frame of the n-th is the scene
 ``clip-<n>-moment-<m>``, so that the rows are sequences (:mod:`eldata.manifest.clips`), each frame with a reference.
 """
 
@@ -20,14 +20,14 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from eldata import __version__
-from eldata.base.files import atomic_write, json_text, remove_leftovers, sha256_of, write_json
+from eldata.base.fields import TextFile
+from eldata.base.files import atomic_write, check_same_work, json_text, remove_leftovers, write_json
 from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import CleanScene, clean_scenes
 from eldata.datasets.crops import Crop
 from eldata.datasets.synthetic.dark_frames import DarkFrames
 from eldata.datasets.synthetic.draws import Turns, draw_splits
-from eldata.datasets.synthetic.journal import CleanFacts, WrittenScene, opened_journal
 from eldata.datasets.synthetic.noisy_items import from_sensor
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
@@ -44,7 +44,7 @@ from eldata.records import Exposure, FrameRecord, RawFrame, exact_fraction
 from eldata.sources.frames import Frame
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from eldata.manifest.catalogue import Manifest
     from eldata.noise.parameters import NoiseParameters
@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 
 Format = Literal["dng", "npy"]
 _NOISE = 6  # a purpose of random numbers
+_BEGUN = ".begun.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,8 +156,8 @@ class Recipe:
 def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, workers: AnyWorkers = 1) -> Manifest:
     """Write a noisy tree for clean files; return its manifest.
 
-    Whatever ends the work (an error, a full disk, Ctrl-C, kill -9) leaves whole files, and the same call goes on:
-    scenes whose files still have the hashes that they were written with are kept. The manifest comes last.
+    Whatever ends the work (an error, a full disk, Ctrl-C, kill -9) leaves whole files, and the same call goes on: files
+    that are there are kept. The manifest comes last.
 
     Parameters
     ----------
@@ -192,28 +193,39 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
     if out.exists() and not out.is_dir():
         raise DatasetError(f"{out}: is not a folder; give a new one")
     begun = _begun(recipe, sources, dark)
-    with opened_journal(out, begun) as journal:
-        try:
-            for folder in (out / "manifests", data):
-                folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise EldataError(f"cannot make {error.filename}: {error.strerror}") from error
-        scenes: list[WrittenScene] = []
-        work = partial(_synthesize_file, Path.cwd(), data.absolute(), recipe, _digest(begun))
-        units = [(source, journal.written.get(source.number)) for source in sources]
-        for source, scene in zip(sources, workers.run(work, units, label="synthesizing"), strict=True):
-            first = scenes[source.first].clean if source.first < len(scenes) else scene.clean
-            for field in fields(CleanFacts):
-                if (found := getattr(scene.clean, field.name)) != (wanted := getattr(first, field.name)):
-                    raise DatasetError(
-                        f"{source.path}: {field.name} {found}, but {sources[source.first].path} has {wanted}; is it of "
-                        "that clip?"
-                    )
-            journal.add(scene)
-            scenes.append(scene)
-        manifest = _write_tables(out, name, recipe, sources, splits, scenes, dark)
-        journal.finish()
+    try:
+        _begin(out, begun)
+        for folder in (out / "manifests", data):
+            folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise EldataError(f"cannot make {error.filename}: {error.strerror}") from error
+    clean_facts: list[_CleanFacts] = []
+    work = partial(_synthesize_file, Path.cwd(), data.absolute(), recipe, _digest(begun))
+    for source, facts in zip(sources, workers.run(work, sources, label="synthesizing"), strict=True):
+        first = clean_facts[source.first] if source.first < len(clean_facts) else facts
+        for field in fields(_CleanFacts):
+            if (found := getattr(facts, field.name)) != (wanted := getattr(first, field.name)):
+                raise DatasetError(
+                    f"{source.path}: {field.name} {found}, but {sources[source.first].path} has {wanted}; is it of "
+                    "that clip?"
+                )
+        clean_facts.append(facts)
+    manifest = _write_tables(out, name, recipe, sources, splits, clean_facts, dark)
+    (out / _BEGUN).unlink(missing_ok=True)  # another process may have done the same
     return manifest
+
+
+def _begin(out: Path, begun: Mapping[str, object]) -> None:
+    """Begin work in a new or empty folder, or go on with the same work in it."""
+    out.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(out)
+    path = out / _BEGUN
+    if path.exists():
+        check_same_work(out, TextFile(path, EldataError, f"remove {out} to start again").json().data, begun)
+    elif any(out.iterdir()):
+        raise DatasetError(f"{out}: holds something already; give a new folder")
+    else:
+        write_json(path, begun)
 
 
 def _begun(recipe: Recipe, sources: Sequence[CleanScene], dark: DarkFrames | None) -> dict[str, object]:
@@ -262,15 +274,14 @@ def _write_tables(
     recipe: Recipe,
     sources: Sequence[CleanScene],
     splits: Sequence[str],
-    scenes: Sequence[WrittenScene],
+    clean_facts: Sequence[_CleanFacts],
     dark: DarkFrames | None,
 ) -> Manifest:
     """Write the parameters, the card and the manifest, which comes last."""
     records: list[FrameRecord] = []
     drawn: list[dict[str, Any]] = []
-    for source, scene in zip(sources, scenes, strict=True):
+    for source, clean in zip(sources, clean_facts, strict=True):
         base = f"{recipe.profile.camera}/{source.scene}"
-        clean = scene.clean
         record = partial(
             FrameRecord, camera=recipe.profile.camera, scene=source.scene, split=splits[source.drawn_for],
             width=clean.width, height=clean.height,
@@ -284,7 +295,7 @@ def _write_tables(
             parameters = draw.parameters.as_dict()
             drawn.append({"path": of_copy.path, "clean": str(source.path), "ratio": float(draw.ratio)} | parameters)
             if dark is not None:
-                drawn[-1]["dark_frame"] = dark.names(dark.isos[0])[_member(recipe, dark, scene.index, copy)]
+                drawn[-1]["dark_frame"] = dark.names(dark.isos[0])[_member(recipe, dark, source.number, copy)]
     roles = [record.role for record in records]
     shading = None if recipe.dark_shading is None else dark_shading_in(recipe.dark_shading)
     origins = [f"noise model {recipe.spec}, profile {recipe.profile.camera}: {recipe.profile.source}"]
@@ -299,8 +310,8 @@ def _write_tables(
         citation="none: made by eldata synthesize",
         licence="that of the clean frames",
         homepage="made by eldata synthesize",
-        cfa=cfa_word(scene.clean.cfa for scene in scenes),
-        cameras={recipe.profile.camera: CameraCard(tuple(sorted({scene.clean.model for scene in scenes} - {""})))},
+        cfa=cfa_word(clean.cfa for clean in clean_facts),
+        cameras={recipe.profile.camera: CameraCard(tuple(sorted({clean.model for clean in clean_facts} - {""})))},
         counts={role: roles.count(role) for role in sorted(set(roles))},
         protocol="sequences" if recipe.clips else OWN_PROTOCOL,
         sources=tuple(origins),
@@ -320,6 +331,18 @@ def _write_tables(
 
 
 @dataclass(frozen=True, slots=True)
+class _CleanFacts:
+    """What a scene's rows and parameters need to know of its clean frame."""
+
+    iso: Fraction
+    exposure_s: Fraction
+    width: int
+    height: int
+    model: str
+    cfa: str
+
+
+@dataclass(frozen=True, slots=True)
 class _Draw:
     """One noisy copy: what is drawn for it, from (seed, place of the file or clip, number of the copy) alone."""
 
@@ -331,7 +354,7 @@ class _Draw:
     generator: np.random.Generator
 
     @classmethod
-    def of(cls, recipe: Recipe, clean: CleanFacts, source: CleanScene, copy: int) -> _Draw:
+    def of(cls, recipe: Recipe, clean: _CleanFacts, source: CleanScene, copy: int) -> _Draw:
         """Draw it; the generator goes on to the noise, of clips another one for each frame."""
         generator = item_generator(recipe.seed, source.drawn_for, copy)
         parameters = recipe.profile.sample(generator, iso=recipe.iso, row=recipe.row, extrapolate=recipe.extrapolate)
@@ -349,14 +372,9 @@ class _Draw:
         return cls(f"noisy-{copy + 1}.{recipe.format}", parameters, ratio, iso, exposure_s, generator)
 
 
-def _synthesize_file(
-    start: Path, folder: Path, recipe: Recipe, begun: str, unit: tuple[CleanScene, WrittenScene | None]
-) -> WrittenScene:
-    source, before = unit
-    index, path = source.number, source.path
-    place = folder / recipe.profile.camera / source.scene
-    if before is not None and all(_has(place / name, sha256) for name, sha256 in before.sha256.items()):
-        return before
+def _synthesize_file(start: Path, folder: Path, recipe: Recipe, begun: str, source: CleanScene) -> _CleanFacts:
+    """Write the files of a scene that are not there yet; each has its name once it is whole."""
+    path, place = source.path, folder / recipe.profile.camera / source.scene
     require_files(start / path)
     raw = read_raw(source.below(start))
     raw.whole_dn("synthesis")
@@ -367,12 +385,16 @@ def _synthesize_file(
             path, f"states no {'ISO' if iso is None else 'exposure time'}, which the noisy frame's follows"
         )
     sensor = frame.sensor
-    facts = CleanFacts(iso, exposure_s, sensor.width, sensor.height, sensor.model, packing_sites(sensor.cfa).name)
+    facts = _CleanFacts(iso, exposure_s, sensor.width, sensor.height, sensor.model, packing_sites(sensor.cfa).name)
     place.mkdir(parents=True, exist_ok=True)
     remove_leftovers(place)
-    names = ["clean.dng"]
-    with _naming(path):
-        write_dng(place / "clean.dng", frame.mosaic, sensor, frame.exposure, compression="lossless-jpeg")
+    draws = enumerate(_Draw.of(recipe, facts, source, copy) for copy in range(recipe.per_image))
+    waiting = [(copy, draw) for copy, draw in draws if not (place / draw.name).exists()]
+    if not (place / "clean.dng").exists():
+        with _naming(path):
+            write_dng(place / "clean.dng", frame.mosaic, sensor, frame.exposure, compression="lossless-jpeg")
+    if not waiting:
+        return facts
     clean = pack_normalised(frame.mosaic, sensor.cfa, sensor.black_level_dn, sensor.white_level_dn)
     black = packed_black_level_dn(sensor.cfa, sensor.black_level_dn).astype(np.float64)[:, None, None]
     range_dn = sensor.white_level_dn - float(black.mean())
@@ -382,15 +404,13 @@ def _synthesize_file(
     model = recipe.model(dark)
     whole = Frame.of_raw(raw.mosaic, raw.sensor, str(path), raw.exposure)
     area = Crop.region(whole, (0, 0, *packed_shape(whole.shape, whole.cfa)[1:]))
-    for copy in range(recipe.per_image):
-        draw = _Draw.of(recipe, facts, source, copy)
+    for copy, draw in waiting:
         ratio = float(draw.ratio)
-        members = [] if dark is None else [_member(recipe, dark, index, copy)]
+        members = [] if dark is None else [_member(recipe, dark, source.number, copy)]
         of_sensor = from_sensor(model, whole, area, recipe.iso, members, float(draw.exposure_s), draw.generator)
         noisy = model(
             clean, parameters=draw.parameters, ratio=ratio, range_dn=range_dn, generator=draw.generator, **of_sensor
         )
-        names.append(draw.name)
         if recipe.format == "dng":
             dn = draw.parameters.rounded(noisy.astype(np.float64) * (range_dn / ratio) + black)
             mosaic = unpack(np.clip(dn, 0, sensor.white_level_dn).astype(np.uint16), sensor.cfa)
@@ -400,12 +420,7 @@ def _synthesize_file(
         else:
             with atomic_write(place / draw.name) as file:
                 np.save(file, noisy, allow_pickle=False)
-    return WrittenScene(index, facts, {name: sha256_of(place / name) for name in names})
-
-
-def _has(path: Path, sha256: str) -> bool:
-    """Return whether a file is there with this content."""
-    return path.is_file() and sha256_of(path) == sha256
+    return facts
 
 
 @contextmanager

@@ -16,7 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata import __version__
-from eldata.base.files import check_same_work, inside
+from eldata.base.files import atomic_write, inside
 from eldata.base.pixels import read_rgb16
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import EldataError
@@ -31,15 +31,13 @@ from eldata.sources.store.format import (
     StoreError,
     facts_line,
     frame_key,
-    frames_in,
     layout,
     rgb_sensor,
 )
-from eldata.sources.store.journal import journaled, remove_stale_journal
-from eldata.sources.store.read import PixelReader, open_store, opened, texts_of
+from eldata.sources.store.read import PixelReader, open_store, opened
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -47,23 +45,20 @@ if TYPE_CHECKING:
     from eldata.manifest.verify_report import Level
     from eldata.records import Role
     from eldata.sources.store.format import Compression, Store
-    from eldata.sources.store.journal import JournaledFile
     from eldata.sources.store.sources import Source
 
 
 # HDF5's earliest format: later ones mark a file as open, and refuse it after a kill. Pixels begin where a mapping's
 # numbers do.
 _OPTIONS: dict[str, Any] = {"libver": "earliest", "alignment_threshold": 4096, "alignment_interval": 64}
-_FACTS_CHUNK = 1 << 14  # of which the journal keeps the last one, frame by frame
 
 
 @dataclass(frozen=True, slots=True)
 class BuildReport:
-    """What was packed: ``frames`` in all, ``resumed`` of them before; bytes of the pixels and of the store."""
+    """What was packed: how many ``frames``; bytes of the pixels and of the store."""
 
     path: Path
     frames: int
-    resumed: int
     pixel_bytes: int
     store_bytes: int
 
@@ -75,10 +70,7 @@ def build_store(
     compression: Compression = "none",
     workers: AnyWorkers = 1,
 ) -> BuildReport:
-    """Pack a source into an HDF5 store.
-
-    The store grows as ``<path>.part``, frame by frame; whatever ends the work (an error, a full disk, Ctrl-C, kill -9)
-    leaves the finished frames there, and the same call goes on. At the end it is renamed.
+    """Pack a source into an HDF5 store, which is there whole or not at all.
 
     Parameters
     ----------
@@ -100,132 +92,57 @@ def build_store(
     FileError
         If a file cannot be decoded.
     EldataError
-        If the store is there already, another process writes it, its part was begun otherwise, or the disk is full.
+        If the store is there already, or cannot be written, such as on a full disk.
     """
     path = Path(path)
     workers = Workers.of(workers)
     layout((), compression)  # refuses what is not there
-    part = path.with_name(f"{path.name}.part")
     if path.exists():
-        remove_stale_journal(part)
         raise EldataError(f"{path}: is there already; remove it, or name another file")
-    with journaled(part) as file:
+    decoded = workers.read_ahead(partial(_decoded, source.frame_files.absolute()), [*enumerate(source.files)])
+    bar = tqdm(decoded, total=len(source.files), desc="packing", unit="file", disable=None, leave=False)
+    with closing(decoded), bar, atomic_write(path) as new, Path(new.name).open("r+b") as file:  # type: ignore[type-var]
+        store = h5py.File(file, "w", **_OPTIONS)  # by a file of Python's, which says in plain words what a disk has
         try:
-            resumed, pixel_bytes = _fill(file, source, compression, workers)
-            file.finish(path)
-        except OSError as error:
-            if error.filename not in (None, str(part)):
-                raise  # of a file that is packed
-            raise EldataError(
-                f"cannot write {part}: {error.strerror or error}; what is finished is kept there: make room and the "
-                "same command goes on"
-            ) from error
-    return BuildReport(path, len(source.files), resumed, pixel_bytes, path.stat().st_size)
-
-
-def _fill(
-    file: JournaledFile,
-    source: Source,
-    compression: Compression,
-    workers: Workers,
-) -> tuple[int, int]:
-    """Bring the part to its end; return how many frames were there before, and the bytes of all pixels."""
-    is_new, header = file.is_new, _header(source, compression)
-    store: h5py.File | None = None
-    try:
-        store = h5py.File(file.path, "w" if is_new else "r+", driver="fileobj", fileobj=file, **_OPTIONS)
-        if is_new:
-            _begin(store, source, header)
-            _commit(store, file)
-        else:
-            same = ("format", "version", "files_digest", "compression")
-            check_same_work(file.path, texts_of(store.attrs), {name: header[name] for name in same})
-        facts = FactsWriter(store)
-        resumed = facts.count
-        waiting = enumerate(source.files[resumed:], resumed)  # frames are written in order
-        decoded = workers.read_ahead(partial(_decoded, source.frame_files.absolute()), [*waiting])
-        bar = tqdm(total=len(source.files), initial=resumed, desc="packing", unit="file", disable=None, leave=False)
-        with bar, closing(decoded):  # type: ignore[type-var] # a generator, declared as an iterator
-            for pixels, frame in decoded:
-                write_frame(store, pixels, frame, facts, compression)
-                _commit(store, file)
-                bar.update()
-        pixel_bytes = sum(frame.size * frame.dtype.itemsize for frame in store["frames"].values())
-        finish(store)
-        _commit(store, file)
-        store.close()
-    except BaseException as error:
-        # What HDF5 makes of an error in our file is another error, or none; ours is the cause.
-        cause = file.failure
-        file.failure = cause or error  # from here on nothing is written
-        if store is not None:
+            pixel_bytes = write_frames(store, source, compression, bar)
+        except BaseException:
             with suppress(OSError, RuntimeError, ValueError):  # its last tables are not to be written any more
                 store.close()
-        if cause is not None and cause is not error:
-            raise cause from None
-        raise
-    return resumed, pixel_bytes
+            raise
+        store.close()
+    return BuildReport(path, len(source.files), pixel_bytes, path.stat().st_size)
 
 
-class FactsWriter:
-    """Appends what a store states of its frames beside their pixels; ``count`` frames are there."""
-
-    def __init__(self, store: h5py.File) -> None:
-        self._facts = store["facts"]
-        self._known: dict[str, int] = {}
-        frames = frames_in(self._facts[:].tobytes())
-        for frame in frames:
-            facts_line(frame, self._known)
-        self.count = len(frames)
-
-    def add(self, frame: StoredFrame) -> None:
-        """Append a line."""
-        line, end = np.frombuffer(facts_line(frame, self._known), np.uint8), len(self._facts)
-        self._facts.resize((end + len(line),))
-        self._facts[end:] = line
-        self.count += 1
-
-
-def write_frame(
-    store: h5py.File, pixels: NDArray[np.uint16], frame: StoredFrame, facts: FactsWriter, compression: Compression
-) -> None:
-    """Write the next frame."""
-    store["frames"].create_dataset(frame.key, data=pixels, **layout(pixels.shape, compression))
-    facts.add(frame)
-
-
-def finish(store: h5py.File) -> None:
-    """Write that a store is complete."""
-    store.attrs["facts_crc32"] = zlib.crc32(store["facts"][:].tobytes())
-    store.attrs["complete"] = True
-
-
-def _header(source: Source, compression: Compression) -> dict[str, Any]:
-    """Return the attributes of a store that is not complete yet."""
-    return {
+def write_frames(
+    store: h5py.File,
+    source: Source,
+    compression: Compression,
+    frames: Iterable[tuple[NDArray[np.uint16], StoredFrame]],
+) -> int:
+    """Fill a new store with decoded frames, in the order of the source's files; return the bytes of their pixels."""
+    known: dict[str, int] = {}
+    lines, pixel_bytes = [], 0
+    store.create_group("frames")
+    for pixels, frame in frames:
+        store["frames"].create_dataset(frame.key, data=pixels, **layout(pixels.shape, compression))
+        lines.append(facts_line(frame, known))
+        pixel_bytes += pixels.nbytes
+    facts = b"".join(lines)
+    store.create_dataset("facts", data=np.frombuffer(facts, np.uint8))
+    if source.listing is not None:
+        for name, content in zip(("csv", "json"), source.listing, strict=True):
+            store.create_dataset(f"manifest/{name}", data=np.frombuffer(content, np.uint8))
+    header = {
         "format": FORMAT,
         "version": VERSION,
         "written_by": f"eldata {__version__}",
         "dataset": source.dataset,
         "compression": compression,
-        "files_digest": source.digest,
         "files": len(source.files),
-        "complete": False,
+        "facts_crc32": zlib.crc32(facts),
     }
-
-
-def _begin(store: h5py.File, source: Source, header: Mapping[str, Any]) -> None:
     store.attrs.update({name: np.bytes_(value) if isinstance(value, str) else value for name, value in header.items()})
-    store.create_group("frames")
-    store.create_dataset("facts", (0,), np.uint8, maxshape=(None,), chunks=(_FACTS_CHUNK,))
-    if source.listing is not None:
-        for name, content in zip(("csv", "json"), source.listing, strict=True):
-            store.create_dataset(f"manifest/{name}", data=np.frombuffer(content, np.uint8))
-
-
-def _commit(store: h5py.File, file: JournaledFile) -> None:
-    store.flush()
-    file.commit()
+    return pixel_bytes
 
 
 def _decoded(files: FrameFiles, unit: tuple[int, tuple[str, Role]]) -> tuple[NDArray[np.uint16], StoredFrame]:
@@ -263,7 +180,7 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     path
         The store.
     level
-        ``"quick"`` and ``"metadata"``: it opens, is complete, holds as many frames as were packed, each of its stated
+        ``"quick"`` and ``"metadata"``: it opens, holds as many frames as were packed, each of its stated
         size, and both frames of each pair are there. ``"full"``: also the
         checksum of each frame's pixels.
     workers
@@ -272,7 +189,7 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     Raises
     ------
     StoreError
-        If it is not a store, truncated, not complete, or of another version.
+        If it is not a store, truncated, or of another version.
     ArgumentError
         If it is compressed and hdf5plugin is not installed.
     """

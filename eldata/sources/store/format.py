@@ -2,8 +2,7 @@
 
 ::
 
-    /                   attributes format, version, written_by, dataset, compression, files_digest, files, complete,
-                        facts_crc32
+    /                   attributes format, version, written_by, dataset, compression, files, facts_crc32
     /manifest/csv       the manifest's bytes, uint8; its digest is that of the file (not in a store of clean frames)
     /manifest/json      the dataset card's bytes, uint8
     /facts              a line of JSON a frame, in their order, uint8 (:func:`facts_line`)
@@ -232,7 +231,7 @@ def frames_in(facts: bytes) -> list[StoredFrame]:
     return from_columns(StoredFrame, columns | {"file": from_columns(PackedFile, dict(files))})
 
 
-# --- what raw files state, as JSON in stores and shards: written in one way, and checked as it is read ----------------
+# --- what raw files state, as JSON in stores: written in one way, and checked as it is read ----------------
 
 # A sensor is written with levels, white balance and matrix as floats; beside it, where there is any, what such a record
 # has no room for.

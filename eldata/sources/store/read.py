@@ -20,7 +20,7 @@ from eldata.base.files import file_problem
 from eldata.base.memory import no_search_for_cycles, scratch
 from eldata.errors import DatasetError, EldataError
 from eldata.manifest.catalogue import load_manifest
-from eldata.manifest.pairs import select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.protocols.named import default_protocol
 from eldata.records import FrameRecord, Records
 from eldata.sources.frames import Frame, Pixels, part_shape
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.manifest.catalogue import Manifest
-    from eldata.manifest.pairs import Choice
     from eldata.raw.levels import FrameLevels
     from eldata.records import PairRecord
 
@@ -59,7 +58,7 @@ def open_store(path: Path | str) -> Store:
     Raises
     ------
     StoreError
-        If the file is missing, truncated, damaged, not a store, not complete, or of another version.
+        If the file is missing, truncated, damaged, not a store, or of another version.
     ArgumentError
         If it is compressed and hdf5plugin is not installed.
     """
@@ -126,8 +125,6 @@ def _check_header(path: Path, header: Mapping[str, Any]) -> None:
             f"is a store of version {version}, written by {header.get('written_by')}; this eldata reads version "
             f"{VERSION}: {advice}",
         )
-    if not header.get("complete"):
-        raise StoreError(path, "is not complete; the eldata pack command that began it goes on with it")
     compression = next((name for name in COMPRESSIONS if name == header.get("compression")), None)
     if compression is None:
         raise StoreError(path, f"has the unknown compression {header.get('compression')!r}; is it damaged?")
@@ -264,7 +261,7 @@ class StoreFrames:
     Raises
     ------
     StoreError
-        If the file is not a store, truncated, not complete, or of another version.
+        If the file is not a store, truncated, or of another version.
     """
 
     reads_parts = True
@@ -325,18 +322,16 @@ class StoreFrames:
         manifest = self.store.manifest
         if manifest is None:
             raise DatasetError(f"{self.path}: holds clean frames, not pairs; read it with CleanFrames")
-        subset = choice.get("subset")
-        if subset is not None:  # counted on the whole manifest: a store of a part may lack some
-            wanted = {pair.path for pair in select_pairs(manifest.records, manifest.card.subsets, subset=subset)}
+        if choice.subset is not None:  # counted on the whole manifest: a store of a part may lack some
+            every = Choice(subset=choice.subset).pairs(manifest.records, manifest.card.subsets)
+            wanted = {pair.path for pair in every}
             lacking = sorted(wanted - set(self._held))
             if lacking:
                 raise DatasetError(
-                    f"{self.path}: lacks {len(lacking)} of the {len(wanted)} pairs of the subset {subset!r}, such as "
-                    f"{lacking[0]}; pack the whole dataset, or that subset"
+                    f"{self.path}: lacks {len(lacking)} of the {len(wanted)} pairs of the subset {choice.subset!r}, "
+                    f"such as {lacking[0]}; pack the whole dataset, or that subset"
                 )
             held = [record for record in self.records if record.role != "noisy" or record.path in wanted]
         else:
             held = list(self.records)
-        rest = choice.copy()
-        rest["subset"] = None  # it is chosen
-        return select_pairs(held, (), **rest)
+        return replace(choice, subset=None).pairs(held)  # it is chosen

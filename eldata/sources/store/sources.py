@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Unpack
+from typing import TYPE_CHECKING, NamedTuple
 
-from eldata.base.arguments import keywords, spell_keywords
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import card_text
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest
 from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.drv import scan_raw
-from eldata.manifest.pairs import Choice, select_pairs
+from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand, is_pattern, is_png
 from eldata.manifest.table import table_text
 from eldata.raw.files import raws_below
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
+    from fractions import Fraction
 
     from eldata.manifest.card import Card
     from eldata.records import FrameRecord, Role
@@ -80,23 +79,20 @@ class Source:
             return FrameFiles(self.folder)
         return FrameFiles.of(self.folder, self.manifest.card, self.manifest.records)
 
-    @property
-    def digest(self) -> str:
-        """``sha256:<hex>`` of manifest and file list: a part made from others is not resumed."""
-        lines = [self.dataset, "" if self.manifest is None else self.manifest.digest]
-        lines += [f"{role} {path}" for path, role in self.files]
-        text = "\n".join(lines)
-        return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
-
-@spell_keywords(Choice)
 def source_of_dataset(
     name: str,
     *,
     root: Path | str | None = None,
     manifest: Path | str | None = None,
     ids: Collection[str] | None = None,
-    **choice: Unpack[Choice],
+    cameras: Collection[str] | None = None,
+    scenes: Collection[str | int] | None = None,
+    isos: Collection[int] | None = None,
+    ratios: Collection[float | Fraction] | None = None,
+    split: str | Collection[str] | None = None,
+    subset: str | None = None,
+    exclude_flags: Collection[str] = (),
 ) -> Source:
     """Return the files of a dataset's pairs or clips: references first come, each once, then their noisy frames.
 
@@ -110,8 +106,8 @@ def source_of_dataset(
         A manifest's CSV file in place of the shipped one.
     ids
         Which clips, such as ``["0007", "M0003"]``: their scenes.
-    choice
-        Which pairs or clips.
+    cameras, scenes, isos, ratios, split, subset, exclude_flags
+        Which pairs or clips: see :class:`~eldata.manifest.pairs.Choice`.
 
     Raises
     ------
@@ -123,20 +119,20 @@ def source_of_dataset(
         If the folder or files of a clip are not there, a clip's frames do not follow one numbering, or the pairs are
         not raw files.
     """
-    (chosen,) = keywords("source_of_dataset", choice, Choice)
+    choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
     if name == _RAW_CLIPS and manifest is None:
         folder = _folder(known_manifest("drv"), root)
         scan = scan_raw(folder)
-        return _source_of_clips(scan.card, scan.records, folder, chosen, ids)
+        return _source_of_clips(scan.card, scan.records, folder, choice, ids)
     loaded = known_manifest(name) if manifest is None else load_manifest(manifest)
     if loaded.name != name:
         raise ArgumentError(f"{manifest}: is the manifest of {loaded.name!r}, not of {name!r}")
     if _holds_clips(loaded.records):
         folder = _folder(loaded, root)
-        return _source_of_clips(loaded.card, loaded.records, folder, chosen, ids)
+        return _source_of_clips(loaded.card, loaded.records, folder, choice, ids)
     if ids is not None:
         raise ArgumentError(f"{name}: holds pairs, not clips; choose them by cameras, splits or a subset")
-    pairs = select_pairs(loaded.records, loaded.card.subsets, **chosen)
+    pairs = choice.pairs(loaded.records, loaded.card.subsets)
     files: dict[str, Role] = {}
     for pair in pairs:
         files.setdefault(pair.reference, "reference")
@@ -177,7 +173,7 @@ def _source_of_clips(
     choice: Choice,
     ids: Collection[str] | None,
 ) -> Source:
-    rows = expand(choose_clips(records, card.subsets, ids=ids, **choice), folder)
+    rows = expand(choose_clips(records, card.subsets, choice, ids=ids), folder)
     files: dict[str, Role] = {}
     for clip in clips_of(rows):
         if clip.reference is not None:

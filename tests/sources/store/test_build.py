@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
-import signal
 import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
@@ -16,14 +15,12 @@ import pytest
 
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError, RawFileError
 from eldata.raw import read_raw
-from eldata.sources.store import build_store, journal, open_store, source_of_dataset, source_of_folder
-from eldata.sources.store.journal import journaled
+from eldata.sources.store import build_store, open_store, source_of_dataset, source_of_folder
 from tests.sources.store.helpers import Packed, contents, pack_folder, pack_tree, start_packing, write_clean
 from tests.syncing import OnDisk
 from tests.trees import Tree, tree_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from eldata.sources.store import Source
@@ -120,7 +117,7 @@ def test_what_cannot_be_packed(tree: Tree, tmp_path: Path) -> None:
         build_store(source_of_folder(tree.data), tmp_path / "x.h5", compression="gzip")  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="workers must be 1 or more"):
         build_store(source_of_folder(tree.data), tmp_path / "x.h5", workers=0)
-    with pytest.raises(EldataError, match=r"cannot write .*nowhere/x.h5.part: No such file"):
+    with pytest.raises(EldataError, match=r"cannot write .*nowhere/x.h5: No such file"):
         build_store(source_of_folder(tree.data), tmp_path / "nowhere" / "x.h5")
     assert not any(tmp_path.iterdir())
 
@@ -143,71 +140,9 @@ def test_without_hdf5plugin_an_uncompressed_store_works(
 # --- the end of the process ---------------------------------------------------------------------------------------
 
 
-def in_child(work: Callable[[], object]) -> int:
-    """Run in a forked process; return its exit code, negative if a signal ended it."""
-    child = os.fork()
-    if child == 0:
-        try:
-            work()
-        except BaseException:  # noqa: BLE001 # or pytest would go on in the child
-            os._exit(1)
-        os._exit(0)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-
-
-def at_write(number: int, then: Callable[[int, memoryview, int], None]) -> Callable[[int, memoryview, int], None]:
-    """Return a write that does something else the n-th time."""
-    whole, count = journal._write_all, 0
-
-    def write(descriptor: int, data: memoryview, offset: int) -> None:
-        nonlocal count
-        count += 1
-        if count == number:
-            then(descriptor, data, offset)
-        whole(descriptor, data, offset)
-
-    return write
-
-
-def kill(descriptor: int, data: memoryview, offset: int) -> None:
-    """Die as by kill -9, half of the write done."""
-    os.pwrite(descriptor, data[: len(data) // 2], offset)
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-@pytest.mark.kill
-def test_killed_at_every_write_and_resumed(clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each write of a packing, in turn, is the last one of a process, half done; the next process is killed too."""
-    wanted = contents(clean.store)
-    whole = journal._write_all
-    store, part = tmp_path / "store.h5", tmp_path / "store.h5.part"
-    number, kills, half_way = 0, 0, 0
-    while True:
-        number += 1
-        monkeypatch.setattr(journal, "_write_all", at_write(number, kill))
-        first = in_child(lambda: build_store(clean.source, store))
-        if first == 0:  # fewer writes than that
-            break
-        assert first == -signal.SIGKILL
-        assert not store.exists()
-        kills += 1
-        # Die again, soon after: undoing included.
-        monkeypatch.setattr(journal, "_write_all", at_write(1 + number % 5, kill))
-        kills += in_child(lambda: build_store(clean.source, store)) == -signal.SIGKILL
-        monkeypatch.setattr(journal, "_write_all", whole)
-        if not store.exists():
-            half_way += build_store(clean.source, store).resumed in (1, 2, 3)
-        assert contents(store) == wanted
-        assert not part.exists()
-        store.unlink()
-    assert kills > 60
-    assert half_way > 20
-    assert contents(store) == wanted
-
-
 @pytest.mark.kill
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_the_command_is_killed_and_resumed(jobs: int, tree: Tree, tmp_path: Path) -> None:
+def test_a_killed_command_leaves_no_half_store_and_starts_anew(jobs: int, tree: Tree, tmp_path: Path) -> None:
     """Processes of their own, each killed while it decodes a file further on than the one before."""
     source = pack_tree(tree, tmp_path / "whole.h5", compression="lz4").source
     store = tmp_path / "store.h5"
@@ -218,35 +153,41 @@ def test_the_command_is_killed_and_resumed(jobs: int, tree: Tree, tmp_path: Path
         process.kill()
         process.communicate()
         assert not store.exists()
+        assert (tmp_path / ".store.h5.eldata.part").exists()
     done = subprocess.run([sys.executable, "-m", "eldata.cli.main", *command], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
-    if jobs == 1:  # with more, those that were decoded ahead may not have been written
-        assert "32 frames packed (31 of them before)" in done.stdout
+    assert "32 frames packed: " in done.stdout
     assert contents(store) == contents(tmp_path / "whole.h5")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["stopped", "store.h5", "whole.h5"]
 
 
-def failing(error: BaseException) -> Callable[[int, memoryview, int], None]:
-    def fail(descriptor: int, data: memoryview, offset: int) -> None:
-        raise error
+@pytest.mark.kill
+@pytest.mark.parametrize("kilobytes", [0, 1, 90, 200, 300, 400])
+def test_a_full_disk_is_one_line_and_leaves_nothing(kilobytes: int, clean: Packed, tmp_path: Path) -> None:
+    """Files that cannot grow beyond so many kilobytes stand for it; the whole store takes more."""
+    assert clean.store.stat().st_size > 1000 * kilobytes
+    code = (
+        "import resource, signal, sys; from eldata.cli.main import main; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, (1000 * {kilobytes},) * 2); sys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", code, "pack", str(clean.source.folder), "-o", str(tmp_path / "store.h5")]
+    done = subprocess.run([*command, "--jobs", "1"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"eldata pack: cannot write {tmp_path / 'store.h5'}: File too large\n"
+    assert list(tmp_path.iterdir()) == []
 
-    return fail
 
+def test_ctrl_c_leaves_nothing(clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
 
-@pytest.mark.parametrize("number", [1, 2, 5, 9, 14, 25, 33, 40])
-@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), KeyboardInterrupt()], ids=repr)
-def test_a_full_disk_or_ctrl_c_keeps_the_finished_part(
-    error: BaseException, number: int, clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store, part = tmp_path / "store.h5", tmp_path / "store.h5.part"
     with monkeypatch.context() as patch:
-        patch.setattr(journal, "_write_all", at_write(number, failing(error)))
-        with pytest.raises((EldataError, KeyboardInterrupt), match=r"cannot write .*store.h5.part: No space|^$"):
-            build_store(clean.source, store, workers=2)
-    assert not store.exists()
-    assert part.exists()
-    build_store(clean.source, store)
-    assert contents(store) == contents(clean.store)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["store.h5"]
+        patch.setattr("eldata.sources.store.build.facts_line", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            build_store(clean.source, tmp_path / "store.h5", workers=2)
+    assert list(tmp_path.iterdir()) == []
+    build_store(clean.source, tmp_path / "store.h5")
+    assert contents(tmp_path / "store.h5") == contents(clean.store)
 
 
 def test_a_file_that_cannot_be_read_is_named_and_not_the_store(
@@ -260,53 +201,19 @@ def test_a_file_that_cannot_be_read_is_named_and_not_the_store(
         build_store(clean.source, tmp_path / "store.h5")
 
 
-def test_a_file_that_cannot_be_decoded_keeps_those_before_it(clean: Packed, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_decoded_leaves_nothing(clean: Packed, tmp_path: Path) -> None:
     folder = write_clean(tmp_path / "raws")
     whole = (folder / "2.dng").read_bytes()
     (folder / "2.dng").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(RawFileError, match=r"2\.dng: truncated"):
         pack_folder(folder, tmp_path / "store.h5", workers=2)
+    assert [path.name for path in tmp_path.iterdir()] == ["raws"]
     (folder / "2.dng").write_bytes(whole)
-    report = build_store(source_of_folder(folder), tmp_path / "store.h5")
-    assert (report.resumed, report.frames) == (2, 4)
+    assert build_store(source_of_folder(folder), tmp_path / "store.h5").frames == 4
     assert contents(tmp_path / "store.h5") == contents(clean.store)
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------
-
-
-def begun(folder: Path, clean: Packed) -> Path:
-    """A part of a store, as a kill leaves it."""
-
-    def work() -> None:
-        kill_after_two_frames()
-        build_store(clean.source, folder / "store.h5")
-
-    code = in_child(work)
-    assert code == -signal.SIGKILL
-    return folder / "store.h5.part"
-
-
-def kill_after_two_frames() -> None:
-    commit, count = journal.JournaledFile.commit, 0
-
-    def killing(self: journal.JournaledFile) -> None:
-        nonlocal count
-        commit(self)
-        count += 1
-        if count == 3:  # the first is of the empty store
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    journal.JournaledFile.commit = killing  # type: ignore[method-assign] # in a child that dies
-
-
-def test_two_writers(clean: Packed, tmp_path: Path) -> None:
-    with (
-        journaled(tmp_path / "store.h5.part"),
-        pytest.raises(EldataError, match=r"store.h5.part: another process is writing it"),
-    ):
-        build_store(clean.source, tmp_path / "store.h5")
-    build_store(clean.source, tmp_path / "store.h5")  # the lock is gone with its holder
 
 
 def test_a_store_that_is_there_is_kept(clean: Packed) -> None:
@@ -314,43 +221,3 @@ def test_a_store_that_is_there_is_kept(clean: Packed) -> None:
     with pytest.raises(EldataError, match="is there already"):
         build_store(clean.source, clean.store)
     assert clean.store.read_bytes() == before
-
-
-def test_a_part_of_other_files_is_not_resumed(clean: Packed, tmp_path: Path) -> None:
-    part = begun(tmp_path, clean)
-    fewer = source_of_folder(write_clean(tmp_path / "raws", 3))
-    with pytest.raises(ArgumentError, match=r"store.h5.part: was begun with another files digest"):
-        build_store(fewer, tmp_path / "store.h5")
-    with pytest.raises(ArgumentError, match="was begun with another compression: expected lz4, found none"):
-        build_store(clean.source, tmp_path / "store.h5", compression="lz4")
-    assert part.exists()
-    assert build_store(clean.source, tmp_path / "store.h5").resumed == 2
-
-
-def test_a_part_without_its_journal(clean: Packed, tmp_path: Path) -> None:
-    part = begun(tmp_path, clean)
-    journal_file = part.with_name(f"{part.name}.journal")
-    journal_file.write_bytes(b"something else entirely")
-    with pytest.raises(EldataError, match="is not a journal of eldata; remove"):
-        build_store(clean.source, tmp_path / "store.h5")
-    journal_file.unlink()
-    with pytest.raises(EldataError, match=r"its journal store.h5.part.journal is not there"):
-        build_store(clean.source, tmp_path / "store.h5")
-    part.unlink()
-    build_store(clean.source, tmp_path / "store.h5")
-
-
-def test_a_journal_that_a_kill_left_beside_a_finished_store_is_removed(clean: Packed, tmp_path: Path) -> None:
-    store, left = tmp_path / "store.h5", tmp_path / "store.h5.part.journal"
-    build_store(clean.source, store)
-    left.write_bytes(b"of the last commit")
-    with pytest.raises(EldataError, match="is there already"):
-        build_store(clean.source, store)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["store.h5"]
-
-
-def test_a_stale_journal_does_no_harm(clean: Packed, tmp_path: Path) -> None:
-    """As a kill between the last two steps leaves it."""
-    begun(tmp_path, clean).unlink()
-    build_store(clean.source, tmp_path / "store.h5")
-    assert contents(tmp_path / "store.h5") == contents(clean.store)

@@ -1,0 +1,87 @@
+"""Keywords stand in signatures with their defaults: what an editor and ``help()`` show of each dataset and loader."""
+
+from __future__ import annotations
+
+import inspect
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from eldata import datasets
+from eldata.sources import store
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+CHOICE: dict[str, Any] = dict.fromkeys(("cameras", "scenes", "isos", "ratios", "split", "subset"))
+CHOICE["exclude_flags"] = ()
+VALUES: dict[str, Any] = {"levels": None, "clip": "both", "amplification": "metadata", "dark_shading": None}
+CROPS: dict[str, Any] = {"crop": None, "augment": False, "crops": "random", "seed": 0}
+PACKED: dict[str, Any] = CROPS | {"crop": 512, "augment": True}
+PAIRED: dict[str, Any] = VALUES | CROPS | {"crops_per_frame": 1}
+PAIRS: dict[str, Any] = CHOICE | PAIRED | {"root": None}
+WINDOWS: dict[str, Any] = {
+    **CHOICE, **VALUES, **CROPS, "levels": "metadata",
+    "ids": None, "window": 5, "stride": None, "frames": "all", "region": None, "crops_per_window": 1,
+}  # fmt: skip
+NOISE: dict[str, Any] = {
+    "model": None, "clip": "both", "ratio": (100.0, 300.0), "iso": None, "range_dn": None, "row": None,
+    "extrapolate": False, **PACKED,
+}  # fmt: skip
+LOADER: dict[str, Any] = {
+    "workers": None, "seed": 0, "device": None, "prefetch": 2, "start_method": "forkserver", "collate": None,
+    "rank": None,
+}  # fmt: skip
+NEEDED = inspect.Parameter.empty
+
+SIGNATURES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
+    (datasets.PairDataset, PAIRS | {"root": NEEDED, "manifest": NEEDED}),
+    (datasets.ELDDataset, PAIRS | {"manifest": "eld", "ratios": (100, 200)}),
+    (datasets.SIDDataset, PAIRS | {"manifest": None, "camera": "sony", "amplification": "nominal"}),
+    (datasets.LRDDataset, PAIRS | {"manifest": "lrd", "amplification": "nominal"}),
+    (datasets.LRIDDataset, PAIRS | {"manifest": "lrid", "amplification": "nominal", "clip": "none"}),
+    (datasets.SIDDDataset, PAIRS | {"manifest": None}),
+    (datasets.PackedStore, CHOICE | VALUES | PACKED | {"path": NEEDED, "crops_per_frame": 1}),
+    (
+        datasets.SourcePairs,
+        {
+            **VALUES,
+            **CROPS,
+            "source": NEEDED,
+            "records": NEEDED,
+            "name": "",
+            "levels": "metadata",
+            "crops_per_frame": 1,
+        },
+    ),
+    (
+        datasets.DRVDataset,
+        {**WINDOWS, "root": None, "form": "preprocessed", "dynamic": False, "manifest": None, "reference": "*"},
+    ),
+    (datasets.CRVDDataset, WINDOWS | {"root": None, "shots": range(10), "manifest": "crvd"}),
+    (datasets.PackedClips, WINDOWS | PACKED | {"path": NEEDED, "dynamic": False}),
+    (datasets.SyntheticPairs, NOISE | {"source": NEEDED, "profiles": NEEDED, "crops_per_frame": 1}),
+    (
+        datasets.SyntheticClips,
+        {**NOISE, "source": NEEDED, "profiles": NEEDED, "frames": 5, "windows_per_clip": 1},
+    ),
+    (datasets.training_loader, LOADER | {"dataset": NEEDED, "batch_size": NEEDED}),
+    (datasets.evaluation_loader, LOADER | {"dataset": NEEDED, "batch_size": 1}),
+    (store.source_of_dataset, CHOICE | {"name": NEEDED, "root": None, "manifest": None, "ids": None}),
+]
+
+
+@pytest.mark.parametrize(("shown", "defaults"), SIGNATURES, ids=lambda value: getattr(value, "__name__", None))
+def test_every_keyword_stands_there_with_its_default(shown: Callable[..., Any], defaults: dict[str, Any]) -> None:
+    parameters = inspect.signature(shown).parameters
+    assert {name: one.default for name, one in parameters.items()} == defaults
+
+
+def test_no_public_name_hides_keywords() -> None:
+    """But for ``open_dataset``, which takes those of any class, and protocols, which nobody calls."""
+    hiding = set()
+    for name in set(vars(datasets)["__all__"]) - {"CleanSource", "ClipSource"}:
+        shown = getattr(datasets, name)
+        parameters = inspect.signature(shown).parameters.values() if callable(shown) else ()
+        hiding |= {name for one in parameters if one.kind is one.VAR_KEYWORD}
+    assert hiding == {"open_dataset"}

@@ -128,7 +128,7 @@ def _dataset(
     for scene, shot in plan.shots:
         if shot.role == "reference" and (scene, shot.number) in paths:
             references.setdefault(scene, []).append(shot.number)
-    rows, before, remarks, others = [], [], [], 0
+    rows, before, remarks = [], [], []
     for scene, shot in plan.shots:
         slot = (scene, shot.number)
         if slot not in paths:
@@ -146,20 +146,11 @@ def _dataset(
                 )
             reference = paths[scene, number]
         if slot in there:
-            row = there[slot]
-            if row.reference != reference:  # what was measured was measured against another one
-                others += row.reference is not None and row.reference not in paths.values()
-                row = replace(row, reference=reference, measured_ratio=None, measured_shift_px=None)
-            before.append(row)
+            before.append(replace(there[slot], reference=reference))
         else:
             frame = match.frames[slot]
             record = _record(plan, scene, shot, frame, paths[slot], reference)
             rows.append(Placement(frame.path, folder / record.path, record))
-    if others:
-        remarks.append(
-            f"{counted(others, 'noisy frame')} of the set compared with single references again: capture average makes "
-            "their means anew"
-        )
     return Dataset(folder, tuple(rows), tuple(remarks), tuple(before))
 
 

@@ -85,7 +85,7 @@ def add_alike(parser: argparse._ActionsContainer) -> None:
     add(
         "--references",
         help="reference frames before and after the noisy ones of each ISO (default: 1); each noisy frame is compared "
-        "with the one nearest to it, or, after capture average, with their mean",
+        "with the one nearest to it",
     )
     add(
         "--moments",

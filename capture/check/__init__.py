@@ -2,7 +2,7 @@
 
 from capture.check.checking import check
 from capture.check.measures import Estimate, Measure, MeasureKind, Remark, Verdict
-from capture.check.result import CheckedGroup, CheckedPair, CheckReport, write_measured, write_sheet
+from capture.check.result import CheckedGroup, CheckedPair, CheckReport, write_sheet
 
 __all__ = [
     "CheckReport",
@@ -14,6 +14,5 @@ __all__ = [
     "Remark",
     "Verdict",
     "check",
-    "write_measured",
     "write_sheet",
 ]

@@ -16,7 +16,6 @@ from capture.capture_errors import ImpossibleShotError
 from capture.checklist_content import (
     TEMPLATES,
     at_each_scene,
-    before_moment,
     calibration_parts,
     every_item,
     preparation,
@@ -83,7 +82,7 @@ def html_checklist(plan: Plan) -> str:
         plan=plan,
         f_text=f_text,
         time_needed=minutes(plan.duration.total_s),
-        scene_rows=[(scene, before_moment(plan, scene), rows(scene.shots)) for scene in plan.scenes],
+        scene_rows=[(scene, rows(scene.shots)) for scene in plan.scenes],
         parts=calibration_parts(plan),
         preparation=preparation(plan),
         at_each_scene=at_each_scene(plan),
@@ -119,21 +118,12 @@ def _page_data(plan: Plan) -> dict[str, Any]:
         "lasting": {time.dial: round(time.true_s, 2) for time in camera.shutter.times if time.true_s >= _TO_BE_TIMED_S},
         "times": _times(plan),
         "frames": [row.as_dict() for scene in plan.scenes[:1] for row in rows(scene.shots)],
-        "scenes": [_scene_data(plan, scene) for scene in plan.scenes],
+        "scenes": [{"name": scene.name, "metered": str(scene.metered_s)} for scene in plan.scenes],
         "calibration": [row.as_dict() for part in calibration_parts(plan) for row in part.rows],
         "preparation": [item.name for item in every_item(plan)],
         "longest_text": LONGEST_TEXT,
         "most_repeats": MOST_REPEATS,
     }
-
-
-def _scene_data(plan: Plan, scene: ScenePlan) -> dict[str, str]:
-    data = {"name": scene.name, "metered": str(scene.metered_s)}
-    if scene.moment:
-        data["sequence"] = scene.sequence
-    if scene.moment > 1:
-        data |= {"before": before_moment(plan, scene), "hint": before_moment(plan, scene, "move")}
-    return data
 
 
 def _times(plan: Plan) -> list[dict[str, Any]]:
@@ -201,13 +191,10 @@ def _checklist(
         notes = [f"- Note: {plain(note)}" for note in scene.notes]
         remarks = [f"- {plain(remark)}" for remark in scene.remarks]
         at = f"ISO {protocol.base_iso}{'' if scene.aperture is None else f', {f_text(scene.aperture)}'}"
-        metered = [f"- Planned for a metered time of {scene.metered_s} s at {at}. Metered: ________ s"]
-        moment = [f"- {text}" for text in (before_moment(plan, scene),) if text]
-        if scene.moment > 1:
-            metered, remarks = [], []  # as of the first
+        metered = f"- Planned for a metered time of {scene.metered_s} s at {at}. Metered: ________ s"
         parts += [
             heading(2, scene.name),
-            "\n".join([*metered, *moment, *notes, *remarks]),
+            "\n".join([metered, *notes, *remarks]),
             _rows(rows(scene.shots), table),
         ]
     for part in calibration_parts(plan):

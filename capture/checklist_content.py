@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from capture.plan import Plan
-    from capture.shots import ScenePlan, Shot
+    from capture.shots import Shot
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
 
@@ -147,14 +147,6 @@ def _items(kind: str, plan: Plan) -> tuple[Item, ...]:
 def at_each_scene(plan: Plan) -> tuple[str, ...]:
     """Return the steps at each scene."""
     return tuple(_filled(text, plan) for text in _words()["at_each_scene"])
-
-
-def before_moment(plan: Plan, scene: ScenePlan, words: str = "between_moments") -> str:
-    """Return what to do before a moment of a sequence, ``"move"`` in short; nothing of a scene without moments."""
-    if not scene.moment:
-        return ""
-    text: str = _words()["first_moment" if scene.moment == 1 else words]
-    return text.format(moment=scene.moment, moments=plan.protocol.moments)
 
 
 def every_item(plan: Plan) -> tuple[Item, ...]:

@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING, Final
 from capture.capture_errors import PlanError
 from capture.checklist_content import ChecklistRow, every_item, rows
 from capture.plan import CALIBRATION, check_same
-from capture.shots import sequence_name
 from capture.shutter import parse_seconds
 from eldata.base.fields import Fields, TextFile
 
@@ -184,12 +183,8 @@ def load_progress(path: Path | str, plan: Plan, content: bytes | None = None) ->
     # Calibration frames may have left the plan since, and their preparation with them.
     preparation = tuple(name for name in top.texts("preparation") if name in known)
     scenes: list[SceneProgress] = []
-    metered: dict[str, Fraction] = {}
     for item in top.objects("scenes"):
         scenes.append(_scene(item, plan, [scene.name for scene in scenes]))
-        metered_s = metered.setdefault(sequence_name(scenes[-1].name), scenes[-1].metered_s)
-        if scenes[-1].metered_s != metered_s:
-            raise item.wrong("metered_s", f"{metered_s}, as of the scene's other moments", str(scenes[-1].metered_s))
     frames = () if plan.calibration is None else rows(plan.calibration.shots)
     return Progress(top.text("plan"), plan.camera.name, preparation, tuple(scenes), _shots(top, "calibration", frames))
 

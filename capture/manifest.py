@@ -13,7 +13,6 @@ from capture.capture_errors import MappingError
 from capture.matching import can_be
 from capture.placing import Placement
 from capture.plan import CALIBRATION
-from capture.shots import sequence_name
 from eldata.base.files import sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
@@ -198,8 +197,8 @@ def _with_hash(row: Placement) -> Placement:
 
 
 def set_title(records: Sequence[FrameRecord]) -> str:
-    """Return what a set holds, in words; the moments of a scene are one."""
-    return title_of_set(records, len({sequence_name(record.scene) for record in records} - {""}))
+    """Return what a set holds, in words."""
+    return title_of_set(records, len({record.scene for record in records} - {""}))
 
 
 def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:
@@ -215,7 +214,7 @@ def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) 
         cfa=plan.camera.cfa,
         cameras={plan.camera.name: CameraCard(plan.camera.models)},
         counts=counts_of(records),
-        protocol="raw" if plan.protocol.moments == 1 else "sequences",
+        protocol="raw",
         sources=(f"capture manifest: protocol of {plan.protocol}; ISO and exposure times as the files state them",),
     )
 

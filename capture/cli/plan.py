@@ -4,12 +4,11 @@ Plan the shots of each scene: the setting to dial, what the camera then really g
 misses its low-light factor. With PLAN, show that plan or change it.
 
     capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json
-    capture plan --camera cam.json --scenes 2 --metered 4 --moments 7 -o video.json
     capture plan plan.json --remeter scene-2=2
     capture plan plan.json --progress progress.json
 
-The first makes a plan, the second one of a video set; the third is for the scene, when the meter says something else;
-the last is for the desk, with what the checklist's page exported.
+The first makes a plan; the second is for the scene, when the meter says something else; the last is for the desk, with
+what the checklist's page exported.
 """
 
 from __future__ import annotations
@@ -240,7 +239,7 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
         plan = plan.remeter(name, time)
     # First the aperture of every scene, whatever the order in which they are given.
     for name, f_number in sorted(arguments.aperture, key=lambda given: given[0] is not None):
-        for scene in plan.scenes if name is None else plan.moments(name):
+        for scene in plan.scenes if name is None else (plan.scene(name),):
             plan = plan.set_aperture(scene.name, f_number)
     for text in arguments.note:
         name, equals, note = text.partition("=")
@@ -266,11 +265,10 @@ def format_plan(plan: Plan) -> str:
     for time, f_number in dict.fromkeys((scene.metered_s, scene.aperture) for scene in plan.scenes):
         scenes = [scene for scene in plan.scenes if (scene.metered_s, scene.aperture) == (time, f_number)]
         at = "" if f_number is None else f", {f_text(f_number)}"
-        names = list(dict.fromkeys(scene.sequence for scene in scenes))
+        names = [scene.name for scene in scenes]
         title = f"{', '.join(names)}: metered at {time} s{at}"
         notes = [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]
         each = "each scene" if len(names) > 1 else names[0]
-        each = each if protocol.moments == 1 else f"each of the {protocol.moments} moments of {each}"
         time_needed = f"{each}: {duration_of(scenes[0].shots)}"
         parts.append("\n".join([title, *notes, _table(scenes[0].shots), time_needed, *scenes[0].remarks]))
     if plan.calibration is not None:

@@ -79,18 +79,13 @@ def add_numbers(
 
 
 def add_alike(parser: argparse._ActionsContainer) -> None:
-    """Add ``--repeats``, ``--references`` and ``--moments`` to a subcommand: how often the protocol takes something."""
+    """Add ``--repeats`` and ``--references`` to a subcommand: how often the protocol takes something."""
     add = partial(parser.add_argument, type=whole_number(1), metavar="N")
     add("--repeats", help="noisy frames of each ISO and factor, one after the other (default: 1; LRID has 10)")
     add(
         "--references",
         help="reference frames before and after the noisy ones of each ISO (default: 1); each noisy frame is compared "
         "with the one nearest to it",
-    )
-    add(
-        "--moments",
-        help="for video: take each scene N times, with something in it moved by hand, or the next picture of a film on "
-        "a monitor, in between (default: 1)",
     )
 
 

@@ -33,13 +33,6 @@ every("[data-row]").forEach((element) => {
 });
 const rowsOf = (section) => [...rows.values()].filter((row) => row.section === section);
 
-const sceneAt = (section) => plan.scenes.find((scene) => scene.name === section);
-
-/** The moments of a section's sequence, which are metered alike; a scene without moments is alone. */
-function momentsOf(section) {
-  const own = sceneAt(section);
-  return own?.sequence ? plan.scenes.filter((scene) => scene.sequence === own.sequence).map((scene) => scene.name) : [section];
-}
 const frameCount = (list) => list.reduce((sum, row) => sum + row.count, 0);
 
 /** Text without tabs and whatever else a file name or remark cannot hold. */
@@ -78,8 +71,6 @@ function adopt(content) {
     if (part.name !== "calibration") {
       const time = table.get(part.metered_s);
       check(time && !time.problem, `${part.name} was metered at ${part.metered_s} s, and this page has no shots for that time; "capture plan --progress" takes it into the plan`);
-      const [first] = momentsOf(part.name);
-      check((times.get(first) ?? time.metered) === time.metered, `${part.name} was metered at ${time.metered} s, and ${first} at ${times.get(first)} s: a sequence has one metered time`);
       times.set(part.name, time.metered);
     }
     part.shots.forEach((shot, index) => {
@@ -201,7 +192,7 @@ function hint(row) {
   const list = rowsOf(place);
   const before = list[list.indexOf(row) - 1];
   if (row.repeats || row.takenAt) return "Take it again; the last one counts.";
-  if (!before) return place === "calibration" ? "First calibration frames." : sceneAt(place).hint ?? "First shot of the scene.";
+  if (!before) return place === "calibration" ? "First calibration frames." : "First shot of the scene.";
   const changed = [before.iso !== row.iso && "ISO", before.dial !== row.dial && "shutter"].filter(Boolean);
   return changed.length ? `Change ${changed.join(" and ")}.` : "Settings stay as they are.";
 }
@@ -320,8 +311,7 @@ function setDone(row, done) {
   }
   showSection(row.section);
   showNext();
-  const moved = done && place !== row.section && nextRow() === rowsOf(place)[0] ? sceneAt(place)?.before : null;
-  announce(done ? ["Taken.", moved ?? ""].join(" ").trim() : "No longer ticked.");
+  announce(done ? "Taken." : "No longer ticked.");
 }
 
 function repeat(row) {
@@ -343,16 +333,14 @@ function meter(section, text) {
   problem.textContent = time.problem ? `${time.problem}. The shots below are still those of ${now.shown} s.` : "";
   if (!time.problem && time !== now) {
     change(`metered time of ${section}`, [], () => {
-      for (const moment of momentsOf(section)) {
-        metered.set(moment, text);
-        replan(moment);
-      }
+      metered.set(section, text);
+      replan(section);
     });
   }
-  momentsOf(section).forEach(showSection);  // a list that stands at a refused time goes back
+  showSection(section);  // a list that stands at a refused time goes back
   if (time.problem || time === now) return;
   showNext();
-  const taken = momentsOf(section).flatMap(rowsOf).filter((row) => row.takenAt !== null && !row.done);
+  const taken = rowsOf(section).filter((row) => row.takenAt !== null && !row.done);
   announce(`${section} is planned for ${time.shown} s.${taken.length ? ` ${taken.length} shots were taken at other settings and are to be taken again.` : ""}`);
 }
 
@@ -477,7 +465,7 @@ function showTimer() {
 
 /** Keep the screen on while a scene is being shot; the browser lets go of it whenever the page is hidden. */
 async function stayAwake() {
-  const list = momentsOf(place).flatMap(rowsOf);
+  const list = rowsOf(place);
   const shooting = timer !== null || (list.some((row) => row.done) && list.some((row) => !row.done));
   if (document.visibilityState !== "visible" || shooting === (lock !== null)) return;
   const held = lock;

@@ -16,7 +16,6 @@ from capture.cli import main
 from capture.plan import Plan
 from tests.capture.checklist_browser import Browser, Page
 from tests.capture.checklist_plans import HOSTILE, plan_of, small
-from tests.capture.films import film_plan
 from tests.capture.test_checklist import exported
 
 if TYPE_CHECKING:
@@ -310,51 +309,6 @@ window.OscillatorNode = class extends OscillatorNode {
 """
 # The clock of the page stands still; `later` lets seconds pass.
 CLOCK = "(() => { const now = Date.now(); window.later = 0; Date.now = () => now + 1000 * window.later; })();"
-
-
-@pytest.fixture
-def film(bare: Page) -> Page:
-    """The page of a sequence of three moments, and of another one."""
-    return show(bare, film_plan(3, scenes=2))
-
-
-def test_moments_say_what_to_move_and_are_metered_once(film: Page) -> None:
-    assert film.text("#hint") == "First shot of the scene."
-    film.click("#taken")
-    at = film.run("byId('taken').getBoundingClientRect().top")
-    time.sleep(DOUBLE_TAP_S)
-    take(film, 3)
-    assert film.text("#where") == "scene-1-moment-2, frame 1 of 4: reference"
-    assert film.text("#hint") == "Move it, or show picture 2 of 3."
-    words = "Do not touch the camera. Move what is to move a little by hand, or show picture 2 of 3 on the monitor;"
-    assert film.text("#say").startswith(f"Taken. {words}")
-    assert film.text("#live").startswith(f"Taken. {words}")
-    assert abs(film.run("byId('taken').getBoundingClientRect().top") - at) < 1
-    assert film.text("#scene-1-moment-2-body").startswith(words)
-    film.wait(lambda: held(film))  # between two moments, too
-    shown = "plan.scenes.filter(({ name }) => byId(`${name}-metered`).checkVisibility()).map(({ name }) => name)"
-    film.run("sections.forEach((section) => fold(section, true))")
-    assert film.run(shown) == ["scene-1-moment-1", "scene-2-moment-1"]
-    meter(film, "scene-1-moment-1", "2")
-    planned = film_plan(3, scenes=2).remeter("scene-1", Fraction(2))
-    for scene in planned.scenes:
-        assert dials(film, scene.name) == [f"{row.dial} s" for row in rows(scene.shots)]
-    assert film.text("#live").startswith("scene-1-moment-1 is planned for 2 s. 4 shots were taken at other settings")
-    path = download(film, "DemoAlpha")
-    assert load_progress(path, film_plan(3, scenes=2)).as_metered(film_plan(3, scenes=2)) == planned
-    content = json.loads(path.read_text(encoding="utf-8"))
-    content["scenes"][1]["metered_s"] = "4"
-    path.write_text(json.dumps(content), encoding="utf-8")
-    film.choose_file("#import-file", path)
-    film.wait(lambda: "a sequence has one metered time" in film.text("#refused"))
-
-
-def test_moments_fit(film: Page) -> None:
-    film.resize(320)
-    film.run("rowsOf('scene-1-moment-1').forEach((row) => setDone(row, true)); sections.forEach((s) => fold(s, true))")
-    found = film.run(LOOK)
-    assert found["width"] <= 320
-    assert (found["out"], found["small"], found["unnamed"]) == ([], [], [])
 
 
 @pytest.fixture

@@ -1,8 +1,8 @@
 """The checklist of a plan: one page for a phone or tablet in the dark, or plain text, or Markdown.
 
 The page is one file with its style and script inside; its policy lets it load nothing else. What is entered stays in
-the browser, under the plan's digest, and can be exported (:func:`load_progress`). A scene may meter differently from
-the plan: the page has the shots for every time on the camera's dial, as :mod:`capture.shots` plans them.
+the browser, under the plan's digest. A scene may meter differently from the plan: the page has the shots for every time
+on the camera's dial, as :mod:`capture.shots` plans them.
 """
 
 from __future__ import annotations
@@ -21,17 +21,6 @@ from capture.checklist_content import (
     preparation,
     rows,
 )
-from capture.checklist_progress import (
-    KIND,
-    LONGEST_TEXT,
-    MOST_REPEATS,
-    SCHEMA,
-    Progress,
-    ProgressError,
-    SceneProgress,
-    ShotProgress,
-    load_progress,
-)
 from capture.observed import f_text
 from capture.shots import ScenePlan, minutes, scene_shots
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
@@ -46,18 +35,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FORMATS",
-    "Progress",
-    "ProgressError",
-    "SceneProgress",
-    "ShotProgress",
     "html_checklist",
-    "load_progress",
     "markdown_checklist",
     "plan_digest",
     "text_checklist",
 ]
 
 
+_LONGEST_TEXT: Final = 500  # characters of a file's name or a remark
+_MOST_REPEATS: Final = 99
 _TO_BE_TIMED_S: Final = 1  # shorter exposures are over before a button is pressed
 
 
@@ -86,7 +72,7 @@ def html_checklist(plan: Plan) -> str:
         parts=calibration_parts(plan),
         preparation=preparation(plan),
         at_each_scene=at_each_scene(plan),
-        longest_text=LONGEST_TEXT,
+        longest_text=_LONGEST_TEXT,
         data=_embedded(_page_data(plan)),
         style=style,
         script=script,
@@ -110,10 +96,7 @@ def _page_data(plan: Plan) -> dict[str, Any]:
     """Return what the page's script computes with."""
     camera = plan.camera
     return {
-        "kind": KIND,
-        "schema": SCHEMA,
         "digest": plan_digest(plan),
-        "camera": camera.name,
         "dials": [time.dial for time in camera.shutter.times],
         "lasting": {time.dial: round(time.true_s, 2) for time in camera.shutter.times if time.true_s >= _TO_BE_TIMED_S},
         "times": _times(plan),
@@ -121,8 +104,7 @@ def _page_data(plan: Plan) -> dict[str, Any]:
         "scenes": [{"name": scene.name, "metered": str(scene.metered_s)} for scene in plan.scenes],
         "calibration": [row.as_dict() for part in calibration_parts(plan) for row in part.rows],
         "preparation": [item.name for item in every_item(plan)],
-        "longest_text": LONGEST_TEXT,
-        "most_repeats": MOST_REPEATS,
+        "most_repeats": _MOST_REPEATS,
     }
 
 

@@ -82,14 +82,8 @@ class ChecklistRow:
         return words if self.count == 1 else f"{words}, {self.count} frames"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what the page and its exported progress say about a row."""
-        return {
-            "number": self.number,
-            "count": self.count,
-            "role": self.shot.role,
-            "iso": self.shot.iso,
-            "dial": self.dial,
-        }
+        """Return what the page's script knows of a row."""
+        return {"number": self.number, "count": self.count, "iso": self.shot.iso, "dial": self.dial}
 
 
 def rows(shots: Iterable[Shot]) -> tuple[ChecklistRow, ...]:

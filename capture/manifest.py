@@ -287,7 +287,7 @@ class Begun:
                 raise MappingError(
                     f"{self.path} has {record.path}, taken at ISO {record.iso}, {record.exposure_s} s, and the plan "
                     f"asks for {shot.settings} there: they are different scenes. Give those of the plan other names, "
-                    "as capture plan --scenes 11-15 does, or say with --progress at which time this one was metered"
+                    "as capture plan --scenes 11-15 does, or give this one its own metered time: capture plan --remeter"
                 )
             found[scene, shot.number] = record
         return found

@@ -351,14 +351,14 @@ def _check_shots(fields: Fields, shots: Sequence[Shot]) -> None:
     items = fields.objects("shots")
     advice = " (shots follow from the rest: change that with capture plan --remeter, not the shots)"
     for found, shot in zip(items, shots, strict=False):
-        check_same(found, _shot_as_dict(shot), advice)
+        _check_same(found, _shot_as_dict(shot), advice)
     if len(items) != len(shots):
         raise fields.problem("shots", f"expected {len(shots)} shots{advice}, found {len(items)}")
 
 
-def check_same(found: Fields, expected: Mapping[str, Any], advice: str, also: Sequence[str] = ()) -> None:
-    """Refuse an object of a file whose fields, but those ``also`` in it, are not what follows from others."""
-    found.only((*expected, *also))
+def _check_same(found: Fields, expected: Mapping[str, Any], advice: str) -> None:
+    """Refuse an object of a file whose fields are not what follows from others."""
+    found.only(expected)
     for key, value in expected.items():
         there = found.value(key)
         same = isinstance(there, type(value))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -16,9 +15,6 @@ from eldata.errors import ArgumentError
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from fractions import Fraction
-
-    from capture.checklist_progress import Progress
-    from capture.plan import Plan
 
 _MOST_SCENES = 1000
 _SCENES_END = 1_000_000  # scene-999999 is the last that a plan may have
@@ -102,34 +98,6 @@ def add_only(parser: argparse._ActionsContainer) -> None:
         metavar="SCENE",
         help="only this scene, or calibration, of the plan; may be repeated",
     )
-
-
-def add_progress(parser: argparse._ActionsContainer, what: str) -> None:
-    """Add ``--progress`` to a subcommand: what the checklist exported; ``what`` says what is taken of it."""
-    parser.add_argument(
-        "--progress",
-        metavar="FILE",
-        help=f"what the checklist's page exported: {what}; - reads pasted text, up to Ctrl-D",
-    )
-
-
-def progress_of(given: str | None, plan: Plan) -> Progress | None:
-    """Return what ``--progress`` names, or ``None`` without it.
-
-    Raises
-    ------
-    ProgressError
-        If it is malformed, or belongs to another plan.
-    """
-    from capture.checklist_progress import load_progress
-
-    if given is None:
-        return None
-    if given != "-":
-        return load_progress(given, plan)
-    if sys.stdin.isatty():
-        print("paste what the page's Copy gave, then press Enter and Ctrl-D:", file=sys.stderr)
-    return load_progress("the pasted text", plan, sys.stdin.buffer.read())
 
 
 def or_dash(value: object, form: str = "{}") -> str:

@@ -1,8 +1,8 @@
 """The checklist of a plan: one page for a phone or tablet in the dark, or plain text, or Markdown.
 
 The page is one file with its style and script inside; its policy lets it load nothing else. What is entered stays in
-the browser, under the plan's digest, and can be exported (:func:`load_progress`). A scene may meter differently from
-the plan: the page has the shots for every time on the camera's dial, as :mod:`capture.shots` plans them.
+the browser, under the plan's digest. A scene may meter differently from the plan: the page has the shots for every time
+on the camera's dial, as :mod:`capture.shots` plans them.
 """
 
 from __future__ import annotations
@@ -16,22 +16,10 @@ from capture.capture_errors import ImpossibleShotError
 from capture.checklist_content import (
     TEMPLATES,
     at_each_scene,
-    before_moment,
     calibration_parts,
     every_item,
     preparation,
     rows,
-)
-from capture.checklist_progress import (
-    KIND,
-    LONGEST_TEXT,
-    MOST_REPEATS,
-    SCHEMA,
-    Progress,
-    ProgressError,
-    SceneProgress,
-    ShotProgress,
-    load_progress,
 )
 from capture.observed import f_text
 from capture.shots import ScenePlan, minutes, scene_shots
@@ -47,18 +35,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FORMATS",
-    "Progress",
-    "ProgressError",
-    "SceneProgress",
-    "ShotProgress",
     "html_checklist",
-    "load_progress",
     "markdown_checklist",
     "plan_digest",
     "text_checklist",
 ]
 
 
+_LONGEST_TEXT: Final = 500  # characters of a file's name or a remark
+_MOST_REPEATS: Final = 99
 _TO_BE_TIMED_S: Final = 1  # shorter exposures are over before a button is pressed
 
 
@@ -83,11 +68,11 @@ def html_checklist(plan: Plan) -> str:
         plan=plan,
         f_text=f_text,
         time_needed=minutes(plan.duration.total_s),
-        scene_rows=[(scene, before_moment(plan, scene), rows(scene.shots)) for scene in plan.scenes],
+        scene_rows=[(scene, rows(scene.shots)) for scene in plan.scenes],
         parts=calibration_parts(plan),
         preparation=preparation(plan),
         at_each_scene=at_each_scene(plan),
-        longest_text=LONGEST_TEXT,
+        longest_text=_LONGEST_TEXT,
         data=_embedded(_page_data(plan)),
         style=style,
         script=script,
@@ -111,29 +96,16 @@ def _page_data(plan: Plan) -> dict[str, Any]:
     """Return what the page's script computes with."""
     camera = plan.camera
     return {
-        "kind": KIND,
-        "schema": SCHEMA,
         "digest": plan_digest(plan),
-        "camera": camera.name,
         "dials": [time.dial for time in camera.shutter.times],
         "lasting": {time.dial: round(time.true_s, 2) for time in camera.shutter.times if time.true_s >= _TO_BE_TIMED_S},
         "times": _times(plan),
         "frames": [row.as_dict() for scene in plan.scenes[:1] for row in rows(scene.shots)],
-        "scenes": [_scene_data(plan, scene) for scene in plan.scenes],
+        "scenes": [{"name": scene.name, "metered": str(scene.metered_s)} for scene in plan.scenes],
         "calibration": [row.as_dict() for part in calibration_parts(plan) for row in part.rows],
         "preparation": [item.name for item in every_item(plan)],
-        "longest_text": LONGEST_TEXT,
-        "most_repeats": MOST_REPEATS,
+        "most_repeats": _MOST_REPEATS,
     }
-
-
-def _scene_data(plan: Plan, scene: ScenePlan) -> dict[str, str]:
-    data = {"name": scene.name, "metered": str(scene.metered_s)}
-    if scene.moment:
-        data["sequence"] = scene.sequence
-    if scene.moment > 1:
-        data |= {"before": before_moment(plan, scene), "hint": before_moment(plan, scene, "move")}
-    return data
 
 
 def _times(plan: Plan) -> list[dict[str, Any]]:
@@ -201,13 +173,10 @@ def _checklist(
         notes = [f"- Note: {plain(note)}" for note in scene.notes]
         remarks = [f"- {plain(remark)}" for remark in scene.remarks]
         at = f"ISO {protocol.base_iso}{'' if scene.aperture is None else f', {f_text(scene.aperture)}'}"
-        metered = [f"- Planned for a metered time of {scene.metered_s} s at {at}. Metered: ________ s"]
-        moment = [f"- {text}" for text in (before_moment(plan, scene),) if text]
-        if scene.moment > 1:
-            metered, remarks = [], []  # as of the first
+        metered = f"- Planned for a metered time of {scene.metered_s} s at {at}. Metered: ________ s"
         parts += [
             heading(2, scene.name),
-            "\n".join([*metered, *moment, *notes, *remarks]),
+            "\n".join([metered, *notes, *remarks]),
             _rows(rows(scene.shots), table),
         ]
     for part in calibration_parts(plan):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from capture.plan import Plan
-    from capture.shots import ScenePlan, Shot
+    from capture.shots import Shot
 
 TEMPLATES: Final = Path(__file__).parent / "templates"
 
@@ -82,14 +82,8 @@ class ChecklistRow:
         return words if self.count == 1 else f"{words}, {self.count} frames"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what the page and its exported progress say about a row."""
-        return {
-            "number": self.number,
-            "count": self.count,
-            "role": self.shot.role,
-            "iso": self.shot.iso,
-            "dial": self.dial,
-        }
+        """Return what the page's script knows of a row."""
+        return {"number": self.number, "count": self.count, "iso": self.shot.iso, "dial": self.dial}
 
 
 def rows(shots: Iterable[Shot]) -> tuple[ChecklistRow, ...]:
@@ -147,14 +141,6 @@ def _items(kind: str, plan: Plan) -> tuple[Item, ...]:
 def at_each_scene(plan: Plan) -> tuple[str, ...]:
     """Return the steps at each scene."""
     return tuple(_filled(text, plan) for text in _words()["at_each_scene"])
-
-
-def before_moment(plan: Plan, scene: ScenePlan, words: str = "between_moments") -> str:
-    """Return what to do before a moment of a sequence, ``"move"`` in short; nothing of a scene without moments."""
-    if not scene.moment:
-        return ""
-    text: str = _words()["first_moment" if scene.moment == 1 else words]
-    return text.format(moment=scene.moment, moments=plan.protocol.moments)
 
 
 def every_item(plan: Plan) -> tuple[Item, ...]:

@@ -13,7 +13,6 @@ from capture.capture_errors import MappingError
 from capture.matching import can_be
 from capture.placing import Placement
 from capture.plan import CALIBRATION
-from capture.shots import sequence_name
 from eldata.base.files import sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
@@ -128,7 +127,7 @@ def _dataset(
     for scene, shot in plan.shots:
         if shot.role == "reference" and (scene, shot.number) in paths:
             references.setdefault(scene, []).append(shot.number)
-    rows, before, remarks, others = [], [], [], 0
+    rows, before, remarks = [], [], []
     for scene, shot in plan.shots:
         slot = (scene, shot.number)
         if slot not in paths:
@@ -146,20 +145,11 @@ def _dataset(
                 )
             reference = paths[scene, number]
         if slot in there:
-            row = there[slot]
-            if row.reference != reference:  # what was measured was measured against another one
-                others += row.reference is not None and row.reference not in paths.values()
-                row = replace(row, reference=reference, measured_ratio=None, measured_shift_px=None)
-            before.append(row)
+            before.append(replace(there[slot], reference=reference))
         else:
             frame = match.frames[slot]
             record = _record(plan, scene, shot, frame, paths[slot], reference)
             rows.append(Placement(frame.path, folder / record.path, record))
-    if others:
-        remarks.append(
-            f"{counted(others, 'noisy frame')} of the set compared with single references again: capture average makes "
-            "their means anew"
-        )
     return Dataset(folder, tuple(rows), tuple(remarks), tuple(before))
 
 
@@ -207,8 +197,8 @@ def _with_hash(row: Placement) -> Placement:
 
 
 def set_title(records: Sequence[FrameRecord]) -> str:
-    """Return what a set holds, in words; the moments of a scene are one."""
-    return title_of_set(records, len({sequence_name(record.scene) for record in records} - {""}))
+    """Return what a set holds, in words."""
+    return title_of_set(records, len({record.scene for record in records} - {""}))
 
 
 def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:
@@ -224,7 +214,7 @@ def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) 
         cfa=plan.camera.cfa,
         cameras={plan.camera.name: CameraCard(plan.camera.models)},
         counts=counts_of(records),
-        protocol="raw" if plan.protocol.moments == 1 else "sequences",
+        protocol="raw",
         sources=(f"capture manifest: protocol of {plan.protocol}; ISO and exposure times as the files state them",),
     )
 
@@ -297,7 +287,7 @@ class Begun:
                 raise MappingError(
                     f"{self.path} has {record.path}, taken at ISO {record.iso}, {record.exposure_s} s, and the plan "
                     f"asks for {shot.settings} there: they are different scenes. Give those of the plan other names, "
-                    "as capture plan --scenes 11-15 does, or say with --progress at which time this one was metered"
+                    "as capture plan --scenes 11-15 does, or give this one its own metered time: capture plan --remeter"
                 )
             found[scene, shot.number] = record
         return found

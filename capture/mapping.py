@@ -1,4 +1,4 @@
-"""The mapping of files to shots as a JSON file, to be looked at, edited and passed back; and their apertures.
+"""The mapping of files to shots as a JSON file, to be looked at, edited and passed back; metered times and apertures.
 
 Exposure ratios are computed from ISO and time alone, so one aperture must hold for a scene. The plan may state it, EXIF
 states it for each file; a lens without contacts states none, which is not a mistake.
@@ -6,17 +6,20 @@ states it for each file; a lens without contacts states none, which is not a mis
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from capture.capture_errors import MappingError
-from capture.matching import Match, MatchRemark, can_be, no_file
+from capture.matching import Match, MatchRemark, can_be, match, no_file
 from capture.observed import f_text, same_aperture
 from eldata.base.fields import TextFile
 from eldata.base.numbers import counted
+from eldata.errors import EldataError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from fractions import Fraction
 
     from capture.matching import Slot
     from capture.observed import Observed, ObservedFrame
@@ -98,6 +101,53 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
                 f"{frame.settings}: its ratio would be wrong. Choose another file, or null to leave the frame out"
             )
     return Match(frames, tuple(remarks))
+
+
+def explain_metering(plan: Plan, observed: Observed, found: Match) -> Match:
+    """Return a match that says of scenes which lack most of their frames at which other metered time these are there.
+
+    Of the frames that this explains, nothing else is said. Only times of frames at the base ISO are tried: references
+    are taken at the metered time.
+    """
+    used = {frame.path for frame in found.frames.values()}
+    left = tuple(frame for frame in observed.frames if frame.path not in used)
+    dials = {
+        setting.nominal_s: setting.dial
+        for frame in left
+        if frame.iso == plan.protocol.base_iso and frame.exposure_s
+        if (setting := plan.camera.nearest(frame.exposure_s)) is not None
+    }
+    remarks: list[MatchRemark] = []
+    explained: set[Path] = set()
+    for scene in plan.scenes:
+        count = len(scene.shots)
+        if 2 * sum(remark.scene == scene.name for remark in found.missing) <= count:
+            continue
+        rest = replace(observed, frames=left, unusable=())
+        tried = [
+            (_frames_at(time_s, plan.only([scene.name]), rest), time_s)
+            for time_s in sorted(dials.keys() - {scene.metered_s})
+        ]
+        frames, time_s = max(tried, key=lambda one: len(one[0]), default=(frozenset[Path](), scene.metered_s))
+        if 2 * len(frames) > count:
+            text = (
+                f"{scene.name}: planned for a metered time of {scene.metered_s} s; {len(frames)} of its {count} frames "
+                f"are there if it was metered at {dials[time_s]} s. If so: capture plan PLAN --remeter "
+                f"{scene.name}={dials[time_s]}, and this again"
+            )
+            remarks.append(MatchRemark("metered", text, scene.name))
+            explained |= frames
+    remarks += [one for one in found.remarks if one.path not in explained or one.kind not in ("extra", "wrong-setting")]
+    return replace(found, remarks=tuple(remarks))
+
+
+def _frames_at(time_s: Fraction, scene: Plan, observed: Observed) -> frozenset[Path]:
+    """Return the files that are frames of a plan's scene if it was metered at this time."""
+    try:
+        again = scene.remeter(scene.scenes[0].name, time_s)
+    except EldataError:  # some of its shots are beyond the camera
+        return frozenset()
+    return frozenset(frame.path for frame in match(again, observed).frames.values())
 
 
 def aperture_remarks(plan: Plan, frames: Mapping[Slot, ObservedFrame]) -> tuple[MatchRemark, ...]:

@@ -18,7 +18,7 @@ from capture.plan import CALIBRATION
 from capture.shutter import STOPS_TOLERANCE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from capture.observed import Observed, ObservedFrame
     from capture.plan import Plan
@@ -36,18 +36,15 @@ Kind = Literal[
     "wrong-setting",
     "unusable",
     "ambiguous",
-    "checklist",
     "scene-order",
     "no-times",
     "aperture",
     "metered",
     "copies",
-    "retaken",
-    "skipped",
     "note",
 ]
 # For information only: there is nothing to decide.
-_HARMLESS: Final = ("scene-order", "no-times", "copies", "retaken", "skipped", "note")
+_HARMLESS: Final = ("scene-order", "no-times", "copies", "note")
 Slot = tuple[str, int]
 
 
@@ -140,19 +137,16 @@ def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Mat
     return Match(frames, (*remarks, *found))
 
 
-def other_reading(
-    plan: Plan, observed: Observed, found: Match, matching: Callable[[Plan, Observed], Match] = match
-) -> Match | None:
+def other_reading(plan: Plan, observed: Observed, found: Match, *, repeated: Repeated = "last") -> Match | None:
     """Return what the files are by their numbers, if that is another reading and no less whole than the clock's.
 
     Where all scenes have equal exposures, a clock that was put back between two of them exchanges them, and nothing but
-    the camera's counter contradicts it. ``found`` is what ``matching``, :func:`match` or one that
-    knows more, made of the same files by the clock.
+    the camera's counter contradicts it. ``found`` is what :func:`match` made of the same files by the clock.
     """
     numbered = observed.numbered if observed.by_time else None
     if numbered is None or numbered.frames == observed.frames:
         return None
-    other = matching(plan, numbered)
+    other = match(plan, numbered, repeated=repeated)
     return other if len(other.frames) >= len(found.frames) and other.frames != found.frames else None
 
 

@@ -78,24 +78,6 @@ def copy(placement: Placement) -> None:
         os.utime(temporary, ns=(seen.st_atime_ns, seen.st_mtime_ns))
 
 
-def write_new(target: Path, content: memoryview) -> None:
-    """Write a file, whole or not at all, unless it holds this very content already.
-
-    Raises
-    ------
-    MappingError
-        If it holds something else.
-    """
-    remove_leftovers(target.parent)
-    if not os.path.lexists(target):
-        with _new_file(target) as (writing, _):
-            writing.write(content)
-    elif not target.is_file() or target.read_bytes() != content:
-        raise MappingError(
-            f"{target} is there already with another content than what would be written; move that file away"
-        )
-
-
 @contextmanager
 def _new_file(target: Path) -> Iterator[tuple[IO[bytes], Path]]:
     try:

@@ -15,7 +15,7 @@ from capture.calibration import CalibrationPlan, DarkSetting, dark_settings, pla
 from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
 from capture.capture_errors import PlanError, naming
 from capture.protocol import COUNTS, CaptureProtocol
-from capture.shots import Duration, ScenePlan, Shot, check_isos, duration_of, moments_of, plan_scene, sequence_name
+from capture.shots import Duration, ScenePlan, Shot, check_isos, duration_of, plan_scene
 from capture.shutter import parse_seconds
 from eldata.base.fields import Fields, TextFile
 from eldata.base.files import write_json
@@ -42,15 +42,14 @@ class Plan:
     camera, protocol
         What the camera can be set to; the frames of a scene.
     scenes
-        In the order in which they are taken; of a protocol with moments, each moment of a scene is one.
+        In the order in which they are taken.
     calibration
         Calibration frames, or ``None``.
 
     Raises
     ------
     PlanError
-        If there is nothing to take, a scene's name is not ``scene-<n>`` or occurs twice, it is no moment where the
-        protocol has some, or moments of one scene differ in their metered times.
+        If there is nothing to take, or a scene's name is not ``scene-<n>`` or occurs twice.
     """
 
     camera: CameraDescription
@@ -63,28 +62,15 @@ class Plan:
         if not self.scenes and self.calibration is None:
             raise PlanError("a plan needs at least one scene, or calibration frames; found neither")
         names: list[str] = []
-        metered: dict[str, Fraction] = {}
         for scene in self.scenes:
-            if _SCENE.fullmatch(scene.sequence) is None:
+            if _SCENE.fullmatch(scene.name) is None:
                 raise PlanError(
                     f"scene name: expected scene-1, scene-2 and so on, as the dataset's folders are called; found "
-                    f"{scene.sequence!r} (what it shows belongs in its notes)"
+                    f"{scene.name!r} (what it shows belongs in its notes)"
                 )
             if scene.name in names:
                 raise PlanError(f"scene names: expected each once, found {scene.name} twice")
             names.append(scene.name)
-            self._check_moment(scene, metered.setdefault(scene.sequence, scene.metered_s))
-
-    def _check_moment(self, scene: ScenePlan, metered_s: Fraction) -> None:
-        moments = self.protocol.moments
-        if (scene.moment == 0) != (moments == 1) or scene.moment > moments:
-            expected = "no moments" if moments == 1 else f"moments 1 to {moments}, such as {scene.sequence}-moment-1"
-            raise PlanError(f"scene name: the protocol has {expected}; found {scene.name}")
-        if scene.metered_s != metered_s:
-            raise PlanError(
-                f"{scene.name}: metered at {scene.metered_s} s, and {scene.sequence}'s other moments at {metered_s} s: "
-                "a sequence has one metered time"
-            )
 
     @property
     def shots(self) -> tuple[tuple[str, Shot], ...]:
@@ -95,19 +81,13 @@ class Plan:
 
     @property
     def duration(self) -> Duration:
-        """How long the shots take, and the changes between moments, without what is to be done between the scenes."""
-        return duration_of([shot for _, shot in self.shots], len(self.scenes) - len(self.sequences))
-
-    @property
-    def sequences(self) -> tuple[str, ...]:
-        """The scenes by name, all moments of one as one."""
-        return tuple(dict.fromkeys(scene.sequence for scene in self.scenes))
+        """How long the shots take, without what is to be done between the scenes."""
+        return duration_of([shot for _, shot in self.shots])
 
     @property
     def extent(self) -> str:
-        """How many scenes there are, in words, and of how many moments."""
-        moments = f" of {self.protocol.moments} moments" if self.protocol.moments > 1 else ""
-        return f"{counted(len(self.sequences), 'scene')}{moments}"
+        """How many scenes there are, in words."""
+        return counted(len(self.scenes), "scene")
 
     @property
     def without_dark(self) -> tuple[DarkSetting, ...]:
@@ -128,19 +108,8 @@ class Plan:
         for scene in self.scenes:
             if scene.name == name:
                 return scene
-        known = ", ".join(self.sequences) or "none"
+        known = ", ".join(scene.name for scene in self.scenes) or "none"
         raise PlanError(f"the plan has no scene called {name!r}; it has {known}")
-
-    def moments(self, name: str) -> tuple[ScenePlan, ...]:
-        """Return the moments of a scene by its name, or one by its own; a scene without moments is its only one.
-
-        Raises
-        ------
-        PlanError
-            If the name is unknown; the message lists the plan's scenes.
-        """
-        found = tuple(scene for scene in self.scenes if name in (scene.sequence, scene.name))
-        return found or (self.scene(name),)
 
     def add_scene(self, name: str, metered_s: Fraction, notes: Sequence[str] = ()) -> Plan:
         """Return the plan with one more scene at its end.
@@ -153,12 +122,10 @@ class Plan:
             If one of its shots is beyond the camera.
         """
         added = plan_scene(self.camera, self.protocol, name, metered_s, tuple(notes))
-        return replace(self, scenes=(*self.scenes, *moments_of(added, self.protocol)))
+        return replace(self, scenes=(*self.scenes, added))
 
     def remeter(self, name: str, metered_s: Fraction) -> Plan:
         """Return the plan with a scene's shots computed from another metered time; its notes stay.
-
-        All moments of a sequence are metered alike: by its name, or by that of any of them.
 
         Raises
         ------
@@ -167,9 +134,9 @@ class Plan:
         ImpossibleShotError
             If one of its shots is beyond the camera.
         """
-        scenes = self.moments(sequence_name(name))
+        scene = self.scene(name)
         shots = plan_scene(self.camera, self.protocol, name, metered_s).shots
-        return self._with(*(replace(scene, metered_s=metered_s, shots=shots) for scene in scenes))
+        return self._with(replace(scene, metered_s=metered_s, shots=shots))
 
     def set_aperture(self, name: str, aperture: Fraction) -> Plan:
         """Return the plan with a scene's aperture, an f-number.
@@ -179,22 +146,21 @@ class Plan:
         PlanError
             If the scene is unknown.
         """
-        return self._with(*(replace(scene, aperture=aperture) for scene in self.moments(name)))
+        return self._with(replace(self.scene(name), aperture=aperture))
 
     def add_note(self, name: str, note: str) -> Plan:
-        """Return the plan with one more note on a scene: on a sequence's first moment, or on that of the name.
+        """Return the plan with one more note on a scene.
 
         Raises
         ------
         PlanError
             If the scene is unknown.
         """
-        scene = self.moments(name)[0]
+        scene = self.scene(name)
         return self._with(replace(scene, notes=(*scene.notes, note)))
 
-    def _with(self, *changed: ScenePlan) -> Plan:
-        by_name = {scene.name: scene for scene in changed}
-        return replace(self, scenes=tuple(by_name.get(one.name, one) for one in self.scenes))
+    def _with(self, changed: ScenePlan) -> Plan:
+        return replace(self, scenes=tuple(changed if one.name == changed.name else one for one in self.scenes))
 
     def only(self, names: Sequence[str]) -> Plan:
         """Return the plan of some scenes alone; ``"calibration"`` names the calibration frames.
@@ -206,7 +172,7 @@ class Plan:
         """
         if CALIBRATION in names and self.calibration is None:
             raise PlanError("the plan has no calibration frames")
-        wanted = {scene.name for name in names if name != CALIBRATION for scene in self.moments(name)}
+        wanted = {self.scene(name).name for name in names if name != CALIBRATION}
         return replace(
             self,
             scenes=tuple(scene for scene in self.scenes if scene.name in wanted),
@@ -284,8 +250,8 @@ def make_plan(
     >>> [(shot.role, shot.iso, shot.setting.dial) for shot in plan.scenes[0].shots[:3]]
     [('reference', 100, '4'), ('noisy', 800, '0.5'), ('noisy', 800, '1/20')]
     """
-    scenes = (plan_scene(camera, protocol, name, seconds) for name, seconds in metered_s.items())
-    return Plan(camera, protocol, tuple(one for scene in scenes for one in moments_of(scene, protocol)), calibration)
+    scenes = tuple(plan_scene(camera, protocol, name, seconds) for name, seconds in metered_s.items())
+    return Plan(camera, protocol, scenes, calibration)
 
 
 # --- the file -----------------------------------------------------------------------------------------------------
@@ -385,14 +351,14 @@ def _check_shots(fields: Fields, shots: Sequence[Shot]) -> None:
     items = fields.objects("shots")
     advice = " (shots follow from the rest: change that with capture plan --remeter, not the shots)"
     for found, shot in zip(items, shots, strict=False):
-        check_same(found, _shot_as_dict(shot), advice)
+        _check_same(found, _shot_as_dict(shot), advice)
     if len(items) != len(shots):
         raise fields.problem("shots", f"expected {len(shots)} shots{advice}, found {len(items)}")
 
 
-def check_same(found: Fields, expected: Mapping[str, Any], advice: str, also: Sequence[str] = ()) -> None:
-    """Refuse an object of a file whose fields, but those ``also`` in it, are not what follows from others."""
-    found.only((*expected, *also))
+def _check_same(found: Fields, expected: Mapping[str, Any], advice: str) -> None:
+    """Refuse an object of a file whose fields are not what follows from others."""
+    found.only(expected)
     for key, value in expected.items():
         there = found.value(key)
         same = isinstance(there, type(value))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from eldata.records import Role
 
 _MOST_ALIKE: Final = 99
-COUNTS: Final = ("repeats", "references", "moments")
+COUNTS: Final = ("repeats", "references")
 """Fields of a protocol that say how often something is taken; 1 is neither stated nor said."""
 
 
@@ -67,8 +67,6 @@ class CaptureProtocol:
         Noisy frames of each ISO and factor, one after the other; LRID has ten. Up to 99.
     references
         Reference frames of each block, one after the other, up to 99. Each noisy frame is compared with one of them.
-    moments
-        Of a sequence, how often all of these frames are taken of a scene, with something moved in between; up to 99.
 
     Raises
     ------
@@ -91,7 +89,6 @@ class CaptureProtocol:
     low_light_factors: tuple[int, ...] = (1, 10, 100, 200)
     repeats: int = 1
     references: int = 1
-    moments: int = 1
 
     def __post_init__(self) -> None:
         checked_whole("base_iso", self.base_iso, at_least=1)
@@ -105,11 +102,10 @@ class CaptureProtocol:
         isos, factors = (", ".join(map(str, some)) for some in (self.noisy_isos, self.low_light_factors))
         words = f"base ISO {self.base_iso}, ISOs {isos}, low-light factors {factors}"
         words += f", {self.repeats} noisy frames of each" if self.repeats > 1 else ""
-        words += f", {self.references} references before and after" if self.references > 1 else ""
-        return words + (f", {self.moments} moments of each scene" if self.moments > 1 else "")
+        return words + (f", {self.references} references before and after" if self.references > 1 else "")
 
     def frames(self) -> tuple[ProtocolFrame, ...]:
-        """Return the frames of one scene, or of one moment of it, in the order in which they are taken.
+        """Return the frames of one scene in the order in which they are taken.
 
         A block of references comes first. Then follow, for each ISO, its noisy frames by rising factor, those of a
         factor together, and another block of references. With the default settings the references are the numbers

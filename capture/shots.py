@@ -10,7 +10,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from capture.capture_errors import ImpossibleShotError, PlanError
-from eldata.manifest.clips import moment_name, moment_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -92,37 +91,34 @@ class Shot:
 # raw file before the next release.
 DIAL_S: Final = 5
 WRITE_S: Final = 2
-MOVE_S: Final = 20  # to move an object, or to show the next picture, and let it come to rest
 
 
 @dataclass(frozen=True, slots=True)
 class Duration:
-    """How long shots take: exposures in seconds, how often ISO or time changes, files, changes between moments."""
+    """How long shots take: exposures in seconds, how often ISO or time changes, files."""
 
     exposures_s: float
     turns: int
     files: int
-    moves: int = 0
 
     @property
     def total_s(self) -> float:
-        """The sum, with :data:`DIAL_S` for a turn, :data:`WRITE_S` for a file and :data:`MOVE_S` for a change."""
-        return self.exposures_s + DIAL_S * self.turns + WRITE_S * self.files + MOVE_S * self.moves
+        """The sum, with :data:`DIAL_S` for a turn and :data:`WRITE_S` for a file."""
+        return self.exposures_s + DIAL_S * self.turns + WRITE_S * self.files
 
     def __str__(self) -> str:
         return (
             f"about {minutes(self.total_s)}: exposures {minutes(self.exposures_s)}, {self.turns} turns of a dial at "
             f"{DIAL_S} s, {self.files} files at {WRITE_S} s"
-            f"{f', {self.moves} changes between moments at {MOVE_S} s' if self.moves else ''}"
         )
 
 
-def duration_of(shots: Sequence[Shot], moves: int = 0) -> Duration:
+def duration_of(shots: Sequence[Shot]) -> Duration:
     """Return how long shots take one after the other, without composing, focusing, metering and changing scenes."""
     turns = sum((one.iso != other.iso) + (one.setting != other.setting) for one, other in pairwise(shots)) + 2 * bool(
         shots
     )
-    return Duration(sum(shot.setting.true_s for shot in shots), turns, len(shots), moves)
+    return Duration(sum(shot.setting.true_s for shot in shots), turns, len(shots))
 
 
 def minutes(seconds: float) -> str:
@@ -269,7 +265,7 @@ class ScenePlan:
     Attributes
     ----------
     name
-        Its folder: ``scene-1``; of a moment of a sequence ``scene-1-moment-3``.
+        Its folder: ``scene-1``.
     metered_s
         What the meter said at the base ISO, in seconds.
     shots
@@ -287,16 +283,6 @@ class ScenePlan:
     aperture: Fraction | None = None
 
     @property
-    def sequence(self) -> str:
-        """The scene's name without the moment."""
-        return sequence_name(self.name)
-
-    @property
-    def moment(self) -> int:
-        """Which moment of a sequence, counted from 1; 0 of a scene without moments."""
-        return (moment_of(self.name) or ("", 0))[1]
-
-    @property
     def remarks(self) -> tuple[str, ...]:
         """What to know about these shots: a metered time that was rounded, ratios far off their factor."""
         found = []
@@ -311,11 +297,6 @@ class ScenePlan:
                 "eldata verify refuses; set the camera to thirds of a stop, or meter another time"
             )
         return tuple(found)
-
-
-def sequence_name(name: str) -> str:
-    """Return the scene that a name means, without its moment."""
-    return (moment_of(name) or (name,))[0]
 
 
 def _far_off(shot: Shot) -> bool:
@@ -341,12 +322,3 @@ def plan_scene(
         return ScenePlan(name, metered_s, scene_shots(camera, protocol, metered_s), notes)
     except PlanError as error:
         raise type(error)(f"{name}: {error}") from None
-
-
-def moments_of(scene: ScenePlan, protocol: CaptureProtocol) -> tuple[ScenePlan, ...]:
-    """Return a scene as often as it is taken; its notes stay with the first moment."""
-    if protocol.moments == 1:
-        return (scene,)
-    names = (moment_name(scene.name, number) for number in range(1, protocol.moments + 1))
-    first, *rest = (replace(scene, name=name) for name in names)
-    return (first, *(replace(one, notes=()) for one in rest))

@@ -119,17 +119,6 @@ def memory_card(folder: Path) -> None:
     plan.save(folder / "plan.json")
 
 
-def blocks_of_references(folder: Path) -> None:
-    from tests.capture.test_averaging import photographed
-
-    photographed(folder)
-
-
-def captured_set(inputs: Path, folder: Path) -> None:
-    for name in ("manifests", "data"):
-        shutil.copytree(inputs / name, folder / name)
-
-
 def manifests(inputs: Path, folder: Path) -> None:
     shutil.copytree(inputs / "tree" / "manifests", folder / "manifests")
 
@@ -164,9 +153,6 @@ CASES = {
         "capture",
         f"manifest ../inputs/plan.json ../inputs/card -o manifests/mine.csv --copy-to data/mine --jobs {JOBS}",
         memory_card,
-    ),
-    "capture-average": Case(
-        "capture", f"average manifests/mine.csv --root data --jobs {JOBS}", blocks_of_references, captured_set
     ),
 }
 

@@ -1,12 +1,10 @@
 """`capture check`: are the frames of each scene what they should be? Measured on the real pixels."""
 
-from capture.check.averaging import Averaged, average_references
 from capture.check.checking import check
 from capture.check.measures import Estimate, Measure, MeasureKind, Remark, Verdict
-from capture.check.result import CheckedGroup, CheckedPair, CheckReport, write_measured, write_sheet
+from capture.check.result import CheckedGroup, CheckedPair, CheckReport, write_sheet
 
 __all__ = [
-    "Averaged",
     "CheckReport",
     "CheckedGroup",
     "CheckedPair",
@@ -15,8 +13,6 @@ __all__ = [
     "MeasureKind",
     "Remark",
     "Verdict",
-    "average_references",
     "check",
-    "write_measured",
     "write_sheet",
 ]

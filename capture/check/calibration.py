@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.flicker import add_flicker, flicker_between
 from capture.check.frames import ReducedFrame, Unit, file_name, map_picture, reduced_frames, scene_picture
 from capture.check.measures import Estimate, find_kind
 from capture.check.ratio import BLOCK, OF_MEDIAN, TO_SIGMA, brightness_ratios
@@ -156,13 +155,10 @@ def _leave_single(frame: ReducedFrame | None, group: CheckedGroup) -> None:
 
 
 def _compare_pair(first: ReducedFrame, second: ReducedFrame, group: CheckedGroup) -> None:
-    path, against = second.record.path, file_name(first.record.path)
-    ratios = brightness_ratios(first.cells, second.cells)
-    known = [one for one in ratios if one is not None]
+    path = second.record.path
+    known = [one for one in brightness_ratios(first.cells, second.cells) if one is not None]
     if not known:
         group.remark(path, "too dark, or too much of it saturated, to compare it with its partner")
         return
     ratio = max(known, key=lambda one: abs(one.value - 1))
-    group.measure("pair", path, ratio.in_percent(1), against=against)
-    flicker = flicker_between(first.cells, second.cells, ratios)
-    add_flicker(group, path, flicker, "flicker of flats", against=against)
+    group.measure("pair", path, ratio.in_percent(1), against=file_name(first.record.path))

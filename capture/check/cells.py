@@ -1,7 +1,7 @@
 """A frame in small: means over black of cells of 4 x 4 packed pixels, per channel. Only shift and focus need more.
 
-Averaging takes the pixels' noise off (a quarter of it is left), keeps rows apart finely enough for flicker, and makes a
-frame of 12 megapixels 3 MB, so that a whole scene fits into the memory of a frame or two.
+Averaging takes the pixels' noise off (a quarter of it is left) and makes a frame of 12 megapixels 3 MB, so that a whole
+scene fits into the memory of a frame or two.
 """
 
 from __future__ import annotations

@@ -12,7 +12,6 @@ from capture.observed import exposure_text
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.catalogue import Manifest, load_manifest
-from eldata.manifest.clips import moment_of
 from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
 
 if TYPE_CHECKING:
@@ -40,7 +39,6 @@ def check(
         The folder that holds the dataset; default ``$ELDATA_ROOT``, else ``./data``.
     scenes
         Only these scenes, by name or number (``"scene-3"``, ``"3"``), without the calibration frames; none means all.
-        That of a sequence is all of its moments.
     cameras
         Only these cameras; none means all.
     workers
@@ -70,31 +68,11 @@ def units_of(records: Iterable[FrameRecord], folder: Path, workers: Workers) -> 
     groups: dict[str, list[FrameRecord]] = {}
     for record in records:
         groups.setdefault(_unit_name(record), []).append(record)
-    references = [one for found in groups.values() for one in found if one.role == "reference"]
     within = Workers(max(1, workers.jobs // max(1, len(groups))))
     return [
-        Unit(
-            name,
-            folder,
-            tuple(sorted(found, key=lambda one: (one.role == "noisy", one.path))),
-            within,
-            _before(found[0], references),
-        )
+        Unit(name, folder, tuple(sorted(found, key=lambda one: (one.role == "noisy", one.path))), within)
         for name, found in groups.items()
     ]
-
-
-def _before(record: FrameRecord, references: Iterable[FrameRecord]) -> FrameRecord | None:
-    """Return the last reference of the moment before that of a row, or of the nearest that is there."""
-    sequence, number = moment_of(record.scene) or ("", 0)
-    earlier = [
-        (moment[1], one.path, one)
-        for one in references
-        if (moment := moment_of(one.scene)) is not None
-        and (one.camera, moment[0]) == (record.camera, sequence)
-        and moment[1] < number
-    ]
-    return max(earlier, key=lambda found: found[:2])[-1] if earlier else None
 
 
 _CHECKS = {"bias": check_bias, "flat": check_flats}
@@ -128,7 +106,7 @@ def _of_scenes(records: Sequence[FrameRecord], scenes: Collection[str]) -> list[
     known = sorted({record.scene for record in records if record.scene})
     wanted = set()
     for scene in scenes:
-        names = [one for one in known if {one, (moment_of(one) or ("",))[0]} & {scene, f"scene-{scene}"}]
+        names = {scene, f"scene-{scene}"} & set(known)
         if not names:
             raise ArgumentError(f"no scene {scene!r}; the manifest has {', '.join(known) or 'none'}")
         wanted.update(names)

@@ -33,15 +33,13 @@ _QUALITY: Final = 85
 class Unit:
     """The files of one scene, or the bias frames or flats of one camera and ISO: small, for worker processes.
 
-    Records stand in the order in which they are checked: by path, references before noisy frames. ``before`` is, of a
-    moment of a sequence, the last reference of the moment before.
+    Records stand in the order in which they are checked: by path, references before noisy frames.
     """
 
     name: str
     folder: Path
     records: tuple[FrameRecord, ...]
     workers: Workers
-    before: FrameRecord | None = None
 
     @property
     def path(self) -> Path:

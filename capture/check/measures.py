@@ -110,7 +110,6 @@ RATIO_AGAIN: Final = 1 - 2 ** (-1 / 3)
 
 _LIMITS: Final = {
     "light": (100 * LIGHT_LOOK, 100 * LIGHT_AGAIN),
-    "wave": (100 * 2**0.5 * LIGHT_LOOK, 100 * 2**0.5 * LIGHT_AGAIN),
     "shift": (SHIFT_LOOK_PX, SHIFT_AGAIN_PX),
     "verify": (100 * RATIO_LOOK, float("inf")),
 }

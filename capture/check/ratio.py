@@ -47,24 +47,6 @@ _ZERO_SHARE: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StripResiduals:
-    """What is left of the strips of a frame after what another frame leads to expect, (C, rows, columns), DN.
-
-    Attributes
-    ----------
-    expected_dn
-        The expected signal.
-    residual_dn, sigma_dn
-        What is left, limited to 2.5 standard deviations, and its standard deviation; the latter is infinite for strips
-        that were left out.
-    """
-
-    expected_dn: Array
-    residual_dn: Array
-    sigma_dn: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class RatioFit:
     """The line through a noisy frame over its reference.
 
@@ -77,14 +59,11 @@ class RatioFit:
     match
         Share of the variance of the scene in the noisy frame that the reference explains, noise left out: 1 for the
         same scene.
-    residuals
-        Of the line; ``slope * mean_reference`` is expected.
     """
 
     slope: Estimate
     offset_dn: tuple[float, ...]
     match: Estimate
-    residuals: StripResiduals
 
     @property
     def ratio(self) -> Estimate | None:
@@ -146,29 +125,7 @@ def fit_ratio(reference: Cells, noisy: Cells) -> RatioFit | None:
     rows = len(score)
     information = float((weight * about_x**2).sum())
     error = float(np.sqrt(rows / max(1, rows - 1) * np.sum(score**2))) / information
-    match = _match(slope, x, residual, usable)
-    return RatioFit(
-        slope=Estimate(slope, error),
-        offset_dn=tuple(map(float, offset)),
-        match=match,
-        residuals=_limited(slope * x, residual, sigma, usable),
-    )
-
-
-def residuals_between(first: Cells, second: Cells, ratios: Sequence[float]) -> StripResiduals | None:
-    """Return what differs between two bright frames whose channels have these ratios of brightness.
-
-    For frames of equal exposure, whose noise is alike: a fitted line would be too flat by the noise of the first.
-    ``None`` if too little is well exposed.
-    """
-    x, y, usable = _strips(first, second)
-    if int(usable.sum()) < _LEAST_STRIPS:
-        return None
-    expected = x * np.asarray(ratios)[:, None, None]
-    residual = y - expected
-    level = _levels(expected, usable)
-    sigma = _scatter(residual, level, usable)[level]
-    return _limited(expected, residual, sigma, usable)
+    return RatioFit(Estimate(slope, error), tuple(map(float, offset)), _match(slope, x, residual, usable))
 
 
 def changed_share(first: Cells, second: Cells, brightness: float, offset_dn: Sequence[float] | None = None) -> float:
@@ -209,11 +166,6 @@ def _strips(first: Cells, second: Cells) -> tuple[Array, Array, NDArray[np.bool_
     x, unclipped_x = first.pooled(*STRIP)
     y, unclipped_y = second.pooled(*STRIP)
     return x.astype(np.float64), y.astype(np.float64), unclipped_x & unclipped_y
-
-
-def _limited(expected: Array, residual: Array, sigma: Array, usable: NDArray[np.bool_]) -> StripResiduals:
-    limited = np.clip(residual, -_HUBER * sigma, _HUBER * sigma)
-    return StripResiduals(expected, limited, np.where(usable, sigma, np.inf))
 
 
 def _levels(values: Array, usable: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field, replace
-from fractions import Fraction
-from pathlib import Path
+from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from capture.check.measures import (
-    LIGHT_AGAIN,
     VERDICTS,
     Estimate,
     Measure,
@@ -25,12 +22,10 @@ from eldata.base.files import write_text
 from eldata.base.tables import with_error
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError
-from eldata.manifest.card import load_card
-from eldata.manifest.table import MEASURED, load_records
-from eldata.manifest.writing import save_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
+    from pathlib import Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,40 +37,12 @@ class SheetPicture:
     jpeg: bytes
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class CheckedPair:
-    """What was measured of a noisy frame and its reference; it grows while the frame is looked at.
-
-    Attributes
-    ----------
-    path, reference
-        Of the files, as in the manifest.
-    shift
-        Distance between the frames, pixels of the mosaic.
-    pixels_off
-        How far down and right the noisy frame lies from its reference, pixels of the mosaic.
-    ratio
-        The exposure ratio that the pixels show.
-    notes
-        What could not be told, and why.
-    """
+    """A noisy frame and its reference: their files, as in the manifest."""
 
     path: str
     reference: str
-    shift: Estimate | None = None
-    ratio: Estimate | None = None
-    pixels_off: tuple[float, float] | None = None
-    notes: list[str] = field(default_factory=list)
-
-    @property
-    def recorded(self) -> dict[str, object]:
-        """What a manifest keeps: the ratio, if it is known better than the limit for light, and the shift."""
-        found: dict[str, object] = {}
-        if self.ratio is not None and self.ratio.standard_error <= LIGHT_AGAIN * self.ratio.value:
-            found["measured_ratio"] = Fraction(f"{self.ratio.value:.6g}")
-        if self.pixels_off is not None:
-            found["measured_shift_px"] = tuple(Fraction(f"{pixels:.3f}") for pixels in self.pixels_off)
-        return found
 
 
 @dataclass(slots=True)
@@ -150,7 +117,6 @@ class CheckedGroup:
             "reference": pair.reference,
             "verdict": self.verdict_of(pair.path),
             "measured": {name: {field: one[field] for field in fields} for name, one in measured.items()},
-            "notes": pair.notes,
         }
 
     def as_dict(self) -> dict[str, Any]:
@@ -240,42 +206,6 @@ def _in_one(many: Sequence[Measure]) -> str:
         f"{first.verdict}: {len(many)} files alike, such as {in_line(first.path)}: {first.name}: by the pixels it is "
         f"{median(shares):.0f} % of what it should be ({min(shares):.1f} to {max(shares):.1f} %); {first.kind.advice}"
     )
-
-
-# --- into the manifest ------------------------------------------------------------------------------------------------
-
-
-def write_measured(manifest: Path | str, report: CheckReport) -> int:
-    """Write the measured ratio and shift of the pairs of a report into their manifest, whole or not at all.
-
-    Both columns of a pair that was checked are written, empty where nothing could be measured; rows that were not
-    checked stay as they are.
-
-    Parameters
-    ----------
-    manifest
-        The manifest's CSV file.
-    report
-        Of :func:`capture.check.check`.
-
-    Returns
-    -------
-    int
-        The number of pairs whose ratio is recorded now.
-
-    Raises
-    ------
-    ManifestError
-        If the manifest is malformed.
-    EldataError
-        If it cannot be written.
-    """
-    path = Path(manifest)
-    nothing: dict[str, Any] = dict.fromkeys(MEASURED)
-    found = {pair.path: nothing | pair.recorded for group in report.groups for pair in group.pairs}
-    records = [replace(one, **found.get(one.path, {})) for one in load_records(path)]
-    save_manifest(path, load_card(path.with_suffix(".json")), records)
-    return sum(found[one.path]["measured_ratio"] is not None for one in records if one.path in found)
 
 
 # --- the contact sheet: one HTML page that needs no network -----------------------------------------------------------

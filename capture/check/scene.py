@@ -1,10 +1,9 @@
 """Check one scene: references against the first, noisy frames against their reference.
 
-What is found of a pair is one row; the manifest keeps two of its values. The exposure ratio that the pixels show is
-held against the nominal one, which only names the frame, and against what EXIF states, by which an input is amplified.
-Names of shutter times are rounded (30 s are 32 s, 1/200 s is 1/203 s), so a conflict with EXIF need not be anybody's
-mistake; but it costs as much of a score as light that changed, so it is settled only where the manifest holds the
-measured ratio.
+What is found of a pair is one row. The exposure ratio that the pixels show is held against the nominal one, which only
+names the frame, and against what EXIF states, by which an input is amplified. Names of shutter times are rounded (30 s
+are 32 s, 1/200 s is 1/203 s), so a conflict with EXIF need not be anybody's mistake; but where predictions are not
+rescaled it costs as much of a score as light that changed, so it is always reported.
 """
 
 from __future__ import annotations
@@ -13,50 +12,34 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
-from capture.check.common_shift import common_shift, fine_noise
-from capture.check.flicker import add_flicker, flicker_between, flicker_of_contrast
 from capture.check.frames import ReducedFrame, Unit, change_picture, file_name, reduced_frames, scene_picture
-from capture.check.measures import (
-    LIGHT_AGAIN,
-    LIGHT_LOOK,
-    RATIO_AGAIN,
-    RATIO_LOOK,
-    SHIFT_AGAIN_PX,
-    SIGMAS,
-    Estimate,
-    find_kind,
-)
+from capture.check.measures import LIGHT_AGAIN, LIGHT_LOOK, RATIO_AGAIN, RATIO_LOOK, SIGMAS, Estimate, find_kind
 from capture.check.ratio import brightest_level, brightness_ratios, changed_share, fit_ratio
 from capture.check.result import CheckedGroup, CheckedPair, SheetPicture
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
 from capture.observed import f_text, same_aperture
 from capture.shutter import ladder
 from eldata.errors import RawFileError
-from eldata.manifest.clips import moment_of
 from eldata.manifest.pairs import UNCERTAIN_ISO
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from capture.check.cells import Cells
-    from capture.check.measures import MeasureKind, Verdict
-    from capture.check.shift import Shift, Tiles
+    from capture.check.measures import MeasureKind
+    from capture.check.shift import Tiles
     from eldata.records import Exposure, FrameRecord, RawHeader
 
 _INFINITE: Final = float("inf")
 _STEPS: Final = (Fraction(1, 3), Fraction(1, 2))
-_RECORD_IT: Final = (
-    'capture check --write puts the measured ratio into the manifest, and amplification="measured" uses it'
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenReference:
-    """What is kept of a reference while the noisy frames pass: cells, header, and tiles if it has the size for any."""
+    """What is kept of a reference while the noisy frames pass."""
 
     cells: Cells
     header: RawHeader
-    tiles: Tiles | None
 
 
 def check_scene(unit: Unit) -> CheckedGroup:
@@ -77,12 +60,10 @@ def check_scene(unit: Unit) -> CheckedGroup:
             check_pair(frame, named, references, noisy, group)
             group.pictures.append(scene_picture(frame, float(frame.record.ratio or 1)))
             continue
-        tiles = make_tiles(frame.luminance)
-        references[path] = SeenReference(frame.cells, frame.header, tiles)
+        references[path] = SeenReference(frame.cells, frame.header)
         group.measure("clipped", path, Estimate(frame.cells.clipped_share).in_percent())
         if first is None:
-            first, tiles_of_first = frame, tiles
-            _compare_moments(unit, frame, group)
+            first, tiles_of_first = frame, make_tiles(frame.luminance)
             level = brightest_level(frame.cells)
             if level is None:
                 group.remark(path, "is too small to tell how bright it is")
@@ -125,77 +106,35 @@ def _well(group: CheckedGroup, frame: ReducedFrame) -> bool:
 
 
 def _compare(first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, group: CheckedGroup) -> None:
-    """Measure a later reference against the first: light, place and focus, what moved, and flicker."""
+    """Measure a later reference against the first: light, place and focus, and what moved."""
     path, against = frame.record.path, file_name(first.record.path)
-    brightness, ratios = _measure_light(first, frame, "drift", against, group)
-    place = _measure_place(tiles, frame, "shift", against, group)
-    if place is not None:
-        here, there, shift, verdict = place
-        if verdict != "keep":
-            return  # what is measured pixel by pixel would show the shift again
-        focus = measure_focus(here, there, shift, brightness)
-        # Out of focus, edges differ everywhere.
-        if focus is None or group.measure("focus", path, focus.in_percent(1), against=against).verdict == "keep":
-            changed = changed_share(first.cells, frame.cells, brightness)
-            # Without an error: only what exceeds eight of them is counted.
-            group.measure("movement", path, Estimate(changed).in_percent(), against=f"since {against}")
-    add_flicker(group, path, flicker_between(first.cells, frame.cells, ratios))
-
-
-def _measure_light(
-    first: ReducedFrame, frame: ReducedFrame, kind: str, against: str, group: CheckedGroup
-) -> tuple[float, Sequence[Estimate | None]]:
-    """Measure the change of brightness; return its mean over the channels that tell it, and that of each channel."""
-    path, ratios = frame.record.path, brightness_ratios(first.cells, frame.cells)
-    known = [(colour, one) for colour, one in zip(first.cells.colours, ratios, strict=True) if one is not None]
-    if not known:
-        group.remark(path, f"too little is well exposed to compare it with {against}")
-        return 1.0, ratios
-    colour, worst_one = max(known, key=lambda pair: abs(pair[1].value - 1))
-    group.measure(kind, path, worst_one.in_percent(1), colour=colour, against=against)
-    return sum(one.value for _, one in known) / len(known), ratios
-
-
-def _measure_place(
-    tiles: Tiles | None, frame: ReducedFrame, kind: str, against: str, group: CheckedGroup
-) -> tuple[Tiles, Tiles, Shift, Verdict] | None:
-    """Measure the shift; return the tiles that show the same, and the verdict; ``None`` where nothing tells it."""
-    path = frame.record.path
+    brightness = _measure_light(first, frame, against, group)
     cut = None if tiles is None else moved_tiles(tiles, frame.luminance)
     shift = None if cut is None else measure_shift(cut[0], cut[1])
     if cut is None or shift is None:
         text = "has too little detail to tell whether the camera moved: put something with edges into the scene"
         group.remark(path, text)
-        return None
-    measure = group.measure(kind, path, shift.length(cut[2], frame.scale), against=against)
-    return cut[0], cut[1], shift, measure.verdict
-
-
-def _compare_moments(unit: Unit, frame: ReducedFrame, group: CheckedGroup) -> None:
-    """Measure a moment's first reference against the moment before: camera and light rest, something has moved."""
-    if unit.before is None:
         return
-    path, number = frame.record.path, (moment_of(frame.record.scene) or ("", 0))[1]
-    earlier = (moment_of(unit.before.scene) or ("", 0))[1]
-    if earlier < number - 1:
-        lacking = f"moment {number - 1} is" if earlier == number - 2 else f"moments {earlier + 1} to {number - 1} are"
-        group.remark(path, f"{lacking} missing: it is compared with moment {earlier}")
-    before = next(reduced_frames(replace(unit, records=(unit.before,)), CheckedGroup("", 1)), None)
-    if before is None:
-        return  # which is said where it belongs
-    against = f"moment {earlier} ({file_name(before.record.path)})"
-    brightness, _ = _measure_light(before, frame, "moment drift", against, group)
-    place = _measure_place(make_tiles(before.luminance), frame, "moment shift", against, group)
-    if place is not None and place[3] != "keep":
-        return  # edges differ everywhere
-    changed = 100 * changed_share(before.cells, frame.cells, brightness)
-    least = find_kind("movement").look
-    if changed < least:
-        group.remark(
-            path,
-            f"nothing moved since {against}: {changed:.2g} % of the picture changed, expected {least:g} % or "
-            "more; was moving forgotten, or this moment taken twice? Move something, and take this moment again",
-        )
+    if group.measure("shift", path, shift.length(cut[2], frame.scale), against=against).verdict != "keep":
+        return  # what is measured pixel by pixel would show the shift again
+    focus = measure_focus(cut[0], cut[1], shift, brightness)
+    # Out of focus, edges differ everywhere.
+    if focus is None or group.measure("focus", path, focus.in_percent(1), against=against).verdict == "keep":
+        changed = changed_share(first.cells, frame.cells, brightness)
+        # Without an error: only what exceeds eight of them is counted.
+        group.measure("movement", path, Estimate(changed).in_percent(), against=f"since {against}")
+
+
+def _measure_light(first: ReducedFrame, frame: ReducedFrame, against: str, group: CheckedGroup) -> float:
+    """Measure the change of brightness; return its mean over the channels that tell it."""
+    path, ratios = frame.record.path, brightness_ratios(first.cells, frame.cells)
+    known = [(colour, one) for colour, one in zip(first.cells.colours, ratios, strict=True) if one is not None]
+    if not known:
+        group.remark(path, f"too little is well exposed to compare it with {against}")
+        return 1.0
+    colour, worst_one = max(known, key=lambda pair: abs(pair[1].value - 1))
+    group.measure("drift", path, worst_one.in_percent(1), colour=colour, against=against)
+    return sum(one.value for _, one in known) / len(known)
 
 
 # --- pairs ------------------------------------------------------------------------------------------------------------
@@ -208,13 +147,12 @@ def check_pair(
     noisy: list[FrameRecord],
     group: CheckedGroup,
 ) -> None:
-    """Measure a noisy frame against its reference, ``named``: the scene that it shows, place, exposure ratio, flicker.
+    """Measure a noisy frame against its reference, ``named``: the scene that it shows, and the exposure ratio.
 
     ``noisy`` are all noisy frames of the scene.
     """
     record, path = frame.record, frame.record.path
-    pair = CheckedPair(path, named)
-    group.pairs.append(pair)
+    group.pairs.append(CheckedPair(path, named))
     group.measure("gaps", path, Estimate(frame.empty_share).in_percent())
     reference = references.get(named)
     if reference is None:
@@ -228,9 +166,7 @@ def check_pair(
         return
     against = file_name(named)
     if group.measure("match", path, fit.match.in_percent(), against=against).verdict == "shoot again":
-        return  # with another scene there is neither shift nor ratio
-    if _measure_pairs_place(frame, reference, against, pair, group) == "shoot again":
-        return  # what is measured pixel by pixel would show the shift again
+        return  # with another scene there is no ratio
     exif_ratio = _exif_ratio(reference.header, frame.header)
     nominal = record.ratio
     if fit.ratio is None:
@@ -240,39 +176,15 @@ def check_pair(
             signal = Estimate(scale * fit.slope.value, scale * fit.slope.standard_error)
             group.measure("signal", path, signal, ratio=_number(expected))
         return
-    pair.ratio = fit.ratio
     if nominal is not None:
         kind = _nominal_kind(nominal, _ratio_advice(record, fit.ratio, exif_ratio, noisy))
         group.measure(kind, path, fit.ratio, against=against, ratio=_number(nominal))
     if exif_ratio is not None:
         kind = _exif_kind(record, fit.ratio, exif_ratio, _given_ratio(reference.header.exposure, frame.header.exposure))
         group.measure(kind, path, fit.ratio, against=against, ratio=_number(exif_ratio))
-    fine = group.row(pair).get("fine noise")
-    if fine is None or fine.verdict == "keep":  # else edges differ everywhere
-        changed = changed_share(reference.cells, frame.cells, fit.slope.value, fit.offset_dn)
-        # Without an error: only what exceeds eight of them is counted.
-        group.measure("movement", path, Estimate(changed).in_percent(), against=f"to {against}")
-    add_flicker(group, path, flicker_of_contrast(fit.residuals))
-
-
-def _measure_pairs_place(
-    frame: ReducedFrame, reference: SeenReference, against: str, pair: CheckedPair, group: CheckedGroup
-) -> str:
-    """Measure how far the frame lies from its reference; return the verdict."""
-    found = None if reference.tiles is None else common_shift(reference.tiles, frame.luminance)
-    if found is None:
-        pair.notes.append("texture or light is too weak to tell a shift")
-        return "keep"
-    shift, pixels, tiles = found
-    pair.shift, pair.pixels_off = shift.length(pixels, frame.scale), shift.pixels_off(pixels, frame.scale)
-    unseen = SIGMAS * pair.shift.standard_error
-    if unseen > SHIFT_AGAIN_PX:
-        pair.notes.append(f"texture or light is weak: a shift below {unseen:.1f} px may not be seen")
-    verdict = group.measure("shift", pair.path, pair.shift, against=against).verdict
-    fine = fine_noise(shift, *tiles) if verdict == "keep" else None  # else the scene is left over, too
-    if fine is not None:
-        group.measure("fine noise", pair.path, fine.in_percent())
-    return verdict
+    changed = changed_share(reference.cells, frame.cells, fit.slope.value, fit.offset_dn)
+    # Without an error: only what exceeds eight of them is counted.
+    group.measure("movement", path, Estimate(changed).in_percent(), against=f"to {against}")
 
 
 # --- ratios -------------------------------------------------------------------------------------------------------
@@ -307,23 +219,18 @@ def _nominal_kind(nominal: Fraction, advice: str) -> MeasureKind:
 
 
 def _exif_kind(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction, given: tuple[float, ...]) -> MeasureKind:
-    """Return what is expected of a ratio that EXIF states, or that the manifest holds as measured."""
-    stated, recorded = float(exif_ratio), record.measured_ratio
-    doubted = UNCERTAIN_ISO in record.flags
-    settled = recorded is not None and (doubted or abs(float(recorded) / stated - 1) <= RATIO_AGAIN)
-    expected = float(recorded) if recorded is not None and settled else stated
+    """Return what is expected of a ratio that EXIF states."""
+    expected = float(exif_ratio)
     again = LIGHT_AGAIN * expected
     kind = find_kind("EXIF ratio")
     advice = kind.advice
     nearest = min(given, key=lambda one: abs(ratio.value - one), default=None)
-    if settled:
-        advice = "it is not the ratio that the manifest holds as measured: was the file replaced? Write it again"
-    elif doubted:
+    if UNCERTAIN_ISO in record.flags:
         again = _INFINITE
-        advice = f"EXIF has the names of ISOs, whose measured speeds are others: {_RECORD_IT}"
+        advice = 'EXIF has the names of ISOs, whose measured speeds are others: amplification="nominal" is the plan\'s'
     elif nearest is not None and abs(ratio.value - nearest) <= max(LIGHT_LOOK * nearest, SIGMAS * ratio.standard_error):
         again = _INFINITE
-        advice = f"EXIF has the rounded names of the shutter's times: {_RECORD_IT}"
+        advice = "EXIF has the rounded names of the shutter's times: scores of rescaled predictions do not change"
     return replace(kind, look=LIGHT_LOOK * expected, again=again, advice=advice, expected=expected)
 
 

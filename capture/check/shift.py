@@ -34,11 +34,10 @@ _SIDES: Final = (256, 128, 64, 32)
 _LEAST_TILES_A_SIDE: Final = 3  # with the largest tiles; smaller frames take smaller tiles
 _MOST_TILES: Final = (4, 6)
 _SHIFT_BAND: Final = (3.0, 0.2)  # cycles per tile, cycles per packed pixel
-_LINES: Final = 3.0  # cycles per tile
 _FOCUS_BAND: Final = (0.1, 0.4)  # cycles per packed pixel
 # A Hann window's independent frequencies are fewer than the frequencies by sum(w^4) n / sum(w^2)^2 in each direction,
 # w^2 being the noise's variance along the tile: (35/128) / (3/8)^2 = 1.94.
-HANN_CORRELATION: Final = (35 / 128 / (3 / 8) ** 2) ** 2
+_HANN_CORRELATION: Final = (35 / 128 / (3 / 8) ** 2) ** 2
 _ROUNDS: Final = 6
 _FURTHEST: Final = 1.5  # packed pixels: the peak is certain to one
 _WORST_ERROR: Final = 0.25  # packed pixels: a tile that is less certain has no detail to tell a shift by
@@ -71,13 +70,8 @@ class Shift:
     def undo(self, side: int) -> Spectra:
         """Return the factors that undo it in the spectrum of a tile."""
         ones = np.ones(1)
-        factors: Spectra = unshift(self.down.value * ones, self.right.value * ones, side)[0]
+        factors: Spectra = _unshift(self.down.value * ones, self.right.value * ones, side)[0]
         return factors
-
-    def pixels_off(self, pixels: tuple[int, int], scale: int) -> tuple[float, float]:
-        """Return how far down and right the second frame lies: as :meth:`length` has it."""
-        down, right = pixels
-        return scale * (self.down.value + down), scale * (self.right.value + right)
 
     def length(self, pixels: tuple[int, int], scale: int) -> Estimate:
         """Return the distance between the frames, which lie ``pixels`` more apart, times ``scale``.
@@ -102,10 +96,10 @@ def make_tiles(image: NDArray[np.float32]) -> Tiles | None:
         for size, most in zip(image.shape, _MOST_TILES, strict=True)
     )
     starts = np.stack(np.meshgrid(tops, lefts, indexing="ij"), axis=-1).reshape(-1, 2)
-    return Tiles(cut_tiles(image, starts, side), starts, side)
+    return Tiles(_cut_tiles(image, starts, side), starts, side)
 
 
-def cut_tiles(image: NDArray[np.float32], starts: NDArray[np.intp], side: int) -> Spectra:
+def _cut_tiles(image: NDArray[np.float32], starts: NDArray[np.intp], side: int) -> Spectra:
     """Return the windowed spectra of the tiles of an image that begin at these places, without their means."""
     import scipy.fft
 
@@ -123,53 +117,38 @@ def moved_tiles(first: Tiles, image: NDArray[np.float32]) -> tuple[Tiles, Tiles,
     The window stays where it is when the scene moves, which pulls a shift towards 0 by some percent. So the second
     frame's tiles are cut where the first's have moved to; tiles that leave the frame are left out. ``None`` if all do.
     """
-    place = _whole_pixels(first, cut_tiles(image, first.starts, first.side))
-    cut = moved_starts(first, image, place)
-    return None if cut is None else (*cut, place)
-
-
-def moved_starts(first: Tiles, image: NDArray[np.float32], place: tuple[int, int]) -> tuple[Tiles, Tiles] | None:
-    """Return the tiles of two frames, the second's cut ``place`` pixels below and to the right of the first's.
-
-    ``None`` if all of them leave the frame.
-    """
+    place = _whole_pixels(first, _cut_tiles(image, first.starts, first.side))
     starts = first.starts + np.array(place)
     inside = np.all((starts >= 0) & (starts + first.side <= np.array(image.shape)), axis=1)
     if not inside.any():
         return None
     same = Tiles(first.spectra[inside], first.starts[inside], first.side)
-    return same, Tiles(cut_tiles(image, starts[inside], first.side), starts[inside], first.side)
+    return same, Tiles(_cut_tiles(image, starts[inside], first.side), starts[inside], first.side), place
 
 
-def frequencies(side: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _frequencies(side: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the frequencies of a tile's spectrum along both axes, cycles per packed pixel, to be broadcast."""
     down, right = (frequencies.astype(np.float64) for frequencies in (np.fft.fftfreq(side), np.fft.rfftfreq(side)))
     return down[:, None], right[None, :]
 
 
-def unshift(down: NDArray[np.float64], right: NDArray[np.float64], side: int) -> Spectra:
+def _unshift(down: NDArray[np.float64], right: NDArray[np.float64], side: int) -> Spectra:
     """Return the factors that undo each tile's shift."""
-    fy, fx = frequencies(side)
+    fy, fx = _frequencies(side)
     turns = down[:, None, None] * fy + right[:, None, None] * fx
     factors: Spectra = np.exp(2j * np.pi * turns)
     return factors
 
 
-def counted_twice(side: int, band: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _counted_twice(side: int, band: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return how often each frequency of a band counts: of a real image's spectrum only half is kept."""
-    _, fx = frequencies(side)
+    _, fx = _frequencies(side)
     return np.broadcast_to(np.where((fx == 0) | (fx == 0.5), 1.0, 2.0), band.shape)[band]
 
 
-def on_lines(side: int) -> NDArray[np.bool_]:
-    """Return the frequencies along rows and columns, where row noise and banding stand."""
-    fy, fx = frequencies(side)
-    return (np.abs(fy) * side < _LINES) | (np.abs(fx) * side < _LINES)
-
-
-def shift_band(side: int) -> NDArray[np.bool_]:
+def _shift_band(side: int) -> NDArray[np.bool_]:
     """Return the frequencies that a shift is told by."""
-    fy, fx = frequencies(side)
+    fy, fx = _frequencies(side)
     radius = np.hypot(fy, fx)
     return (radius * side >= _SHIFT_BAND[0]) & (radius <= _SHIFT_BAND[1])
 
@@ -179,26 +158,14 @@ def _whole_pixels(first: Tiles, second: Spectra) -> tuple[int, int]:
     import scipy.fft
 
     side = first.side
-    cross = np.where(shift_band(side), np.conj(first.spectra) * second, 0)
+    cross = np.where(_shift_band(side), np.conj(first.spectra) * second, 0)
     magnitude = np.abs(cross)
     # Well below the mean magnitude a frequency is mostly noise: it counts in proportion instead of fully.
     floor = magnitude.mean(axis=(1, 2), keepdims=True) / 10 + np.finfo(np.float32).tiny
     surface = scipy.fft.irfft2((cross / (magnitude + floor)).sum(axis=0), s=(side, side))
-    return find_peak(surface)[1]
-
-
-def find_peak(surface: NDArray[np.floating]) -> tuple[float, tuple[int, int]]:
-    """Return the peak of a correlation and its place, in whole pixels within half a tile."""
-    side = len(surface)
     row, column = np.unravel_index(int(np.argmax(surface)), surface.shape)
     down, right = (int((index + side // 2) % side - side // 2) for index in (row, column))
-    return float(surface[row, column]), (down, right)
-
-
-def jackknife_error(left_out: NDArray[np.floating]) -> float:
-    """Return the standard error of a value from those without a tile each."""
-    tiles = len(left_out)
-    return float(np.sqrt((tiles - 1) / tiles * np.sum((left_out - left_out.mean()) ** 2)))
+    return down, right
 
 
 def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
@@ -207,16 +174,16 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
     ``None`` if no tile has enough detail. The shift between the frames is that and the pixels between the tiles.
     """
     side = first.side
-    fy, fx = frequencies(side)
-    band = shift_band(side)
+    fy, fx = _frequencies(side)
+    band = _shift_band(side)
     cross = np.conj(first.spectra).astype(np.complex128) * second.spectra
     down = right = np.zeros(len(cross))
     wave_y, wave_x = (2 * np.pi * np.broadcast_to(axis, band.shape)[band] for axis in (fy, fx))
     # The half of the plane that a real transform stores counts twice but for its own mirror, the columns 0 and side/2.
-    twice = counted_twice(side, band)
+    twice = _counted_twice(side, band)
     # One round: Im(C exp(2 pi i k d)) is about -Re(...) 2 pi k (d_true - d), linear in what is left of the shift.
     for _ in range(_ROUNDS):
-        turned = (cross * unshift(down, right, side))[:, band]
+        turned = (cross * _unshift(down, right, side))[:, band]
         # Of the real part, noise has the mean 0: the information of a tile without detail is about 0, not above.
         yy, xy, xx = (turned.real @ (twice * product) for product in (wave_y**2, wave_y * wave_x, wave_x**2))
         by, bx = (-(turned.imag @ (twice * wave)) for wave in (wave_y, wave_x))
@@ -227,8 +194,8 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
         right = np.clip(right + (yy * bx - xy * by) / determinant, -_FURTHEST, _FURTHEST)
     one = first.spectra[:, band]
     gain = (turned.real @ twice) / np.maximum(np.abs(one) ** 2 @ twice, 1e-300)  # a tile of one value tells nothing
-    residual = (second.spectra * unshift(down, right, side))[:, band] - gain[:, None] * one
-    noise = (np.abs(residual) ** 2 @ twice) / twice.sum() * HANN_CORRELATION
+    residual = (second.spectra * _unshift(down, right, side))[:, band] - gain[:, None] * one
+    noise = (np.abs(residual) ** 2 @ twice) / twice.sum() * _HANN_CORRELATION
     regular &= gain > 0
     information = np.where(regular, np.stack([xx, yy]), 1) / np.where(regular, determinant, 1)
     errors = np.where(regular, np.sqrt(noise / np.where(regular, gain, 1) * information), np.inf)
@@ -274,7 +241,7 @@ def measure_focus(first: Tiles, second: Tiles, shift: Shift, brightness: float) 
         Ratio of the frames' brightness, which is taken off.
     """
     side = first.side
-    fy, fx = frequencies(side)
+    fy, fx = _frequencies(side)
     radius = np.hypot(fy, fx)
     band = (radius >= _FOCUS_BAND[0]) & (radius <= _FOCUS_BAND[1])
     undo = shift.undo(side)[band] / brightness
@@ -286,7 +253,9 @@ def measure_focus(first: Tiles, second: Tiles, shift: Shift, brightness: float) 
         return None
     value = float(_contrast((power_1 - power_2).sum(), cross.sum()))
     left_out = _contrast((power_1 - power_2).sum() - (power_1 - power_2), np.maximum(cross.sum() - cross, 1e-30))
-    return Estimate(value, jackknife_error(left_out))
+    tiles = len(left_out)
+    error = np.sqrt((tiles - 1) / tiles * np.sum((left_out - left_out.mean()) ** 2))  # jackknife
+    return Estimate(value, float(error))
 
 
 def _contrast(difference: Any, cross: Any) -> Any:

@@ -1,9 +1,8 @@
 """`capture check`: check the pixels of each scene: keep, look or shoot again.
 
 Check the pixels of each scene: do the references agree (light, position, focus), is each noisy frame exposed as its
-name says, is there flicker; light leaks in bias frames, saturated or uneven flats. Gives one verdict per scene: keep,
-look or shoot again, with the reasons. Nothing is changed, but with --write the manifest, which gets the exposure ratio
-and the shift that the pixels of each pair show.
+name says; light leaks in bias frames, saturated or uneven flats. Gives one verdict per scene: keep, look or shoot
+again, with the reasons. Nothing is changed.
 
     capture check manifests/mine.csv --root data --sheet sheet.html
 """
@@ -34,18 +33,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_output(
         parser, "--sheet", kind=page_kind("sheet"), help="write a contact sheet, an HTML page that needs no network"
     )
-    parser.add_argument(
-        "--write",
-        action="store_true",
-        help='write the measured ratio and shift of each pair into the manifest, for amplification="measured"',
-    )
     add_shared(parser, run, "root", "jobs", "isolation", json="dataset ok groups")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from capture.check.checking import check
-    from capture.check.result import check_sheet_name, write_measured, write_sheet
+    from capture.check.result import check_sheet_name, write_sheet
 
     if arguments.sheet:
         check_sheet_name(arguments.sheet)  # before the work, not after it
@@ -61,11 +55,5 @@ def run(arguments: argparse.Namespace) -> int:
         write_sheet(arguments.sheet, report)
         print(f"contact sheet: {arguments.sheet}")
 
-    def write_pairs() -> None:
-        count = write_measured(arguments.manifest, report)
-        pairs = sum(len(group.pairs) for group in report.groups)
-        print(f"{arguments.manifest}: measured ratios of {count} of {pairs} pairs written")
-
-    more = arguments.sheet and write_pictures, arguments.write and write_pairs
-    show_and_write(arguments, report.format_text, report.as_dict, *more)
+    show_and_write(arguments, report.format_text, report.as_dict, arguments.sheet and write_pictures)
     return OK if report.ok else PROBLEMS

@@ -1,8 +1,8 @@
 """`capture checklist`: turn a plan into a checklist for the phone, or for paper.
 
 Turn a plan into a checklist: preparation, then each shot in order with what to dial. The page (html) is one file for a
-phone or tablet in the dark. It needs no network, plans a scene again from another metered time, keeps ticks, file names
-and remarks in the browser, and exports them.
+phone or tablet in the dark. It needs no network, plans a scene again from another metered time, and keeps ticks, file
+names and remarks in the browser.
 
     capture checklist plan.json -o checklist.html
 """

@@ -10,7 +10,7 @@ TYPE_CHECKING = False  # typing takes as long to import as all else that comes b
 if TYPE_CHECKING:
     import argparse
 
-_COMMANDS = ("protocol", "camera", "plan", "checklist", "script", "manifest", "check", "average", "completion")
+_COMMANDS = ("protocol", "camera", "plan", "checklist", "script", "manifest", "check", "completion")
 
 _FIRST = ("capture camera --example cam.json", "capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json")
 _RUNNING = ("root", "json", "jobs", "isolate", "debug")

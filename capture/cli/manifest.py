@@ -5,7 +5,6 @@ missing, repeated, out of order or not in the plan; write the manifest (CSV) and
 --link-to, place the files in the dataset's layout. Originals stay as they are.
 
     capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine
-    capture manifest plan.json card -o manifests/mine.csv --copy-to data/mine --progress progress.json
     capture manifest night-2.json card -o manifests/mine.csv --copy-to data/mine --append
 
 Where something had to be decided, you are asked; without a terminal the mapping is written to a file, to be looked at,
@@ -18,11 +17,10 @@ import argparse
 import shlex
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capture.cli.values import add_only, add_progress, progress_of
+from capture.cli.values import add_only
 from capture.observed import ORDERS
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import encoded, write_json
@@ -54,7 +52,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         required=True,
         help="the manifest, such as manifests/mine.csv",
     )
-    add_progress(parser, "metered times, file names, repeats, what was skipped, remarks")
     place = parser.add_mutually_exclusive_group()
     place.add_argument("--copy-to", metavar="DIR", help="copy the files to DIR/<camera>/scene-<n>/IMG_<nnnn>.<ext>")
     place.add_argument("--link-to", metavar="DIR", help="the same with hard links, which take no space")
@@ -92,18 +89,14 @@ def _table_name(text: str) -> str:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from capture.mapping import aperture_remarks, load_mapping, mapping_as_dict
+    from capture.mapping import aperture_remarks, explain_metering, load_mapping, mapping_as_dict
     from capture.matching import match, other_reading
-    from capture.noted import explain_metering, match_noted
     from capture.observed import observe, raw_files
     from capture.plan import Plan
 
     output = Path(arguments.output)
     place = arguments.copy_to or arguments.link_to
     plan = Plan.load(arguments.plan)
-    progress = progress_of(arguments.progress, plan)
-    if progress is not None:
-        plan = progress.as_metered(plan)
     if arguments.only:
         plan = plan.only(arguments.only)
     begun = _begun(arguments, output)
@@ -127,13 +120,9 @@ def run(arguments: argparse.Namespace) -> int:
         observed = observed.numbered
     other = None
     if arguments.mapping is None:
-        matching = partial(match, repeated=arguments.repeated)
-        if progress is not None:
-            matching = partial(match_noted, progress=progress, repeated=arguments.repeated)
-        found = matching(plan, observed)
-        found = explain_metering(plan, observed, found)
+        found = explain_metering(plan, observed, match(plan, observed, repeated=arguments.repeated))
         if arguments.order is None:
-            other = other_reading(plan, observed, found, matching)
+            other = other_reading(plan, observed, found, repeated=arguments.repeated)
     else:
         found = load_mapping(arguments.mapping, plan, observed)
     found = replace(found, remarks=(*found.remarks, *aperture_remarks(plan, found.frames)))

@@ -4,12 +4,9 @@ Plan the shots of each scene: the setting to dial, what the camera then really g
 misses its low-light factor. With PLAN, show that plan or change it.
 
     capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json
-    capture plan --camera cam.json --scenes 2 --metered 4 --moments 7 -o video.json
     capture plan plan.json --remeter scene-2=2
-    capture plan plan.json --progress progress.json
 
-The first makes a plan, the second one of a video set; the third is for the scene, when the meter says something else;
-the last is for the desk, with what the checklist's page exported.
+The first makes a plan; the second is for the scene, when the meter says something else.
 """
 
 from __future__ import annotations
@@ -23,12 +20,10 @@ from capture.checklist_content import rows as rows_of
 from capture.cli.values import (
     add_alike,
     add_numbers,
-    add_progress,
     aperture,
     given_counts,
     metered,
     or_dash,
-    progress_of,
     scene_numbers,
     scene_time,
     seconds,
@@ -46,7 +41,6 @@ if TYPE_CHECKING:
 
     from capture.calibration import CalibrationPlan
     from capture.camera import CameraDescription
-    from capture.checklist_progress import Progress
     from capture.plan import Plan
     from capture.shots import Shot
     from capture.shutter import ExactNumber
@@ -98,7 +92,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="the f-number of every scene, as 8, or of one: scene-3=5.6; in a new plan or an older one. That of the "
         "files is compared with it",
     )
-    add_progress(change, "metered times and remarks are taken into the plan")
     calibration = parser.add_argument_group("calibration frames, in a new plan or an older one")
     calibration.add_argument(
         "--calibration", action="store_true", help="plan bias frames and flats too; needs --flat-clips-at"
@@ -144,20 +137,14 @@ def run(arguments: argparse.Namespace) -> int:
         if given:
             raise ArgumentError(f"--{given[0]} is for a new plan; {arguments.plan} has its own: leave one of them out")
         before = plan = Plan.load(arguments.plan)
-    progress = progress_of(arguments.progress, plan)
-    if progress is not None:  # before the other changes, which may be of what it says
-        plan = progress.as_noted(progress.as_metered(plan))
     plan = _changed(plan, arguments)
     target: str = arguments.output or (arguments.plan if plan != before else "")
-
-    def told() -> str:
-        return "\n\n".join([format_plan(plan), *([] if progress is None else [format_left(progress)])])
 
     def write_plan() -> None:
         plan.save(target)
         print(f"\nplan: {target}")
 
-    show_and_write(arguments, told, plan.as_dict, write_plan if target else None)
+    show_and_write(arguments, lambda: format_plan(plan), plan.as_dict, write_plan if target else None)
     return OK
 
 
@@ -240,7 +227,7 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
         plan = plan.remeter(name, time)
     # First the aperture of every scene, whatever the order in which they are given.
     for name, f_number in sorted(arguments.aperture, key=lambda given: given[0] is not None):
-        for scene in plan.scenes if name is None else plan.moments(name):
+        for scene in plan.scenes if name is None else (plan.scene(name),):
             plan = plan.set_aperture(scene.name, f_number)
     for text in arguments.note:
         name, equals, note = text.partition("=")
@@ -266,11 +253,10 @@ def format_plan(plan: Plan) -> str:
     for time, f_number in dict.fromkeys((scene.metered_s, scene.aperture) for scene in plan.scenes):
         scenes = [scene for scene in plan.scenes if (scene.metered_s, scene.aperture) == (time, f_number)]
         at = "" if f_number is None else f", {f_text(f_number)}"
-        names = list(dict.fromkeys(scene.sequence for scene in scenes))
+        names = [scene.name for scene in scenes]
         title = f"{', '.join(names)}: metered at {time} s{at}"
         notes = [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]
         each = "each scene" if len(names) > 1 else names[0]
-        each = each if protocol.moments == 1 else f"each of the {protocol.moments} moments of {each}"
         time_needed = f"{each}: {duration_of(scenes[0].shots)}"
         parts.append("\n".join([title, *notes, _table(scenes[0].shots), time_needed, *scenes[0].remarks]))
     if plan.calibration is not None:
@@ -286,16 +272,6 @@ def _no_dark(plan: Plan) -> list[str]:
     listed = ", ".join(f"ISO {iso} at {seconds} s" for iso, seconds in plan.without_dark)
     text = f"no dark frames are planned for {listed}, which scenes have by now: plan them again with --calibration"
     return [text] if listed else []
-
-
-def format_left(progress: Progress) -> str:
-    """Return which shots the checklist has not as taken, in a line a scene."""
-    lines = []
-    for name, rows in progress.parts:
-        left = [str(row.number) for row in rows if not row.done]
-        if left:
-            lines.append(f"    {name}: {'all frames' if len(left) == len(rows) else 'frame ' + ', '.join(left)}")
-    return "\n".join(["not taken, by the checklist:", *lines]) if lines else "all frames are taken, by the checklist"
 
 
 def _table(shots: Sequence[Shot]) -> str:

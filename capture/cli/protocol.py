@@ -78,10 +78,8 @@ def run(options: argparse.Namespace) -> int:
 def _summary(protocol: CaptureProtocol, frames: Sequence[ProtocolFrame]) -> str:
     references = sum(frame.role == "reference" for frame in frames)
     noisy = len(frames) - references
-    of = "scene" if protocol.moments == 1 else "moment"
     return (
-        f"{len(frames)} frames per {of}: {references} references at ISO {protocol.base_iso}, {noisy} noisy "
+        f"{len(frames)} frames per scene: {references} references at ISO {protocol.base_iso}, {noisy} noisy "
         f"(ISOs: {len(protocol.noisy_isos)}, factors: {len(protocol.low_light_factors)}"
         f"{'' if protocol.repeats == 1 else f', frames of each: {protocol.repeats}'})"
-        f"{'' if protocol.moments == 1 else f'; {protocol.moments} moments, {len(frames) * protocol.moments} frames'}"
     )

@@ -15,7 +15,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capture.checklist_content import TEMPLATES, ChecklistRow, before_moment, calibration_parts, part_of
+from capture.checklist_content import TEMPLATES, ChecklistRow, calibration_parts, part_of
 from capture.cli.values import add_only
 from capture.observed import f_text
 from capture.plan import CALIBRATION, Plan
@@ -102,13 +102,11 @@ def _time_words(time: ShutterTime) -> list[str]:
 
 
 def _scene_words(plan: Plan, scene: ScenePlan) -> Iterator[str]:
-    if scene.moment < 2:  # later moments are as the first
-        yield f"Metered at {scene.metered_s} s, ISO {plan.protocol.base_iso}"
-        if scene.aperture is not None:
-            yield f"Aperture {f_text(scene.aperture)}"
-        yield from scene.remarks
+    yield f"Metered at {scene.metered_s} s, ISO {plan.protocol.base_iso}"
+    if scene.aperture is not None:
+        yield f"Aperture {f_text(scene.aperture)}"
+    yield from scene.remarks
     yield from scene.notes
-    yield before_moment(plan, scene)
 
 
 def _part(folder: str, title: str, words: Iterable[str], shots: Sequence[Shot]) -> Iterator[str]:

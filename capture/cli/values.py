@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -16,9 +15,6 @@ from eldata.errors import ArgumentError
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from fractions import Fraction
-
-    from capture.checklist_progress import Progress
-    from capture.plan import Plan
 
 _MOST_SCENES = 1000
 _SCENES_END = 1_000_000  # scene-999999 is the last that a plan may have
@@ -79,18 +75,13 @@ def add_numbers(
 
 
 def add_alike(parser: argparse._ActionsContainer) -> None:
-    """Add ``--repeats``, ``--references`` and ``--moments`` to a subcommand: how often the protocol takes something."""
+    """Add ``--repeats`` and ``--references`` to a subcommand: how often the protocol takes something."""
     add = partial(parser.add_argument, type=whole_number(1), metavar="N")
     add("--repeats", help="noisy frames of each ISO and factor, one after the other (default: 1; LRID has 10)")
     add(
         "--references",
         help="reference frames before and after the noisy ones of each ISO (default: 1); each noisy frame is compared "
-        "with the one nearest to it, or, after capture average, with their mean",
-    )
-    add(
-        "--moments",
-        help="for video: take each scene N times, with something in it moved by hand, or the next picture of a film on "
-        "a monitor, in between (default: 1)",
+        "with the one nearest to it",
     )
 
 
@@ -107,34 +98,6 @@ def add_only(parser: argparse._ActionsContainer) -> None:
         metavar="SCENE",
         help="only this scene, or calibration, of the plan; may be repeated",
     )
-
-
-def add_progress(parser: argparse._ActionsContainer, what: str) -> None:
-    """Add ``--progress`` to a subcommand: what the checklist exported; ``what`` says what is taken of it."""
-    parser.add_argument(
-        "--progress",
-        metavar="FILE",
-        help=f"what the checklist's page exported: {what}; - reads pasted text, up to Ctrl-D",
-    )
-
-
-def progress_of(given: str | None, plan: Plan) -> Progress | None:
-    """Return what ``--progress`` names, or ``None`` without it.
-
-    Raises
-    ------
-    ProgressError
-        If it is malformed, or belongs to another plan.
-    """
-    from capture.checklist_progress import load_progress
-
-    if given is None:
-        return None
-    if given != "-":
-        return load_progress(given, plan)
-    if sys.stdin.isatty():
-        print("paste what the page's Copy gave, then press Enter and Ctrl-D:", file=sys.stderr)
-    return load_progress("the pasted text", plan, sys.stdin.buffer.read())
 
 
 def or_dash(value: object, form: str = "{}") -> str:

@@ -1,6 +1,6 @@
 "use strict";
 // The script of the checklist. Everything that it knows about the plan is in the page; what is entered is kept in this
-// browser under the plan's digest, in the form that Export writes. The page is whole without it, to read and to print.
+// browser under the plan's digest. The page is whole without it, to read and to print.
 
 const plan = JSON.parse(document.getElementById("plan-data").textContent);
 const byId = (id) => document.getElementById(id);
@@ -33,74 +33,28 @@ every("[data-row]").forEach((element) => {
 });
 const rowsOf = (section) => [...rows.values()].filter((row) => row.section === section);
 
-const sceneAt = (section) => plan.scenes.find((scene) => scene.name === section);
-
-/** The moments of a section's sequence, which are metered alike; a scene without moments is alone. */
-function momentsOf(section) {
-  const own = sceneAt(section);
-  return own?.sequence ? plan.scenes.filter((scene) => scene.sequence === own.sequence).map((scene) => scene.name) : [section];
-}
 const frameCount = (list) => list.reduce((sum, row) => sum + row.count, 0);
 
-/** Text without tabs and whatever else a file name or remark cannot hold. */
-const plain = (text) => text.replace(/[\p{Cc}\p{Cs}]/gu, " ");
-
-/** What Export writes, and what is kept; capture.checklist.load_progress reads it. */
-function progress() {
-  const one = ({ number, count, role, iso, dial, takenAt, repeats, file, remark }) => (
-    { number, count, role, iso, dial, taken_at: takenAt, repeats, file, remark });
+/** What is kept. */
+function entered() {
+  const one = ({ takenAt, repeats, file, remark }) => ({ takenAt, repeats, file, remark });
   return {
-    kind: plan.kind,
-    schema: plan.schema,
-    plan: plan.digest,
-    camera: plan.camera,
-    preparation: plan.preparation.filter((name) => prepared.has(name)),
-    scenes: plan.scenes.map(({ name }) => ({ name, metered_s: metered.get(name), shots: rowsOf(name).map(one) })),
-    calibration: rowsOf("calibration").map(one),
+    metered: Object.fromEntries(metered),
+    prepared: [...prepared],
+    rows: Object.fromEntries([...rows].map(([key, row]) => [key, one(row)])),
   };
 }
 
-/** Take over what Export wrote; return the scenes that do not fit this plan. An unusable file changes nothing. */
+/** Take over what was kept; what does not fit this page changes nothing. */
 function adopt(content) {
-  const check = (right, what) => { if (!right) throw new Error(what); };
-  check(content && content.kind === plan.kind, "it is not the exported progress of a checklist");
-  check(content.schema === plan.schema, "it was written by another version of capture");
-  check(content.camera === plan.camera, `it is for the camera ${content.camera}, and this plan is for ${plan.camera}`);
-  for (const name of ["preparation", "scenes", "calibration"]) check(Array.isArray(content[name]), `its ${name} is not a list`);
-  const left = [];
-  const found = [];
-  const times = new Map();
-  const parts = [...content.scenes, { name: "calibration", shots: content.calibration }];
-  for (const part of parts) {
-    check(part && typeof part.name === "string" && Array.isArray(part.shots), "a scene lacks its name or its shots");
-    const there = rowsOf(part.name);
-    if (there.length !== part.shots.length) { left.push(part.name); continue; }
-    if (part.name !== "calibration") {
-      const time = table.get(part.metered_s);
-      check(time && !time.problem, `${part.name} was metered at ${part.metered_s} s, and this page has no shots for that time; "capture plan --progress" takes it into the plan`);
-      const [first] = momentsOf(part.name);
-      check((times.get(first) ?? time.metered) === time.metered, `${part.name} was metered at ${time.metered} s, and ${first} at ${times.get(first)} s: a sequence has one metered time`);
-      times.set(part.name, time.metered);
-    }
-    part.shots.forEach((shot, index) => {
-      const where = `${part.name}, row ${index + 1}`;
-      check(shot && (shot.taken_at === null || typeof shot.taken_at === "string"), `${where}: taken_at is neither a time nor null`);
-      check(Number.isInteger(shot.repeats) && shot.repeats >= 0 && shot.repeats <= plan.most_repeats, `${where}: repeats is not a whole number up to ${plan.most_repeats}`);
-      for (const name of ["file", "remark"]) {
-        check(typeof shot[name] === "string" && shot[name].length <= plan.longest_text, `${where}: ${name} is not a text, or too long`);
-      }
-    });
-    const fits = part.shots.every((shot, index) => ["number", "count", "role", "iso"].every((name) => shot[name] === there[index][name]));
-    if (!fits) { left.push(part.name); times.delete(part.name); continue; }
-    part.shots.forEach((shot, index) => found.push([there[index], {
-      takenAt: shot.taken_at, repeats: shot.repeats, file: plain(shot.file), remark: plain(shot.remark),
-    }]));
-  }
-  for (const [row, entered] of found) Object.assign(row, entered);
-  for (const [name, time] of times) metered.set(name, time);
+  const check = (right) => { if (!right) throw new Error("it is not of this page"); };
+  check(content && Array.isArray(content.prepared));
+  check(plan.scenes.every(({ name }) => table.get(content.metered?.[name])?.dials));
+  check([...rows.keys()].every((key) => Number.isInteger(content.rows?.[key]?.repeats)));
+  for (const [key, row] of rows) Object.assign(row, content.rows[key]);
+  for (const { name } of plan.scenes) metered.set(name, content.metered[name]);
   prepared.clear();
-  plan.preparation.filter((name) => content.preparation.includes(name)).forEach((name) => prepared.add(name));
-  return left.filter((name) => name !== "calibration" || content.calibration.length);
+  plan.preparation.filter((name) => content.prepared.includes(name)).forEach((name) => prepared.add(name));
 }
 
 // --- keeping -------------------------------------------------------------------------------------------------------
@@ -119,7 +73,7 @@ function notKept() {
   byId("not-kept").hidden = false;
 }
 function save() {
-  unsaved = !keep(KEY, JSON.stringify(progress()));
+  unsaved = !keep(KEY, JSON.stringify(entered()));
   while (JSON.stringify(undoable).length > LONGEST_UNDO) undoable.shift();
   keep(UNDO, JSON.stringify(undoable));
 }
@@ -130,11 +84,12 @@ function restore() {
     adopt(JSON.parse(text));
   } catch (error) {
     keep(`${KEY}:unreadable`, text);  // or the next tick would overwrite it
-    refuse(`What this browser kept for this page cannot be read (${error.message}); a copy stays under "${KEY}:unreadable".`);
+    byId("refused").hidden = false;
+    byId("refused").textContent = `What this browser kept for this page cannot be read (${error.message}); a copy stays under "${KEY}:unreadable".`;
   }
 }
 
-/** Read what Undo takes back; of what does not fit this page nothing, since only the progress is precious. */
+/** Read what Undo takes back; of what does not fit this page nothing, since only ticks and notes are precious. */
 function restoreUndo() {
   undoable = [];
   try {
@@ -201,7 +156,7 @@ function hint(row) {
   const list = rowsOf(place);
   const before = list[list.indexOf(row) - 1];
   if (row.repeats || row.takenAt) return "Take it again; the last one counts.";
-  if (!before) return place === "calibration" ? "First calibration frames." : sceneAt(place).hint ?? "First shot of the scene.";
+  if (!before) return place === "calibration" ? "First calibration frames." : "First shot of the scene.";
   const changed = [before.iso !== row.iso && "ISO", before.dial !== row.dial && "shutter"].filter(Boolean);
   return changed.length ? `Change ${changed.join(" and ")}.` : "Settings stay as they are.";
 }
@@ -214,7 +169,7 @@ function showNext() {
   byId("total-text").textContent = `${done} of ${frameCount(all)} frames`;
   byId("preparation-title").querySelector(".count").textContent = `${every(":checked", byId("preparation-body")).length} of ${every("[data-item]", byId("preparation-body")).length}`;
   byId("place").value = place;
-  byId("where").textContent = row ? sentence(row) : done === frameCount(all) ? "All frames are taken. Export, then copy the card." : `${place}: all frames are taken.`;
+  byId("where").textContent = row ? sentence(row) : done === frameCount(all) ? "All frames are taken. Copy the card." : `${place}: all frames are taken.`;
   byId("dials").hidden = !row;
   byId("next-iso").textContent = row ? row.iso : "";
   byId("next-dial").textContent = row ? `${row.dial} s` : "";
@@ -250,10 +205,6 @@ function announce(text) {
   const next = row ? `Next: ${sentence(row)}, ISO ${row.iso}, ${row.dial} s.` : byId("where").textContent;
   byId("say").textContent = text;
   byId("live").textContent = `${text} ${next}`.trim();
-}
-function refuse(text) {
-  byId("refused").hidden = text === "";
-  byId("refused").textContent = text;
 }
 
 function fold(section, open) {
@@ -320,8 +271,7 @@ function setDone(row, done) {
   }
   showSection(row.section);
   showNext();
-  const moved = done && place !== row.section && nextRow() === rowsOf(place)[0] ? sceneAt(place)?.before : null;
-  announce(done ? ["Taken.", moved ?? ""].join(" ").trim() : "No longer ticked.");
+  announce(done ? "Taken." : "No longer ticked.");
 }
 
 function repeat(row) {
@@ -343,16 +293,14 @@ function meter(section, text) {
   problem.textContent = time.problem ? `${time.problem}. The shots below are still those of ${now.shown} s.` : "";
   if (!time.problem && time !== now) {
     change(`metered time of ${section}`, [], () => {
-      for (const moment of momentsOf(section)) {
-        metered.set(moment, text);
-        replan(moment);
-      }
+      metered.set(section, text);
+      replan(section);
     });
   }
-  momentsOf(section).forEach(showSection);  // a list that stands at a refused time goes back
+  showSection(section);  // a list that stands at a refused time goes back
   if (time.problem || time === now) return;
   showNext();
-  const taken = momentsOf(section).flatMap(rowsOf).filter((row) => row.takenAt !== null && !row.done);
+  const taken = rowsOf(section).filter((row) => row.takenAt !== null && !row.done);
   announce(`${section} is planned for ${time.shown} s.${taken.length ? ` ${taken.length} shots were taken at other settings and are to be taken again.` : ""}`);
 }
 
@@ -369,51 +317,6 @@ function doubled(what, event) {
   tap.what = what;
   tap.at = event.timeStamp;
   return soon;
-}
-
-const exported = () => JSON.stringify(progress(), null, 1) + "\n";  // in short lines, which terminals take
-
-function exportFile() {
-  const address = URL.createObjectURL(new Blob([exported()], { type: "application/json" }));
-  const link = document.createElement("a");
-  link.href = address;
-  link.download = `${plan.camera}-progress.json`;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(address), 60000);
-  unsaved = false;
-  byId("kept").textContent = `Exported as ${link.download}.`;
-}
-
-/** Put the exported text on the clipboard; where the browser forbids that, show it to be copied by hand. */
-async function copyText() {
-  let copied = true;
-  try { await navigator.clipboard.writeText(exported()); } catch { copied = false; }
-  byId("text-label").hidden = copied;
-  if (!copied) {
-    byId("text").value = exported();
-    byId("text").select();
-  }
-  byId("kept").textContent = copied ? "Copied." : "";
-}
-
-async function importFile(file) {
-  refuse("");
-  byId("kept").textContent = "";
-  let content;
-  try { content = JSON.parse(await file.text()); } catch { refuse(`${file.name}: is not JSON.`); return; }
-  let left = [];
-  try {
-    change("import", [...rows.values()], () => { left = adopt(content); }, ["takenAt", "repeats", "file", "remark"]);
-  } catch (error) {
-    undoable.pop();
-    refuse(`${file.name}: ${error.message}.`);
-    return;
-  }
-  lastTaken = null;
-  showAll();
-  startPlace();
-  showNext();
-  byId("kept").textContent = `Imported ${file.name}.${left.length ? ` Not in this plan, and left out: ${left.join(", ")}.` : ""}`;
 }
 
 // --- seconds to wait, and a screen that stays on -------------------------------------------------------------------
@@ -477,7 +380,7 @@ function showTimer() {
 
 /** Keep the screen on while a scene is being shot; the browser lets go of it whenever the page is hidden. */
 async function stayAwake() {
-  const list = momentsOf(place).flatMap(rowsOf);
+  const list = rowsOf(place);
   const shooting = timer !== null || (list.some((row) => row.done) && list.some((row) => !row.done));
   if (document.visibilityState !== "visible" || shooting === (lock !== null)) return;
   const held = lock;
@@ -523,7 +426,7 @@ function listen() {
     more.addEventListener("click", () => more.setAttribute("aria-expanded", String(more.getAttribute("aria-expanded") === "false")));
     for (const name of ["file", "remark"]) {
       element.querySelector(`.${name}`).addEventListener("input", (event) => {
-        row[name] = plain(event.target.value);
+        row[name] = event.target.value;
         more.classList.toggle("used", Boolean(row.file || row.remark));
         save();
       });
@@ -578,13 +481,6 @@ function listen() {
     lastTaken = null;
     showNext();
     announce("");
-  });
-  byId("export").addEventListener("click", exportFile);
-  byId("copy").addEventListener("click", copyText);
-  byId("import").addEventListener("click", () => byId("import-file").click());
-  byId("import-file").addEventListener("change", (event) => {
-    const [file] = event.target.files;
-    if (file) importFile(file).finally(() => { event.target.value = ""; });
   });
   byId("print").addEventListener("click", () => window.print());
   byId("theme").addEventListener("change", (event) => {

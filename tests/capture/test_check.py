@@ -14,13 +14,7 @@ from capture.check import CheckedGroup, CheckReport, Measure, check, write_sheet
 from capture.check.measures import Estimate, MeasureKind
 from capture.cli import main
 from eldata.records import Exposure
-from tests.capture.simulated_scenes import (
-    ALPHA,
-    SIZE,
-    Shot,
-    radiance,
-    write_scenes,
-)
+from tests.capture.simulated_scenes import ALPHA, Shot, radiance, write_scenes
 from tests.reports.pages import checked as checked_page
 
 if TYPE_CHECKING:
@@ -158,24 +152,6 @@ def test_the_ratio_of_a_frame_with_noise_only(tmp_path: Path) -> None:
     group = checked(tmp_path, {15: lambda shot: shot.lit(0)})
     assert group.verdict == "shoot again"
     assert named(group) == {("signal", 15)}
-
-
-def test_flicker_of_a_noisy_frame(tmp_path: Path) -> None:
-    """Five per cent at 5.3 bands a frame, as of a lamp on 100 Hz and a slow readout."""
-    bands = 1 + 0.05 * np.sin(2 * np.pi * 5.3 * np.arange(SIZE[0]) / SIZE[0])[:, None]
-    group = checked(tmp_path, {5: lambda shot: shot.lit(bands)}, scene=2)
-    assert named(group) == {("flicker", 5)}
-    assert group.verdict == "shoot again"
-    assert value(group, "flicker", 5).value == pytest.approx(5, abs=1)
-    assert "5.25 per frame" in value(group, "flicker", 5).text
-
-
-def test_weak_flicker_of_a_reference(tmp_path: Path) -> None:
-    bands = 1 + 0.01 * np.sin(2 * np.pi * 8 * np.arange(SIZE[0]) / SIZE[0])[:, None]
-    group = checked(tmp_path, {16: lambda shot: shot.lit(bands)})
-    assert named(group) == {("flicker", 16)}
-    assert group.verdict == "look"
-    assert value(group, "flicker", 16).value == pytest.approx(1, abs=0.15)
 
 
 # --- files --------------------------------------------------------------------------------------------------------

@@ -86,9 +86,6 @@ def test_a_light_leak_in_one_corner(frames: Set) -> None:
     assert flat.verdict == "keep"
 
 
-BANDS = 0.04 * np.sin(2 * np.pi * 3 * np.arange(SIZE[0]) / SIZE[0])[:, None]
-
-
 @pytest.mark.parametrize(
     ("numbers", "change", "name", "verdict"),
     [
@@ -98,9 +95,6 @@ BANDS = 0.04 * np.sin(2 * np.pi * 3 * np.arange(SIZE[0]) / SIZE[0])[:, None]
             range(7, 13), lambda dn: 512 + (dn - 512) * np.linspace(0.3, 1, SIZE[1]), "evenness", "look", id="uneven"
         ),
         pytest.param((10,), lambda dn: 512 + (dn - 512) * 1.08, "pair", "shoot again", id="an unequal pair"),
-        pytest.param(
-            (12,), lambda dn: 512 + (dn - 512) * (1 + BANDS), "flicker", "shoot again", id="a flickering flat"
-        ),
     ],
 )
 def test_what_is_found(

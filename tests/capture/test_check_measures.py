@@ -11,7 +11,6 @@ import pytest
 
 from capture.check.calibration import PATCHES, patch_levels, unevenness
 from capture.check.cells import Cells, luminance, reduce_to_cells, saturation_dn
-from capture.check.flicker import flicker_of_contrast, flicker_of_level
 from capture.check.measures import Measure, MeasureKind
 from capture.check.ratio import brightness_ratios, fit_ratio
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
@@ -221,33 +220,6 @@ def test_black_that_is_clipped_has_no_ratio() -> None:
     cells = reduce_to_cells(clipped.astype(np.uint16), sensor, pack(clipped, sensor.cfa))
     assert cells.zero_share > 0.1
     assert fit_ratio(seen(radiance(1), 1), cells) is None
-
-
-# --- flicker ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("amplitude", "cycles"), [(0.02, 2.4), (0.05, 16.3)])
-def test_flicker_has_the_amplitude_that_was_put_in(amplitude: float, cycles: float) -> None:
-    bands = 1 + amplitude * np.sin(2 * np.pi * cycles * np.arange(SIZE[0]) / SIZE[0] + 1)[:, None]
-    reference = seen(radiance(2), 1)
-    fit = there(fit_ratio(reference, seen((radiance(2) * bands).astype(np.float32), 2, iso=800, ratio=10)))
-    for flicker in (flicker_of_contrast(fit.residuals), flicker_of_level(fit.residuals)):
-        assert flicker is not None
-        assert flicker.amplitude.value == pytest.approx(amplitude, rel=0.2)
-        assert flicker.amplitude.value > flicker.sigmas * flicker.amplitude.standard_error
-        assert flicker.cycles == pytest.approx(cycles, abs=0.3)
-
-
-def test_banding_of_the_sensor_is_not_flicker() -> None:
-    """Bands that are added, as dark as the signal is; the contrast within the rows does not follow them."""
-    mosaic = photographed(radiance(2), 2, iso=3200, ratio=100).astype(np.float64)
-    mosaic += 10 * np.sin(2 * np.pi * 6 * np.arange(SIZE[0]) / SIZE[0])[:, None]
-    fit = there(fit_ratio(seen(radiance(2), 1), cells_of(np.rint(mosaic).astype(np.uint16))))
-    contrast, level = flicker_of_contrast(fit.residuals), flicker_of_level(fit.residuals)
-    assert contrast is not None
-    assert level is not None
-    assert contrast.amplitude.value < contrast.sigmas * contrast.amplitude.standard_error
-    assert level.amplitude.value > level.sigmas * level.amplitude.standard_error
 
 
 # --- bias and flats -----------------------------------------------------------------------------------------------

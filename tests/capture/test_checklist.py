@@ -1,4 +1,4 @@
-"""The checklist as files: content, safety, determinism, and the progress that comes back."""
+"""The checklist as files: content, safety, determinism."""
 
 from __future__ import annotations
 
@@ -12,23 +12,15 @@ import sys
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
-from capture.checklist import (
-    ProgressError,
-    html_checklist,
-    load_progress,
-    markdown_checklist,
-    plan_digest,
-    text_checklist,
-)
+from capture.checklist import html_checklist, markdown_checklist, plan_digest, text_checklist
 from capture.checklist_content import every_item, rows
 from capture.cli import main
 from eldata.base.visible import visible
 from tests.capture.checklist_plans import HOSTILE, small
-from tests.cases import in_one_test
 from tests.reports.pages import assert_well_formed, checked
 from tests.waiting import PATIENCE_S
 
@@ -182,93 +174,3 @@ def test_wrong_usage(
         assert main(["checklist", "plan.json", *options.split()]) == 2
         assert words in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]
-
-
-# --- the progress that comes back -----------------------------------------------------------------------------------
-
-
-def exported(plan: Plan) -> dict[str, Any]:
-    """What the page exports before anything is ticked; the browser tests hold the page against it."""
-
-    def shots(found: Any) -> list[dict[str, Any]]:
-        return [row.as_dict() | {"taken_at": None, "repeats": 0, "file": "", "remark": ""} for row in rows(found)]
-
-    return {
-        "kind": "capture-progress",
-        "schema": 1,
-        "plan": plan_digest(plan),
-        "camera": plan.camera.name,
-        "preparation": [],
-        "scenes": [
-            {"name": scene.name, "metered_s": str(scene.metered_s), "shots": shots(scene.shots)}
-            for scene in plan.scenes
-        ],
-        "calibration": [] if plan.calibration is None else shots(plan.calibration.shots),
-    }
-
-
-def written(content: object, folder: Path) -> Path:
-    path = folder / "progress.json"
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return path
-
-
-def test_progress_is_read(plan: Plan, tmp_path: Path) -> None:
-    content = exported(plan)
-    content["preparation"] = ["tripod", "bias-cap"]
-    content["scenes"][0]["shots"][0] |= {"taken_at": "2", "file": " DSC01234 ", "remark": "ök", "repeats": 2}
-    content["scenes"][0]["shots"][1] |= {"taken_at": "1/5"}
-    content["calibration"][0] |= {"taken_at": "1/8000"}
-    found = load_progress(written(content, tmp_path), plan)
-    assert found.preparation == ("tripod", "bias-cap")
-    assert found.plan_digest == plan_digest(plan)
-    first, second = found.scenes[0].shots[:2]
-    assert (first.file, first.remark, first.repeats, first.done) == ("DSC01234", "ök", 2, True)
-    assert (second.dial, second.taken_at, second.done) == ("1/4", "1/5", False)
-    assert not found.scenes[0].done
-    assert (found.calibration[0].count, found.calibration[0].done) == (4, True)
-    assert found.as_metered(plan) == plan
-
-
-def test_metered_times_come_back_into_the_plan(plan: Plan, tmp_path: Path) -> None:
-    other = plan.remeter("scene-2", Fraction(1))
-    found = load_progress(written(exported(other), tmp_path), plan)
-    assert found.as_metered(plan) == other
-
-
-def test_file_of_fewer_scenes_fits_a_plan_that_has_grown(plan: Plan, tmp_path: Path) -> None:
-    grown = plan.add_scene("scene-3", Fraction(2))
-    assert len(load_progress(written(exported(plan), tmp_path), grown).scenes) == 2
-
-
-@in_one_test(
-    "place, value, words",
-    [
-        (("kind",), "other", 'field kind: expected "capture-progress"'),
-        (("schema",), 2, "field schema: expected 1"),
-        (("camera",), "NikonD850", "field camera: expected 'SonyA7S2', the plan's, found 'NikonD850'"),
-        (("extra",), 1, "field extra: is unknown; known are kind"),
-        (("scenes", 1, "name"), "scene-1", "field scenes[1].name: expected one of the plan's scenes, each once"),
-        (("scenes", 0, "metered_s"), "0", "field scenes[0].metered_s: expected seconds above 0"),
-        (("scenes", 0, "metered_s"), "1/4000", "Let 11 2/3 stops less light in"),
-        (("scenes", 0, "shots"), [], "field scenes[0].shots: expected the plan's 16 rows, found 0 rows"),
-        (("scenes", 0, "shots", 3, "iso"), 1600, "field scenes[0].shots[3].iso: expected 800, as in the plan"),
-        (("scenes", 0, "shots", 3, "taken_at"), 1, "shots[3].taken_at: expected a text"),
-        (("scenes", 0, "shots", 3, "repeats"), -1, "shots[3].repeats: expected a whole number from 0 to 99"),
-        (("scenes", 0, "shots", 3, "file"), "a\nb", "shots[3].file: expected a text without control characters"),
-        (("scenes", 0, "shots", 3, "remark"), "x" * 501, "shots[3].remark: expected a text of at most 500 characters"),
-        (("calibration", 0, "count"), 5, "field calibration[0].count: expected 4, as in the plan"),
-    ],
-)
-def test_wrong_progress_is_refused(
-    place: tuple[Any, ...], value: object, words: str, plan: Plan, tmp_path: Path
-) -> None:
-    content: Any = exported(plan)
-    inside = content
-    for step in place[:-1]:
-        inside = inside[step]
-    inside[place[-1]] = value
-    path = written(content, tmp_path)
-    with pytest.raises(ProgressError, match=re.escape(words)) as caught:
-        load_progress(path, plan)
-    assert str(caught.value).startswith(str(path))

@@ -50,7 +50,6 @@ def test_json_says_what_the_table_says(tmp_path: Path, capsys: pytest.CaptureFix
             "noisy_isos": [800, 1600, 3200],
             "low_light_factors": [1, 10, 100, 200],
             "repeats": 1,
-            "moments": 1,
             "references": 1,
             "metered_s": "4",
         }

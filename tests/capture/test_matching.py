@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from capture.calibration import plan_calibration
+from capture.mapping import explain_metering
 from capture.matching import Match, match
-from capture.noted import explain_metering
 from capture.observed import Observed, ObservedFrame
 from tests.capture.simulated import START, Taken, as_planned, plan_of
 from tests.cases import in_one_test

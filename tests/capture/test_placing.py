@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from capture.capture_errors import MappingError
-from capture.placing import Placement, check_free, copy, link, write_new
+from capture.placing import Placement, check_free, copy, link
 from eldata.base.files import sha256_of
 from eldata.records import FrameRecord
 from tests.syncing import OnDisk
@@ -45,8 +45,6 @@ def test_what_is_there_is_never_replaced(placement: Placement, work: object, siz
         check_free([placement])
     with pytest.raises(MappingError, match="appeared meanwhile"):
         (copy if work is copy else link)(placement)
-    with pytest.raises(MappingError, match="is there already with another content"):
-        write_new(placement.target, memoryview(placement.path.read_bytes()))
     assert placement.target.read_bytes() == bytes(size)
     assert len(list(placement.target.parent.iterdir())) == 1
 
@@ -56,8 +54,7 @@ def test_files_are_on_the_disk_before_they_get_their_names(
 ) -> None:
     disk = OnDisk(monkeypatch)
     copy(placement)
-    write_new(placement.target.with_name("mean.dng"), memoryview(b"mean"))
-    assert disk.named == {"IMG_0001.ARW": True, "mean.dng": True}
+    assert disk.named == {"IMG_0001.ARW": True}
 
 
 def test_a_dangling_link_is_not_written_through(placement: Placement, tmp_path: Path) -> None:

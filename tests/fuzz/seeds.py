@@ -308,7 +308,6 @@ def texts() -> list[Seed]:
         "camera.json": ("camera", _made(EXAMPLE.save, "camera.json")),
         "plan.json": ("plan", (GOOD / "plan.json").read_bytes()),
         "calibration-plan.json": ("plan", (GOOD / "calibration-plan.json").read_bytes()),
-        "progress.json": ("progress", (GOOD / "progress.json").read_bytes()),
         "mapping.json": ("mapping", (GOOD / "mapping.json").read_bytes()),
         "scheduler.json": (
             "scheduler",

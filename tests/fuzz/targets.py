@@ -158,13 +158,6 @@ def _published_sources(path: Path) -> object:
     return load_published(path.parent)
 
 
-def _progress(path: Path) -> object:
-    from capture.checklist_progress import load_progress
-    from capture.plan import Plan
-
-    return load_progress(path, Plan.load(seeds.GOOD / "plan.json"))
-
-
 def _mapping(path: Path) -> object:
     from capture.mapping import load_mapping
     from capture.observed import Observed, ObservedFrame
@@ -299,7 +292,6 @@ KINDS: dict[str, Kind] = {
             "scenes": partial(called, "manifests.sid_scenes:load_scenes"),
             "camera": partial(called, "capture.camera:CameraDescription.load"),
             "plan": partial(called, "capture.plan:Plan.load"),
-            "progress": _progress,
             "mapping": _mapping,
             "scheduler": _scheduler,
             "seconds": _seconds,

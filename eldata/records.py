@@ -160,8 +160,8 @@ class RawFrame:
     path
         The file.
     mosaic
-        (H, W) in DN, the visible area, black level not subtracted: uint16; float32 where the file holds fractions of a
-        DN, as floating-point DNGs do, whose white level is often 1 (:meth:`whole_dn` refuses them by name).
+        (H, W) in DN, the visible area, black level not subtracted: uint16; float32 of an array of floats whose levels a
+        card states, whose white level is often 1 (:meth:`whole_dn` refuses them by name).
     sensor, exposure
         As the file states them.
     channel_white_levels_dn
@@ -188,7 +188,7 @@ class RawFrame:
         if self.mosaic.dtype.kind != "u":
             raise UnusableRawError(
                 self.path,
-                "its pixels are no whole DN, as of an average, of merged exposures or of black that differs by row",
+                "its pixels are no whole DN, as of an average or of shares of white",
                 f"{purpose} needs whole DN: use the raw files as the camera wrote them",
             )
         return self.mosaic

@@ -214,7 +214,6 @@ def of_noise(patch: pytest.MonkeyPatch) -> Names:
 
 def of_raw_files(_: pytest.MonkeyPatch) -> Names:
     photograph("IMG_0004.ARW")
-    Path("frame.raw10").write_bytes(bytes([90]) * (48 * 64 * 10 // 8))
     return {"torch": torch, "n": 2, "Fraction": Fraction}
 
 

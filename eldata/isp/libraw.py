@@ -52,8 +52,7 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
     RawFileError
         Like :func:`eldata.raw.read_raw`; or if the file has no as-shot white balance or no colour matrix, in place of
         which LibRaw would put its own; or is quad-Bayer, nona-Bayer, or
-        X-Trans with a side under 512 pixels, which LibRaw does not demosaic; or has floating-point or interleaved
-        pixels, of which it makes others.
+        X-Trans with a side under 512 pixels, which LibRaw does not demosaic.
     ArgumentError
         If ``bits`` is neither 8 nor 16.
     """
@@ -63,7 +62,7 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
 
 
 def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    from eldata.raw.libraw import check_libraw_decodes, opened_raw
+    from eldata.raw.libraw import opened_raw
     from eldata.raw.reading import read_raw
     from eldata.raw.tiff import read_directories
 
@@ -88,9 +87,7 @@ def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint1
             f"side under {_LEAST_XTRANS_SIDE}",
         )
     del frame  # its pixels
-    directories = read_directories(path)
-    with opened_raw(path, directories, "render") as raw:
-        check_libraw_decodes(path, raw, directories)
+    with opened_raw(path, read_directories(path), "render") as raw:
         rendered: NDArray[Any] = raw.postprocess(
             use_camera_wb=True, half_size=False, no_auto_bright=True, output_bps=16
         )

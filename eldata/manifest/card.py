@@ -337,7 +337,7 @@ def _mosaic(entry: Fields) -> MosaicFacts:
     return _read(
         entry,
         MosaicFacts,
-        *("paths", "cameras", "packing"),
+        *("paths", "cameras"),
         cfa=entry.choice("cfa", MOSAIC_CFAS),
         black_level_dn=black,
         white_level_dn=entry.number("white_level_dn", above=max(black)),

@@ -1,4 +1,3 @@
-from .buffers import read_buffer as read_buffer
 from .cfa import bayer_cfa as bayer_cfa
 from .cfa import pack as pack
 from .cfa import packed_area as packed_area

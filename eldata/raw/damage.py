@@ -1,36 +1,29 @@
 """Damage that decodes: files whose bytes were lost or overwritten, and which LibRaw nevertheless reads as whole frames.
 
 A download into a file of the final size that breaks off, a power loss or a bad card leave pages of 0x00 or 0xFF in
-place of data. What tells such a frame from a photograph:
+place of data. Such long runs no photograph shows:
 
 in the file's image data (:func:`data_fault`)
-    Compressed data have no long runs of one byte, unless zero bits stand for "no difference" and an area is clipped. A
-    lossless JPEG allows few bytes behind 0xFF, and ends with a marker.
+    Compressed data have none, unless zero bits stand for "no difference" and an area is clipped.
 in the mosaic (:func:`mosaic_fault`)
-    Long runs of 0 DN under a black level above 0, or of 65535 DN far above white. The noise, which a photograph has
-    everywhere but where it is clipped: pixels that follow each other in exactly equal steps, rows that repeat.
-in the codes of a lossless JPEG (:func:`check_streams`)
-    Their number: the last pixel must end where the stream ends. This finds most other damage as well, and takes as long
-    as decoding, so it is made where a file is to be trusted: ``eldata lock``, ``eldata verify --level full``.
+    0 DN under a black level above 0, or 65535 DN far above white.
 
-Each rule is silent where a file might rightly look so. What none of them finds (bits that change values and not
-lengths, overwritten uncompressed data) only a recorded hash does. docs/raw-files.md has the rates.
+Each rule is silent where a file might rightly look so. Other damage only a recorded hash finds (``eldata lock``).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import struct
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from eldata.errors import RawFileError
-from eldata.raw.lossless_jpeg import MOST_HEADER, SOI, Stream, find_stream
 from eldata.raw.tiff import ACTIVE_AREA, TILE_HEIGHT, TILE_WIDTH
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
-    from typing import IO
 
     from numpy.typing import NDArray
 
@@ -41,33 +34,18 @@ _AGAIN = "copy or download it again"
 # A sector of a disk, the least that a disk loses, and the same number of pixels. A page in memory has 4096 bytes: at
 # least 2048 pixels.
 _LEAST_RUN = 512
+_UNCOMPRESSED, _JPEG = 1, 7
 # In none of LibRaw's codes for it do zero bits stand for equal neighbours.
 _NIKON = 34713
-_UNCOMPRESSED, _JPEG = 1, 7
 _BITS = 8  # of a byte: each sample takes at least one
-_HEADERS = (1 << 12, MOST_HEADER)  # bytes to look for a stream's header in: most have some hundred
 # Two directories may describe the same image; a file with more is made to keep a reader busy.
 _MOST_SHARED = 4
+_FLAT = 64  # pixels in a row that are alike: there, a code may repeat itself
 
-# A stretch of one row, in which the differences of pixels 4 apart are compared: they are of one colour, in whatever
-# order the components are coded. Noise with a standard deviation of 0.5 DN leaves fewer than half of their second
-# differences zero. 20 of a stretch share no pixel, so all are zero with a probability below 2^-20; those of 32
-# stretches in a row never are. The same holds for the differences of two rows.
-_STRETCH = 64
-_LAG = 4
-_LEAST_STRETCHES = 32
-_STEP = _LEAST_STRETCHES // 2
-# 512 bytes of a code that repeats itself, of 16 bits at most, are 256 pixels.
-_SMOOTH = 4
-# Within a row, and from the row above of the same colours. Where rows repeat the one above they also repeat that one.
-_ROWS_APART = (0, 2)
-# Where a frame is clipped: at values beyond which so few of its pixels are, or in this part of their range.
-_CLIPPED_SHARE = 0.005
-_BRIGHT_SHARE = 0.75
-
-# Of a frame with noise at most this share are stretches without noise that stand alone; of a simulated or denoised one
-# more are.
-_LONE_SHARE = 0.01
+_SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
+_SOF3, _DHT, _SOS = 0xC3, 0xC4, 0xDA
+_FRAMES = {*range(0xC0, 0xD0)} - {_DHT, 0xC8, 0xCC}
+_HEADERS = (1 << 12, 1 << 16)  # bytes to look for a stream's header in: most have some hundred
 
 
 def check_damage(
@@ -79,8 +57,6 @@ def check_damage(
 ) -> None:
     """Raise :class:`RawFileError` if a decoded file shows that some of its data were lost.
 
-    Takes a third of a millisecond and one to three percent of the time of decoding.
-
     Parameters
     ----------
     path
@@ -88,7 +64,7 @@ def check_damage(
     directories
         What :func:`~eldata.raw.tiff.read_directories` found in it: they say where its data are, which are examined too.
     mosaic
-        (H, W) uint16 or float32 in DN, as decoded.
+        (H, W) uint16 in DN, as decoded.
     black_dn, white_dn
         Black levels and white level in DN.
     """
@@ -105,46 +81,74 @@ def check_samples(path: Path, directories: Sequence[Directory]) -> None:
     """
     with path.open("rb") as file:
         for _, offset, count in _compressed(path, directories):
-            stream = _header_of(file, offset, count)
-            if stream is not None and stream.samples > _BITS * count:
-                raise _damaged_header(path, offset, f"declares {stream.samples} samples in {count} bytes")
-
-
-def _header_of(file: IO[bytes], offset: int, count: int) -> Stream | None:
-    """Return the lossless JPEG that begins there, without its codes; None without a header that can be read."""
-    for most in _HEADERS:
-        file.seek(offset)
-        try:
-            return find_stream(np.frombuffer(file.read(min(count, most)), np.uint8))
-        except ValueError:  # longer, or damaged: data_fault says how
-            continue
-    return None
-
-
-def check_streams(path: Path, directories: Sequence[Directory]) -> None:
-    """Raise :class:`RawFileError` if a lossless JPEG in a raw file does not end with its last pixel.
-
-    Takes about as long as decoding. A file without lossless JPEGs passes.
-    """
-    for extent in _extents(path, directories):
-        if extent.stream is not None:
-            fault = extent.stream.count_fault()
-            if fault is not None:
-                raise RawFileError(path, f"damaged: {extent.say(fault)}; {_AGAIN}")
+            for most in _HEADERS:
+                file.seek(offset)
+                try:
+                    stream = find_stream(file.read(min(count, most)))
+                except ValueError:  # longer, or damaged: data_fault says how
+                    continue
+                if stream is not None and stream.samples > _BITS * count:
+                    raise _damaged_header(path, offset, f"declares {stream.samples} samples in {count} bytes")
+                break
 
 
 # --- the file's image data ------------------------------------------------------------------------------------
 
 
-class _Extent:
-    """A strip or tile of the raw image: its bytes, where they begin in the file, the lossless JPEG that they are."""
+class Stream(NamedTuple):
+    """The lossless JPEG (ITU-T T.81, process 14) of a strip or tile: what its header says."""
 
-    def __init__(self, content: NDArray[np.uint8], offset: int, stream: Stream | None) -> None:
-        self.content, self.offset, self.stream = content, offset, stream
+    start: int
+    """Where its codes begin."""
+    samples: int
+    """Rows times columns times components."""
+    zeros_mean_no_difference: bool
+    """Whether zero bits stand for pixels that equal their neighbours, as in clipped areas."""
 
-    def say(self, fault: tuple[int, str]) -> str:
-        at, what = fault
-        return f"its image data, at byte {self.offset + at} of the file, {what}"
+
+def find_stream(head: bytes) -> Stream | None:
+    """Return the lossless JPEG that begins so; None if it begins as something else, another JPEG included.
+
+    Raises
+    ------
+    ValueError
+        If it begins as a JPEG but its header is damaged; the message says how.
+    """
+    if not head.startswith(_SOI):
+        return None
+    at, lossless, size, tables = len(_SOI), False, (0, 0, 0), b""
+    try:
+        while True:
+            mark, marker, length = struct.unpack_from(">BBH", head, at)
+            body = head[at + 4 : at + 2 + length]
+            if mark != 0xFF or length < 2 or len(body) != length - 2:
+                raise ValueError(f"has a damaged JPEG header at byte {at}")
+            if marker in _FRAMES:
+                lossless, size = marker == _SOF3, struct.unpack_from(">xHHB", body)
+            elif marker == _DHT:
+                tables += body
+            at += 2 + length
+            if marker == _SOS:
+                if not lossless or body[0] != size[2]:  # components in scans of their own: no camera writes that
+                    return None
+                first = _first_symbols(tables)
+                used = [first[body[2 + 2 * index] >> 4] for index in range(body[0])]
+                return Stream(at, size[0] * size[1] * size[2], 0 in used)
+    except (struct.error, IndexError, KeyError) as error:
+        raise ValueError(f"has a damaged JPEG header at byte {at}") from error
+
+
+def _first_symbols(tables: bytes) -> dict[int, int]:
+    """Return what the code of zero bits means, of each Huffman table by its number."""
+    found = {}
+    while tables:
+        counts = tables[1:17]
+        symbols = tables[17 : 17 + sum(counts)]
+        if len(counts) != 16 or not symbols or len(symbols) != sum(counts):
+            raise ValueError("has a damaged Huffman code in its JPEG header")
+        found[tables[0] & 15] = symbols[0]
+        tables = tables[17 + sum(counts) :]
+    return found
 
 
 def _compressed(path: Path, directories: Sequence[Directory]) -> Iterator[tuple[Directory, int, int]]:
@@ -158,27 +162,6 @@ def _compressed(path: Path, directories: Sequence[Directory]) -> Iterator[tuple[
             if left < 0:
                 raise RawFileError(path, f"damaged: its image data share the same bytes; {_AGAIN}")
             yield directory, offset, count
-
-
-def _extents(path: Path, directories: Sequence[Directory]) -> Iterator[_Extent]:
-    """Yield the compressed strips and tiles of the raw image."""
-    # What says that it is compressed and is as large as if it were not, is not.
-    small = [found for found in directories if not sum(count for _, count in found.extents) >= 2 * found.pixels > 0]
-    with path.open("rb") as file:
-        for directory, offset, count in _compressed(path, small):
-            file.seek(offset)
-            content = np.frombuffer(file.read(count), np.uint8)
-            try:
-                stream = find_stream(content)
-            except ValueError as error:
-                if directory.is_mosaic:
-                    raise _damaged_header(path, offset, str(error)) from error
-                continue  # a preview
-            if directory.is_mosaic and directory.compression == _JPEG and content[: len(SOI)].tobytes() != SOI:
-                raise _damaged_header(path, offset, "does not begin as a JPEG")
-            # CR2 does not say which of its images is the mosaic; no preview is a lossless JPEG.
-            if directory.is_mosaic or stream is not None:
-                yield _Extent(content, offset, stream)
 
 
 def _damaged_header(path: Path, offset: int, what: str) -> RawFileError:
@@ -195,31 +178,51 @@ def data_fault(path: Path, directories: Sequence[Directory], mosaic: NDArray[Any
     RawFileError
         If the header of a strip's JPEG is damaged.
     """
-    smooth: bool | None = None
-    is_nikon = any(found.is_mosaic and found.compression == _NIKON for found in directories)
-    for extent in _extents(path, directories):
-        stream = extent.stream
-        if stream is not None:
-            fault = stream.fault()
-            if fault is not None:
-                return extent.say(fault)
-            sure = not any(code.zeros_mean_no_difference for code in stream.codes)
-            run = long_run(stream.content[stream.start : stream.end], 0)
-            start = stream.start
-        else:
-            sure, start = is_nikon, 0
-            run = long_run(extent.content, 0) or long_run(extent.content, 0xFF)
-        if run is None:
-            continue
-        if not sure and smooth is None:
-            smooth = _has_smooth_area(mosaic)
-        if sure or not smooth:
-            first, behind = run
-            value = int(extent.content[start + first])
-            return extent.say(
-                (start + first, f"has {behind - first} bytes of 0x{value:02X} in a row, which cannot be code")
-            )
+    # What says that it is compressed and is as large as if it were not, is not.
+    small = [found for found in directories if not sum(count for _, count in found.extents) >= 2 * found.pixels > 0]
+    with path.open("rb") as file:
+        for directory, offset, count in _compressed(path, small):
+            file.seek(offset)
+            content = np.frombuffer(file.read(count), np.uint8)
+            try:
+                stream = find_stream(content[: _HEADERS[-1]].tobytes())
+            except ValueError as error:
+                if directory.is_mosaic:
+                    raise _damaged_header(path, offset, str(error)) from error
+                continue  # a preview
+            if directory.is_mosaic and directory.compression == _JPEG and content[: len(_SOI)].tobytes() != _SOI:
+                raise _damaged_header(path, offset, "does not begin as a JPEG")
+            # CR2 does not say which of its images is the mosaic; no preview is a lossless JPEG.
+            if not directory.is_mosaic and stream is None:
+                continue
+            start = 0 if stream is None else stream.start
+            run = _lost_run(content[start:])
+            sure = directory.compression == _NIKON if stream is None else not stream.zeros_mean_no_difference
+            if run is not None and (sure or not _has_flat_area(mosaic)):
+                first, behind = run
+                return (
+                    f"its image data, at byte {offset + start + first} of the file, has {behind - first} bytes of "
+                    f"0x{int(content[start + first]):02X} in a row, which cannot be code"
+                )
     return None
+
+
+def _lost_run(codes: NDArray[np.uint8]) -> tuple[int, int] | None:
+    """Return where a long run of 0x00 or 0xFF begins and ends, but for what fills a strip up behind its last marker."""
+    for value in (0, 0xFF):
+        run = long_run(codes, value)
+        if run is not None and not (run[1] == len(codes) and codes[: run[0]][-2:].tobytes() == _EOI):
+            return run
+    return None
+
+
+def _has_flat_area(mosaic: NDArray[Any]) -> bool:
+    """Whether pixels in a row equal those of their colour beside or above them."""
+    for alike in (mosaic[:, 2:] == mosaic[:, :-2], mosaic[2:] == mosaic[:-2]):
+        whole = alike[:, : alike.shape[1] // _FLAT * _FLAT].reshape(len(alike), -1, _FLAT)
+        if whole.all(axis=2).any():
+            return True
+    return False
 
 
 def long_run(values: NDArray[Any], value: int) -> tuple[int, int] | None:
@@ -261,7 +264,7 @@ def mosaic_fault(mosaic: NDArray[Any], black_dn: Sequence[float], white_dn: floa
         run = long_run(pixels, (1 << 16) - 1)
         if run is not None:
             return f"{_place(mosaic, *run)} are 65535 DN, far above the white level {white_dn:g} DN"
-    return _noise_fault(mosaic)
+    return None
 
 
 def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[Any], black_dn: Sequence[float]) -> str | None:
@@ -292,92 +295,3 @@ def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[Any], black_dn
 def _place(mosaic: NDArray[Any], first: int, behind: int) -> str:
     row, column = divmod(first, mosaic.shape[1])
     return f"{behind - first} pixels in a row, from row {row}, column {column} on,"
-
-
-class _Stretches:
-    """The stretches of a mosaic's rows, by number: those of a row after each other, row after row."""
-
-    def __init__(self, mosaic: NDArray[Any]) -> None:
-        self.pixels = mosaic.reshape(-1)
-        self.width = mosaic.shape[1]
-        self.length = min(_STRETCH, self.width)
-        self.a_row = self.width // self.length
-        self.count = self.a_row * mosaic.shape[0]
-        self.some = np.sort(self.pixels[self.begin(np.arange(0, self.count, _STEP))])
-
-    def begin(self, numbers: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the position of each one's first pixel."""
-        first: NDArray[np.intp] = numbers // self.a_row * self.width + numbers % self.a_row * self.length
-        return first
-
-    def noiseless(self, numbers: NDArray[np.intp], rows: int) -> NDArray[np.intp]:
-        """Return those of some stretches whose pixels follow from others without noise.
-
-        ``rows`` 0: they change in equal steps, which may be zero. Else: they differ from those so many rows above by a
-        constant, which may be zero. uint16 wraps as decoders do.
-        """
-        numbers = numbers[numbers >= rows * self.a_row]
-        begin, above = self.begin(numbers), rows * self.width
-        for at in range(self.length - (1 if rows else 2 * _LAG)):
-            first, second = self.pixels[begin + at], self.pixels[begin + (at + 1 if rows else at + _LAG)]
-            if rows:
-                kept = second - first == self.pixels[begin + (at + 1 - above)] - self.pixels[begin + (at - above)]
-            else:
-                kept = second - first == self.pixels[begin + (at + 2 * _LAG)] - second
-            numbers, begin = numbers[kept], begin[kept]
-            if not len(numbers):
-                break
-        return numbers
-
-    def lost(self, numbers: NDArray[np.intp], rows: int) -> NDArray[np.intp]:
-        """Return those of :meth:`noiseless` that are not clipped, where pixels are rightly alike."""
-        numbers = self.noiseless(numbers, rows)
-        values = self.pixels[self.begin(numbers)[:, None] + np.arange(self.length)]
-        flat = (values[:, _LAG:] == values[:, :-_LAG]).all(axis=1)
-        margin = _CLIPPED_SHARE * len(self.some)
-        low = np.searchsorted(self.some, values.min(axis=1), "left") < margin
-        high = len(self.some) - np.searchsorted(self.some, values.max(axis=1), "right") < margin
-        # Each column may be clipped at a value of its own.
-        darkest, brightest = float(self.some[0]), float(self.some[-1])
-        bright = values.min(axis=1) >= darkest + _BRIGHT_SHARE * (brightest - darkest)
-        kept: NDArray[np.intp] = numbers[~(bright | flat & (low | high))]
-        return kept
-
-
-def _noise_fault(mosaic: NDArray[Any]) -> str | None:
-    """Find a long run of stretches without noise that are not clipped, in a frame with noise."""
-    stretches = _Stretches(mosaic)
-    probed = np.arange(0, stretches.count, _STEP)
-    for rows in _ROWS_APART:
-        # A camera may repair a row by a neighbour's; two rows and more it does not.
-        least = max(_LEAST_STRETCHES, 2 * stretches.a_row if rows else 0)
-        lost = stretches.lost(probed, rows)
-        follow = np.diff(lost) == _STEP
-        lone = len(lost) - np.count_nonzero(np.append(follow, False) | np.append(False, follow))
-        if 2 * len(lost) > len(probed) or lone > _LONE_SHARE * len(probed):
-            return None  # simulated or denoised: it has such stretches anywhere
-        behind = -1
-        for number in lost[:-1][follow]:
-            if number < behind:
-                continue
-            behind = number + 2 * least
-            near = np.arange(max(0, number - least), min(stretches.count, behind))
-            found = stretches.lost(near, rows)
-            for run in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1):
-                if len(run) >= least:
-                    row, column = divmod(int(stretches.begin(run[:1])[0]), stretches.width)
-                    place = f"{len(run) * stretches.length} pixels or more, from row {row}, column {column} on,"
-                    if rows:
-                        return f"{place} repeat those {rows} rows above, noise included"
-                    return f"{place} are alike or follow each other in equal steps, without noise"
-    return None
-
-
-def _has_smooth_area(mosaic: NDArray[Any]) -> bool:
-    """Whether some stretches in a row are without noise: there, a code may repeat itself."""
-    stretches = _Stretches(mosaic)
-    for rows in _ROWS_APART:
-        found = stretches.noiseless(np.arange(stretches.count), rows)
-        if (found[_SMOOTH - 1 :] - found[: 1 - _SMOOTH] == _SMOOTH - 1).any():
-            return True
-    return False

@@ -41,6 +41,7 @@ _PHOTOMETRIC_CFA = 32803
 _EXIF_IFD = 34665
 _EXIF_IFD_PLACEHOLDER = 34664  # an unassigned tag that sorts to the same place
 _LEAST_SIDE = 22
+_LARGEST_DN = 65535
 
 
 def _rational(value: Fraction, name: str) -> tuple[int, int]:
@@ -92,14 +93,14 @@ def _ifd_bytes(entries: list[tuple[int, int, int, bytes]], offset: int) -> bytes
     return table + struct.pack("<I", 0) + values
 
 
-def _check_sensor(sensor: Sensor, most: int) -> None:
-    """Refuse what the format, or LibRaw when it reads the file, cannot hold; ``most``: the highest level, in DN."""
+def _check_sensor(sensor: Sensor) -> None:
+    """Refuse what the format, or LibRaw when it reads the file, cannot hold."""
     packed_black_level_dn(sensor.cfa, sensor.black_level_dn)  # refuses CFA and number of levels
     white = sensor.white_level_dn
-    if not all(0 <= level <= most for level in sensor.black_level_dn):
-        raise ArgumentError(f"black_level_dn {sensor.black_level_dn}: expected numbers from 0 to {most}")
-    if not (0 <= white <= most and white == int(white)):
-        raise ArgumentError(f"white_level_dn {white}: expected a whole number from 0 to {most}, as a DNG holds")
+    if not all(0 <= level <= _LARGEST_DN for level in sensor.black_level_dn):
+        raise ArgumentError(f"black_level_dn {sensor.black_level_dn}: expected numbers from 0 to {_LARGEST_DN}")
+    if not (0 <= white <= _LARGEST_DN and white == int(white)):
+        raise ArgumentError(f"white_level_dn {white}: expected a whole number from 0 to {_LARGEST_DN}, as a DNG holds")
     if not white > max(sensor.black_level_dn):
         raise ArgumentError(f"white_level_dn {white} must lie above black_level_dn {sensor.black_level_dn}")
     if min(sensor.height, sensor.width) < _LEAST_SIDE:
@@ -172,7 +173,7 @@ def _sensor_tags(sensor: Sensor) -> list[Entry]:
 
 def write_dng(
     path: Path | str,
-    mosaic: NDArray[np.uint16] | NDArray[np.float32],
+    mosaic: NDArray[np.uint16],
     sensor: Sensor,
     exposure: Exposure,
     *,
@@ -193,13 +194,13 @@ def write_dng(
     path
         The file; its folder must exist.
     mosaic
-        (H, W) in DN, H and W as the sensor record says: uint16, or float32, which makes a floating-point DNG.
+        (H, W) uint16 in DN, H and W as the sensor record says.
     sensor
-        Bayer or X-Trans. Black levels from 0 to 65535, fractions too; a whole white level. Of floats up to 2^32 - 1.
+        Bayer or X-Trans. Black levels from 0 to 65535, fractions too; a whole white level.
     exposure
         Fields that are ``None`` are left out of the file. ISO must be a whole number.
     compression
-        ``"none"``, or ``"lossless-jpeg"`` (smaller on disk, several times slower to decode; of uint16 alone).
+        ``"none"``, or ``"lossless-jpeg"`` (smaller on disk, several times slower to decode).
     taken
         When, by the camera's clock; to the microsecond.
 
@@ -221,7 +222,7 @@ def write_dng(
 
 
 def encode_dng(
-    mosaic: NDArray[np.uint16] | NDArray[np.float32],
+    mosaic: NDArray[np.uint16],
     sensor: Sensor,
     exposure: Exposure,
     compression: Compression = "none",
@@ -231,19 +232,12 @@ def encode_dng(
     import imagecodecs
     import tifffile
 
-    if mosaic.dtype not in (np.uint16, np.float32) or mosaic.shape != (sensor.height, sensor.width):
+    if mosaic.dtype != np.uint16 or mosaic.shape != (sensor.height, sensor.width):
         raise ArgumentError(
-            f"expected a uint16 or float32 mosaic of {sensor.height} x {sensor.width} pixels as the sensor record "
-            f"says; found {mosaic.dtype} {mosaic.shape}"
+            f"expected a uint16 mosaic of {sensor.height} x {sensor.width} pixels as the sensor record says; found "
+            f"{mosaic.dtype} {mosaic.shape}"
         )
-    in_floats = mosaic.dtype == np.float32
-    _check_sensor(sensor, RATIONAL if in_floats else 65535)
-    if in_floats and compression != "none":
-        raise ArgumentError(
-            f'floating-point pixels with compression {compression!r}, which holds whole numbers: "none"'
-        )
-    if in_floats and not np.isfinite(mosaic).all():
-        raise ArgumentError("some of its pixels are not finite numbers")
+    _check_sensor(sensor)
     fault = mosaic_fault(mosaic, sensor.black_level_dn, sensor.white_level_dn)
     if fault is not None:
         raise ArgumentError(f"{fault}: reading takes that for a damaged file")

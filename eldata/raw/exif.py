@@ -1,19 +1,18 @@
 """What a raw file states of its camera and exposure, exactly. What it does not state is ``None``: nothing is guessed.
 
 LibRaw's figures are not taken, because LibRaw makes some up: 1 s at f/1 from an APEX value of 0, an ISO from its own
-table of models, float32 for a fraction, the rounded step of a CRW for its time. Asking it would also decode the pixels.
+table of models, float32 for a fraction. Asking it would also decode the pixels.
 
 TIFF-based files are read where they stand (:mod:`eldata.raw.tiff` checks their extents). Around the others is a
 container: Fujifilm's RAF (a JPEG with the EXIF), Canon's CR3 (an ISO base media file, ISO/IEC 14496-12, whose boxes
-CMT1 and CMT2 are TIFF files of IFD0 and of the EXIF IFD), Minolta's MRW (its TTW block is a TIFF file). Canon's older
-CRW has no EXIF at all (:mod:`eldata.raw.ciff`).
+CMT1 and CMT2 are TIFF files of IFD0 and of the EXIF IFD), Minolta's MRW (its TTW block is a TIFF file).
 """
 
 from __future__ import annotations
 
 import io
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
 from functools import cached_property
@@ -21,7 +20,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from eldata.errors import RawFileError
 from eldata.raw import tiff
-from eldata.raw.ciff import read_crw_header
 from eldata.records import Exposure, RawHeader
 
 if TYPE_CHECKING:
@@ -70,11 +68,6 @@ class RawContainer:
     path: Path
     directories: tuple[tiff.Directory, ...]
 
-    @property
-    def is_dng(self) -> bool:
-        """Whether it is a DNG."""
-        return any(tiff.DNG_VERSION in directory.values for directory in self.directories)
-
     @cached_property
     def tags(self) -> Tags:
         """Its EXIF (:func:`exif_tags`)."""
@@ -87,16 +80,7 @@ class RawContainer:
 
 
 def header_of(path: Path, tags: Tags) -> RawHeader:
-    """Return camera, exposure and time as the file, whose EXIF tags these are, states them.
-
-    Raises
-    ------
-    RawFileError
-        If the file is a CRW whose records are damaged.
-    """
-    crw = read_crw_header(path)
-    if crw is not None:
-        return replace(crw, taken=_of_a_set_clock(crw.taken))
+    """Return camera, exposure and time as the file, whose EXIF tags these are, states them."""
     make, model = _text(tags, "Image Make"), _text(tags, "Image Model")
     if not make and not model:
         model = _text(tags, "Image Tag 0xC614")  # a DNG's UniqueCameraModel
@@ -151,12 +135,8 @@ def _taken(tags: Tags) -> datetime | None:
             continue
         digits = _text(tags, f"{ifd} SubSecTimeOriginal")
         fraction = digits[:6].ljust(6, "0") if digits.isascii() and digits.isdecimal() else "0"
-        return _of_a_set_clock(taken.replace(microsecond=int(fraction)))
+        return taken.replace(microsecond=int(fraction)) if taken.year >= _FIRST_YEAR else None
     return None
-
-
-def _of_a_set_clock(taken: datetime | None) -> datetime | None:
-    return taken if taken is not None and taken.year >= _FIRST_YEAR else None
 
 
 def _iso(tags: Tags) -> Fraction | None:

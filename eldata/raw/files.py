@@ -75,10 +75,7 @@ def of_arrays(suffix: str) -> str:
 def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
     """Return a raw file's header and, if it is to be decoded, its sensor, or why it does not decode or is damaged.
 
-    The header has what there is to remark of the file; one whose black level takes its pixels is decoded for it.
-
-    Every check that finds damage is made (:mod:`eldata.raw.damage`), so it takes about twice as long as decoding where
-    the file has lossless JPEGs.
+    The header has what there is to remark of the file; one with masked pixels is decoded for it.
 
     Raises
     ------

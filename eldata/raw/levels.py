@@ -74,7 +74,7 @@ def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
 
 
 def check_in_dn(name: str, sensor: Sensor, what: str) -> None:
-    """Refuse a file that holds floating-point shares of white, for what is in DN.
+    """Refuse a file that holds shares of white, for what is in DN.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def pack_normalised(
     gain
         Non-negative factor after the first clip, such as the exposure ratio.
     corrected
-        The mosaic is float32: of a floating-point DNG, less a dark shading, or simulated. To be said, since other
+        The mosaic is float32: less a dark shading, simulated, or of an array of floats. To be said, since other
         floats are mostly normalised.
     out
         Where to write, C-contiguous float32 of the packed shape. A new array's pages cost more than the packing
@@ -203,7 +203,7 @@ def pack_normalised(
     expected = np.float32 if corrected else np.uint16
     if mosaic.dtype != expected:
         what = "a mosaic less a dark shading" if corrected else "a mosaic in DN"
-        hint = "; of a floating-point DNG say corrected=True" if mosaic.dtype == np.float32 else ""
+        hint = "; of floats in DN say corrected=True" if mosaic.dtype == np.float32 else ""
         raise ArgumentError(f"{what} is {np.dtype(expected)}; found {mosaic.dtype}{hint}")
     if not 0 <= gain <= _LARGEST:
         raise ArgumentError(f"the gain must be finite and not negative; found {gain}")

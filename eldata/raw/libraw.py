@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.exif import check_container
-from eldata.raw.tiff import ACTIVE_AREA, BLACK_DELTAS, CFA_PATTERN, image_directories
+from eldata.raw.tiff import ACTIVE_AREA, CFA_PATTERN, MOST_PIXELS
 from eldata.raw.unsupported import unsupported_cfa
 
 if TYPE_CHECKING:
@@ -31,16 +31,10 @@ if TYPE_CHECKING:
     from eldata.raw.cfa import CfaRows
     from eldata.raw.tiff import Directory
 
-_MOST_IMAGES = 16  # of a pixel shift: cameras take up to 16
-
 
 @contextmanager
-def opened_raw(
-    path: Path, directories: Sequence[Directory], what: str = "decode", image: int = 0
-) -> Iterator[rawpy.RawPy]:
-    """Open a raw file, whose directories are given, with LibRaw.
-
-    Its errors say that it cannot do ``what``; ``image`` as of :func:`read_raw`.
+def opened_raw(path: Path, directories: Sequence[Directory], what: str = "decode") -> Iterator[rawpy.RawPy]:
+    """Open a raw file, whose directories are given, with LibRaw. Its errors say that it cannot do ``what``.
 
     Raises
     ------
@@ -54,7 +48,6 @@ def opened_raw(
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
-        raw.set_unpack_params(shot_select=image)  # before it is opened: which of a DNG's images, is chosen then
         if any(one.wide_cfa for one in directories):
             raw.open_buffer(io.BytesIO(_with_narrow_cfa(path, directories)))
         else:
@@ -104,11 +97,11 @@ def _set_openmp_threads() -> Callable[[int], object]:
     return lambda _: None
 
 
-def check_sizes(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> None:
+def check_sizes(path: Path, raw: rawpy.RawPy) -> None:
     """Refuse impossible sizes before memory is taken for the pixels."""
     sizes, held = raw.sizes, path.stat().st_size
     raw_pixels = sizes.raw_height * sizes.raw_width
-    if held * max((one.most_pixels for one in directories if one.is_mosaic), default=8) < raw_pixels:
+    if held * MOST_PIXELS < raw_pixels:
         raise RawFileError(path, f"truncated: {held} bytes cannot hold {raw_pixels} pixels")
     inside = sizes.top_margin + sizes.height <= sizes.raw_height and sizes.left_margin + sizes.width <= sizes.raw_width
     if not (inside and sizes.height and sizes.width):
@@ -119,45 +112,29 @@ def check_sizes(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) 
         )
 
 
-def check_libraw_decodes(path: Path, raw: rawpy.RawPy, directories: Sequence[Directory]) -> None:
-    """Refuse a DNG whose pixels LibRaw takes for others than they are, for what LibRaw makes of them itself."""
-    for main in stated_images(raw, directories)[:1]:
-        found = ""
-        if main.is_jpeg_xl:
-            found = "pixels in JPEG XL, which LibRaw does not decode"
-        elif any(len(set(main.values.get(tag, ()))) > 1 for tag in BLACK_DELTAS):
-            found = "black levels by row or column, of which LibRaw makes a wrong picture"
-        elif main.is_float or main.interleaved != (1, 1):
-            found = "floating-point or interleaved pixels, of which LibRaw makes a wrong picture"
-        if found:
-            raise UnusableRawError(path, f"has {found}", "pack it and use eldata.isp.Rendering")
+def check_one_image(path: Path) -> None:
+    """Refuse a file whose directories name no mosaic, if LibRaw knows several images in it: a second one is asked for.
 
-
-# --- images -----------------------------------------------------------------------------------------------------------
-
-
-def stated_images(raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[Directory, ...]:
-    """Return the directories of the images that LibRaw sees one of."""
-    return image_directories(directories, (raw.sizes.raw_height, raw.sizes.raw_width))
-
-
-def count_images(path: Path) -> int:
-    """Return how many images LibRaw knows in a file of another format; each but the first is decoded for it."""
+    Raises
+    ------
+    UnusableRawError
+        If it does.
+    """
     import rawpy
 
-    for count in range(1, _MOST_IMAGES):
-        raw = rawpy.RawPy()
-        try:
-            raw.set_unpack_params(shot_select=count)
-            _open(raw, path)
-            raw.unpack()
-        except rawpy.LibRawRequestForNonexistentImageError:
-            return count
-        except rawpy.LibRawError:  # there is one more, whatever is wrong with it
-            return count + 1
-        finally:
-            raw.close()
-    return _MOST_IMAGES
+    raw = rawpy.RawPy()
+    try:
+        raw.set_unpack_params(shot_select=1)  # before it is opened: which of its images, is chosen then
+        _open(raw, path)
+        raw.unpack()
+    except rawpy.LibRawRequestForNonexistentImageError:
+        return
+    except rawpy.LibRawError:  # there is one more, whatever is wrong with it
+        pass
+    finally:
+        raw.close()
+    advice = "write the one that you need as a DNG of its own (dnglab convert --image-index 0, for example)"
+    raise UnusableRawError(path, "holds several images, as of a pixel shift or of dual pixels", advice)
 
 
 # --- colour filter array ----------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ A remark is a sentence that says what was, or was not, done with a file that is 
 from __future__ import annotations
 
 from fractions import Fraction
-from math import prod
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,24 +18,28 @@ import numpy as np
 from eldata.base.isolation import guarded_file
 from eldata.errors import ArgumentError, RawFileError, UnusableRawError
 from eldata.raw.colour import white_balance_of
-from eldata.raw.jpeg_xl import read_first_header
 from eldata.raw.tiff import (
+    ACTIVE_AREA,
     BITS,
-    JPEG_XL_DISTANCE,
+    BLACK_DELTAS,
+    BLACK_LEVEL,
+    MASKED_AREAS,
     NOISE_PROFILE,
     OPCODE_LISTS,
     WHITE_LEVEL,
-    image_directories,
+    main_mosaics,
     read_directories,
 )
 from eldata.records import D65, exact_number
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     import rawpy
+    from numpy.typing import NDArray
 
+    from eldata.raw.cfa import CfaRows
     from eldata.raw.tiff import Directory
     from eldata.records import Matrix3
 
@@ -44,7 +48,7 @@ COLOUR_MATRICES = ((50721, 50778), (50722, 50779))
 """Each with the tag of its illuminant."""
 
 _SONY, _LOSSY_JPEG = 32767, 34892
-_LEAST_SCALED = 1 << 15  # the least white level of samples that are scaled to 16 bits: half of their range
+_LEAST_APART_DN = 0.5  # between masked pixels and the stated level, to be remarked on
 # By number, DNG specification 1.7.1, chapter 7.
 _OPCODES = (
     *("WarpRectilinear", "WarpFisheye", "FixVignetteRadial", "FixBadPixelsConstant", "FixBadPixelsList"),
@@ -62,33 +66,43 @@ _DAYLIGHT = (1, 4, 20, 22, 23)
 
 
 def dng_white_level(mosaic: Directory) -> float:
-    """Return a DNG's WhiteLevel; where it states none, by the specification 1 of floats, else the largest number."""
-    largest = 1 if mosaic.is_float else (1 << mosaic.number(BITS, 16)) - 1
+    """Return a DNG's WhiteLevel; where it states none, by the specification the largest number."""
+    largest = (1 << mosaic.number(BITS, 16)) - 1
     return exact_number(next(iter(mosaic.values.get(WHITE_LEVEL, ())), Fraction(largest)))
 
 
-def scaled_bits(path: Path, mosaic: Directory) -> int:
-    """Return of how many bits samples in JPEG XL are that have to be scaled to 16; 0 if they are DN as they are.
+def dng_black_levels(path: Path, mosaic: Directory, raw: rawpy.RawPy, cfa: CfaRows) -> tuple[float, ...] | None:
+    """Return the black level of each channel of the visible area's CFA that a DNG states; None if it states none.
 
-    By the specification a sample is a number of BitsPerSample. Adobe's DNG SDK asks libjxl for 16 bits, whatever the
-    stream has, so that files made for it state levels of 16 bits. LinearizationTable or WhiteLevel say which is meant.
+    BlackLevel is a pattern that counts from the active area's first pixel (DNG specification 1.7.1, chapter 5).
 
     Raises
     ------
     UnusableRawError
-        If they are meant for neither.
-    RawFileError
-        If the first stream is damaged.
+        If the pattern does not fit the CFA: it repeats otherwise, or has several levels for sites of one channel.
     """
-    bits, table = read_first_header(path, mosaic).bits, mosaic.linearization
-    largest = dng_white_level(mosaic) if table is None else len(table) // 2 - 1
-    if largest < 1 << bits:
-        return 0
-    if bits <= 8 or largest < _LEAST_SCALED:  # a byte is never scaled
-        name = "WhiteLevel" if table is None else "LinearizationTable"
-        found = f"its JPEG XL has samples of {bits} bits, but its {name} is for numbers up to {largest:g}"
-        raise UnusableRawError(path, found, f"write it again with a {name} for what its samples hold")
-    return bits
+    if not any(mosaic.values.get(tag) for tag in (BLACK_LEVEL, *BLACK_DELTAS)):  # deltas of 0: others are refused
+        return None
+    rows, columns = mosaic.black_repeat
+    pattern = mosaic.values.get(BLACK_LEVEL) or (Fraction(0),) * (rows * columns)
+    period = len(cfa)
+    if len(set(pattern)) > 1 and (period % rows or period % columns):
+        raise UnusableRawError(
+            path,
+            f"its BlackLevel repeats every {rows} x {columns} pixels (BlackLevelRepeatDim), and its colour filter "
+            f"array every {period} x {period}",
+            "one level per channel is needed",
+        )
+    top, left = map(int, mosaic.values.get(ACTIVE_AREA, (0, 0))[:2])
+    down, right = raw.sizes.top_margin - top, raw.sizes.left_margin - left  # LibRaw's area may start a pixel off it
+    levels: dict[int, set[Fraction]] = {}
+    for y, x in product(range(period), repeat=2):
+        levels.setdefault(cfa[y][x], set()).add(pattern[(y + down) % rows * columns + (x + right) % columns])
+    if any(len(found) > 1 for found in levels.values()):
+        raise UnusableRawError(
+            path, "its BlackLevel differs between sites of one colour", "one level per channel is needed"
+        )
+    return tuple(exact_number(levels[channel].pop()) for channel in sorted(levels))
 
 
 def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
@@ -103,9 +117,7 @@ def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
         If a directory of the file is damaged.
     """
     directories = guarded_file(read_directories, path, RawFileError)
-    largest = max((one.shape for one in directories if one.is_mosaic), key=prod, default=(0, 0))
-    # It stands beside the mosaic, not a proxy of it, or in IFD0.
-    places = (*image_directories(directories, largest), *directories)
+    places = (*main_mosaics(directories), *directories)  # beside the mosaic, or in IFD0
     stated = (one.values[NOISE_PROFILE] for one in places if NOISE_PROFILE in one.values)
     return next((tuple(map(float, numbers)) for numbers in stated), None)
 
@@ -119,11 +131,11 @@ def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ..
 
 
 def as_shot_multipliers(
-    path: Path, raw: rawpy.RawPy | None, directories: Sequence[Directory], tags: Mapping[str, Any]
+    path: Path, raw: rawpy.RawPy, directories: Sequence[Directory], tags: Mapping[str, Any]
 ) -> tuple[float, float, float, float] | None:
     """Return the multipliers of R, G1, B, G2 as shot, G1 = 1; None if they are not known.
 
-    LibRaw is asked, where it is given, for what the file does not state.
+    LibRaw is asked for what the file does not state.
 
     Raises
     ------
@@ -138,8 +150,6 @@ def as_shot_multipliers(
             raise RawFileError(path, f"the white balance in its DNGPrivateData is damaged: {error}") from error
         red, green, blue, second_green = map(exact_number, exact)
         return red, green, blue, second_green
-    if raw is None:
-        return None
     red, green, blue, second_green = raw.camera_whitebalance
     if not (red > 0 and green > 0 and blue > 0):
         return None
@@ -155,7 +165,7 @@ def _private_data(tags: Mapping[str, Any]) -> bytes:
     return bytes(values) if ours else b""
 
 
-def camera_matrix(raw: rawpy.RawPy | None, directories: Sequence[Directory]) -> tuple[Matrix3 | None, int]:
+def camera_matrix(raw: rawpy.RawPy, directories: Sequence[Directory]) -> tuple[Matrix3 | None, int]:
     """Return the matrix from XYZ to the camera's colours, and the light that it is for; None if it is not known.
 
     Of a DNG's two matrices that for D65, else the first for another daylight, else the second: LibRaw's order.
@@ -172,7 +182,7 @@ def camera_matrix(raw: rawpy.RawPy | None, directories: Sequence[Directory]) -> 
         numbers = [exact_number(value) for value in values]
     else:
         illuminant = D65  # LibRaw's table
-        numbers = [] if raw is None else [round(float(value), 6) for row in raw.rgb_xyz_matrix[:3] for value in row]
+        numbers = [round(float(value), 6) for row in raw.rgb_xyz_matrix[:3] for value in row]
     if not np.any(numbers):
         return None, D65
     return (_three(numbers[:3]), _three(numbers[3:6]), _three(numbers[6:])), illuminant
@@ -191,10 +201,9 @@ def _three(numbers: Sequence[float]) -> tuple[float, float, float]:
 def lossy_compression(path: Path) -> str | None:
     """Return what loses data in a raw file, in words, or ``None`` if nothing known does.
 
-    Known are Sony's compressed ARW 2 (one byte per pixel: 11 of 14 bits by a curve, differences within 16 pixels), the
-    lossy JPEG of DNG, and JPEG XL that says so, by its JXLDistance or by the colours that it codes. Nikon's lossy NEF
-    says so in its maker notes alone, Canon's CRAW in a container that is not TIFF: the gaps that such compression
-    leaves between the values show it
+    Known are Sony's compressed ARW 2 (one byte per pixel: 11 of 14 bits by a curve, differences within 16 pixels) and
+    the lossy JPEG of DNG. Nikon's lossy NEF says so in its maker notes alone, Canon's CRAW in a container that is not
+    TIFF: the gaps that such compression leaves between the values show it
     (:func:`eldata.calibration.audit.bias_sums.missing_codes`).
 
     Raises
@@ -210,46 +219,37 @@ def lossy_compression(path: Path) -> str | None:
             return "Sony's lossy compression (choose uncompressed raw in the camera)"
         if directory.compression == _LOSSY_JPEG:
             return "a DNG's lossy JPEG compression (convert from the original without it)"
-        if directory.is_jpeg_xl and _is_lossy(path, directory):
-            return "a DNG's lossy JPEG XL compression (convert from the original without it)"
     return None
-
-
-def _is_lossy(path: Path, mosaic: Directory) -> bool:
-    """Whether JPEG XL lost data, as far as can be told: not of a lossy stream without XYB and without the tag."""
-    return any(mosaic.values.get(JPEG_XL_DISTANCE, ())) or read_first_header(path, mosaic).is_transformed
 
 
 # --- remarks ----------------------------------------------------------------------------------------------------------
 
 
-def directory_remarks(path: Path, mosaic: Directory | None) -> tuple[str, ...]:
-    """Return what there is to say before pixels are decoded; ``mosaic``: the directory whose pixels are read."""
-    return () if mosaic is None else (*_of_samples(path, mosaic), *_of_opcodes(mosaic))
-
-
-def image_remarks(images: int, image: int) -> tuple[str, ...]:
-    """Return what there is to say of a file with several images, of which one, counted from 0, was read."""
-    if images == 1:
-        return ()
-    which = f"the mosaic is image {image}, counted from 0 (read_raw's image= chooses)"
-    return (f"it holds {images} images of one size, as of a pixel shift: {which}",)
-
-
-def _of_samples(path: Path, mosaic: Directory) -> Iterator[str]:
-    if mosaic.samples > 1:
-        yield f"it has {mosaic.samples} samples of each pixel, as dual pixels give: the mosaic is the first"
-    if mosaic.is_jpeg_xl and not mosaic.is_float:
-        if _is_lossy(path, mosaic):
-            yield "its JPEG XL compression is lossy: its noise is not the sensor's"
-        bits = scaled_bits(path, mosaic)
-        if bits:
-            yield f"its samples of {bits} bits are scaled to 16, which its levels are for, as Adobe's software does"
-
-
-def _of_opcodes(mosaic: Directory) -> Iterator[str]:
+def opcode_remarks(mosaic: Directory) -> tuple[str, ...]:
+    """Return what there is to say of a mosaic's lists of opcodes."""
+    remarks = []
     for number, (tag, meaning) in enumerate(zip(OPCODE_LISTS, _NOT_APPLIED, strict=True), 1):
         codes = map(int, mosaic.values.get(tag, ()))
         names = dict.fromkeys(_OPCODES[code - 1] if 0 < code <= len(_OPCODES) else "unknown" for code in codes)
         if names:
-            yield f"its OpcodeList{number} ({', '.join(names)}) is not applied: {meaning}"
+            remarks.append(f"its OpcodeList{number} ({', '.join(names)}) is not applied: {meaning}")
+    return tuple(remarks)
+
+
+def masked_remarks(mosaic: Directory, stored: NDArray[np.uint16], black_dn: Sequence[float]) -> tuple[str, ...]:
+    """Return what there is to say of masked pixels, which no light reaches: if their mean is not the stated black.
+
+    ``stored``: all pixels, (H, W) in DN.
+    """
+    areas = list(map(int, mosaic.values.get(MASKED_AREAS, ())))
+    corners = zip(*[iter(areas)] * 4, strict=True)
+    values = np.concatenate([stored[:0, 0], *(stored[y:below, x:beside].ravel() for y, x, below, beside in corners)])
+    level = float(np.mean(black_dn))
+    mean = float(values.mean()) if values.size else level
+    if abs(mean - level) < _LEAST_APART_DN:
+        return ()
+    remark = (
+        f"its masked pixels (MaskedAreas) have a mean of {mean:.1f} DN, but its BlackLevel says {level:.1f} DN, which "
+        "is taken, as the DNG specification has it"
+    )
+    return (remark,)

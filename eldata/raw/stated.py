@@ -1,4 +1,4 @@
-"""Mosaics in files that hold pixels and nothing else: NumPy, MATLAB and TIFF arrays, and buffers without a header.
+"""Mosaics in files that hold pixels and nothing else: NumPy, MATLAB and TIFF arrays, and numbers without a header.
 
 What a raw file states of itself, a dataset's card and the rows of its manifest state of them (:class:`MosaicFacts`).
 Nothing is guessed: a file of which nothing is stated is refused.
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from eldata.base.pixels import Declared
 
 ARRAY_EXTENSIONS = frozenset((".npy", ".npz", ".mat", ".h5", ".tif", ".tiff"))
-"""Lower case, with the dot: files whose header says the shape; of any other name they are buffers without one."""
+"""Lower case, with the dot: files whose header says the shape; those of any other name have none."""
 
 MOSAIC_CFAS = ("RGGB", "GRBG", "GBRG", "BGGR")
 
@@ -47,8 +47,8 @@ class MosaicFacts:
         The number that is 1 after normalisation: 1 of a file of shares of white.
     array
         Which array of a file that holds several.
-    shape, bits, packing, stride
-        Of a buffer without a header, as :func:`eldata.raw.read_buffer` has them.
+    shape
+        (H, W) of a file without a header: one pixel after the other in 16 bits, the lower byte first.
     """
 
     paths: str
@@ -58,9 +58,6 @@ class MosaicFacts:
     cameras: tuple[str, ...] = ()
     array: str = ""
     shape: tuple[int, int] | None = None
-    bits: int = 16
-    packing: str = "le16"
-    stride: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,23 +84,25 @@ class StatedFile:
         """
         from eldata.raw.cfa import bayer_cfa
 
-        facts, cfa = self.facts, bayer_cfa(self.facts.cfa)
-        black, white = facts.black_level_dn, facts.white_level_dn
-        if self.path.suffix.lower() not in ARRAY_EXTENSIONS:
-            return self._buffer(cfa)
-        mosaic = self._checked(self._array())
+        black = self.facts.black_level_dn
+        mosaic = self._checked(self._array() if self._has_header else self._numbers())
         levels = black * 4 if len(black) == 1 else black
+        cfa, white = bayer_cfa(self.facts.cfa), self.facts.white_level_dn
         return RawFrame(self.path, mosaic, Sensor("", "", cfa, levels, white, *mosaic.shape), self.exposure)
 
     def check(self) -> None:
         """Look at what the file declares, without its pixels; raises like :meth:`read`."""
         from eldata.base.array_files import declared_array
 
-        if self.path.suffix.lower() in ARRAY_EXTENSIONS:
+        if self._has_header:
             declared = declared_array(self.path, name=self.facts.array, error=RawFileError, advice=_AGAIN)
             _check_declared(self.path, declared)
         else:
-            self.read()  # of a buffer the size is all that can be looked at
+            self._held()
+
+    @property
+    def _has_header(self) -> bool:
+        return self.path.suffix.lower() in ARRAY_EXTENSIONS
 
     def _array(self) -> NDArray[Any]:
         from eldata.base.array_files import read_array
@@ -130,27 +129,34 @@ class StatedFile:
             raise RawFileError(self.path, f"damaged, or its black level is another: {fault}")
         return mosaic
 
-    def _buffer(self, cfa: Any) -> RawFrame:
-        from eldata.raw.buffers import read_buffer
+    def _numbers(self) -> NDArray[Any]:
+        """Return the pixels of a file without a header."""
+        import numpy as np
 
-        facts, exposure = self.facts, self.exposure
-        if facts.shape is None:
-            raise UnusableRawError(
-                self.path, "is a buffer without a header", "give its shape, bits and packing in the card's mosaics"
+        shape = self._held()
+        try:
+            return np.fromfile(self.path, "<u2").reshape(shape)
+        except (OSError, ValueError) as error:  # it changed meanwhile
+            raise RawFileError(self.path, f"cannot be read: {error}") from error
+
+    def _held(self) -> tuple[int, int]:
+        """Return the shape that the card states of a file without a header, once the file's size is that of it."""
+        shape = self.facts.shape
+        if shape is None:
+            advice = "state its shape in the card's mosaics, or convert it to .npy if it is packed or padded"
+            raise UnusableRawError(self.path, "is numbers without a header", advice)
+        expected = 2 * shape[0] * shape[1]
+        try:
+            found = self.path.stat().st_size
+        except OSError as error:
+            raise RawFileError(self.path, f"cannot be read: {error.strerror}") from error
+        if found != expected:
+            raise RawFileError(
+                self.path,
+                f"expected {expected} bytes for {shape[0]} x {shape[1]} pixels of 16 bits, found {found}; {_AGAIN}, or "
+                "convert it to .npy if it is packed or padded",
             )
-        black = facts.black_level_dn[0] if len(facts.black_level_dn) == 1 else facts.black_level_dn
-        return read_buffer(
-            self.path,
-            facts.shape,
-            cfa=cfa,
-            black=black,
-            white=facts.white_level_dn,
-            bits=facts.bits,
-            packing=facts.packing,  # type: ignore[arg-type] # checked there
-            iso=exposure.iso,
-            exposure_s=exposure.exposure_s,
-            stride=facts.stride,
-        )
+        return shape
 
 
 def _check_declared(path: Path, declared: Declared) -> None:

@@ -28,10 +28,10 @@ MAGIC = (b"II*\0", b"MM\0*")
 COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
 
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
-SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT = 277, 278, 284, 317, 339
-JPEG_XL, JPEG_XL_DISTANCE = 52546, 52553  # a compression (DNG 1.7), and how lossy its maker says it is
+SAMPLES, SAMPLE_FORMAT = 277, 339
+JPEG_XL = 52546  # a compression (DNG 1.7)
 TILE_WIDTH, TILE_HEIGHT = 322, 323
-DNG_VERSION, LINEARIZATION = 50706, 50712
+DNG_VERSION = 50706
 ROW_INTERLEAVE, COLUMN_INTERLEAVE = 50975, 52547
 ACTIVE_AREA, MASKED_AREAS = 50829, 50830
 BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS, WHITE_LEVEL = 50713, 50714, (50715, 50716), 50717
@@ -40,18 +40,19 @@ CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT = 33421, 33422, 50711
 NOISE_PROFILE = 51041
 OPCODE_LISTS = (51008, 51009, 51022)  # of the stored, the linear and the demosaiced image
 
+MOST_PIXELS = 8
+"""That a byte of image data can hold: no lossless code of noise takes less than one bit."""
+
 _LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK_DELTAS[1]: "BlackLevelDeltaV"}
 _LEVELS |= {WHITE_LEVEL: "WhiteLevel"}
 
 _SUB_IFDS, _EXIF_IFD = 330, 34665
-_FLOAT = 3  # of SAMPLE_FORMAT
 _DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
 # Tags whose values must lie inside the file: those above, and what reading.py takes from EXIF and DNG tags.
 _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
     *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
-    *(SAMPLES, ROWS_PER_STRIP, PLANAR, PREDICTOR, SAMPLE_FORMAT, DNG_VERSION),
-    *(ROW_INTERLEAVE, COLUMN_INTERLEAVE, JPEG_XL_DISTANCE),
+    *(SAMPLES, SAMPLE_FORMAT, DNG_VERSION, ROW_INTERLEAVE, COLUMN_INTERLEAVE),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, MASKED_AREAS, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
     *(WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, NOISE_PROFILE),
     *OPCODE_LISTS,
@@ -96,27 +97,10 @@ class Directory:
     """Every tag that it has, relied on or not."""
     wide_cfa: int | None = None
     """Where the entry of its CFAPattern stands in the file, if it has 16-bit numbers in place of bytes."""
-    linearization: range | None = None
-    """Which bytes of the file hold its LinearizationTable, of 16-bit numbers."""
 
     def number(self, tag: int, default: int) -> int:
         """Return the first number of a tag; ``default`` if it is not there."""
         return int(next(iter(self.values.get(tag, ())), default))
-
-    @property
-    def samples(self) -> int:
-        """Numbers that it has of each pixel: two where each photosite is halved (dual pixels)."""
-        return self.number(SAMPLES, 1)
-
-    @property
-    def interleaved(self) -> tuple[int, int]:
-        """Fields of rows, and of columns, that are stored one after the other; (1, 1): they stand in order."""
-        return self.number(ROW_INTERLEAVE, 1), self.number(COLUMN_INTERLEAVE, 1)
-
-    @property
-    def is_float(self) -> bool:
-        """Whether its samples are floating-point numbers."""
-        return self.number(SAMPLE_FORMAT, 1) == _FLOAT
 
     @property
     def compression(self) -> int:
@@ -124,17 +108,10 @@ class Directory:
         return self.number(COMPRESSION, 1)
 
     @property
-    def is_jpeg_xl(self) -> bool:
-        """Whether it is compressed as JPEG XL."""
-        return self.compression == JPEG_XL
-
-    @property
-    def most_pixels(self) -> int:
-        """Pixels that a byte of its data can hold at most.
-
-        No lossless code of noise takes less than one bit, but JPEG XL takes 0.02 of flat fields.
-        """
-        return 8000 if self.is_jpeg_xl else 8
+    def black_repeat(self) -> tuple[int, int]:
+        """Rows and columns after which its BlackLevel repeats; some write one number, beside one level."""
+        repeat = self.values.get(BLACK_REPEAT, ())
+        return (int(repeat[0]), int(repeat[1])) if len(repeat) == 2 else (1, 1)
 
     @property
     def is_mosaic(self) -> bool:
@@ -216,15 +193,17 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
     return tuple(found)
 
 
-def image_directories(directories: Sequence[Directory], shape: tuple[int, int]) -> tuple[Directory, ...]:
-    """Return the directories of mosaics of this full size (H, W), in order; if none has it, the only one of a mosaic.
+def is_dng(directories: Sequence[Directory]) -> bool:
+    """Return whether a file of these directories is a DNG."""
+    return any(DNG_VERSION in directory.values for directory in directories)
 
-    They are the images of a pixel shift, mostly one; no proxies.
-    """
+
+def main_mosaics(directories: Sequence[Directory]) -> tuple[Directory, ...]:
+    """Return the directories of the largest mosaics, in order: one, but of a pixel shift; no proxies."""
     mosaics = [directory for directory in directories if directory.is_mosaic]
-    fitting = [directory for directory in mosaics if directory.shape == shape]
-    fitting = fitting or (mosaics if len(mosaics) == 1 else [])
-    return tuple([directory for directory in fitting if not directory.number(SUBFILE, 0)] or fitting)
+    most = max((directory.pixels for directory in mosaics), default=0)
+    largest = [directory for directory in mosaics if directory.pixels == most]
+    return tuple([directory for directory in largest if not directory.number(SUBFILE, 0)] or largest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,13 +237,8 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
             f"damaged: its BlackLevel repeats every {' x '.join(map(str, repeat))} pixels; expected 1 to "
             f"{_MOST_REPEATED} either way",
         )
-    for fields, side in zip(directory.interleaved, directory.shape, strict=True):
-        if not 1 <= fields <= max(side, 1):
-            raise RawFileError(path, f"damaged: it declares {fields} interleaved fields of {side} rows or columns")
-    if directory.samples < 1:
-        raise RawFileError(path, f"damaged: it declares {directory.samples} samples of each pixel")
     held = sum(count for _, count in directory.extents)
-    if held * directory.most_pixels < directory.pixels:
+    if held * MOST_PIXELS < directory.pixels and directory.compression != JPEG_XL:  # which is refused by name
         raise RawFileError(path, f"truncated: its image data, {held} bytes, cannot hold {directory.pixels} pixels")
 
 
@@ -279,16 +253,13 @@ def _read_directory(
     table = file.read(12 * count + 4)
     values: dict[int, Numbers] = {}
     tags: set[int] = set()
-    wide_cfa = linearization = None
+    wide_cfa = None
     for index in range(count):
         entry = table[12 * index : 12 * index + 12]
         tag, kind, number = struct.unpack(order + "HHI", entry[:8])
         tags.add(tag)
         if (tag, kind) == (CFA_PATTERN, _SHORT):
             wide_cfa = at + 2 + 12 * index
-        if (tag, kind) == (LINEARIZATION, _SHORT):
-            place = at + 10 + 12 * index if number <= 2 else struct.unpack(order + "I", entry[8:])[0]
-            linearization = range(place, place + 2 * number)
         if tag not in _READ:
             continue
         length = _SIZES.get(kind, 1) * number
@@ -313,7 +284,7 @@ def _read_directory(
             raise RawFileError(path, f"damaged: its {_LEVELS[tag]} is not a number (0 for its denominator, or NaN)")
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
-    return Directory(values, order, frozenset(tags), wide_cfa, linearization), following
+    return Directory(values, order, frozenset(tags), wide_cfa), following
 
 
 def _opcodes(path: Path, file: IO[bytes], place: range, budget: _Budget) -> Iterator[Fraction]:

@@ -1,16 +1,18 @@
 """Raw files that this package cannot use, by name and with what to do: said before LibRaw misreads or refuses them.
 
-LibRaw takes the colours of a declared pattern of 4 x 4 for one of 8 x 2: it may come out as Bayer.
+A mosaic is one plane of whole numbers in order, with one black level for each channel of its CFA. What the DNG
+specification (1.7.1) allows beyond that is refused here: LibRaw does not decode it, or as other pixels than are meant.
+LibRaw also takes the colours of a declared pattern of 4 x 4 for one of 8 x 2: it may come out as Bayer.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from eldata.base.numbers import counted
 from eldata.errors import UnusableRawError
 from eldata.raw import tiff
 from eldata.raw.cfa import cfa_of_letters
-from eldata.raw.strips import check_floats, check_jpeg_xl
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,12 +31,9 @@ _BY_HEAD = {
     b"FOVb": ("is a Sigma X3F, whose Foveon sensor has no colour filter array", NEEDED),
     b"\xff\xd8\xff": ("is a JPEG picture whatever its name says", "use the raw file that the camera wrote with it"),
     b"PK\x03\x04": ("is a ZIP archive (Capture One's EIP is one)", "unpack it and use the raw file inside"),
+    b"II\x1a\0\0\0HEAPCCDR": ("is a CRW (Canon's CIFF), which has no EXIF", "convert it with Adobe DNG Converter"),
 }
-_VC5 = 9  # a compression
-_GPR = (
-    "is a GPR (GoPro, VC-5 compression), which LibRaw cannot decode",
-    "convert it to DNG with GoPro's gpr_tools (gpr_tools -i NAME.GPR -o NAME.DNG; github.com/gopro/gpr)",
-)
+_LONGEST_HEAD = max(map(len, _BY_HEAD))
 _GREY_TIFF = (
     "is a grey TIFF, which states no colour filter array and neither black nor white level",
     f"use the camera's raw file, or {_STATE}",
@@ -48,13 +47,31 @@ _OF_CAMERAS = frozenset(
     )
 )
 _GREY = (0, 1)  # of tiff.PHOTOMETRIC: white or black at 0
-_DEFLATE = (8, 32946)
-_WHOLE_IN_DEFLATE = (
-    "is a DNG of whole numbers in Deflate compression, which LibRaw cannot decode",
-    "convert it to one with lossless JPEG compression or without any (Adobe DNG Converter)",
+
+_WRITE = "read its pixels with tifffile and write a DNG whose mosaic is one uint16 plane (eldata.raw.write_dng)"
+_NO_JPEG_XL = "convert it to a DNG of a version before 1.7 (Compatibility in Adobe DNG Converter), which has no JPEG XL"
+_NO_DEFLATE = "convert it to one with lossless JPEG compression or without any (Adobe DNG Converter)"
+_NO_GPR = "convert it to DNG with GoPro's gpr_tools (gpr_tools -i NAME.GPR -o NAME.DNG; github.com/gopro/gpr)"
+# A mosaic's tag; which of its numbers are refused (none: every one but 1, which counts where the tag is not there);
+# what is said, what to do.
+_REFUSED: tuple[tuple[int, tuple[int, ...], str, str], ...] = (
+    (tiff.SAMPLE_FORMAT, (3,), "has pixels that are floating-point numbers (its SampleFormat is {})", _WRITE),
+    (tiff.COMPRESSION, (tiff.JPEG_XL,), "has pixels in JPEG XL (its Compression is {})", _NO_JPEG_XL),
+    (
+        tiff.COMPRESSION,
+        (8, 32946),
+        "is a DNG of whole numbers in Deflate compression (its Compression is {})",
+        _NO_DEFLATE,
+    ),
+    (tiff.COMPRESSION, (9,), "is a GPR (GoPro, VC-5 compression)", _NO_GPR),
+    (tiff.SAMPLES, (), "has several samples of each pixel, as of dual pixels (its SamplesPerPixel is {})", _WRITE),
+    (tiff.ROW_INTERLEAVE, (), "has interleaved rows (its RowInterleaveFactor is {})", _WRITE),
+    (tiff.COLUMN_INTERLEAVE, (), "has interleaved columns (its ColumnInterleaveFactor is {})", _WRITE),
+    (tiff.CFA_LAYOUT, (), "unsupported colour filter array: its CFALayout is {} (staggered, as a Super CCD's)", NEEDED),
 )
+_OF_ANY_IMAGE = _REFUSED[:2]  # demosaiced ones too: LibRaw makes other numbers of floats
+_DELTAS = ("BlackLevelDeltaH", "BlackLevelDeltaV")
 _HEXADECA = 4  # sites along a side of its blocks
-_LAYOUT_RECTANGULAR = 1
 
 
 def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
@@ -63,38 +80,67 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
     Raises
     ------
     UnusableRawError
-        If the file is of a kind, a compression or a colour filter array that cannot be used; it says which.
+        If the file is of a kind, a compression, a layout or a colour filter array that cannot be used; it says which.
     """
     with path.open("rb") as file:
-        head = file.read(4)
-    for magic, found in _BY_HEAD.items():
+        head = file.read(_LONGEST_HEAD)
+    for magic, of_kind in _BY_HEAD.items():
         if head.startswith(magic):
-            raise UnusableRawError(path, *found)
+            raise UnusableRawError(path, *of_kind)
     if _is_grey_tiff(directories):
         raise UnusableRawError(path, *_GREY_TIFF)
-    for directory in directories:
-        if not directory.is_mosaic:
-            continue
-        if directory.is_float:
-            check_floats(path, directory)
-        elif directory.is_jpeg_xl:
-            check_jpeg_xl(path, directory)
-        elif directory.compression in _DEFLATE:
-            raise UnusableRawError(path, *_WHOLE_IN_DEFLATE)
-        elif directory.compression == _VC5:
-            raise UnusableRawError(path, *_GPR)
-        layout = directory.number(tiff.CFA_LAYOUT, _LAYOUT_RECTANGULAR)
-        if layout != _LAYOUT_RECTANGULAR:
+    mosaics = tiff.main_mosaics(directories)
+    if not mosaics:
+        if tiff.is_dng(directories):
+            _refuse_layout(path, max(directories, key=lambda one: one.pixels), _OF_ANY_IMAGE)
+        return
+    main = mosaics[0]
+    _refuse_layout(path, main, _REFUSED)
+    if len(mosaics) > 1:
+        found = f"holds {len(mosaics)} mosaics of one size (PhotometricInterpretation 32803), as of a pixel shift"
+        raise UnusableRawError(path, found, _WRITE)
+    if tiff.is_dng(directories):
+        _refuse_black(path, main)
+    pattern = main.cfa_letters  # without one LibRaw's word counts
+    monochrome = pattern is not None and len(set("".join(pattern))) == 1  # said of the decoded samples
+    if pattern is not None and not monochrome and cfa_of_letters(pattern) is None:
+        raise unsupported_cfa(path, pattern)
+
+
+def _refuse_layout(path: Path, image: Directory, refused: tuple[tuple[int, tuple[int, ...], str, str], ...]) -> None:
+    for tag, numbers, found, advice in refused:
+        number = image.number(tag, 1)
+        if number in numbers or (not numbers and number != 1):
+            raise UnusableRawError(path, found.format(number), advice)
+
+
+def _refuse_black(path: Path, main: Directory) -> None:
+    """Refuse a DNG whose black level is not stated by the site of the CFA."""
+    levels, repeat = main.values.get(tiff.BLACK_LEVEL, ()), main.values.get(tiff.BLACK_REPEAT, ())
+    rows, columns = main.black_repeat
+    if len(levels) not in (0, rows * columns):
+        dim = (
+            f"its BlackLevelRepeatDim is {' x '.join(map(str, repeat))}" if repeat else "it has no BlackLevelRepeatDim"
+        )
+        raise UnusableRawError(
+            path,
+            f"its BlackLevel has {counted(len(levels), 'number')}, expected {rows * columns}, as {dim}: which is of "
+            "which pixel is not known",
+            "write it again with a BlackLevelRepeatDim that fits, such as 2 2 for four levels",
+        )
+    for tag, name in zip(tiff.BLACK_DELTAS, _DELTAS, strict=True):
+        deltas = main.values.get(tag, ())
+        if any(deltas):
+            found = f"{float(min(deltas)):.4g} to {float(max(deltas)):.4g} DN"
             raise UnusableRawError(
-                path,
-                f"unsupported colour filter array: its CFALayout is {layout} (staggered rows or columns, such as a "
-                "Super CCD's)",
-                NEEDED,
+                path, f"has a black level that differs by row or column (its {name} goes from {found})", _WRITE
             )
-        pattern = directory.cfa_letters  # without one LibRaw's word counts
-        monochrome = pattern is not None and len(set("".join(pattern))) == 1  # said of the decoded samples
-        if pattern is not None and not monochrome and cfa_of_letters(pattern) is None:
-            raise unsupported_cfa(path, pattern)
+    if not levels and main.values.get(tiff.MASKED_AREAS):
+        raise UnusableRawError(
+            path,
+            "states no BlackLevel, only the MaskedAreas to measure it in",
+            "measure it there and state it (exiftool -SubIFD:BlackLevel=64 NAME.dng, or -IFD0:BlackLevel)",
+        )
 
 
 def _is_grey_tiff(directories: Sequence[Directory]) -> bool:

@@ -1,4 +1,4 @@
-"""A set of one's own whose files are floating-point DNGs: it scores and loads as the same numbers do as whole ones.
+"""A set of one's own whose files are arrays of floats, with levels on its card: as the same whole numbers in DNGs.
 
 What cannot be done with them says so, and names the file.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import shutil
 from dataclasses import replace
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,19 +16,22 @@ import pytest
 import tifffile
 
 from eldata import SyntheticPairs, verify
-from eldata.calibration.one_photograph.estimate import estimate_profile
 from eldata.datasets import CalibrationFrames, CleanFrames, DarkFrames, PairDataset
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import EldataError
 from eldata.evaluation import evaluate
+from eldata.manifest.card import CameraCard, Card
 from eldata.manifest.catalogue import load_manifest
+from eldata.manifest.writing import save_manifest
 from eldata.noise import CameraProfile
-from eldata.raw import read_raw, write_dng
+from eldata.raw import read_raw
+from eldata.raw.stated import MosaicFacts
+from eldata.records import FrameRecord
 from eldata.sources.store import build_store, source_of_dataset
-from tests.evaluation.own_set import OwnSet, build_own_set
+from tests.evaluation.own_set import BLACK, WHITE, OwnSet, build_own_set
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from eldata.evaluation import EvaluationResult
@@ -45,14 +49,24 @@ def rewritten(own: OwnSet, folder: Path, which: str, scale: float = 1.0, hot: fl
     """The set with some files as floats, divided by ``scale``, one pixel of which is set to ``hot`` times white."""
     shutil.copytree(own.manifest.parent, folder, dirs_exist_ok=True)
     copy = OwnSet(folder / own.manifest.name, folder / "data")
-    for path in copy.files.glob(which):
-        frame = read_raw(path)
-        mosaic = (frame.mosaic / np.float64(scale)).astype(np.float32)
-        black = tuple(level / scale for level in frame.sensor.black_level_dn)
-        white = round(frame.sensor.white_level_dn / scale)
+    loaded = load_manifest(own.manifest)
+    white = round(WHITE / scale)
+    facts = MosaicFacts("*.npy", "GBRG", tuple(level / scale for level in BLACK), white)
+    renamed = {}
+    for path in sorted(copy.files.glob(which)):
+        mosaic = read_raw(path).mosaic
+        values = (mosaic / np.float64(scale)).astype(np.float32)
         if hot is not None:
-            mosaic[np.unravel_index(frame.mosaic.argmax(), mosaic.shape)] = hot * white
-        write_dng(path, mosaic, replace(frame.sensor, black_level_dn=black, white_level_dn=white), frame.exposure)
+            values[np.unravel_index(mosaic.argmax(), mosaic.shape)] = hot * white
+        np.save(path.with_suffix(".npy"), values)
+        path.unlink()
+        row = path.relative_to(copy.files).as_posix()
+        renamed[row] = row.replace(".dng", ".npy")
+    rows = [
+        replace(row, path=renamed.get(row.path, row.path), reference=renamed.get(row.reference or "", row.reference))
+        for row in loaded.records
+    ]
+    save_manifest(copy.manifest, replace(loaded.card, mosaics=(facts,)), rows)
     return copy
 
 
@@ -61,7 +75,7 @@ def scored(own: OwnSet, protocol: str) -> EvaluationResult:
 
 
 def figures(result: EvaluationResult) -> list[tuple[str, float, float]]:
-    return [(one.path, one.psnr_db, one.ssim) for one in result.images]
+    return [(one.path.partition(".")[0], one.psnr_db, one.ssim) for one in result.images]
 
 
 @pytest.mark.parametrize("which", ["*/clean.dng", "*/*.dng"], ids=["references", "all"])
@@ -73,7 +87,7 @@ def test_floats_of_the_same_numbers_score_the_same(own: OwnSet, protocol: str, w
 
 @pytest.mark.parametrize("protocol", FILE_LEVELS)
 def test_shares_of_white_score_the_same_and_no_bright_pixel_matters(own: OwnSet, protocol: str, tmp_path: Path) -> None:
-    """White 1, as most floating-point DNGs have it; LibRaw would scale by the hot pixel. float32 has seven digits."""
+    """float32 has seven digits."""
     shares = rewritten(own, tmp_path, "*/clean.dng", scale=15300, hot=1.5)
     for one, other in zip(figures(scored(shares, protocol)), figures(scored(own, protocol)), strict=True):
         assert one[0] == other[0]
@@ -87,18 +101,8 @@ def test_shares_of_white_are_not_scored_against_a_white_level_in_dn(own: OwnSet,
     reasons = {str(problem) for problem in result.problems}
     assert len(reasons) == 2
     assert all(
-        re.search(r"clean\.dng: its white level is 1, .* white level of 16383 .* is in DN", one) for one in reasons
+        re.search(r"clean\.npy: its white level is 1, .* white level of 16383 .* is in DN", one) for one in reasons
     )
-
-
-def test_predictions_may_be_floating_point_dngs(own: OwnSet, tmp_path: Path) -> None:
-    """The input itself, as its camera's whole DN and as floats."""
-    floats = rewritten(own, tmp_path, "*/*.dng")
-    options: Any = {"manifest": own.manifest, "root": own.root, "protocol": "lrd-eld"}
-    whole = shutil.copytree(own.files, tmp_path / "whole")  # the set itself is no predictions
-    one, other = (evaluate(of, allow_missing=True, **options) for of in (whole, floats.files))
-    assert len(one.images) == 2
-    assert figures(one) == figures(other)
 
 
 def test_verify_reads_them(own: OwnSet, tmp_path: Path) -> None:
@@ -117,17 +121,20 @@ def test_a_dataset_gives_the_same_crops(own: OwnSet, tmp_path: Path) -> None:
             assert np.array_equal(one[index][name].numpy(), other[index][name].numpy())
 
 
-def test_clean_frames_in_dn_are_taken_and_shares_of_white_are_not(own: OwnSet, tmp_path: Path) -> None:
+def test_clean_frames_in_dn_are_taken_and_shares_of_white_are_not(
+    own: OwnSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     profile = CameraProfile.load("SonyA7S2")
-    floats = rewritten(own, tmp_path / "dn", "*/clean.dng")
-    one, other = (
-        SyntheticPairs(CleanFrames(of.files.glob("*/clean.dng")), profiles=profile, crop=16)[0] for of in (floats, own)
-    )
+
+    def pair(of: OwnSet) -> Mapping[str, Any]:
+        monkeypatch.setenv("ELDATA_ROOT", str(of.root))
+        return SyntheticPairs(CleanFrames(of.manifest), profiles=profile, crop=16)[0]
+
+    one, other = pair(rewritten(own, tmp_path / "dn", "*/clean.dng")), pair(own)
     assert np.array_equal(one["target"].numpy(), other["target"].numpy())
     assert np.array_equal(one["input"].numpy(), other["input"].numpy())
-    shares = rewritten(own, tmp_path / "shares", "*/clean.dng", scale=15300)
-    with pytest.raises(EldataError, match=r"clean\.dng: its white level is 1, .* noise is in DN"):
-        SyntheticPairs(CleanFrames(shares.files.glob("*/clean.dng")), profiles=profile, crop=16)[0]
+    with pytest.raises(EldataError, match=r"clean\.npy: its white level is 1, .* noise is in DN"):
+        pair(rewritten(own, tmp_path / "shares", "*/clean.dng", scale=15300))
 
 
 def test_a_grey_tiff_in_a_set_is_neither_whole_nor_scored(own: OwnSet, tmp_path: Path) -> None:
@@ -141,13 +148,18 @@ def test_a_grey_tiff_in_a_set_is_neither_whole_nor_scored(own: OwnSet, tmp_path:
         scored(copy, "lrd-eld")
 
 
-def bias_of(floats: OwnSet, folder: Path) -> Path:
-    """Two bias frames of an ISO, which they are not: nothing looks at them before their kind is known."""
-    place = folder / "calibration" / "bias" / "ISO100"
-    place.mkdir(parents=True)
-    for name in ("a.dng", "b.dng"):
-        shutil.copyfile(floats.files / "s0" / "clean.dng", place / name)
-    return folder / "calibration"
+def bias_of(folder: Path) -> Path:
+    """A manifest of two bias frames, which they are not: nothing looks at them before their kind is known."""
+    (folder / "data" / "own").mkdir()
+    rows = []
+    for name in ("a.npy", "b.npy"):
+        np.save(folder / "data" / "own" / name, np.full((32, 32), 512.5, np.float32))
+        rows.append(FrameRecord(name, "bias", "Mine", iso=Fraction(100), exposure_s=Fraction(1, 1000)))
+    facts = MosaicFacts("*.npy", "GBRG", (510.0,), WHITE)
+    cameras, counts = {"Mine": CameraCard(())}, {"bias": 2}
+    card = Card("own", "Own", "1", "own", "", "", "", "bayer", cameras, counts, mosaics=(facts,))
+    save_manifest(folder / "own.csv", card, rows)
+    return folder / "own.csv"
 
 
 @pytest.mark.parametrize(
@@ -156,14 +168,16 @@ def bias_of(floats: OwnSet, folder: Path) -> Path:
         lambda floats, path: build_store(
             source_of_dataset("mine", root=floats.root, manifest=floats.manifest), path / "a.h5"
         ),
-        lambda floats, _: estimate_profile(floats.files / "s0" / "x50.dng"),
-        lambda floats, path: synthesize(floats.files, path / "out", Recipe(CameraProfile.load("SonyA7S2"))),
-        lambda floats, path: CalibrationFrames(bias_of(floats, path), "Mine")[0],
-        lambda floats, path: DarkFrames(bias_of(floats, path), "Mine").crops(100.0, [0], (0, 0, 8, 8)),
+        lambda floats, path: synthesize(floats.manifest, path / "out", Recipe(CameraProfile.load("SonyA7S2"))),
+        lambda _, path: CalibrationFrames(path / "data" / "own", manifest=bias_of(path))[0],
+        lambda _, path: DarkFrames(bias_of(path)).crops(100.0, [0], (0, 0, 8, 8)),
     ],
-    ids=["store", "noise of one photograph", "synthesis", "calibration", "dark frames"],
+    ids=["store", "synthesis", "calibration", "dark frames"],
 )
-def test_what_needs_whole_dn_names_the_file(own: OwnSet, use: Callable[[OwnSet, Path], object], tmp_path: Path) -> None:
+def test_what_needs_whole_dn_names_the_file(
+    own: OwnSet, use: Callable[[OwnSet, Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     floats = rewritten(own, tmp_path, "*/*.dng")
-    with pytest.raises(EldataError, match=r"[a-z0-9]*\.dng: its pixels are no whole DN.*as the camera wrote them"):
+    monkeypatch.setenv("ELDATA_ROOT", str(floats.root))
+    with pytest.raises(EldataError, match=r"[a-z0-9]*\.npy: its pixels are no whole DN.*as the camera wrote them"):
         use(floats, tmp_path)

@@ -16,13 +16,14 @@ import tifffile
 from eldata import evaluate
 from eldata.cli.main import main
 from eldata.datasets import CalibrationFrames, CleanClips, CleanFrames, DarkFrames, PairDataset, SyntheticPairs
-from eldata.errors import DatasetError, ManifestError, RawFileError
+from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileError
 from eldata.manifest import load_manifest, verify
 from eldata.manifest.card import CameraCard, Card, load_card, save_card
 from eldata.manifest.catalogue import FrameFiles
 from eldata.manifest.writing import save_manifest
 from eldata.noise import DarkShading
-from eldata.raw import bayer_cfa, read_raw, write_dng
+from eldata.raw import bayer_cfa, pack, pack_normalised, read_raw, write_dng
+from eldata.raw.levels import packed_frame
 from eldata.raw.stated import MosaicFacts, StatedFile
 from eldata.records import Exposure, FrameRecord, Sensor
 from tests.sidd_tree import save_matlab_73
@@ -92,7 +93,7 @@ def as_dng(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("kind", WRITERS)
 def test_mosaics_are_read_as_raws_are(kind: str, as_dng: Path, tmp_path: Path) -> None:
-    facts = replace(FACTS, shape=SHAPE, bits=12, packing="le16") if kind == "bin" else FACTS
+    facts = replace(FACTS, shape=SHAPE) if kind == "bin" else FACTS
     path = own_set(tmp_path, kind, facts)
     root = tmp_path / "data"
     report = verify([load_manifest(path)], root, level="full")
@@ -156,6 +157,14 @@ def test_floats_are_what_the_card_calls_white(tmp_path: Path) -> None:
     frame = read_raw(StatedFile(tmp_path / "x.npy", MosaicFacts("*", "RGGB", (0.0,), 1.0)))
     assert frame.mosaic.dtype == np.float32
     np.testing.assert_array_equal(frame.mosaic, shares.astype(np.float32))
+    packed = packed_frame(frame, levels="metadata", clip="none")
+    np.testing.assert_array_equal(packed, pack(shares.astype(np.float32), frame.sensor.cfa))
+    with pytest.raises(DatasetError, match=r"x\.npy: its white level is 1, .* white level of 16383 .* is in DN"):
+        packed_frame(frame, levels="published", clip="both")
+    with pytest.raises(RawFileError, match=r"no whole DN, .*; a store needs whole DN: use the raw files"):
+        frame.whole_dn("a store")
+    with pytest.raises(ArgumentError, match="corrected=True"):  # floats are mostly normalised already
+        pack_normalised(frame.mosaic, frame.sensor.cfa, frame.sensor.black_level_dn, 1.0)
 
 
 def test_a_file_of_which_nothing_is_stated_is_refused(tmp_path: Path) -> None:
@@ -184,6 +193,31 @@ def test_what_is_no_mosaic_is_named(mosaic: NDArray[Any], word: str, tmp_path: P
         read_raw(StatedFile(tmp_path / "x.npy", FACTS))
 
 
+@pytest.mark.parametrize("size", [0, 2 * 48 * 64 - 1, 2 * 48 * 64 + 2, 48 * 64 * 10 // 8])
+def test_numbers_without_a_header_of_another_size_are_named(size: int, tmp_path: Path) -> None:
+    """As of packed ones."""
+    (tmp_path / "x.raw").write_bytes(bytes(range(256)) * 25)
+    (tmp_path / "x.raw").write_bytes((tmp_path / "x.raw").read_bytes()[:size])
+    file = StatedFile(tmp_path / "x.raw", replace(FACTS, shape=SHAPE))
+    for look in (file.read, file.check):
+        with pytest.raises(RawFileError, match=rf"x\.raw: expected 6144 bytes for 48 x 64 pixels.*found {size};"):
+            look()
+
+
+def test_numbers_without_a_header_need_a_shape_and_are_looked_through(tmp_path: Path) -> None:
+    mosaic = mosaic_of(NOISY, 0)
+    mosaic[10:30] = 0
+    mosaic.astype("<u2").tofile(tmp_path / "x.bin")
+    with pytest.raises(
+        RawFileError, match=r"x\.bin: is numbers without a header; state its shape in the card's mosaics"
+    ):
+        StatedFile(tmp_path / "x.bin", FACTS).check()
+    with pytest.raises(RawFileError, match=r"1280 pixels in a row.* are 0 DN, below the black level 240 DN"):
+        read_raw(StatedFile(tmp_path / "x.bin", replace(FACTS, shape=SHAPE)))
+    with pytest.raises(RawFileError, match=r"none\.bin: cannot be read: No such file"):
+        read_raw(StatedFile(tmp_path / "none.bin", replace(FACTS, shape=SHAPE)))
+
+
 def test_which_of_several_arrays_is_said(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "x.mat", {"x": np.full(SHAPE, 300.0), "y": np.full(SHAPE, 400.0), "name": "text"})
     with pytest.raises(RawFileError, match="x, y"):
@@ -203,6 +237,7 @@ def test_which_of_several_arrays_is_said(tmp_path: Path) -> None:
         ("white_level_dn", 240),
         ("shape", [3]),
         ("whyte", 1),
+        ("bits", 10),
     ],
 )
 def test_a_card_that_misstates_them_is_refused(field: str, value: object, tmp_path: Path) -> None:

@@ -203,12 +203,6 @@ def reference_pack(mosaic: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
     return np.stack([im[y + down :: period, x + right :: period] for y, x in corners for down, right in within])
 
 
-def in_fields(mosaic: NDArray[np.uint16], rows: int, columns: int) -> NDArray[np.uint16]:
-    """As DNG 1.7.1 stores it: field after field, each of which has every so-manieth row, or column."""
-    mosaic = np.concatenate([mosaic[first::rows] for first in range(rows)], axis=0)
-    return np.concatenate([mosaic[:, first::columns] for first in range(columns)], axis=1)
-
-
 Tag = tuple[int, str, int, object, bool]
 
 

@@ -1,14 +1,13 @@
 """Damage that decodes is named; files that are only unusual are not.
 
-How often: with n trials and no miss, the rate of misses is below 3/n with a confidence of 95 %. docs/raw-files.md has
-the figures of ``python -m tests.raw.damaging``.
+How often: with n trials and no miss, the rate of misses is below 3/n with a confidence of 95 %.
 """
 
 from __future__ import annotations
 
 from fractions import Fraction
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import imagecodecs
 import numpy as np
@@ -17,7 +16,7 @@ import pytest
 from eldata.demo.tree import make_tree
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import read_raw, write_dng
-from eldata.raw.damage import check_streams, data_fault, long_run, mosaic_fault, tiles_fault
+from eldata.raw.damage import data_fault, find_stream, long_run, mosaic_fault, tiles_fault
 from eldata.raw.tiff import Directory, read_directories
 from tests.cases import in_one_test
 from tests.raw.damaging import PAGE, Whole, rates
@@ -108,18 +107,8 @@ def test_lost_pages_are_noticed_on_reading(
     assert counts["read"] >= 12
 
 
-@in_one_test("harm", ["sector of random bytes", "page of random bytes", "page copied from elsewhere"])
-def test_overwritten_codes_are_noticed_where_they_are_counted(
-    harm: str, photographs: dict[str, list[Path]], tmp_path: Path
-) -> None:
-    """By lock and verify. Pages of one file have like numbers of codes: where they end is seldom the same."""
-    counts = rates(photographs["compressed"], harm, 60, 1, tmp_path)
-    assert counts["silent"] <= 6, counts
-
-
 def test_what_only_a_hash_finds(photographs: dict[str, list[Path]], tmp_path: Path) -> None:
     """Stated in docs/raw-files.md: if this finds more some day, say so there."""
-    assert rates(photographs["compressed"], "one bit flipped", 60, 1, tmp_path)["silent"] > 30
     for harm in ("page of random bytes", "page copied from elsewhere", "one bit flipped"):
         assert rates(photographs["uncompressed"], harm, 20, 1, tmp_path)["silent"] == 20
 
@@ -149,7 +138,6 @@ def test_clean_demos_of_many_seeds_are_well(tmp_path: Path) -> None:
     assert len(paths) == 640
     for path in paths:
         read_raw(path)
-        check_streams(path, read_directories(path))
 
 
 # --- unusual, but not damaged -------------------------------------------------------------------------------------
@@ -197,7 +185,6 @@ def test_unusual_frames_are_not_damaged(kind: str, tmp_path: Path) -> None:
         path = write(tmp_path / "a.dng", mosaic, kind)
         try:
             np.testing.assert_array_equal(read_raw(path).mosaic, mosaic)
-            check_streams(path, read_directories(path))
         except RawFileError as error:
             raise AssertionError(name) from error
 
@@ -225,7 +212,6 @@ def test_in_tiles(tmp_path: Path) -> None:
     ]
     write_tiles(path, tiles, mosaic.shape)
     np.testing.assert_array_equal(read_raw(path).mosaic, mosaic)
-    check_streams(path, read_directories(path))
     tiles[-1] = tiles[-1][:3000] + bytes(PAGE) + tiles[-1][3000 + PAGE :]
     write_tiles(path, tiles, mosaic.shape)
     refused(path, f"{PAGE} bytes of 0x00 in a row")
@@ -294,25 +280,19 @@ def test_zeros_in_compressed_data(tmp_path: Path) -> None:
     )
 
 
-def test_a_marker_in_compressed_data(tmp_path: Path) -> None:
-    """LibRaw notices some of these itself: it takes what follows for zeros."""
-    path, at = damaged(write(tmp_path / "a.dng", photograph(3, 3000)), 9000, b"\x01\xff\x41\x01")
-    said = data_fault(path, read_directories(path), photograph(3, 3000))
-    assert (
-        said
-        == f"its image data, at byte {at + 1} of the file, has a marker 0xFF41, which does not belong into image data"
-    )
-    with pytest.raises(RawFileError, match=r"is the file whole|damaged"):
-        read_raw(path)
-
-
-def test_compressed_data_that_end_in_zeros(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.dng", photograph(3, 3000))
-    whole = Whole.read(path)
-    damaged(path, whole.behind - whole.first - 20, bytes(20))
-    refused(
-        path, f"its image data, at byte {whole.behind} of the file, ends in bytes of 0x00 and without an end marker"
-    )
+def test_a_strip_may_be_filled_up_behind_its_end(tmp_path: Path) -> None:
+    """But not where its end is lost."""
+    mosaic = photograph(3, 3000)
+    strip = bytes(imagecodecs.ljpeg_encode(mosaic, bitspersample=16))
+    layout: dict[str, Any] = {"shape": mosaic.shape, "dtype": np.uint16, "compression": 7, "rowsperstrip": HEIGHT}
+    for fill in (b"\0", b"\xff"):
+        write_plain_dng(tmp_path / "a.dng", iter([strip + fill * 600]), ("RG", "GB"), **layout)
+        np.testing.assert_array_equal(read_raw(tmp_path / "a.dng").mosaic, mosaic)
+        lost = strip[:-602] + fill * 602
+        write_plain_dng(tmp_path / "a.dng", iter([lost]), ("RG", "GB"), **layout)
+        said = data_fault(tmp_path / "a.dng", read_directories(tmp_path / "a.dng"), mosaic)
+        assert said is not None
+        assert f"has 602 bytes of 0x{fill.hex().upper()} in a row" in said
 
 
 def test_a_damaged_jpeg_header(tmp_path: Path) -> None:
@@ -322,26 +302,39 @@ def test_a_damaged_jpeg_header(tmp_path: Path) -> None:
     with pytest.raises(
         RawFileError, match=rf"damaged: its image data, from byte {at - 3} of the file on, has a damaged"
     ):
-        check_streams(path, read_directories(path))
+        data_fault(path, read_directories(path), photograph(3, 3000))
+
+
+def test_a_header_damaged_anywhere(tmp_path: Path) -> None:
+    """A byte set to 0xFF, the header cut there or zero from there on: told, or the stream is none; no other error."""
+    content = bytes(imagecodecs.ljpeg_encode(photograph(3, 3000), bitspersample=16))
+    whole = find_stream(content)
+    assert whole is not None
+    assert whole.samples == HEIGHT * WIDTH
+    for at in range(2, whole.start):
+        for changed in (
+            content[:at],
+            content[:at] + b"\xff" + content[at + 1 :],
+            content[:at] + bytes(len(content) - at),
+        ):
+            try:
+                find_stream(changed)
+            except ValueError as error:
+                assert "JPEG header" in str(error)  # noqa: PT017 # most are refused, some are fine
+
+
+def test_what_is_not_a_lossless_jpeg() -> None:
+    lossy = bytes(imagecodecs.jpeg_encode((random_mosaic(64, 64) >> 8).astype(np.uint8)))
+    for content in (b"", b"not a JPEG", bytes(100), lossy):
+        assert find_stream(content) is None
 
 
 def test_a_jpeg_without_its_header(tmp_path: Path) -> None:
     """Regression: LibRaw gives a frame all the same."""
     path, _ = damaged(write(tmp_path / "a.dng", photograph(3, 3000)), 0, bytes(PAGE))
-    for check in (read_raw, lambda path: check_streams(path, read_directories(path))):
+    for check in (read_raw, lambda path: data_fault(path, read_directories(path), photograph(3, 3000))):
         with pytest.raises(RawFileError, match=r"damaged|decode it"):
             check(path)
-
-
-def test_codes_that_end_elsewhere(tmp_path: Path) -> None:
-    """Without a trace in bytes or pixels."""
-    path = write(tmp_path / "a.dng", photograph(3, 3000))
-    whole = Whole.read(path)
-    data = whole.content[: whole.first + 9000] + whole.content[whole.first + 9016 :]
-    for page in (bytes(16), b"\x5a" * 16):
-        path.write_bytes(data[: whole.behind - 18] + page + data[whole.behind - 18 :])
-        with pytest.raises(RawFileError, match=r"damaged: its image data, at byte \d+ of the file, "):
-            check_streams(path, read_directories(path))
 
 
 @pytest.mark.parametrize(
@@ -355,32 +348,6 @@ def test_pixels_that_no_sensor_gives(fill: bytes, said: str, tmp_path: Path) -> 
     path = write(tmp_path / "a.dng", photograph(3, 3000), "uncompressed")
     damaged(path, 2 * (70 * WIDTH + 11), fill * PAGE)
     refused(path, f"2048 pixels in a row, from row 70, column 11 on, are {said}")
-
-
-def test_pixels_without_noise() -> None:
-    for step in (0, 1, -31, 3000):
-        mosaic = photograph(3, 3000)
-        mosaic[70:100] = (4000 + step * np.arange(WIDTH)).astype(np.uint16)
-        fault = mosaic_fault(mosaic, BLACK, 15871)
-        assert fault is not None
-        assert "from row 70, column 0 on, are alike or follow each other in equal steps, without noise" in fault
-        mosaic[75:95] = photograph(3, 3000)[75:95]
-        assert mosaic_fault(mosaic, BLACK, 15871) is None, "some rows of a narrow frame may be"
-
-
-@in_one_test("apart", [1, 2])
-@in_one_test("shift", [0, 9])
-def test_rows_that_repeat(apart: int, shift: int) -> None:
-    """As predictors leave them that look at the row above."""
-    mosaic = photograph(3, 3000)
-    for row in range(100, 130):
-        mosaic[row] = mosaic[row - apart] - np.uint16(shift)
-    fault = mosaic_fault(mosaic, BLACK, 15871)
-    assert fault is not None
-    assert f"pixels or more, from row {102 - apart}, column 0 on, repeat those 2 rows above, noise included" in fault
-    mosaic[102::4] = photograph(3, 3000, seed=1)[102::4]
-    mosaic[103::4] = photograph(3, 3000, seed=1)[103::4]
-    assert mosaic_fault(mosaic, BLACK, 15871) is None, "some at a time may be the camera's own repair"
 
 
 def test_runs() -> None:

@@ -1,8 +1,13 @@
-"""Files that LibRaw reads in another way than they are meant: which image, which order, which of two samples."""
+"""Small files that readers get wrong, and others that LibRaw reads in another way than they are meant.
+
+They are read rightly, or refused by the name of the field, with what to do.
+"""
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,20 +16,22 @@ import numpy as np
 import pytest
 import tifffile
 
-from eldata.errors import ArgumentError, RawFileError, UnusableRawError
+from eldata import isolation
+from eldata.errors import UnusableRawError
 from eldata.isp import render_libraw
 from eldata.raw import pack, read_header, read_raw, write_dng
-from eldata.raw.libraw import count_images
+from eldata.raw.libraw import check_one_image
 from eldata.raw.tiff import read_directories
 from eldata.raw.unsupported import refuse_unsupported
+from eldata.records import exact_fraction
 from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
     active_area,
     add_tags,
-    in_fields,
     letters,
     make_sensor,
+    opcode_list,
     random_mosaic,
     write_plain_dng,
 )
@@ -48,68 +55,28 @@ def signal_of(path: Path) -> NDArray[np.float64]:
     return signal
 
 
-# --- the order of rows and columns ----------------------------------------------------------------------------
+# --- what is read ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("compression", ["none", "lossless-jpeg"])
-@pytest.mark.parametrize("fields", [(2, 1), (1, 2), (2, 2), (3, 4)], ids=str)
-def test_interleaved_rows_and_columns_are_put_in_order(
-    fields: tuple[int, int], compression: str, tmp_path: Path
-) -> None:
-    mosaic = random_mosaic(64, 90, low=100, high=1000)
-    stored: Any = np.ascontiguousarray(in_fields(mosaic, *fields))
-    options: dict[str, Any] = {}
-    if compression == "lossless-jpeg":
-        options = {"shape": stored.shape, "dtype": np.uint16, "compression": 7, "rowsperstrip": 64}
-        stored = iter([bytes(imagecodecs.ljpeg_encode(stored, bitspersample=16))])
-    tags = (50975, "I", 1, fields[0], True), (52547, "I", 1, fields[1], True)
-    write_plain_dng(tmp_path / "a.dng", stored, ("RG", "GB"), BLACK, *tags, active_area(2, 4, 62, 90), **options)
-    assert np.array_equal(read_raw(tmp_path / "a.dng").mosaic, mosaic[2:62, 4:90])
-
-
-def test_interleaved_rows_of_a_phone_are_put_in_order() -> None:
-    assert signal_of(FIELD / "row-interleave-2.dng") == pytest.approx(SCENE, abs=0.002)
-
-
-NOT_LIBRAWS = ["row-interleave-2", "float32-hot-1.5", "black-deltaH-columns", "black-deltaV-slope"]
-
-
-@pytest.mark.parametrize("name", NOT_LIBRAWS)
-def test_libraws_own_rendering_of_them_is_refused(name: str) -> None:
-    with pytest.raises(RawFileError, match=r"of which LibRaw makes a wrong .*eldata\.isp\.Rendering"):
-        render_libraw(FIELD / f"{name}.dng")
-
-
-@pytest.mark.parametrize("value", [0, 70000])
-def test_impossible_interleaving_is_refused(value: int, tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 64), ("RG", "GB"), (50975, "I", 1, value, True))
-    with pytest.raises(RawFileError, match=f"damaged: it declares {value} interleaved fields of 64 rows"):
-        read_raw(tmp_path / "a.dng")
-
-
-# --- which image, and which sample ----------------------------------------------------------------------------
-
-
-def test_of_two_samples_the_first_is_taken_and_said() -> None:
-    frame = read_raw(FIELD / "dual-pixel-2-samples.dng")
-    assert (frame.sensor.black_level_dn, frame.sensor.white_level_dn) == ((64.0,) * 4, 1023.0)
-    assert signal_of(FIELD / "dual-pixel-2-samples.dng") == pytest.approx(SCENE, abs=0.002)
-    said = ("it has 2 samples of each pixel, as dual pixels give: the mosaic is the first",)
-    assert frame.remarks == said
-    assert read_header(FIELD / "dual-pixel-2-samples.dng").remarks == said
-
-
-def test_each_sample_has_its_own_levels(tmp_path: Path) -> None:
-    """Row, column, sample: of a pattern of 2 x 2 the first sample's are every second number."""
-    first, second = random_mosaic(64, 64, low=100, high=900), random_mosaic(64, 64, seed=1, low=100, high=900)
-    both = np.stack([first, second], axis=-1)
-    levels = (60, 10, 61, 11, 62, 12, 63, 13)
-    tags: Any = (50713, "H", 2, (2, 2), True), (50714, "I", 8, levels, True), (50717, "I", 2, (1000, 900), True)
-    write_plain_dng(tmp_path / "a.dng", both, ("RG", "GB"), *tags, white=None, photometric=1, planarconfig="contig")
-    add_tags(tmp_path / "a.dng", (262, "H", 1, 32803, True))  # tifffile writes no CFA of two samples
-    frame = read_raw(tmp_path / "a.dng")
-    assert np.array_equal(frame.mosaic, first)
-    assert (frame.sensor.black_level_dn, frame.sensor.white_level_dn) == ((60.0, 61.0, 63.0, 62.0), 1000.0)
+@pytest.mark.parametrize(
+    ("name", "black", "remarks"),
+    [
+        ("black-deltaH-frac", 64.25, 0),  # whose deltas are all 0
+        ("black-repeatdim-count1", 64, 0),
+        ("two-cfa-images-proxy-first", 64, 0),
+        ("masked-areas-black-0", 0, 1),
+    ],
+)
+def test_a_field_file_has_its_level_and_comes_back(name: str, black: float, remarks: int, tmp_path: Path) -> None:
+    found = read_raw(FIELD / f"{name}.dng")
+    assert found.mosaic.dtype == np.uint16
+    assert (found.sensor.black_level_dn, found.sensor.white_level_dn) == ((black,) * 4, 1023)
+    assert len(found.remarks) == remarks
+    write_dng(tmp_path / "a.dng", found.mosaic, found.sensor, found.exposure)
+    again = read_raw(tmp_path / "a.dng")
+    assert again.sensor == found.sensor
+    assert list(map(exact_fraction, again.sensor.black_level_dn)) == [Fraction(black)] * 4
+    np.testing.assert_array_equal(again.mosaic, found.mosaic)
 
 
 @pytest.mark.parametrize("white", [None, 1023])
@@ -125,6 +92,114 @@ def test_what_the_image_does_not_state_is_not_taken_from_a_proxy(white: int | No
         tiff.write(random_mosaic(64, 96, low=100, high=1000), subfiletype=0, extratags=[*tags, *own], **options)
     sensor = read_raw(tmp_path / "a.dng").sensor
     assert (sensor.black_level_dn, sensor.white_level_dn) == ((0.0,) * 4, white or 65535.0)
+
+
+def test_levels_are_those_of_the_image_that_is_read(tmp_path: Path) -> None:
+    """A proxy stands first, with everything else: a black of 256, another phase, masked areas, deltas and noise."""
+    path, plain = tmp_path / "a.dng", read_raw(FIELD / "two-cfa-images-proxy-first.dng")
+    path.write_bytes((FIELD / "two-cfa-images-proxy-first.dng").read_bytes())
+    profile = struct.pack("<2d", 1.0, 2.0)
+    add_tags(
+        path,
+        (33422, "B", 4, bytes((2, 1, 1, 0)), True),
+        (50717, "I", 1, 4095, True),
+        (50830, "I", 4, (0, 0, 8, 8), True),
+        (50715, "2i", 1, (40, 1), True),
+        active_area(1, 0, 64, 96),
+        opcode_list(2, 9),
+        (51041, "B", len(profile), profile, True),
+    )
+    found = read_raw(path)
+    assert found.sensor == plain.sensor
+    assert (found.sensor.black_level_dn, found.sensor.white_level_dn) == ((64.0,) * 4, 1023.0)
+    assert found.remarks == ()
+    np.testing.assert_array_equal(found.mosaic, plain.mosaic)
+
+
+# --- what is refused, and what to do ----------------------------------------------------------------------------
+
+WRITE = r"; read its pixels with tifffile and write a DNG whose mosaic is one uint16 plane \(eldata\.raw\.write_dng\)"
+REFUSED = {
+    "float32-hot-1.5": r"has pixels that are floating-point numbers \(its SampleFormat is 3\)" + WRITE,
+    "dual-pixel-2-samples": r"several samples of each pixel, as of dual pixels \(its SamplesPerPixel is 2\)" + WRITE,
+    "row-interleave-2": r"has interleaved rows \(its RowInterleaveFactor is 2\)" + WRITE,
+    "black-deltaH-columns": r"row or column \(its BlackLevelDeltaH goes from 0 to 16 DN\)" + WRITE,
+    "black-deltaV-slope": r"row or column \(its BlackLevelDeltaV goes from 250 to 262 DN\)" + WRITE,
+    "pidng-black4-nodim": "its BlackLevel has 4 numbers, expected 1, as it has no BlackLevelRepeatDim: which is",
+}
+
+
+def refused(path: Path, words: str) -> None:
+    for read in (read_raw, read_header, render_libraw):
+        with pytest.raises(UnusableRawError, match=rf"{path.name}: .*{words}"):
+            read(path)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_field_file_is_refused_by_its_field(name: str) -> None:
+    refused(FIELD / f"{name}.dng", REFUSED[name])
+
+
+SLOPE = 250 + 12 * np.arange(128)[:, None] / 127
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "black", "white"),
+    [
+        ("float32-hot-1.5", lambda stored: np.clip(stored * 1000 + 100, 0, 1100), 100, 1100),
+        ("dual-pixel-2-samples", lambda stored: stored[..., 0], 64, 1023),
+        ("row-interleave-2", lambda stored: stored.reshape(2, -1, stored.shape[1]).swapaxes(0, 1), 64, 1023),
+        ("black-deltaV-slope", lambda stored: np.rint(stored - SLOPE + 256), 256, 256 + 4095),
+    ],
+)
+def test_what_is_said_to_do_works(name: str, change: Any, black: float, white: float, tmp_path: Path) -> None:
+    """What tifffile reads is written with the levels that whoever wrote the file knows."""
+    mosaic = change(tifffile.imread(FIELD / f"{name}.dng")).astype(np.uint16)
+    mosaic = mosaic.reshape(-1, mosaic.shape[-1])
+    levels: dict[str, Any] = {"black_level_dn": (float(black),) * 4, "white_level_dn": float(white)}
+    write_dng(tmp_path / "a.dng", mosaic, make_sensor(BAYER["RGGB"], *mosaic.shape, **levels), EXPOSURE)
+    assert signal_of(tmp_path / "a.dng") == pytest.approx(SCENE, abs=0.002)
+
+
+def write_jpeg_xl(path: Path, mosaic: NDArray[np.uint16]) -> None:
+    stream = bytes(imagecodecs.jpegxl_encode(mosaic, bitspersample=16, effort=1, lossless=True))
+    layout: dict[str, Any] = {"shape": mosaic.shape, "dtype": np.uint16, "rowsperstrip": len(mosaic)}
+    write_plain_dng(path, iter([stream]), ("RG", "GB"), BLACK, compression=52546, **layout)
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_jpeg_xl_is_named(flat: bool, tmp_path: Path) -> None:
+    """Which takes less than a bit of a pixel where all are alike."""
+    mosaic = np.full((64, 96), 300, np.uint16) if flat else random_mosaic(64, 96)
+    write_jpeg_xl(tmp_path / "a.dng", mosaic)
+    refused(tmp_path / "a.dng", r"pixels in JPEG XL \(its Compression is 52546\).*a version before 1\.7 \(Compatib")
+
+
+def test_demosaiced_floats_and_jpeg_xl_are_named(tmp_path: Path) -> None:
+    """As apps of phones write them; LibRaw makes integers of floats."""
+    linear = (262, "H", 1, 34892, True)  # PhotometricInterpretation: LinearRaw
+    write_jpeg_xl(tmp_path / "a.dng", random_mosaic(64, 96))
+    add_tags(tmp_path / "a.dng", linear)
+    refused(tmp_path / "a.dng", "JPEG XL")
+    values: Any = np.random.default_rng(0).random((64, 96), np.float32)
+    write_plain_dng(tmp_path / "a.dng", values, white=1)
+    add_tags(tmp_path / "a.dng", linear)
+    refused(tmp_path / "a.dng", "floating-point numbers")
+
+
+@pytest.mark.parametrize("tag", [50975, 52547])
+@pytest.mark.parametrize("value", [0, 2, 70000])
+def test_interleaved_rows_and_columns_are_named(tag: int, value: int, tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 64), ("RG", "GB"), (tag, "I", 1, value, True))
+    name = {50975: "Row", 52547: "Column"}[tag]
+    refused(tmp_path / "a.dng", f"has interleaved {name.lower()}s .its {name}InterleaveFactor is {value}")
+
+
+@pytest.mark.parametrize("samples", [0, -1])
+def test_no_samples_are_named(samples: int, tmp_path: Path) -> None:
+    (tmp_path / "a.dng").write_bytes((FIELD / "dual-pixel-2-samples.dng").read_bytes())
+    add_tags(tmp_path / "a.dng", (277, "i", 1, samples, True))
+    refused(tmp_path / "a.dng", f"its SamplesPerPixel is {samples}")
 
 
 def write_shift(path: Path, mosaics: list[NDArray[np.uint16]], *, in_sub_ifds: bool) -> None:
@@ -146,35 +221,35 @@ def write_shift(path: Path, mosaics: list[NDArray[np.uint16]], *, in_sub_ifds: b
 
 
 @pytest.mark.parametrize("in_sub_ifds", [False, True])
-def test_each_image_of_a_pixel_shift_can_be_chosen(in_sub_ifds: bool, tmp_path: Path) -> None:
+def test_several_mosaics_of_one_size_are_named(in_sub_ifds: bool, tmp_path: Path) -> None:
     mosaics = [random_mosaic(64, 96, seed=seed, low=100, high=1000) for seed in range(4)]
     write_shift(tmp_path / "a.dng", mosaics, in_sub_ifds=in_sub_ifds)
-    assert np.array_equal(read_raw(tmp_path / "a.dng").mosaic, mosaics[0])
-    for index, mosaic in enumerate(mosaics):
-        frame = read_raw(tmp_path / "a.dng", image=index)
-        assert np.array_equal(frame.mosaic, mosaic)
-        assert frame.sensor.black_level_dn == (64.0 + index,) * 4
-        assert frame.sensor.white_level_dn == 1023 + index
-        which = f"the mosaic is image {index}, counted from 0 (read_raw's image= chooses)"
-        assert frame.remarks == (f"it holds 4 images of one size, as of a pixel shift: {which}",)
-    with pytest.raises(RawFileError, match="has no image 4: it holds 4, counted from 0"):
-        read_raw(tmp_path / "a.dng", image=4)
-    with pytest.raises(ArgumentError, match="image counts from 0; found -1"):
-        read_raw(tmp_path / "a.dng", image=-1)
+    refused(tmp_path / "a.dng", "holds 4 mosaics of one size .PhotometricInterpretation 32803., as of a pixel shift")
+    write_shift(tmp_path / "a.dng", mosaics[:1], in_sub_ifds=in_sub_ifds)
+    np.testing.assert_array_equal(read_raw(tmp_path / "a.dng").mosaic, mosaics[0])
 
 
-def test_images_that_no_directory_lists_are_counted_by_libraw(tmp_path: Path) -> None:
+def test_images_that_no_directory_lists_are_asked_of_libraw(tmp_path: Path) -> None:
     """As of formats other than TIFF; a DNG serves, of which both is known."""
     for count in (1, 2, 4):
         mosaics = [random_mosaic(64, 96, seed=seed, low=100, high=1000) for seed in range(count)]
         write_shift(tmp_path / "a.dng", mosaics, in_sub_ifds=True)
-        assert count_images(tmp_path / "a.dng") == count
+        if count == 1:
+            check_one_image(tmp_path / "a.dng")
+            continue
+        with pytest.raises(UnusableRawError, match=r"holds several images, .*dnglab convert --image-index"):
+            check_one_image(tmp_path / "a.dng")
 
 
-def test_a_file_of_one_image_says_so(tmp_path: Path) -> None:
-    write_dng(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(), EXPOSURE)
-    with pytest.raises(RawFileError, match="has no image 1: it holds 1, counted from 0"):
-        read_raw(tmp_path / "a.dng", image=1)
+def test_a_crw_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.CRW").write_bytes(b"II" + struct.pack("<I", 26) + b"HEAPCCDR" + bytes(1000))
+    refused(tmp_path / "a.CRW", r"is a CRW \(Canon's CIFF\), which has no EXIF; convert it with Adobe DNG Converter")
+
+
+def test_a_refusal_comes_back_from_another_process() -> None:
+    with isolation(), pytest.raises(UnusableRawError) as caught:
+        read_raw(FIELD / "pidng-black4-nodim.dng")
+    assert caught.value.advice.startswith("write it again with a BlackLevelRepeatDim")
 
 
 # --- what says no mosaic --------------------------------------------------------------------------------------

@@ -10,8 +10,6 @@ states of camera and exposure. docs/raw-files.md sums up what came out of the fi
   head, noise for pixels); 5 Exiv2/exiv2 IMG_1361.dng (iPhone 12 Pro); 6 photoprism/photoprism canon_eos_6d.dng
   (linear); 7 exiftool/exiftool DNG.dng (Canon 350D).
 - CR3: 8 mindeng/nom-exif canon-r6.cr3; 9 Exiv2/exiv2 Canon-R6-pruned.CR3; 10 exiftool/exiftool CanonRaw.cr3 (M50).
-- CRW: 11 evanoberholster/imagemeta CRW.CRW (Canon D30); 12 Exiv2/exiv2 exiv2-canon-powershot-s40.crw;
-  13 exiftool/exiftool CanonRaw.crw (300D).
 - CR2: 14 exiftool/exiftool CanonRaw.cr2 (350D); 15 bep/imagemeta sample.cr2 (Canon S90).
 - NEF: 16 bep/imagemeta sample.nef (Nikon D1); 17 exiftool/exiftool Nikon.nef (D70).
 - ARW, RAF: 18 bep/imagemeta sample.arw (Sony A330); 19 exiftool/exiftool FujiFilm.raf (S5 Pro);
@@ -48,8 +46,8 @@ if TYPE_CHECKING:
     from eldata.records import RawFrame, RawHeader
 
 # Where exiftool has a field more than once: the camera's EXIF, before what makers add and what exiftool works out.
-_GROUPS = ("ExifIFD", "IFD0", "CanonRaw", "Canon", "Nikon", "Composite")
-_TOLERANCE = 1e-5  # exiftool prints floats; a CRW's powers of two are kept to six digits
+_GROUPS = ("ExifIFD", "IFD0", "Canon", "Nikon", "Composite")
+_TOLERANCE = 1e-5  # exiftool prints floats
 _COLOURS = "RGBCMYW"
 
 

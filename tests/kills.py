@@ -11,7 +11,7 @@ them otherwise. What a trial demands:
   its blocks otherwise when a file is opened twice.)
 
 Commands run in forks of this process, which has imported all that they need: the whole time of a fork is work. Every
-twentieth is a process of its own, with two workers where the command has any, and with guarded processes that decode.
+twentieth is a process of its own, with two workers where the command has any.
 Of the others each second one is ended some time after its begin, drawn over the time that the command takes; the rest
 by themselves, before a step that changes a folder (a file that is opened to be written, renamed, linked or removed, a
 new folder), drawn over the steps of the command: the moments that matter may be a thousandth of its time.
@@ -218,9 +218,7 @@ class Bench:
         self.begin()
         self.first = self.contents()
         os.chdir(self.folder)
-        os.environ["ELDATA_ISOLATE"] = "0"  # so that it is this process that imports what decoding needs
         main_of(self.case.program)(self.case.command(1))  # what is imported and compiled now, forks have
-        del os.environ["ELDATA_ISOLATE"]
         os.chdir(self.base)
         self.expected = self.contents()
         for jobs in range(1, most_jobs + 1):
@@ -284,7 +282,7 @@ class Bench:
         steps = Steps(number, step)
         try:
             os.setsid()
-            os.environ |= {"KILLS": str(self.base), "ELDATA_ISOLATE": "0"}
+            os.environ["KILLS"] = str(self.base)
             os.chdir(self.folder)
             tempfile.tempdir = str(self.folder / ".tmp")
             nowhere = os.open(os.devnull, os.O_RDWR)

@@ -39,7 +39,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help='write the measured ratio and shift of each pair into the manifest, for amplification="measured"',
     )
-    add_shared(parser, run, "root", "jobs", "isolation", json="dataset ok groups")
+    add_shared(parser, run, "root", "jobs", json="dataset ok groups")
 
 
 def run(arguments: argparse.Namespace) -> int:

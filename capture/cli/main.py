@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _COMMANDS = ("protocol", "camera", "plan", "checklist", "script", "manifest", "check", "average", "completion")
 
 _FIRST = ("capture camera --example cam.json", "capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json")
-_RUNNING = ("root", "json", "jobs", "isolate", "debug")
+_RUNNING = ("root", "json", "jobs", "debug")
 
 
 def parser() -> argparse.ArgumentParser:

@@ -12,7 +12,7 @@ import shutil
 import signal
 import sys
 import traceback
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from inspect import cleandoc
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias
@@ -233,11 +233,6 @@ def running_options() -> dict[str, dict[str, Any]]:
             "help": "work on this Dask cluster instead: its scheduler's address, such as tcp://host:8786, or its "
             "scheduler file (needs the extra eldata[dask]; docs/clusters.md)",
         },
-        "isolate": {
-            "action": argparse.BooleanOptionalAction,
-            "help": "decode files in processes of their own, with limits on time and memory, so that a file whose "
-            "decoder crashes or hangs is one problem among others (default: $ELDATA_ISOLATE, else on; off on Windows)",
-        },
         "debug": {"action": "store_true", "help": "show the traceback of an error"},
     }
 
@@ -260,7 +255,7 @@ def _behind_the_command(given: Sequence[str]) -> list[str]:
     """Return arguments with the options of a program's running that come before the command's name behind it."""
     known, rest, moved = running_options(), list(given), []
     while rest and rest[0].startswith("--"):
-        name = rest[0].partition("=")[0].removeprefix("--").removeprefix("no-")
+        name = rest[0].partition("=")[0].removeprefix("--")
         if name not in known:
             break
         count = 1 if "action" in known[name] or "=" in rest[0] else 2
@@ -269,21 +264,21 @@ def _behind_the_command(given: Sequence[str]) -> list[str]:
     return [*rest[:1], *moved, *rest[1:]]
 
 
-_BRINGS = {"root": ("root",), "jobs": ("jobs",), "workers": ("jobs", "dask", "isolate"), "isolation": ("isolate",)}
+_BRINGS = {"root": ("root",), "jobs": ("jobs",), "workers": ("jobs", "dask")}
 
 
 def add_shared(
     parser: argparse.ArgumentParser,
     run: Callable[[Arguments], int],
-    *options: Literal["root", "cameras", "isos", "jobs", "workers", "isolation"],
+    *options: Literal["root", "cameras", "isos", "jobs", "workers"],
     json: str | FileKind | None = None,
     interrupted: str = "files are written whole or not at all, so none is left half",
 ) -> None:
     """Finish a subcommand: say which of the options that commands share it takes, and what :func:`run` is to call.
 
-    ``"workers"`` are of work on strangers' files: ``--jobs``, ``--dask`` and ``--isolate``; ``"isolation"`` is for
-    commands without; ``--debug`` is for all. ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of
-    that argument. ``json`` is for ``--json``: the fields of what it writes, or its kind.
+    ``"workers"`` are ``--jobs`` and ``--dask``; ``--debug`` is for all. ``interrupted`` says what Ctrl-C leaves;
+    ``{name}`` in it is the value of that argument. ``json`` is for ``--json``: the fields of what it writes, or its
+    kind.
     """
     if "cameras" in options:
         add_cameras(parser)
@@ -372,18 +367,8 @@ def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arg
         print(f"{parser.prog}: a command is needed; see {parser.prog} --help", file=sys.stderr)
         return UNUSABLE
     check_outputs(arguments)
-    with _as_isolated(arguments):
-        code: int = arguments.run(arguments)
+    code: int = arguments.run(arguments)
     return code
-
-
-def _as_isolated(arguments: Arguments) -> AbstractContextManager[None]:
-    """Return the isolation that a subcommand is to run under, if it has the choice."""
-    if not hasattr(arguments, "isolate"):
-        return nullcontext()
-    from eldata.base.isolation import isolation
-
-    return isolation(arguments.isolate)
 
 
 def _explained(error: BaseException, arguments: Arguments) -> tuple[int, str]:

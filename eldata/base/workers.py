@@ -30,7 +30,6 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from tqdm import tqdm
 
-from eldata.base.isolation import isolating, set_isolation
 from eldata.base.processes import LostError, Processes, portable
 from eldata.base.stopping import raise_if_told
 from eldata.errors import ArgumentError, EldataError, FileError
@@ -223,23 +222,17 @@ def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], list[Resul
     be large.
     """
     # Dask takes equal calls for the same one, and answers with the result that it already has.
-    return partial(_listed, work, unit, _here(), isolating(), uuid.uuid4().hex)
+    return partial(_listed, work, unit, _here(), uuid.uuid4().hex)
 
 
-def _listed(
-    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], isolate: bool, _: str
-) -> list[Result | Failed[Unit]]:
-    return [_run_unit(work, unit, caller, isolate)]
+def _listed(work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], _: str) -> list[Result | Failed[Unit]]:
+    return [_run_unit(work, unit, caller)]
 
 
-def _run_unit(
-    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], isolate: bool = False
-) -> Result | Failed[Unit]:
+def _run_unit(work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int]) -> Result | Failed[Unit]:
     """Return a unit's result, or its error as a value: what an executor itself raises can then be told from it."""
     raise_if_told()
     try:
-        if _here() != caller:
-            set_isolation(isolate)
         return work(unit)
     except Exception as raised:  # noqa: BLE001 # whatever it is, it is the unit's
         raise_if_told()

@@ -18,7 +18,7 @@ _COMMANDS = (
 )
 
 _FIRST = ("eldata demo", "eldata info eld", "eldata evaluate preds --dataset eld --root data")
-_RUNNING = ("root", "json", "jobs", "dask", "isolate", "debug")
+_RUNNING = ("root", "json", "jobs", "dask", "debug")
 
 
 def parser() -> argparse.ArgumentParser:

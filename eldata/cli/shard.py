@@ -35,7 +35,7 @@ def add_options(parser: console.Parser) -> None:
         )
     add_part(parser)
     kept = "the finished shards are kept in {output}, and the same command goes on"
-    console.add_shared(parser, run, "cameras", "isolation", interrupted=kept)
+    console.add_shared(parser, run, "cameras", interrupted=kept)
 
 
 def run(arguments: console.Arguments) -> int:

@@ -51,7 +51,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from eldata.base.isolation import guarded_file
+from eldata.base.files import read_file
 from eldata.errors import ArgumentError, RawFileError, UnusableRawError
 from eldata.raw.black_levels import TAKING_PIXELS, BlackLevel, VisibleArea, check_black_counts, dng_black_level
 from eldata.raw.damage import check_damage, check_samples, check_streams
@@ -91,12 +91,11 @@ def read_header(path: Path | str | StatedFile) -> RawHeader:
     Raises
     ------
     RawFileError
-        If the file is missing, empty, truncated or not a raw file; or, with :func:`eldata.isolation`, if its decoder
-        crashes, hangs or needs too much memory.
+        If the file is missing, empty, truncated or not a raw file, or needs more memory than there is.
     """
     if isinstance(path, StatedFile):
         return path.header
-    return guarded_file(_header, Path(path), RawFileError)
+    return read_file(_header, Path(path), RawFileError)
 
 
 def _header(path: Path) -> RawHeader:
@@ -157,8 +156,8 @@ def read_raw(path: Path | str | StatedFile, *, image: int = 0) -> RawFrame:
     ------
     RawFileError
         If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
-        with one that is not supported, or has no such image; or, with :func:`eldata.isolation`, if its decoder
-        crashes, hangs or needs too much memory. The message names the file and the reason.
+        with one that is not supported, or has no such image; or needs more memory than there is. The message names the
+        file and the reason.
 
     Examples
     --------
@@ -175,7 +174,7 @@ def read_raw(path: Path | str | StatedFile, *, image: int = 0) -> RawFrame:
         raise ArgumentError(f"image counts from 0; found {image}")
     if isinstance(path, StatedFile):
         return path.read()
-    return guarded_file(partial(_decoded, image=image), Path(path), RawFileError)
+    return read_file(partial(_decoded, image=image), Path(path), RawFileError)
 
 
 def _decoded(path: Path, *, image: int) -> RawFrame:

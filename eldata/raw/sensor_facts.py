@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.isolation import guarded_file
+from eldata.base.files import read_file
 from eldata.errors import ArgumentError, RawFileError, UnusableRawError
 from eldata.raw.colour import white_balance_of
 from eldata.raw.jpeg_xl import read_first_header
@@ -102,7 +102,7 @@ def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
     RawFileError
         If a directory of the file is damaged.
     """
-    directories = guarded_file(read_directories, path, RawFileError)
+    directories = read_file(read_directories, path, RawFileError)
     largest = max((one.shape for one in directories if one.is_mosaic), key=prod, default=(0, 0))
     # It stands beside the mosaic, not a proxy of it, or in IFD0.
     places = (*image_directories(directories, largest), *directories)

@@ -43,9 +43,6 @@ class Kind:
         Readers that are handed no path, so that their errors cannot name it, and the file is always a file.
     truth
         What a whole file is read as, where a damaged one must not be read as anything else.
-    isolated
-        Whether readers work in processes of their own, as in commands: in some damaged stores HDF5 runs for ever. The
-        others have to do without.
     """
 
     seeds: Callable[[], list[Seed]]
@@ -53,7 +50,6 @@ class Kind:
     own: Mapping[str, tuple[Change, ...]]
     nameless: frozenset[str] = frozenset()
     truth: Callable[[object], NDArray[Any]] | None = None
-    isolated: bool = False
 
 
 def called(name: str, path: Path) -> object:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from eldata import evaluate, isolation
+from eldata import evaluate
 from eldata.cli.main import main
 from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw import read_header, read_raw, write_dng
@@ -167,14 +167,6 @@ def test_a_level_of_no_numbers_is_none(tag: int, tmp_path: Path) -> None:
     write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66))
     add_tags(tmp_path / "a.dng", (tag, "I", 0, (), True))
     assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (0,) * 4
-
-
-def test_refusals_and_remarks_come_back_from_another_process(tmp_path: Path) -> None:
-    with isolation():
-        with pytest.raises(UnusableRawError) as refused:
-            read_raw(FIELD / "pidng-black4-nodim.dng")
-        assert refused.value.advice.startswith("write it again with a BlackLevelRepeatDim")
-        assert read_raw(FIELD / "black-deltaV-slope.dng").remarks == field("black-deltaV-slope").remarks
 
 
 # --- deltas -------------------------------------------------------------------------------------------------------

@@ -40,7 +40,6 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 from tqdm import tqdm
 
-from eldata.base.stopping import exit_code
 from tests.syncing import not_synced
 from tests.waiting import PATIENCE_S, until
 
@@ -277,7 +276,7 @@ class Bench:
 
     def _be(self, log: Path, number: int, step: int) -> NoReturn:
         code = 99
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # as before Python's start
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
         steps = Steps(number, step)
         try:
@@ -408,9 +407,10 @@ def wrong_of(bench: Bench, run: Run, number: int, counted: Counter[str], jobs: i
         if run.code != -signal.SIGKILL:
             wrong.append(f"exit code {run.code}: {run.said}")
     else:
-        early = run.code == -number and not run.said  # before Python could be told what to do
-        counted["before the first line of ours"] += early
-        if run.code != exit_code(number) and not early:
+        # before the command runs, or once it is over
+        early = (run.code == -number and not run.said) or run.said.endswith("\nKeyboardInterrupt\n")
+        counted["before or after the work"] += early
+        if run.code != 128 + number and not early:
             wrong.append(f"exit code {run.code}: {run.said}")
         if run.said.count("\n") != 1 and not early:
             wrong.append(f"said {run.said[-1000:]!r}")

@@ -1,7 +1,7 @@
 """What every command line of this distribution shares: one clear line for an error, exit codes, no traceback.
 
-Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 129, 130 and 143 the terminal
-was closed, Ctrl-C, SIGTERM; 141 the reader of the output left before its end.
+Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 Ctrl-C; 143 SIGTERM; 141
+the reader of the output left before its end.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import os
 import shutil
 import signal
 import sys
+import threading
 import traceback
 from contextlib import contextmanager, suppress
 from importlib import import_module
@@ -21,7 +22,6 @@ from eldata import __version__
 from eldata.base.files import write_json
 from eldata.base.numbers import whole_of
 from eldata.base.outputs import NEW, FileKind, add_output, check_outputs, json_kind
-from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_it_did
 from eldata.base.visible import visible, visible_output
 from eldata.errors import ArgumentError, EldataError, nearest
 
@@ -35,9 +35,10 @@ Arguments: TypeAlias = argparse.Namespace
 """What a subcommand's function ``run`` is handed."""
 
 OK, PROBLEMS, UNUSABLE, CLOSED_PIPE = 0, 1, 2, 141
+_DASK_S = 10  # for a scheduler to answer
 _EXIT_CODES = (
     "Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 Ctrl-C; 143 "
-    "SIGTERM; 129 the terminal was closed; 141 the reader of the output left before its end (head, less)."
+    "SIGTERM; 141 the reader of the output left before its end (head, less)."
 )
 
 
@@ -206,10 +207,17 @@ def chosen_workers(arguments: Arguments) -> Iterator[Workers]:
     if arguments.dask is None:
         yield Workers(arguments.jobs)
         return
-    from eldata.base.clusters import dask_executor
-
-    with dask_executor(arguments.dask) as executor:
-        yield Workers(arguments.jobs, executor)
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise EldataError("--dask needs Dask's distributed: pip install 'eldata[dask]'") from error
+    try:
+        client = Client(arguments.dask, timeout=_DASK_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, ImportError) as error:
+        reason = f"no Dask scheduler answers at {arguments.dask} ({error})"
+        raise EldataError(f"{reason}; is it running, and can this machine reach its port?") from error
+    with client:
+        yield Workers(executor=client.get_executor())  # type: ignore[no-untyped-call]
 
 
 class _Default(int):
@@ -230,8 +238,8 @@ def running_options() -> dict[str, dict[str, Any]]:
         },
         "dask": {
             "metavar": "ADDRESS",
-            "help": "work on this Dask cluster instead: its scheduler's address, such as tcp://host:8786, or its "
-            "scheduler file (needs the extra eldata[dask]; docs/clusters.md)",
+            "help": "work on this Dask cluster instead: its scheduler's address, such as tcp://host:8786 (needs the "
+            "extra eldata[dask]; docs/clusters.md)",
         },
         "debug": {"action": "store_true", "help": "show the traceback of an error"},
     }
@@ -338,23 +346,42 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     A subcommand is set up by :func:`add_shared`. What it raises, and what ends it from outside, is one line on stderr.
     """
     _occupy_closed_streams()
-    stopping = Stopping(parser.prog if argv is None else None)
     arguments = argparse.Namespace(debug=False, command=parser.prog, interrupted="nothing was begun", outputs={})
     with visible_output():
         try:
-            with stoppable(stopping):
+            with _terminable():
                 code = _parsed_and_run(parser, argv, arguments)
                 sys.stdout.flush()
         except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
             if arguments.debug:
                 traceback.print_exception(error)
-            # A library may have made something else of it on its way.
-            caught = error if stopping.number is None else Stopped(stopping.number)
-            code, message = _explained(caught, arguments)
+            code, message = _explained(error, arguments)
             if message:
                 with suppress(OSError):  # stderr is full or closed: the code has to do
                     print(f"{arguments.command}: {' '.join(visible(message).split())}", file=sys.stderr)
     return code
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, of schedulers, ``timeout`` and containers: what handles Ctrl-C handles it."""
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Raise :class:`_Terminated` in the block at SIGTERM, unless somebody handles or ignores that already."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _terminate(number: int, _: object) -> None:
+    signal.signal(number, signal.SIG_IGN)  # timeout(1) sends it twice: what unwinds is not to be disturbed
+    raise _Terminated
 
 
 def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: Arguments) -> int:
@@ -379,8 +406,8 @@ def _explained(error: BaseException, arguments: Arguments) -> tuple[int, str]:
     if isinstance(error, EldataError):
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
-        number = error.number if isinstance(error, Stopped) else signal.SIGINT
-        return exit_code(number), f"{what_it_did(number)}; {arguments.interrupted.format_map(vars(arguments))}"
+        number, word = (15, "terminated") if isinstance(error, _Terminated) else (2, "interrupted")
+        return 128 + number, f"{word}; {arguments.interrupted.format_map(vars(arguments))}"
     if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
         _drop_output()
         return CLOSED_PIPE, ""
@@ -389,10 +416,8 @@ def _explained(error: BaseException, arguments: Arguments) -> tuple[int, str]:
         return UNUSABLE, f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.strerror:
         return UNUSABLE, f"the system refused a step of this: {error.strerror}; --debug shows which"
-    from eldata.base.workers import blamed
-
-    if isinstance(error, Exception) and isinstance(known := blamed(error), EldataError):
-        return UNUSABLE, str(known)
+    if isinstance(error, ImportError):
+        return UNUSABLE, f"a library does not load ({error}): install eldata again, in a fresh environment"
     return UNUSABLE, f"unexpected {type(error).__name__}: {error}; --debug shows where"
 
 

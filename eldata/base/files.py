@@ -15,7 +15,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, TypeVar
 
-from eldata.base.stopping import held
 from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, ManifestError
 
@@ -222,18 +221,17 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
         temporary = _temporary(path, unique)
         _remove_if_dead(temporary)
         with ExitStack() as ends:
-            with held():  # a signal in between would leave a file that nobody knows of
-                try:
-                    file = ends.enter_context(temporary.open("xb"))
-                except FileExistsError:
-                    continue  # a live one, or somebody else's
-                made = os.fstat(file.fileno())
-                ends.callback(_remove_if_at, temporary, made)
-                if can_lock(file.fileno()) is False:
-                    # Another process took it for dead in the moment before, and will remove it.
-                    ends.pop_all()
-                    file.close()
-                    continue
+            try:
+                file = ends.enter_context(temporary.open("xb"))
+            except FileExistsError:
+                continue  # a live one, or somebody else's
+            made = os.fstat(file.fileno())
+            ends.callback(_remove_if_at, temporary, made)
+            if can_lock(file.fileno()) is False:
+                # Another process took it for dead in the moment before, and will remove it.
+                ends.pop_all()
+                file.close()
+                continue
             if is_at(temporary, made):
                 yield file, temporary
                 return

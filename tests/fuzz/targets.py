@@ -175,12 +175,6 @@ def _mapping(path: Path) -> object:
     return load_mapping(path, plan, Observed(tuple(frames), (), by_time=True))
 
 
-def _scheduler(path: Path) -> object:
-    from eldata.base.clusters import _scheduler
-
-    return _scheduler(str(path))
-
-
 def _seconds(path: Path) -> object:
     from capture.shutter import parse_seconds
 
@@ -297,7 +291,6 @@ KINDS: dict[str, Kind] = {
             "plan": partial(called, "capture.plan:Plan.load"),
             "progress": _progress,
             "mapping": _mapping,
-            "scheduler": _scheduler,
             "seconds": _seconds,
             "index": _index,
             "facts": _facts,

@@ -13,7 +13,6 @@ from . import protocols as protocols
 from . import raw as raw
 from . import records as records
 from . import sources as sources
-from .base.isolation import isolation as isolation
 from .calibration import calibrate as calibrate
 from .datasets import CalibrationFrames as CalibrationFrames
 from .datasets import DRVDataset as DRVDataset

@@ -34,10 +34,6 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_I
 settings.register_profile("eldata", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("eldata")
 
-# Commands decode in processes of their own by default. Tests of something else replace parts of decoders in this one,
-# and run hundreds of commands, each of which would wait for such a process to start.
-os.environ["ELDATA_ISOLATE"] = "0"
-
 # The tests have a worker process for each CPU. What more threads of OpenMP do is to wait for one another, in loops that
 # keep those CPUs busy. (Before torch, numpy and LibRaw are loaded. Tests of threads ask for them.)
 os.environ["OMP_NUM_THREADS"] = "1"

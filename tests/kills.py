@@ -11,7 +11,7 @@ them otherwise. What a trial demands:
   its blocks otherwise when a file is opened twice.)
 
 Commands run in forks of this process, which has imported all that they need: the whole time of a fork is work. Every
-twentieth is a process of its own, with two workers where the command has any, and with guarded processes that decode.
+twentieth is a process of its own, with two workers where the command has any.
 Of the others each second one is ended some time after its begin, drawn over the time that the command takes; the rest
 by themselves, before a step that changes a folder (a file that is opened to be written, renamed, linked or removed, a
 new folder), drawn over the steps of the command: the moments that matter may be a thousandth of its time.
@@ -40,7 +40,6 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 from tqdm import tqdm
 
-from eldata.base.stopping import exit_code
 from tests.syncing import not_synced
 from tests.waiting import PATIENCE_S, until
 
@@ -203,9 +202,7 @@ class Bench:
         self.begin()
         self.first = self.contents()
         os.chdir(self.folder)
-        os.environ["ELDATA_ISOLATE"] = "0"  # so that it is this process that imports what decoding needs
         main_of(self.case.program)(self.case.command(1))  # what is imported and compiled now, forks have
-        del os.environ["ELDATA_ISOLATE"]
         os.chdir(self.base)
         self.expected = self.contents()
         for jobs in range(1, most_jobs + 1):
@@ -264,12 +261,12 @@ class Bench:
 
     def _be(self, log: Path, number: int, step: int) -> NoReturn:
         code = 99
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # as before Python's start
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
         steps = Steps(number, step)
         try:
             os.setsid()
-            os.environ |= {"KILLS": str(self.base), "ELDATA_ISOLATE": "0"}
+            os.environ["KILLS"] = str(self.base)
             os.chdir(self.folder)
             tempfile.tempdir = str(self.folder / ".tmp")
             nowhere = os.open(os.devnull, os.O_RDWR)
@@ -395,9 +392,10 @@ def wrong_of(bench: Bench, run: Run, number: int, counted: Counter[str], jobs: i
         if run.code != -signal.SIGKILL:
             wrong.append(f"exit code {run.code}: {run.said}")
     else:
-        early = run.code == -number and not run.said  # before Python could be told what to do
-        counted["before the first line of ours"] += early
-        if run.code != exit_code(number) and not early:
+        # before the command runs, or once it is over
+        early = (run.code == -number and not run.said) or run.said.endswith("\nKeyboardInterrupt\n")
+        counted["before or after the work"] += early
+        if run.code != 128 + number and not early:
             wrong.append(f"exit code {run.code}: {run.said}")
         if run.said.count("\n") != 1 and not early:
             wrong.append(f"said {run.said[-1000:]!r}")

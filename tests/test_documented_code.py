@@ -284,7 +284,7 @@ def test_no_document_is_left_out() -> None:
 
 
 def in_this_process(work: Any, units: Any, _: Any) -> Iterator[Any]:
-    return (workers._run_unit(work, unit, workers._here()) for unit in units)
+    return (workers._run_unit(work, unit) for unit in units)
 
 
 # Those that score or pack whole sets, and calibrate.

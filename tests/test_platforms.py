@@ -36,7 +36,7 @@ def test_every_module_and_every_help_works_without_posix(lines: list[list[str]])
 
 def test_what_needs_posix_says_so_in_one_line(lines: list[list[str]]) -> None:
     refused = [line[1] for line in lines if line[0] == "refused"]
-    uses = ["fetching a file", "unpacking an archive", "decoding in a process of its own"]
+    uses = ["fetching a file", "unpacking an archive"]
     assert [line.partition(" needs ")[0] for line in refused] == uses
     for line in refused:
         assert line.endswith(f"({sys.platform}) has no module fcntl; on Windows, run it under WSL")
@@ -52,7 +52,7 @@ def test_few_places_import_modules_of_posix() -> None:
             names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
             if without_posix.MODULES & set(names):
                 importers.add(path.relative_to(ROOT).as_posix())
-    assert importers == {f"eldata/base/{name}.py" for name in ("files", "isolation", "processes")}
+    assert importers == {f"eldata/base/{name}.py" for name in ("files", "processes")}
 
 
 def test_a_lock_is_held_until_the_file_is_closed(tmp_path: Path) -> None:

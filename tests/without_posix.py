@@ -82,7 +82,6 @@ def show_help(program: str) -> int:
 
 def refusals(folder: Path) -> Iterator[str]:
     """Yield how each thing that needs POSIX says so."""
-    from eldata.base.isolation import isolation
     from eldata.download.fetching import open_partial
     from eldata.download.unpacking import _staging_folder
     from eldata.errors import EldataError
@@ -90,7 +89,6 @@ def refusals(folder: Path) -> Iterator[str]:
     uses: tuple[Callable[[], Any], ...] = (
         lambda: open_partial(folder / "archive.zip").__enter__(),
         lambda: _staging_folder(folder / "data").__enter__(),
-        lambda: isolation().__enter__(),
     )
     for use in uses:
         try:

@@ -33,7 +33,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_output(
         parser, "--sheet", kind=page_kind("sheet"), help="write a contact sheet, an HTML page that needs no network"
     )
-    add_shared(parser, run, "root", "jobs", "isolation", json="dataset ok groups")
+    add_shared(parser, run, "root", "jobs", json="dataset ok groups")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -78,7 +78,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="join the set that this manifest lists: another card, night or camera; with --copy-to or --link-to",
     )
-    add_shared(parser, run, "jobs", "isolation", json="schema shots unused")
+    add_shared(parser, run, "jobs", json="schema shots unused")
 
 
 def _table_name(text: str) -> str:

@@ -2,8 +2,7 @@
 
 Each format says shape and type in its header, and each has ways to make a reader reserve, decompress, follow or wait
 for more than that. So each reader here looks at the header alone and hands that to a check, and then decodes into
-memory of that size and no more. What crashes or hangs in the compiled decoders of h5, TIFF and PNG is contained where
-isolation is on (:mod:`eldata.base.isolation`).
+memory of that size and no more.
 
 npy
     The header is matched, not evaluated; the file holds as many bytes as it declares.
@@ -32,7 +31,6 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.files import file_problem
-from eldata.base.isolation import GuardError, guarded
 from eldata.base.pixels import Declared, opened_npz, read_npy, read_png
 from eldata.base.visible import in_line
 from eldata.errors import FileError, PredictionError
@@ -77,8 +75,7 @@ def read_array(
     path
         npy, npz, h5, mat, png; anything else is taken for TIFF.
     check
-        Raises a :class:`FileError` if what the file declares, or then holds, is not what is wanted. It must be
-        picklable: it may be called in another process.
+        Raises a :class:`FileError` if what the file declares, or then holds, is not what is wanted.
     name
         The array that is meant where a file holds several.
     error, advice
@@ -94,16 +91,11 @@ def read_array(
     if problem is not None:
         raise error(path, problem)
     try:
-        if kind in _IN_PYTHON:
-            array = _read_here(kind, path, check, name)
-        else:
-            array = guarded(_read_here, kind, path, check, name)
+        array = _READERS.get(kind, _read_tiff)(path, check, name)
     except (FileError, _EnoughError):
         raise
     except _UnfitError as unfit:
         raise error(path, str(unfit)) from None
-    except GuardError as how:
-        raise error(path, f"{how}; {advice}") from how
     except Exception as cause:  # six libraries, each with its own kinds
         # Its first line; libpng's may be memory that is not text.
         reason = in_line(str(cause).splitlines()[0][:_LONGEST_REASON]) if str(cause) else type(cause).__name__
@@ -126,10 +118,6 @@ def declared_array(
 
 def _enough(declared: Declared) -> None:
     raise _EnoughError(declared)
-
-
-def _read_here(kind: str, path: Path, check: Check, name: str) -> NDArray[Any]:
-    return _READERS.get(kind, _read_tiff)(path, check, name)
 
 
 def _only(names: Sequence[str], wanted: str) -> str:
@@ -444,4 +432,3 @@ _READERS: dict[str, Reader] = {
     "mat": _read_mat,
     "png": _read_png,
 }
-_IN_PYTHON = ("npy", "npz")

@@ -1,7 +1,7 @@
 """What every command line of this distribution shares: one clear line for an error, exit codes, no traceback.
 
-Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 129, 130 and 143 the terminal
-was closed, Ctrl-C, SIGTERM; 141 the reader of the output left before its end.
+Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 Ctrl-C; 143 SIGTERM; 141
+the reader of the output left before its end.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import os
 import shutil
 import signal
 import sys
+import threading
 import traceback
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from inspect import cleandoc
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias
@@ -21,7 +22,6 @@ from eldata import __version__
 from eldata.base.files import write_json
 from eldata.base.numbers import whole_of
 from eldata.base.outputs import NEW, FileKind, add_output, check_outputs, json_kind
-from eldata.base.stopping import Stopped, Stopping, exit_code, stoppable, what_it_did
 from eldata.base.visible import visible, visible_output
 from eldata.errors import ArgumentError, EldataError, nearest
 
@@ -35,9 +35,10 @@ Arguments: TypeAlias = argparse.Namespace
 """What a subcommand's function ``run`` is handed."""
 
 OK, PROBLEMS, UNUSABLE, CLOSED_PIPE = 0, 1, 2, 141
+_DASK_S = 10  # for a scheduler to answer
 _EXIT_CODES = (
     "Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 Ctrl-C; 143 "
-    "SIGTERM; 129 the terminal was closed; 141 the reader of the output left before its end (head, less)."
+    "SIGTERM; 141 the reader of the output left before its end (head, less)."
 )
 
 
@@ -206,10 +207,17 @@ def chosen_workers(arguments: Arguments) -> Iterator[Workers]:
     if arguments.dask is None:
         yield Workers(arguments.jobs)
         return
-    from eldata.base.clusters import dask_executor
-
-    with dask_executor(arguments.dask) as executor:
-        yield Workers(arguments.jobs, executor)
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise EldataError("--dask needs Dask's distributed: pip install 'eldata[dask]'") from error
+    try:
+        client = Client(arguments.dask, timeout=_DASK_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, ImportError) as error:
+        reason = f"no Dask scheduler answers at {arguments.dask} ({error})"
+        raise EldataError(f"{reason}; is it running, and can this machine reach its port?") from error
+    with client:
+        yield Workers(executor=client.get_executor())  # type: ignore[no-untyped-call]
 
 
 class _Default(int):
@@ -230,13 +238,8 @@ def running_options() -> dict[str, dict[str, Any]]:
         },
         "dask": {
             "metavar": "ADDRESS",
-            "help": "work on this Dask cluster instead: its scheduler's address, such as tcp://host:8786, or its "
-            "scheduler file (needs the extra eldata[dask]; docs/clusters.md)",
-        },
-        "isolate": {
-            "action": argparse.BooleanOptionalAction,
-            "help": "decode files in processes of their own, with limits on time and memory, so that a file whose "
-            "decoder crashes or hangs is one problem among others (default: $ELDATA_ISOLATE, else on; off on Windows)",
+            "help": "work on this Dask cluster instead: its scheduler's address, such as tcp://host:8786 (needs the "
+            "extra eldata[dask]; docs/clusters.md)",
         },
         "debug": {"action": "store_true", "help": "show the traceback of an error"},
     }
@@ -260,7 +263,7 @@ def _behind_the_command(given: Sequence[str]) -> list[str]:
     """Return arguments with the options of a program's running that come before the command's name behind it."""
     known, rest, moved = running_options(), list(given), []
     while rest and rest[0].startswith("--"):
-        name = rest[0].partition("=")[0].removeprefix("--").removeprefix("no-")
+        name = rest[0].partition("=")[0].removeprefix("--")
         if name not in known:
             break
         count = 1 if "action" in known[name] or "=" in rest[0] else 2
@@ -269,21 +272,21 @@ def _behind_the_command(given: Sequence[str]) -> list[str]:
     return [*rest[:1], *moved, *rest[1:]]
 
 
-_BRINGS = {"root": ("root",), "jobs": ("jobs",), "workers": ("jobs", "dask", "isolate"), "isolation": ("isolate",)}
+_BRINGS = {"root": ("root",), "jobs": ("jobs",), "workers": ("jobs", "dask")}
 
 
 def add_shared(
     parser: argparse.ArgumentParser,
     run: Callable[[Arguments], int],
-    *options: Literal["root", "cameras", "isos", "jobs", "workers", "isolation"],
+    *options: Literal["root", "cameras", "isos", "jobs", "workers"],
     json: str | FileKind | None = None,
     interrupted: str = "files are written whole or not at all, so none is left half",
 ) -> None:
     """Finish a subcommand: say which of the options that commands share it takes, and what :func:`run` is to call.
 
-    ``"workers"`` are of work on strangers' files: ``--jobs``, ``--dask`` and ``--isolate``; ``"isolation"`` is for
-    commands without; ``--debug`` is for all. ``interrupted`` says what Ctrl-C leaves; ``{name}`` in it is the value of
-    that argument. ``json`` is for ``--json``: the fields of what it writes, or its kind.
+    ``"workers"`` are ``--jobs`` and ``--dask``; ``--debug`` is for all. ``interrupted`` says what Ctrl-C leaves;
+    ``{name}`` in it is the value of that argument. ``json`` is for ``--json``: the fields of what it writes, or its
+    kind.
     """
     if "cameras" in options:
         add_cameras(parser)
@@ -343,23 +346,42 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     A subcommand is set up by :func:`add_shared`. What it raises, and what ends it from outside, is one line on stderr.
     """
     _occupy_closed_streams()
-    stopping = Stopping(parser.prog if argv is None else None)
     arguments = argparse.Namespace(debug=False, command=parser.prog, interrupted="nothing was begun", outputs={})
     with visible_output():
         try:
-            with stoppable(stopping):
+            with _terminable():
                 code = _parsed_and_run(parser, argv, arguments)
                 sys.stdout.flush()
         except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
             if arguments.debug:
                 traceback.print_exception(error)
-            # A library may have made something else of it on its way.
-            caught = error if stopping.number is None else Stopped(stopping.number)
-            code, message = _explained(caught, arguments)
+            code, message = _explained(error, arguments)
             if message:
                 with suppress(OSError):  # stderr is full or closed: the code has to do
                     print(f"{arguments.command}: {' '.join(visible(message).split())}", file=sys.stderr)
     return code
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, of schedulers, ``timeout`` and containers: what handles Ctrl-C handles it."""
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Raise :class:`_Terminated` in the block at SIGTERM, unless somebody handles or ignores that already."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _terminate(number: int, _: object) -> None:
+    signal.signal(number, signal.SIG_IGN)  # timeout(1) sends it twice: what unwinds is not to be disturbed
+    raise _Terminated
 
 
 def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: Arguments) -> int:
@@ -372,18 +394,8 @@ def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arg
         print(f"{parser.prog}: a command is needed; see {parser.prog} --help", file=sys.stderr)
         return UNUSABLE
     check_outputs(arguments)
-    with _as_isolated(arguments):
-        code: int = arguments.run(arguments)
+    code: int = arguments.run(arguments)
     return code
-
-
-def _as_isolated(arguments: Arguments) -> AbstractContextManager[None]:
-    """Return the isolation that a subcommand is to run under, if it has the choice."""
-    if not hasattr(arguments, "isolate"):
-        return nullcontext()
-    from eldata.base.isolation import isolation
-
-    return isolation(arguments.isolate)
 
 
 def _explained(error: BaseException, arguments: Arguments) -> tuple[int, str]:
@@ -394,8 +406,8 @@ def _explained(error: BaseException, arguments: Arguments) -> tuple[int, str]:
     if isinstance(error, EldataError):
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
-        number = error.number if isinstance(error, Stopped) else signal.SIGINT
-        return exit_code(number), f"{what_it_did(number)}; {arguments.interrupted.format_map(vars(arguments))}"
+        number, word = (15, "terminated") if isinstance(error, _Terminated) else (2, "interrupted")
+        return 128 + number, f"{word}; {arguments.interrupted.format_map(vars(arguments))}"
     if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
         _drop_output()
         return CLOSED_PIPE, ""
@@ -404,10 +416,8 @@ def _explained(error: BaseException, arguments: Arguments) -> tuple[int, str]:
         return UNUSABLE, f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.strerror:
         return UNUSABLE, f"the system refused a step of this: {error.strerror}; --debug shows which"
-    from eldata.base.workers import blamed
-
-    if isinstance(error, Exception) and isinstance(known := blamed(error), EldataError):
-        return UNUSABLE, str(known)
+    if isinstance(error, ImportError):
+        return UNUSABLE, f"a library does not load ({error}): install eldata again, in a fresh environment"
     return UNUSABLE, f"unexpected {type(error).__name__}: {error}; --debug shows where"
 
 

@@ -13,15 +13,17 @@ import stat
 import sys
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, TypeVar
 
-from eldata.base.stopping import held
 from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, ManifestError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
+    from eldata.errors import FileError
+
+Result = TypeVar("Result")
 
 _LONGEST_PATH = 4096
 
@@ -83,6 +85,30 @@ def file_problem(path: Path) -> str | None:
     if not stat.S_ISREG(found.st_mode):
         return f"is {_SPECIAL.get(stat.S_IFMT(found.st_mode), 'something else')}, not a file"
     return None if found.st_size else "is empty (0 bytes): copy or download it again"
+
+
+def read_file(work: Callable[[Path], Result], path: Path, error: type[FileError]) -> Result:
+    """Return ``work(path)`` of a stranger's file; what is no regular file, links followed, is not opened.
+
+    Raises
+    ------
+    FileError
+        ``error``, with the path and the reason, if the file cannot be read or needs more memory than there is.
+    Exception
+        Whatever else ``work`` raises.
+    """
+    problem = file_problem(path)
+    if problem is not None:
+        raise error(path, problem)
+    try:
+        return work(path)
+    except MemoryError as lack:
+        reason = "needs more memory than there is; is the file whole, and what it says it is?"
+        raise error(path, reason) from lack
+    except OSError as cause:
+        if cause.errno is None:  # not the system's: a library that does not load, say
+            raise
+        raise error(path, f"cannot be read: {cause.strerror or cause}") from cause
 
 
 def folder_problem(folder: Path) -> str | None:
@@ -195,18 +221,17 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
         temporary = _temporary(path, unique)
         _remove_if_dead(temporary)
         with ExitStack() as ends:
-            with held():  # a signal in between would leave a file that nobody knows of
-                try:
-                    file = ends.enter_context(temporary.open("xb"))
-                except FileExistsError:
-                    continue  # a live one, or somebody else's
-                made = os.fstat(file.fileno())
-                ends.callback(_remove_if_at, temporary, made)
-                if can_lock(file.fileno()) is False:
-                    # Another process took it for dead in the moment before, and will remove it.
-                    ends.pop_all()
-                    file.close()
-                    continue
+            try:
+                file = ends.enter_context(temporary.open("xb"))
+            except FileExistsError:
+                continue  # a live one, or somebody else's
+            made = os.fstat(file.fileno())
+            ends.callback(_remove_if_at, temporary, made)
+            if can_lock(file.fileno()) is False:
+                # Another process took it for dead in the moment before, and will remove it.
+                ends.pop_all()
+                file.close()
+                continue
             if is_at(temporary, made):
                 yield file, temporary
                 return

@@ -16,7 +16,6 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.files import SmallReads, file_problem
-from eldata.base.isolation import GuardError, guarded
 from eldata.base.visible import in_line
 from eldata.errors import FileError
 
@@ -362,7 +361,7 @@ def read_rgb16(path: Path) -> NDArray[np.uint16]:
         most = _MOST_PIXELS // 1_000_000
         raise FileError(path, f"expected up to {most} megapixels, found {header.size}; is it damaged?")
     try:
-        array: NDArray[np.uint16] = guarded(read_png, path)
-    except (OSError, RuntimeError, ValueError, GuardError) as error:  # imagecodecs' errors are RuntimeErrors
+        array: NDArray[np.uint16] = read_png(path)
+    except (OSError, RuntimeError, ValueError) as error:  # imagecodecs' errors are RuntimeErrors
         raise FileError(path, f"cannot be decoded ({in_line(str(error))}); copy or download it again") from error
     return array

@@ -4,10 +4,14 @@ An executor is a :class:`concurrent.futures.Executor` of the caller: a pool of t
 (``client.get_executor()``), whose workers may be on other machines. It is never shut down here. A bounded number of
 units is in flight: four for each worker if the executor says how many it has, so that none waits for work and results
 do not pile up; else 64.
+
+A unit whose worker died is run once more, alone: if it ends that one too it is a failure that names it, and costs no
+other unit.
 """
 
 from __future__ import annotations
 
+import copy
 import os
 import socket
 import sys
@@ -22,7 +26,8 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
-from contextlib import closing
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -30,9 +35,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from tqdm import tqdm
 
-from eldata.base.isolation import isolating, set_isolation
-from eldata.base.processes import LostError, Processes, portable
-from eldata.base.stopping import raise_if_told
+from eldata.base.processes import TERMINATED, Ended, Processes
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
@@ -111,6 +114,15 @@ class Workers:
         """How many threads a unit's own work may use: one if units run side by side, else ``None``: all CPUs."""
         return None if self.jobs == 1 and self.executor is None else 1
 
+    @contextmanager
+    def sharing(self) -> Iterator[Workers]:
+        """Yield workers whose processes are started once for all that is run in the block."""
+        if self.executor is not None or self.jobs == 1:
+            yield self
+        else:
+            with Processes(self.jobs) as processes:
+                yield Workers(self.jobs, processes)
+
     def run(
         self, work: Callable[[Unit], Result], units: Sequence[Unit], *, label: str = "", unit: str = "file"
     ) -> Iterator[Result]:
@@ -142,8 +154,8 @@ class Workers:
         """
         with tqdm(total=len(units), desc=label, unit=unit, disable=None, leave=False) as bar:
             for outcome in _outcomes(work, units, self):
-                if isinstance(outcome, Failed) and isinstance(outcome.error, BrokenInstallationError):
-                    raise outcome.error
+                if isinstance(outcome, Failed) and isinstance(outcome.error, ImportError):
+                    raise outcome.error  # no unit is to blame, and none would succeed
                 bar.update()
                 yield outcome
 
@@ -161,13 +173,13 @@ class Workers:
             unit's turn.
         """
         if self.executor is not None:
-            yield from _results(_in_order(work, units, _Pool(self.executor, per_worker=2, most=_MOST_LARGE)))
+            yield from _results(_in_order(work, units, self.executor, per_worker=2, most=_MOST_LARGE))
         elif self.jobs == 1:
             yield from map(work, units)
         else:
             pool = ThreadPoolExecutor(self.jobs)
             try:
-                yield from _results(_in_order(work, units, _Pool(pool, per_worker=1)))
+                yield from _results(_in_order(work, units, pool, per_worker=1))
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
 
@@ -195,22 +207,12 @@ def require_files(*paths: Path) -> None:
             ) from error
 
 
-def slots_of(executor: Executor) -> int | None:
-    """Return how many units an executor runs at a time, if it says so, as the standard library's and Dask's do."""
-    client = _dask_client(executor)
-    if client is not None:
-        try:
-            return int(sum(client.nthreads().values()))
-        except OSError:  # the connection is lost, which the units will show
-            return None
-    stated = getattr(executor, "_max_workers", None)
-    return stated if isinstance(stated, int) else None
-
-
-def _dask_client(executor: Executor) -> Any:
-    """Return the client of Dask's executor, else ``None``."""
-    client = getattr(executor, "_client", None)
-    return client if hasattr(client, "nthreads") else None
+def slots_of(executor: Executor) -> int:
+    """Return how many units an executor runs at a time, as the standard library's and Dask's say; else a guess."""
+    client: Any = getattr(executor, "_client", None)
+    if hasattr(client, "nthreads"):
+        return sum(client.nthreads().values()) or _UNSTATED_WORKERS  # workers may come later
+    return getattr(executor, "_max_workers", _UNSTATED_WORKERS)
 
 
 # --- one unit, where it runs ------------------------------------------------------------------------------------------
@@ -223,50 +225,35 @@ def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], list[Resul
     be large.
     """
     # Dask takes equal calls for the same one, and answers with the result that it already has.
-    return partial(_listed, work, unit, _here(), isolating(), uuid.uuid4().hex)
+    return partial(_run_elsewhere, work, unit, os.getpid(), uuid.uuid4().hex)
 
 
-def _listed(
-    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], isolate: bool, _: str
-) -> list[Result | Failed[Unit]]:
-    return [_run_unit(work, unit, caller, isolate)]
-
-
-def _run_unit(
-    work: Callable[[Unit], Result], unit: Unit, caller: tuple[str, int], isolate: bool = False
-) -> Result | Failed[Unit]:
-    """Return a unit's result, or its error as a value: what an executor itself raises can then be told from it."""
-    raise_if_told()
+def _run_elsewhere(work: Callable[[Unit], Result], unit: Unit, caller: int, _: str) -> list[Result | Failed[Unit]]:
     try:
-        if _here() != caller:
-            set_isolation(isolate)
+        outcome = _run_unit(work, unit)
+    except Ended:
+        os._exit(TERMINATED)  # else it would be this unit's result, and the next one's turn
+    if isinstance(outcome, Failed) and os.getpid() != caller:
+        outcome = Failed(unit, _portable(outcome.error))
+    return [outcome]
+
+
+def _run_unit(work: Callable[[Unit], Result], unit: Unit) -> Result | Failed[Unit]:
+    """Return a unit's result, or its error as a value: what an executor itself raises can then be told from it."""
+    try:
         return work(unit)
-    except Exception as raised:  # noqa: BLE001 # whatever it is, it is the unit's
-        raise_if_told()
-        error = blamed(raised)
-        return Failed(unit, error if _here() == caller else portable(error))
+    except Exception as error:  # noqa: BLE001 # whatever it is, it is the unit's
+        return Failed(unit, error)
 
 
-class BrokenInstallationError(EldataError):
-    """A library does not load: no unit is to blame, and none would succeed."""
-
-
-def blamed(error: Exception) -> Exception:
-    """Return an error as it is, or that a library does not load if a module raised it as it was imported."""
-    if not (isinstance(error, ImportError) or (isinstance(error, OSError) and error.errno is None)):
-        return error
-    told = "".join(traceback.format_exception(error))
-    if ", in <module>" not in told:  # where a module runs: here or, as a note says, in the process that decodes
-        return error
-    broken = BrokenInstallationError(
-        f"a library that eldata needs does not load ({error}): install eldata again, in a fresh environment"
-    )
-    broken.add_note(f"on {socket.gethostname()}:\n{told}")
-    return broken
-
-
-def _here() -> tuple[str, int]:
-    return socket.gethostname(), os.getpid()
+def _portable(error: Exception) -> Exception:
+    """Return an error that another process can make again, with its traceback, which does not travel, as a note."""
+    error.add_note(f"on {socket.gethostname()}, process {os.getpid()}:\n{''.join(traceback.format_exception(error))}")
+    try:
+        copy.copy(error)
+    except Exception:  # noqa: BLE001 # its class may do anything
+        return EldataError(f"unexpected {type(error).__name__}: {error}")
+    return error
 
 
 def _results(outcomes: Generator[Result | Failed[Any], None, None]) -> Iterator[Result]:
@@ -286,43 +273,49 @@ def _outcomes(
     work: Callable[[Unit], Result], units: Sequence[Unit], workers: Workers
 ) -> Iterator[Result | Failed[Unit]]:
     if workers.executor is not None:
-        yield from _in_order(work, units, _Pool(workers.executor, per_worker=_PER_WORKER))
+        yield from _in_order(work, units, workers.executor, per_worker=_PER_WORKER)
     elif workers.jobs > 1 and len(units) > 1:
-        processes = Processes("one job (--jobs 1, workers=1) needs none")
-        threads = ThreadPoolExecutor(min(workers.jobs, len(units)))  # each waits for a process
-        try:
-            yield from _in_order(work, units, _Pool(threads, per_worker=_PER_WORKER, processes=processes))
-        finally:  # at the end, after an error or Ctrl-C, or for a consumer that has enough
-            processes.end()
-            threads.shutdown(wait=True, cancel_futures=True)
+        with Processes(min(workers.jobs, len(units))) as processes:
+            yield from _in_order(work, units, processes, per_worker=_PER_WORKER)
     else:
         for unit in units:
-            yield _run_unit(work, unit, _here())
+            yield _run_unit(work, unit)
 
 
 def _in_order(
-    work: Callable[[Unit], Result], units: Iterable[Unit], pool: _Pool
+    work: Callable[[Unit], Result],
+    units: Iterable[Unit],
+    executor: Executor,
+    *,
+    per_worker: int,
+    most: int = sys.maxsize,
 ) -> Generator[Result | Failed[Unit], None, None]:
     left = iter(units)
     waiting: deque[tuple[Unit, Future[Any]]] = deque()
+    window = asked = 0
     try:
         while True:
-            for unit in islice(left, max(0, pool.window() - len(waiting))):  # a cluster may shrink
-                waiting.append((unit, pool.submit(_call(work, unit))))
+            if asked == 0:  # now and then: a cluster may grow, or shrink
+                window = asked = min(per_worker * slots_of(executor), most) + 1
+            asked -= 1
+            for unit in islice(left, max(0, window - len(waiting))):
+                waiting.append((unit, _submit(executor, _call(work, unit))))
             if not waiting:
                 return
             unit, future = waiting[0]
             error = _error_of(future)
-            if error is not None and pool.is_loss(error):
+            if _is_loss(executor, error):
                 # Only a unit that runs alone shows whether it was the one that ended the worker.
                 wait([other for _, other in waiting])
-                future = pool.submit(_call(work, unit))
+                if isinstance(executor, Processes):
+                    executor.check()
+                future = _submit(executor, _call(work, unit))
                 waiting[0] = unit, future
                 error = _error_of(future)
             if error is None:
                 found = future.result().pop()
-            elif pool.is_loss(error):
-                found = Failed(unit, EldataError(pool.loss(_unit_name(unit))))
+            elif _is_loss(executor, error):
+                found = Failed(unit, EldataError(_loss(executor, _unit_name(unit))))
             else:
                 raise _unrunnable(unit, error) from error
             waiting.popleft()
@@ -334,11 +327,46 @@ def _in_order(
             future.cancel()
 
 
+def _submit(executor: Executor, call: Callable[[], Any]) -> Future[Any]:
+    try:
+        return executor.submit(call)
+    except EldataError:  # a process of our own cannot be started
+        raise
+    except BrokenExecutor as error:
+        broken: Future[Any] = Future()
+        broken.set_exception(error)  # broken by an earlier unit, which is reported first
+        return broken
+    except Exception as error:  # each executor has its own, for a shutdown or a lost cluster
+        raise ArgumentError(f"the executor takes no work: {error}") from error
+
+
 def _error_of(future: Future[Any]) -> BaseException | None:
     try:
         return future.exception()
     except CancelledError as error:
         return error
+
+
+def _is_loss(executor: Executor, error: BaseException | None) -> bool:
+    """Return whether a future's error means that the unit's worker was lost, and the unit may be run again."""
+    if isinstance(executor, Processes):
+        return isinstance(error, BrokenProcessPool)
+    # Dask runs a lost worker's units again by itself; this is its error for one that lost several workers. It blames
+    # every unit on the worker, the innocent ones too.
+    return type(error).__name__ == "KilledWorker"
+
+
+def _loss(executor: Executor, name: str) -> str:
+    """Return the sentence about a unit that was lost twice."""
+    if isinstance(executor, Processes):
+        return (
+            f"{name}: a worker process died at it twice, the second time with nothing else beside it: a decoder that "
+            "crashes, or lack of memory? Try fewer --jobs"
+        )
+    return (
+        f"{name}: the workers that ran it died again and again, in the end with nothing else beside it; lack of "
+        "memory? their logs may tell"
+    )
 
 
 def _unit_name(unit: object) -> str:
@@ -349,8 +377,6 @@ def _unit_name(unit: object) -> str:
 def _unrunnable(unit: object, error: BaseException) -> EldataError:
     """Return what is wrong if not the unit's work failed, but the attempt to run it."""
     name = _unit_name(unit)
-    if isinstance(error, EldataError):  # a process of our own cannot be started
-        return error
     if isinstance(error, CancelledError):
         return EldataError(f"the work on {name} was cancelled; was the executor shut down, or its scheduler restarted?")
     if isinstance(error, BrokenExecutor):
@@ -362,57 +388,3 @@ def _unrunnable(unit: object, error: BaseException) -> EldataError:
         f"the executor cannot run the work on {name}: {type(error).__name__}: {error}; is the same version of eldata "
         "installed on every worker (with Dask, on the scheduler too)?"
     )
-
-
-class _Pool:
-    """An executor: the caller's, threads, or threads of which each waits for one of some processes."""
-
-    def __init__(
-        self, executor: Executor, *, per_worker: int, most: int = sys.maxsize, processes: Processes | None = None
-    ) -> None:
-        self._executor, self._per_worker, self._most, self._processes = executor, per_worker, most, processes
-        client = _dask_client(executor)
-        if client is not None:
-            from eldata.base.clusters import check_cluster
-
-            check_cluster(client)
-        self._window = self._asked = 0
-
-    def window(self) -> int:
-        """Return how many units may be in flight."""
-        if self._asked <= 0:  # now and then: a cluster may grow
-            workers = slots_of(self._executor) or _UNSTATED_WORKERS
-            self._window = min(self._per_worker * workers, self._most) + 1
-            self._asked = self._window
-        self._asked -= 1
-        return self._window
-
-    def submit(self, call: Callable[[], Any]) -> Future[Any]:
-        """Start a unit."""
-        try:
-            return self._executor.submit(call if self._processes is None else partial(self._processes.run, call))
-        except BrokenExecutor as error:
-            broken: Future[Any] = Future()
-            broken.set_exception(error)  # broken by an earlier unit, which is reported first
-            return broken
-        except Exception as error:  # each executor has its own, for a shutdown or a lost cluster
-            raise ArgumentError(f"the executor takes no work: {error}") from error
-
-    def is_loss(self, error: BaseException) -> bool:
-        """Return whether a future's error means that the unit's worker was lost, and the unit may be run again."""
-        # Dask runs a lost worker's units again by itself; this is its error for one that lost several workers. It
-        # blames every unit on the worker, the innocent ones too.
-        scheduler = sys.modules.get("distributed.scheduler")
-        return isinstance(error, LostError) or (scheduler is not None and isinstance(error, scheduler.KilledWorker))
-
-    def loss(self, name: str) -> str:
-        """Return the sentence about a unit that was lost twice."""
-        if self._processes is not None:
-            return (
-                f"{name}: a worker process died at it twice, the second time with nothing else beside it; lack of "
-                "memory? try fewer --jobs"
-            )
-        return (
-            f"{name}: the workers that ran it died again and again, in the end with nothing else beside it; lack of "
-            "memory? their logs may tell"
-        )

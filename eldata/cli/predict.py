@@ -72,7 +72,7 @@ def add_options(parser: console.Parser) -> None:
         help="mixed precision by torch's autocast (default: %(default)s)",
     )
     kept = "{output} keeps the finished predictions, and the same command goes on"
-    console.add_shared(parser, run, "root", "isolation", interrupted=kept)
+    console.add_shared(parser, run, "root", interrupted=kept)
 
 
 def run(arguments: console.Arguments) -> int:

@@ -51,7 +51,7 @@ def add_options(parser: console.Parser) -> None:
         default="auto",
         help="take the file's NoiseProfile, or the pixels (default: the former where there is one)",
     )
-    console.add_shared(estimate, run_estimate, "isolation", json="path source problems remarks")
+    console.add_shared(estimate, run_estimate, json="path source problems remarks")
     importing = console.add_command(subcommands, "import", run_import.__doc__)
     importing.add_argument("file", metavar="FILE", help="the parameters, JSON")
     add_output(importing, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)", required=True)

@@ -1,10 +1,8 @@
 """Archives: what one holds and whether it is safe to unpack, checked before a byte of it is written.
 
 They are zip, 7z, and blocks of mosaics in MATLAB's format. Zip is read by zipfile.
-7z is read by py7zr, in a process of its own (:mod:`eldata.base.isolation`): a header of a hundred bytes can make py7zr
-reserve any memory, and most of its decoders are compiled code that meets strangers' bytes nowhere else. None of these
-learns of a folder to write to: members' bytes go to files that are made for them (:mod:`eldata.download.members`),
-links and modes nowhere.
+7z is read by py7zr. None of these learns of a folder to write to: members' bytes go to files that are made for them
+(:mod:`eldata.download.members`), links and modes nowhere.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ import stat
 import unicodedata
 import zipfile
 import zlib
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import PurePosixPath
@@ -25,14 +23,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from eldata.base.array_files import read_array
-from eldata.base.files import SmallReads, file_problem, path_problem
-from eldata.base.isolation import Limits, guarded_file, isolation
+from eldata.base.files import SmallReads, file_problem, path_problem, read_file
 from eldata.base.visible import shown
 from eldata.download.members import BY_HAND, Member
 from eldata.errors import ArchiveError, DownloadError, EldataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from eldata.base.pixels import Declared
@@ -59,7 +56,6 @@ _ZIP_METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 # A zip's table of contents; half a million members with names of 80 characters need as much.
 _LARGEST_READ_BYTES = 64 * 2**20
 _PIECE_BYTES = 2**20
-_SLOWEST = 2**20  # bytes a second that come out of a 7z; it gives a slow disk two minutes for each hundred megabytes
 
 _FETCH_AGAIN = "is its download whole? Fetch it again"
 _UNSAFE = "it was not made by the publisher; do not unpack it"
@@ -88,14 +84,8 @@ class Archive:
         """
         if not files:
             return {}
-        if self.form == "zip":
-            placed = _unpack_zip(files, self.path)
-        else:
-            limits = Limits(Limits().seconds + sum(member.size_bytes for member, _ in files) / _SLOWEST)
-            if self.form == "blocks":
-                placed = guarded_file(partial(_unpack_blocks, files), self.path, ArchiveError, limits=limits)
-            else:
-                placed = _in_a_process(partial(_unpack_seven_zip, files), self.path, limits)
+        unpack = {"zip": _unpack_zip, "blocks": _unpack_blocks, "7z": _unpack_seven_zip}[self.form]
+        placed = read_file(partial(unpack, files), self.path, ArchiveError)
         lost = [member.name for member, _ in files if member.name not in placed]
         if lost:
             raise ArchiveError(
@@ -128,10 +118,8 @@ def open_archive(path: Path) -> Archive:
         raise ArchiveError(
             path, f"is not a zip or 7z archive, or blocks of MATLAB, but {looks_like(head)}; save the archive itself"
         )
-    if form == "blocks":
-        members = guarded_file(_block_members, path, ArchiveError)
-    else:
-        members = _zip_members(path) if form == "zip" else _in_a_process(_seven_zip_members, path)
+    list_members = {"zip": _zip_members, "blocks": _block_members, "7z": _seven_zip_members}[form]
+    members = read_file(list_members, path, ArchiveError)
     check_members(path, members)
     files = tuple(member for member in members if member.kind == "file")
     if not files:
@@ -276,24 +264,18 @@ def _unpack_zip(files: Sequence[tuple[Member, NewFile]], path: Path) -> dict[str
     return placed
 
 
-# --- 7z, in a process of its own --------------------------------------------------------------------------------------
+# --- 7z ---------------------------------------------------------------------------------------------------------------
 
 
-def _in_a_process(work: Callable[[Path], Any], path: Path, limits: Limits | None = None) -> Any:
+@contextmanager
+def _opened_seven_zip(path: Path) -> Iterator[Any]:
     try:
-        import py7zr  # noqa: F401 # is it installed?
+        import py7zr
     except ImportError as error:
         raise DownloadError(
             f"{path} is a 7z archive, which needs the package py7zr: pip install 'eldata[7z]'; or unpack it by hand "
             "(7z x) and run eldata verify"
         ) from error
-    with isolation():
-        return guarded_file(work, path, ArchiveError, limits=limits or Limits())
-
-
-@contextmanager
-def _opened_seven_zip(path: Path) -> Iterator[Any]:
-    import py7zr
 
     # An open file, not a path, or py7zr unpacks in threads of its own.
     with _damage_named(path), path.open("rb") as file:
@@ -336,11 +318,13 @@ def _unpack_seven_zip(files: Sequence[tuple[Member, NewFile]], path: Path) -> di
         def __init__(self, name: str) -> None:
             self._name, self._new = name, new_of[name]
             self._file = self._new.open()
+            begun.callback(self._file.close)  # py7zr drops one whose bytes are damaged
 
         def write(self, piece: bytes | bytearray) -> int:
             return self._file.write(piece)
 
         def close(self) -> None:
+            self._file.close()
             placed[self._name] = self._new.finish()
 
         # The rest of py7zr's interface: it asks for nothing of it that would have to be answered.
@@ -361,7 +345,7 @@ def _unpack_seven_zip(files: Sequence[tuple[Member, NewFile]], path: Path) -> di
         def create(self, filename: str) -> py7zr.io.Py7zIO:
             return OneMember(filename)
 
-    with _opened_seven_zip(path) as archive:
+    with ExitStack() as begun, _opened_seven_zip(path) as archive:
         archive.extract(targets=[member.stored_name for member, _ in files], factory=Members())
     return placed
 

@@ -251,19 +251,21 @@ def _scored(
     """Return the result of each plan of each request, and what scoring found beyond it."""
     if not any(plans):
         return [[] for _ in requests]
-    found = [_found(request, of) for request, of in zip(requests, plans, strict=True)]
-    first = requests[0]
-    originals = require_pairs(first, {pair.path: pair for of in plans for plan in of for pair in plan.pairs}.values())
-    contenders = [
-        Contender(
-            plan if request.allow_missing or not one.problems else replace(plan, pairs=()),
-            number,
-            None if request.predictions is None else one.files,
-        )
-        for number, request in enumerate(requests)
-        for plan, one in zip(plans[number], found[number], strict=True)
-    ]
-    scored = iter(score_plans(first, originals, contenders))
+    pairs = {pair.path: pair for of in plans for plan in of for pair in plan.pairs}.values()
+    with requests[0].workers_for(pairs).sharing() as workers:
+        first = replace(requests[0], workers=workers)
+        found = [_found(request, of) for request, of in zip(requests, plans, strict=True)]
+        originals = require_pairs(first, pairs)
+        contenders = [
+            Contender(
+                plan if request.allow_missing or not one.problems else replace(plan, pairs=()),
+                number,
+                None if request.predictions is None else one.files,
+            )
+            for number, request in enumerate(requests)
+            for plan, one in zip(plans[number], found[number], strict=True)
+        ]
+        scored = iter(score_plans(first, originals, contenders))
     return [
         _results(request, of, ones, list(islice(scored, len(of))), originals.stated)
         for request, of, ones in zip(requests, plans, found, strict=True)

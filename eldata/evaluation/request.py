@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
 
 from eldata.base.arguments import keywords
 from eldata.base.fields import TextFile
-from eldata.base.workers import AnyWorkers, Workers
+from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Workers
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.tasks import Task
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest, shipped_names
@@ -21,6 +22,7 @@ from eldata.protocols.words import FIELDS, in_words
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from eldata.evaluation.scores import Pair
     from eldata.evaluation.tasks import TaskFunction
     from eldata.protocols.protocol import Protocol
 
@@ -34,6 +36,9 @@ OF_CLIPS = "--clip ID (in Python ids=[...])"
 
 SETTINGS = "predictions.json"
 """What made the predictions beside it; eldata baseline and eldata predict write it."""
+
+# How long scoring a pair takes, for itself and for each byte of its input; and what two workers take to start.
+_PAIR_S, _BYTE_S, _WORTH_S = 3e-3, 20e-9, 1.3
 
 
 class SetOptions(TypedDict, total=False):
@@ -106,6 +111,18 @@ class Request:
     def files(self) -> FrameFiles:
         """The set's files, with what its card states of them."""
         return FrameFiles.of(self.folder, self.manifest.card, self.manifest.records)
+
+    def workers_for(self, pairs: Collection[Pair]) -> Workers:
+        """Return who scores some pairs: this process, where it takes less time than starting others does."""
+        if self.workers.executor is not None or self.kind is not IMAGES or self.task is not None:
+            return self.workers
+        seconds = _PAIR_S * len(pairs)
+        for pair in pairs:
+            if seconds > _WORTH_S:
+                break
+            with suppress(OSError):  # what is not there is found when it is looked for
+                seconds += _BYTE_S * (self.folder / pair.path).stat().st_size
+        return self.workers if seconds > _WORTH_S else IN_THIS_PROCESS
 
     @property
     def is_own(self) -> bool:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
 import numpy as np
 
-from eldata.base.isolation import Limits, guarded_file
+from eldata.base.files import read_file
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw.cfa import packing_sites
 
@@ -19,8 +19,6 @@ Bits = Literal[8, 16]
 
 # The tile of LibRaw's Markesteijn demosaicing, which refuses a smaller picture as an input/output error.
 _LEAST_XTRANS_SIDE = 512
-# Six times the pixels of a mosaic are in memory, and demosaicing takes longer than decoding.
-_LIMITS = Limits(seconds=300.0, memory_bytes=4 << 30)
 
 
 @overload
@@ -58,7 +56,7 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
     """
     if bits not in get_args(Bits):
         raise ArgumentError(f"bits must be 8 or 16; found {bits!r}")
-    return guarded_file(partial(_rendered, bits=bits), Path(path), RawFileError, limits=_LIMITS)
+    return read_file(partial(_rendered, bits=bits), Path(path), RawFileError)
 
 
 def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint16]:

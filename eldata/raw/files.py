@@ -1,6 +1,6 @@
 """Raw files by their names, and whether one decodes and is whole, without its pixels.
 
-Light: numpy and the decoder are loaded only where, and in the process in which, a file is looked into.
+Light: numpy and the decoder are loaded only where a file is looked into.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.files import folder_problem
-from eldata.base.isolation import guarded_file
+from eldata.base.files import folder_problem, read_file
 from eldata.errors import DatasetError, RawFileError
 from eldata.raw.stated import ARRAY_EXTENSIONS
 
@@ -82,7 +81,7 @@ def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileE
     RawFileError
         Like :func:`eldata.raw.read_header`.
     """
-    return guarded_file(partial(_facts, decode=decode), path, RawFileError)
+    return read_file(partial(_facts, decode=decode), path, RawFileError)
 
 
 def _facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:

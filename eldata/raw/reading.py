@@ -47,7 +47,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.isolation import guarded_file
+from eldata.base.files import read_file
 from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw.damage import check_damage, check_samples
 from eldata.raw.exif import RawContainer
@@ -83,12 +83,11 @@ def read_header(path: Path | str | StatedFile) -> RawHeader:
     Raises
     ------
     RawFileError
-        If the file is missing, empty, truncated or not a raw file; or, with :func:`eldata.isolation`, if its decoder
-        crashes, hangs or needs too much memory.
+        If the file is missing, empty, truncated or not a raw file, or needs more memory than there is.
     """
     if isinstance(path, StatedFile):
         return path.header
-    return guarded_file(_header, Path(path), RawFileError)
+    return read_file(_header, Path(path), RawFileError)
 
 
 def _header(path: Path) -> RawHeader:
@@ -144,8 +143,8 @@ def read_raw(path: Path | str | StatedFile) -> RawFrame:
     ------
     RawFileError
         If the file is missing, empty, truncated, not a raw file, already demosaiced (an RGB raw), without a CFA or
-        stored in a way or with a CFA that is not supported; or, with :func:`eldata.isolation`, if its decoder crashes,
-        hangs or needs too much memory. The message names the file and the reason.
+        stored in a way or with a CFA that is not supported, or needs more memory than there is. The message names the
+        file and the reason.
 
     Examples
     --------
@@ -160,7 +159,7 @@ def read_raw(path: Path | str | StatedFile) -> RawFrame:
     """
     if isinstance(path, StatedFile):
         return path.read()
-    return guarded_file(_decoded, Path(path), RawFileError)
+    return read_file(_decoded, Path(path), RawFileError)
 
 
 def _decoded(path: Path) -> RawFrame:

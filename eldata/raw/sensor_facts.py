@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.isolation import guarded_file
+from eldata.base.files import read_file
 from eldata.errors import ArgumentError, RawFileError, UnusableRawError
 from eldata.raw.colour import white_balance_of
 from eldata.raw.tiff import (
@@ -116,7 +116,7 @@ def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
     RawFileError
         If a directory of the file is damaged.
     """
-    directories = guarded_file(read_directories, path, RawFileError)
+    directories = read_file(read_directories, path, RawFileError)
     places = (*main_mosaics(directories), *directories)  # beside the mosaic, or in IFD0
     stated = (one.values[NOISE_PROFILE] for one in places if NOISE_PROFILE in one.values)
     return next((tuple(map(float, numbers)) for numbers in stated), None)

@@ -5,7 +5,6 @@ The work is functions of the standard library, which a spawned process can impor
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -23,7 +22,6 @@ import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may b
 import pytest
 
 from eldata.base import compiled, workers
-from eldata.base.processes import LostError, Processes
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, EldataError, RawFileError
 from eldata.raw.reading import read_header
@@ -36,7 +34,7 @@ if TYPE_CHECKING:
 
 def workers_of(process: int) -> list[psutil.Process]:
     children = psutil.Process(process).children()
-    return [child for child in children if "processes import serve" in " ".join(child.cmdline())]
+    return [child for child in children if "multiprocessing.spawn" in " ".join(child.cmdline())]
 
 
 @pytest.fixture(autouse=True)
@@ -132,18 +130,12 @@ def test_the_error_names_the_unit_that_kills() -> None:
 
 
 STARTS = """
-import os, resource, sys
-from pathlib import Path
+import resource, sys
 from eldata.base.workers import Workers
 
-if sys.argv[1] == "gone":
-    at = Path("here").absolute()
-    at.mkdir()
-    os.chdir(at)
-    at.rmdir()
-else:
+if __name__ == "__main__":
     resource.setrlimit(resource.RLIMIT_NOFILE, (int(sys.argv[1]),) * 2)
-print(list(Workers(2).run(abs, [-1, 2, 3])))
+    print(list(Workers(2).run(abs, [-1, 2, 3])))
 """
 
 
@@ -163,18 +155,13 @@ def test_a_system_that_starts_no_workers_is_blamed(most: str, tmp_path: Path) ->
         assert words in last
 
 
-def test_workers_need_no_current_folder(tmp_path: Path) -> None:
-    assert run_script(STARTS, tmp_path, "gone").stdout == "[1, 2, 3]\n"
-
-
 @pytest.mark.parametrize("jobs", [1, 2])
-@pytest.mark.parametrize("raised", ["OSError('no libllvmlite.so')", "ImportError('undefined symbol')"])
 def test_a_library_that_does_not_load_is_no_fault_of_the_units(
-    raised: str, jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "broken_library.py").write_text(f"raise {raised}\n", encoding="utf-8")
+    (tmp_path / "broken_library.py").write_text("raise ImportError('undefined symbol')\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(EldataError, match=r"does not load \((no libllvmlite\.so|undefined symbol)\): install eldata"):
+    with pytest.raises(ImportError, match="undefined symbol"):
         list(Workers(jobs).attempt(import_module, ["broken_library"] * 3))
 
 
@@ -182,24 +169,16 @@ UNGUARDED = """
 from eldata.base.workers import Workers
 
 print("begun", flush=True)
-
-class Mine(int):
-    pass
-
-print(list(Workers(2).run({work}, [1, 2, 3])))
+print(list(Workers(2).run(abs, [1, 2, 3])))
 """
 
 
 def test_a_script_without_the_guard(tmp_path: Path) -> None:
-    """It is run again only for what it defines itself, and then told so: what it says, it says once."""
-    done = run_script(UNGUARDED.format(work="abs"), tmp_path)
-    assert (done.stdout, done.stderr) == ("begun\n[1, 2, 3]\n", "")
-    done = run_script(UNGUARDED.format(work="Mine"), tmp_path)
+    """It is told so in one line, and not run again by each worker."""
+    done = run_script(UNGUARDED, tmp_path)
     assert (done.returncode, done.stdout) == (1, "begun\n")
-    assert "work.py again from its first line" in done.stderr
+    assert "work.py again from its first line" in done.stderr.splitlines()[-1]
     assert 'under if __name__ == "__main__":' in done.stderr
-
-    # no_process_is_left looks
 
 
 # --- threads ----------------------------------------------------------------------------------------------------------
@@ -375,7 +354,7 @@ def kept(unit):
     ctypes.PyDLL(None).sleep(10**6)  # one that keeps the interpreter's lock: nothing else runs in that worker
 
 def said(unit):
-    os.write(1, b"begun\\n")  # what a worker prints goes to standard error
+    os.write(1, b"begun\\n")
     return globals()[sys.argv[1]](unit)
 
 if __name__ == "__main__":
@@ -396,8 +375,8 @@ if __name__ == "__main__":
 def test_workers_end_with_their_parent(work: str, number: int, tmp_path: Path) -> None:
     """However it ends, and whatever they do. Only the parent gets the signal, as from kill or a scheduler."""
     with started(ORPHANED, tmp_path, work) as child:
-        assert child.stderr is not None
-        assert [child.stderr.readline() for _ in range(2)] == ["begun\n"] * 2
+        assert child.stdout is not None
+        assert [child.stdout.readline() for _ in range(2)] == ["begun\n"] * 2
         workers = workers_of(child.pid)
         child.send_signal(number)
         assert child.wait(PATIENCE_S) == -number
@@ -418,18 +397,3 @@ def test_a_function_takes_a_number_an_executor_or_workers() -> None:
     assert Workers.of(3) == Workers(3)
     with pytest.raises(ArgumentError, match="workers must be a whole number or an executor; found '2'"):
         Workers.of("2")  # type: ignore[arg-type]
-
-
-def _told_in_a_callback() -> str:
-    """Be told to end where Python drops what is raised, and go on for long."""
-    ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGTERM))()
-    time.sleep(PATIENCE_S)
-    return "went on"
-
-
-@pytest.mark.kill
-def test_a_worker_that_is_told_to_end_inside_a_librarys_callback_ends(capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(LostError) as caught:
-        Processes("").run(_told_in_a_callback)
-    assert caught.value.code == 128 + signal.SIGTERM
-    assert capfd.readouterr() == ("", "")

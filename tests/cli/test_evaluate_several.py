@@ -30,7 +30,7 @@ def several(predictions: Path, tmp_path: Path) -> list[Path]:
 
 
 def of(tree: Tree) -> list[str | Path]:
-    return ["--manifest", tree.manifest, "--root", tree.root, "--jobs", "1", "--no-isolate"]
+    return ["--manifest", tree.manifest, "--root", tree.root, "--jobs", "1"]
 
 
 def test_one_pass_writes_what_single_runs_write(eldata: Cli, tree: Tree, several: list[Path], tmp_path: Path) -> None:

@@ -114,7 +114,7 @@ def workers(process: subprocess.Popen[str]) -> list[psutil.Process]:
     return [
         child
         for child in psutil.Process(process.pid).children(recursive=True)
-        if "processes import serve" in " ".join(child.cmdline())
+        if "multiprocessing.spawn" in " ".join(child.cmdline())
     ]
 
 
@@ -205,7 +205,6 @@ def long_evaluation(long_tree: Tree, tmp_path_factory: pytest.TempPathFactory) -
     [
         (signal.SIGINT, 0.0, "interrupted; "),
         (signal.SIGTERM, 0.3, "terminated; "),  # from timeout
-        (signal.SIGHUP, 1.0, "ended with its terminal; "),
     ],
 )
 def test_evaluate_ends_with_one_line(
@@ -223,4 +222,4 @@ def test_evaluate_ends_with_one_line(
 def test_ctrl_c_with_debug_shows_where(long_tree: Tree) -> None:
     code, _, err = interrupted([*full_verification(long_tree), "--debug"], 0.3)
     assert code == 130
-    assert "Stopped" in err, err
+    assert "KeyboardInterrupt" in err, err

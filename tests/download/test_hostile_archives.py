@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-# A 7z archive costs two processes.
-TRIALS = {kind: 6 if kind.startswith("7z") else 60 for kind in SOUND}
+TRIALS = dict.fromkeys(SOUND, 60)
 
 
 def unpack_all(path: Path, folder: Path) -> dict[str, bytes]:
@@ -72,9 +71,6 @@ def test_a_damaged_archive_is_not_said_to_be_standard_output(
     assert said.startswith(f"eldata download: {path}: ")
     assert "damaged" in said
     assert said.count("\n") == 1
-
-
-# --- 7z, in a process of its own --------------------------------------------------------------------------------------
 
 
 def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:

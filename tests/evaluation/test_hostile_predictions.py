@@ -17,13 +17,11 @@ import imagecodecs
 import numpy as np
 import pytest
 
-from eldata.base.isolation import isolation
 from eldata.base.pixels import NpyError, read_npy_header, read_png
-from eldata.errors import EldataError, PredictionError
+from eldata.errors import EldataError
 from eldata.evaluation.layouts import find_predictions
-from eldata.evaluation.predictions import load_colours, load_prediction, prediction_space
 from tests.evaluation import hostile_predictions as hostile
-from tests.evaluation.prediction_files import FILES, LARGE, OF_PACKED, SMALL, write_awkward
+from tests.evaluation.prediction_files import LARGE, SMALL, write_awkward
 from tests.waiting import PATIENCE_S
 
 MOST_KIB = 32 << 10
@@ -106,17 +104,6 @@ def test_pngs_of_every_kind_are_decoded_as_the_library_does(tmp_path: Path) -> N
             content = imagecodecs.png_encode(generator.integers(0, 255, (7, 9, *channels)).astype(dtype))
             (tmp_path / "x.png").write_bytes(content)
             assert np.array_equal(read_png(tmp_path / "x.png"), imagecodecs.png_decode(content))
-
-
-@pytest.mark.parametrize("name", ["chunks-of-odd-sides.h5", "strips.tif", "planes.tif"])
-def test_a_guarded_process_reads_the_same(name: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    (FILES | OF_PACKED)[name][1](path, hostile.good())
-    with isolation():
-        assert np.array_equal(load_prediction(path, hostile.SENSOR, "metadata"), hostile.good())
-        assert prediction_space(path) == "raw"
-        with pytest.raises(PredictionError, match=r"expected \(5, 5, 3\) or \(3, 5, 5\), found"):
-            load_colours(path, (3, 5, 5), "srgb")
 
 
 # --- headers ----------------------------------------------------------------------------------------------------------

@@ -23,7 +23,6 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.isolation import set_isolation
 from tests.fuzz.outcomes import READ, REFUSED, Outcome, of_error
 from tests.fuzz.targets import KINDS
 from tests.fuzz.trials import Trial, load_seeds, put, trial
@@ -64,7 +63,6 @@ def main(argument: str) -> None:
     _be_silent(Path(task.work))
     _end_with_parent()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    set_isolation(KINDS[task.kind].isolated)
     seeds = load_seeds(Path(task.seeds))
     _warm_up(task, seeds)
     used = _status("VmSize")

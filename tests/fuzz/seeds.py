@@ -309,10 +309,6 @@ def texts() -> list[Seed]:
         "plan.json": ("plan", (GOOD / "plan.json").read_bytes()),
         "calibration-plan.json": ("plan", (GOOD / "calibration-plan.json").read_bytes()),
         "mapping.json": ("mapping", (GOOD / "mapping.json").read_bytes()),
-        "scheduler.json": (
-            "scheduler",
-            b'{"type": "Scheduler", "id": "x", "address": "tcp://host:8786", "workers": {}}',
-        ),
         "seconds.txt": ("seconds", b"1/60"),
         "index.json": ("index", (GOOD / "shards" / "index.json").read_bytes()),
         "facts.json": ("facts", _facts().encode()),

@@ -43,9 +43,6 @@ class Kind:
         Readers that are handed no path, so that their errors cannot name it, and the file is always a file.
     truth
         What a whole file is read as, where a damaged one must not be read as anything else.
-    isolated
-        Whether readers work in processes of their own, as in commands: in some damaged stores HDF5 runs for ever. The
-        others have to do without.
     """
 
     seeds: Callable[[], list[Seed]]
@@ -53,7 +50,6 @@ class Kind:
     own: Mapping[str, tuple[Change, ...]]
     nameless: frozenset[str] = frozenset()
     truth: Callable[[object], NDArray[Any]] | None = None
-    isolated: bool = False
 
 
 def called(name: str, path: Path) -> object:
@@ -172,12 +168,6 @@ def _mapping(path: Path) -> object:
     return load_mapping(path, plan, Observed(tuple(frames), (), by_time=True))
 
 
-def _scheduler(path: Path) -> object:
-    from eldata.base.clusters import _scheduler
-
-    return _scheduler(str(path))
-
-
 def _seconds(path: Path) -> object:
     from capture.shutter import parse_seconds
 
@@ -293,7 +283,6 @@ KINDS: dict[str, Kind] = {
             "camera": partial(called, "capture.camera:CameraDescription.load"),
             "plan": partial(called, "capture.plan:Plan.load"),
             "mapping": _mapping,
-            "scheduler": _scheduler,
             "seconds": _seconds,
             "index": _index,
             "facts": _facts,

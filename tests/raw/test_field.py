@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 import tifffile
 
-from eldata import isolation
 from eldata.errors import UnusableRawError
 from eldata.isp import render_libraw
 from eldata.raw import pack, read_header, read_raw, write_dng
@@ -247,7 +246,7 @@ def test_a_crw_is_named(tmp_path: Path) -> None:
 
 
 def test_a_refusal_comes_back_from_another_process() -> None:
-    with isolation(), pytest.raises(UnusableRawError) as caught:
+    with pytest.raises(UnusableRawError) as caught:
         read_raw(FIELD / "pidng-black4-nodim.dng")
     assert caught.value.advice.startswith("write it again with a BlackLevelRepeatDim")
 

@@ -13,20 +13,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.base.isolation import isolation
 from eldata.errors import RawFileError
 from eldata.isp.libraw import render_libraw
-from eldata.raw import read_header, read_raw, write_dng
+from eldata.raw import read_header, read_raw
 from eldata.raw.exif import exif_tags
 from eldata.raw.tiff import read_directories
 from tests.cases import in_one_test
 from tests.raw.helpers import (
-    BAYER,
-    EXPOSURE,
     Tag,
     add_tags,
     black_levels,
-    make_sensor,
     random_mosaic,
     write_plain_dng,
 )
@@ -212,30 +208,3 @@ def test_what_is_no_file_is_not_opened(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(tmp_path / "socket.dng"))
         refused(tmp_path / "socket.dng", "is a socket, not a file")
-
-
-# --- in a process of its own ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="isolation needs a POSIX system")
-def test_isolation_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither frames nor errors."""
-    monkeypatch.chdir(tmp_path)
-    good, bad = tmp_path / "a.dng", tmp_path / "b.dng"
-    mosaic = random_mosaic(120, 132)
-    write_dng(good, mosaic, make_sensor(BAYER["GRBG"], 120, 132), EXPOSURE)
-    bad.write_bytes(good.read_bytes()[:-400])
-    direct, header = read_raw("a.dng"), read_header("a.dng")
-    with pytest.raises(RawFileError) as refusal:
-        read_raw("b.dng")
-    with isolation():
-        isolated = read_raw("a.dng")
-        assert read_header("a.dng") == header
-        with pytest.raises(RawFileError) as again:
-            read_raw("b.dng")
-        rendered = render_libraw("a.dng")
-    assert (isolated.mosaic == direct.mosaic).all()
-    assert isolated.mosaic.flags.writeable
-    assert (isolated.path, isolated.sensor, isolated.exposure) == (direct.path, direct.sensor, direct.exposure)
-    assert str(again.value) == str(refusal.value)
-    assert (rendered == render_libraw("a.dng")).all()

@@ -164,7 +164,7 @@ def test_what_waits_is_cancelled_if_the_caller_leaves() -> None:
 @pytest.mark.dask
 def test_workers_are_counted(threads: Executor, processes: Executor, dask: Executor) -> None:
     assert [slots_of(executor) for executor in (threads, processes, dask)] == [2, 2, 2]
-    assert slots_of(Stepwise()) is None
+    assert slots_of(Stepwise()) == 16
 
 
 # --- executors that cannot --------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ They are read rightly, or refused by the name of the field, with what to do.
 
 from __future__ import annotations
 
+import pickle
 import struct
 from dataclasses import replace
 from fractions import Fraction
@@ -246,9 +247,12 @@ def test_a_crw_is_named(tmp_path: Path) -> None:
 
 
 def test_a_refusal_comes_back_from_another_process() -> None:
+    """It is pickled on its way."""
     with pytest.raises(UnusableRawError) as caught:
         read_raw(FIELD / "pidng-black4-nodim.dng")
-    assert caught.value.advice.startswith("write it again with a BlackLevelRepeatDim")
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), again.advice) == (str(caught.value), caught.value.advice)
+    assert again.advice.startswith("write it again with a BlackLevelRepeatDim")
 
 
 # --- what says no mosaic --------------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ import subprocess
 import sys
 import zipfile
 import zlib
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -32,6 +31,7 @@ from tests.waiting import PATIENCE_S, until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 FILES = contents()
 NAMES = tuple(sorted(FILES))
@@ -374,7 +374,7 @@ def test_links_and_passwords_in_a_7z(tmp_path: Path) -> None:
     for hide_names in (False, True):
         with py7zr.SevenZipFile(tmp_path / "y", "w", password="secret", header_encryption=hide_names) as archive:  # noqa: S106
             archive.writestr(b"x", "a")
-        with pytest.raises(ArchiveError, match="[Pp]assword"):
+        with pytest.raises(ArchiveError, match=r"[Pp]assword"):
             unpack(tmp_path / "y", tmp_path / "SID")
 
 

@@ -94,7 +94,7 @@ def test_what_is_there_is_not_fetched_again(site: server.Site, target: Path) -> 
     fetched(site, target, size_bytes=len(CONTENT), sha256=SHA256)
     for wrong in ({"size_bytes": 5}, {"sha256": f"sha256:{'0' * 64}"}):
         with pytest.raises(DownloadError, match=r"set\.zip: expected .*, found another file; move it away"):
-            fetch(site.address, target, **wrong)  # type: ignore[arg-type]
+            fetch(site.address, target, **wrong)
     assert target.read_bytes() == CONTENT
     assert len(site.requests) == 1
 

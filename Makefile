@@ -12,7 +12,7 @@ RARE := study or browser or dask or kill or memory
 # would compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo docs docs-links test test-all test-every test-rest lint bench fuzz licences lock test-lowest test-newest manifests clean
+.PHONY: help demo docs docs-links test test-all test-every test-rest lint bench licences lock test-lowest test-newest manifests clean
 
 help:  ## What there is to make
 	@grep -hE '^[a-z-]+:.*##' Makefile | sed 's/:.*## /\t/' | expand -t 12
@@ -84,14 +84,8 @@ test-newest:  ## The quick tests with the newest releases
 	.venv-newest/bin/pip install --quiet --upgrade --upgrade-strategy only-if-needed --editable '.[dev]'
 	.venv-newest/bin/pytest -n auto --dist worksteal -m 'not ($(RARE))'
 
-# How long it runs. For exact counts and one's own seed: .venv/bin/python -m tests.fuzz --help
-MINUTES ?= 10
-
-fuzz: $(STAMP)  ## Damaged and hostile files for so long (MINUTES=10); the failing ones go to ./fuzz-failures (Linux only)
-	$(BIN)/python -m tests.fuzz --minutes $(MINUTES)
-
 manifests: $(STAMP)  ## Write the shipped manifests again
 	$(BIN)/python -m manifests.generate
 
 clean:  ## Remove what make made
-	rm -rf $(VENV) docs/_build .venv-lock .venv-lowest .venv-newest eldata-demo fuzz-failures .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) docs/_build .venv-lock .venv-lowest .venv-newest eldata-demo .mypy_cache .ruff_cache .pytest_cache

@@ -24,10 +24,7 @@ def test_make_leaves_out_what_carries_a_mark() -> None:
 
 CLOCKS = {"monotonic", "monotonic_ns", "perf_counter", "perf_counter_ns", "process_time", "time_ns"}
 # The last ones look at clocks to end what hangs and to choose moments; no test of theirs asks how long anything took.
-MAY_WAIT = {
-    *("tests/waiting.py", "tests/capture/checklist_browser.py", "tests/fuzz/__main__.py", "tests/fuzz/running.py"),
-    "tests/kills.py",
-}
+MAY_WAIT = {"tests/waiting.py", "tests/capture/checklist_browser.py", "tests/kills.py"}
 
 
 def looks_at_a_clock(node: ast.AST) -> bool:

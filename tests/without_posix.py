@@ -82,13 +82,11 @@ def show_help(program: str) -> int:
 
 def refusals(folder: Path) -> Iterator[str]:
     """Yield how each thing that needs POSIX says so."""
-    from eldata.download.fetching import open_partial
-    from eldata.download.unpacking import _staging_folder
+    from eldata.download.fetching import RangeDownloader
     from eldata.errors import EldataError
 
     uses: tuple[Callable[[], Any], ...] = (
-        lambda: open_partial(folder / "archive.zip").__enter__(),
-        lambda: _staging_folder(folder / "data").__enter__(),
+        lambda: RangeDownloader()("https://example.org/archive.zip", str(folder / "archive.zip")),
     )
     for use in uses:
         try:

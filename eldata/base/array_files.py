@@ -1,19 +1,19 @@
 """The array in a stranger's file: what the file declares of it is agreed to before anything is loaded.
 
 Each format says shape and type in its header, and each has ways to make a reader reserve, decompress, follow or wait
-for more than that. So each reader here looks at the header alone and hands that to a check, and then decodes into
-memory of that size and no more.
+for more than that. So each reader here looks at the header alone and hands that to a check; then numpy, h5py, tifffile
+and imagecodecs read.
 
 npy
     The header is matched, not evaluated; the file holds as many bytes as it declares.
 npz
     So does the member. Members are stored or deflated; no more is decompressed than is declared.
 h5, mat of MATLAB 7.3
-    One data set of numbers in the file itself: no links, no external or virtual storage, every chunk written. Filters
-    are gzip, lzf, shuffle and Fletcher's checksum, which are undone here: HDF5's believe what a chunk says of itself.
+    One data set of numbers in the file itself: no links, no external or virtual storage, every chunk written, and
+    filters that every copy of HDF5 has.
 tif, tiff
-    A short chain of pages, whose strips or tiles are all there and inside the file, without compression or with a
-    lossless one. Formats within TIFF that refer to other files are taken for plain TIFF.
+    Pages whose strips or tiles are all there and inside the file, without compression or with a lossless one. Formats
+    within TIFF that refer to other files are taken for plain TIFF.
 mat of MATLAB 5 to 7
     The table of variables says shape and type; scipy reads the one that is wanted. Of either format an array has the
     shape that MATLAB shows.
@@ -24,9 +24,8 @@ png
 from __future__ import annotations
 
 import math
-import struct
-from itertools import product
-from typing import IO, TYPE_CHECKING, Any
+import os
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,15 +39,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import h5py
-    import tifffile
     from numpy.typing import NDArray
 
     Check = Callable[[Declared], None]
     Reader = Callable[[Path, Check, str], NDArray[Any]]
 
-_PIECE_BYTES = 1 << 20
 _MOST_NAMES = 1000  # of the arrays and groups of a file
 _NAMES_SHOWN = 6
+_LONGEST_NAME = 32
 _LONGEST_REASON = 200
 
 
@@ -126,7 +124,7 @@ def _only(names: Sequence[str], wanted: str) -> str:
         return names[0]
     if names.count(wanted) == 1:
         return wanted
-    shown = ", ".join(in_line(name[:_LONGEST_REASON]) for name in names[:_NAMES_SHOWN])
+    shown = ", ".join(in_line(name[:_LONGEST_NAME]) for name in names[:_NAMES_SHOWN])
     more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
     called = f", or one called {wanted!r}" if wanted else ""
     raise _UnfitError(f"expected one array{called}; found {shown or 'none'}{more}")
@@ -148,8 +146,8 @@ def _read_npz(path: Path, check: Check, name: str) -> NDArray[Any]:
 
 # --- h5 -----------------------------------------------------------------------------------------------------------
 
-_SHUFFLE, _DEFLATE, _FLETCHER, _LZF = 2, 1, 3, 32000
-_CHECKSUM_BYTES = 4
+_H5_PACKERS = (1, 32000)  # gzip, lzf
+_H5_FILTERS = (*_H5_PACKERS, 2, 3)  # shuffle, fletcher32
 
 
 def _read_h5(path: Path, check: Check, name: str) -> NDArray[Any]:
@@ -167,7 +165,9 @@ def _read_h5(path: Path, check: Check, name: str) -> NDArray[Any]:
         held = file[_only([item for item in kinds if file.get(item, getclass=True) is h5py.Dataset], name)]
         declared = Declared(held.shape or (), _h5_values(held.id))
         check(declared)
-        return _h5_array(held.id)
+        _check_h5(held.id)
+        array: NDArray[Any] = held[()]
+        return array
 
 
 def _h5_values(dataset: h5py.h5d.DatasetID) -> str:
@@ -182,92 +182,35 @@ def _h5_values(dataset: h5py.h5d.DatasetID) -> str:
     return str(stored.dtype.newbyteorder("="))
 
 
-def _h5_array(dataset: h5py.h5d.DatasetID) -> NDArray[Any]:
+def _check_h5(dataset: h5py.h5d.DatasetID) -> None:
+    """Raise ``ValueError`` unless the values are in the file: HDF5 fills what is not with zeros."""
     import h5py
 
     properties = dataset.get_create_plist()
-    array: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
-    layout = properties.get_layout()
-    if layout == h5py.h5d.CHUNKED:
-        _read_chunks(dataset, properties, array)
-        return array
-    if layout not in (h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT) or properties.get_external_count():
+    value_bytes = math.prod(dataset.shape) * dataset.dtype.itemsize
+    layout, stored_bytes = properties.get_layout(), dataset.get_storage_size()
+    if layout not in (h5py.h5d.CHUNKED, h5py.h5d.CONTIGUOUS, h5py.h5d.COMPACT) or properties.get_external_count():
         raise ValueError("its values lie in other files")
-    if dataset.get_storage_size() != array.nbytes:
-        raise ValueError("its values were never written")
-    dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, array)
-    return array
-
-
-def _read_chunks(dataset: h5py.h5d.DatasetID, properties: h5py.h5p.PropDCID, array: NDArray[Any]) -> None:
-    """Fill an array from the chunks that HDF5 finds; filters are undone here, within the size of a chunk."""
+    if layout != h5py.h5d.CHUNKED:
+        if stored_bytes != value_bytes:
+            raise ValueError("its values were never written")
+        return
+    sides = properties.get_chunk()
+    chunk_bytes = math.prod(sides) * dataset.dtype.itemsize
+    if max(chunk_bytes, stored_bytes) > 2 * value_bytes + (1 << 20):
+        raise ValueError(f"chunks of {chunk_bytes} bytes, {stored_bytes} in all, for an array of {value_bytes}")
+    expected = math.prod(-(-length // side) for length, side in zip(dataset.shape, sides, strict=True))
+    chunks: list[h5py.h5d.StoreInfo] = []
+    dataset.chunk_iter(chunks.append)
+    if len(chunks) != expected:
+        raise ValueError(f"{len(chunks)} of its {expected} chunks were written")
     filters = [properties.get_filter(number)[0] for number in range(properties.get_nfilters())]
-    unknown = [number for number in filters if number not in (_SHUFFLE, _DEFLATE, _FLETCHER, _LZF)]
+    unknown = [number for number in filters if number not in _H5_FILTERS]
     if unknown:
         raise ValueError(f"HDF5's filter {unknown[0]}; expected gzip, lzf, shuffle, fletcher32 or none")
-    sides = properties.get_chunk()
-    chunk_bytes = math.prod(sides) * array.dtype.itemsize
-    if chunk_bytes > max(2 * array.nbytes, _PIECE_BYTES):
-        raise ValueError(f"chunks of {chunk_bytes} bytes for an array of {array.nbytes}")
-    starts = [range(0, length, side) for length, side in zip(array.shape, sides, strict=True)]
-    expected, found = math.prod(map(len, starts)), dataset.get_num_chunks()
-    if found != expected:
-        raise ValueError(f"{found} of its {expected} chunks were written")
-    for start in product(*starts):
-        stored_bytes = dataset.get_chunk_info_by_coord(start).size
-        if stored_bytes > 2 * chunk_bytes + _PIECE_BYTES:
-            raise ValueError(f"a chunk of {stored_bytes} bytes, expected up to {chunk_bytes}")
-        mask, stored = dataset.read_direct_chunk(start)
-        chunk = _unfiltered(stored, filters, mask, chunk_bytes, array.dtype).reshape(sides)
-        part = tuple(slice(at, at + side) for at, side in zip(start, sides, strict=True))
-        target = array[part]
-        target[...] = chunk[tuple(slice(length) for length in target.shape)]
-
-
-def _unfiltered(stored: bytes, filters: Sequence[int], mask: int, size: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Undo the filters of a chunk that its mask does not except, last to first."""
-    import imagecodecs
-
-    content: Any = stored
-    shuffled = False
-    for place, number in reversed(list(enumerate(filters))):
-        if mask >> place & 1:
-            continue
-        if number == _FLETCHER:
-            content = _checked(content)
-        elif number == _DEFLATE:
-            content = _inflated(content, size)
-        elif number == _LZF:
-            content = imagecodecs.lzf_decode(content, out=size)
-        else:
-            shuffled = True  # it stands first, so it comes last here
-    if len(content) != size:
-        raise ValueError(f"a chunk of {len(content)} bytes, expected {size}")
-    planes = np.frombuffer(content, np.uint8)
-    if shuffled:
-        planes = planes.reshape(dtype.itemsize, -1).T
-        return np.ascontiguousarray(planes).reshape(-1).view(dtype)
-    return planes.view(dtype)
-
-
-def _checked(content: bytes) -> bytes:
-    import imagecodecs
-
-    body = content[:-_CHECKSUM_BYTES]
-    found = imagecodecs.h5checksum_fletcher32(body)
-    if found != int.from_bytes(content[-_CHECKSUM_BYTES:], "little"):
-        raise ValueError("a chunk that its checksum does not fit")
-    return body
-
-
-def _inflated(content: bytes, size: int) -> bytes:
-    """Return deflated bytes as they were, ``size`` of them and no more."""
-    import imagecodecs
-
-    try:
-        return bytes(imagecodecs.zlib_decode(content, out=size))
-    except RuntimeError as error:
-        raise ValueError(f"a chunk that is damaged, or expands beyond its {size} bytes") from error
+    packed = sum(1 << place for place, number in enumerate(filters) if number in _H5_PACKERS)
+    if any(chunk.size < chunk_bytes and not packed & ~chunk.filter_mask for chunk in chunks):
+        raise ValueError(f"a chunk of less than its {chunk_bytes} bytes")
 
 
 # --- MATLAB -------------------------------------------------------------------------------------------------------
@@ -301,8 +244,7 @@ def _read_png(path: Path, check: Check, name: str) -> NDArray[Any]:
 
 
 # --- TIFF -------------------------------------------------------------------------------------------------------------
-# tifffile follows the chain of pages as far as it goes, in a circle too, logs what is wrong with them, and fills strips
-# that a file does not hold with zeros: so they are walked before it does.
+# tifffile fills strips that a file does not hold with zeros, and logs what else is wrong.
 
 _COMPRESSIONS = {  # of which a decoder can be told how much to make: none that holds a picture of its own
     1: "none",
@@ -313,116 +255,44 @@ _COMPRESSIONS = {  # of which a decoder can be told how much to make: none that 
     34925: "LZMA",
     50000: "Zstandard",
 }
-
-_MOST_PAGES = 64  # the planes of a packed frame are 4 to 36
-_MOST_TAGS = 256
-_MOST_TAG_BYTES = 16 << 20  # of all pages; 100,000 strips of offsets and lengths take 1.6 MB
 _LARGEST_TILE = 1 << 20  # pixels, where the image is smaller
-_SUB_IFDS = 330
-_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
 
 
 def _read_tiff(path: Path, check: Check, name: str) -> NDArray[Any]:
     import tifffile
 
     del name
-    _check_pages(path)
+    tifffile.logger().disabled = True  # what it would say is an error here
     plain: dict[str, Any] = {f"is_{kind}": False for kind in tifffile.TIFF.FILE_FLAGS - {"shaped", "uniform"}}
     with tifffile.TiffFile(path, **plain) as file:
         series = file.series[0]
         check(Declared(tuple(series.shape), str(np.dtype(series.dtype))))
-        _check_segments(series, path.stat().st_size)
-        array: NDArray[Any] = series.asarray(maxworkers=1, buffersize=16 * _PIECE_BYTES)
+        pages: list[Any] = list(series.pages)
+        if not all(pages) or math.prod(series.shape) != sum(math.prod(page.shape) for page in pages):
+            raise ValueError("its pages do not hold as many values as it declares")
+        for page in pages:
+            _check_page(page, os.fstat(file.filehandle.fileno()).st_size)
+        array: NDArray[Any] = series.asarray(maxworkers=1, buffersize=1 << 24)
     return array
 
 
-class _TiffError(ValueError):
-    """A TIFF file is damaged, or made to keep its reader busy."""
-
-
-class _TiffForm:
-    """How a file writes its numbers: classic TIFF or BigTIFF, in either byte order."""
-
-    def __init__(self, head: bytes) -> None:
-        order = {b"II": "<", b"MM": ">"}.get(head[:2])
-        version = struct.unpack(f"{order}H", head[2:4])[0] if order and len(head) == 16 else 0
-        if version not in (42, 43):
-            raise _TiffError("does not begin as a TIFF file does")
-        is_big = version == 43
-        self.count = struct.Struct(f"{order}{'Q' if is_big else 'H'}")
-        self.entry = struct.Struct(f"{order}{'HHQQ' if is_big else 'HHII'}")
-        self.offset = struct.Struct(f"{order}{'Q' if is_big else 'I'}")
-        self.first = self.offset.unpack_from(head, 8 if is_big else 4)[0]
-
-
-def _check_pages(path: Path) -> None:
-    """Walk the chain of pages before anything else does; ``OSError`` if the file cannot be read."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        form = _TiffForm(file.read(16))
-        at, left = form.first, _MOST_TAG_BYTES
-        seen: set[int] = set()
-        while at:
-            if at in seen or len(seen) == _MOST_PAGES:
-                raise _TiffError(f"its pages go in a circle, or are more than {_MOST_PAGES}")
-            seen.add(at)
-            at, used = _next_page(file, form, at, size)
-            left -= used
-            if left < 0:
-                raise _TiffError(f"the tags of its pages take more than {_MOST_TAG_BYTES} bytes")
-    if not seen:
-        raise _TiffError("has no page")
-
-
-def _next_page(file: IO[bytes], form: _TiffForm, at: int, size: int) -> tuple[int, int]:
-    """Return where the page after one is, and how many bytes the one's tags take."""
-    file.seek(min(at, size))
-    head = file.read(form.count.size)
-    count = form.count.unpack(head)[0] if len(head) == form.count.size else 0
-    if not 0 < count <= _MOST_TAGS:
-        raise _TiffError(f"a page at byte {at} of {size} has {count} tags; expected 1 to {_MOST_TAGS}")
-    table = file.read(count * form.entry.size + form.offset.size)
-    if len(table) < count * form.entry.size + form.offset.size:
-        raise _TiffError(f"ends within the tags of a page at byte {at} of {size}")
-    used = 0
-    for tag, kind, number, value in form.entry.iter_unpack(table[: -form.offset.size]):
-        length = number * _TYPE_BYTES.get(kind, 1)
-        if length > form.offset.size and value + length > size:
-            raise _TiffError(f"its tag {tag} lies beyond the end of the file")
-        if tag == _SUB_IFDS:
-            raise _TiffError("has pages within its pages")
-        used += length
-    following: int = form.offset.unpack(table[-form.offset.size :])[0]
-    return following, used
-
-
-def _check_segments(series: tifffile.TiffPageSeries, size: int) -> None:
-    """Check the strips or tiles of all pages of an array in a file of so many bytes."""
-    pages: list[Any] = list(series.pages)
-    if not all(pages) or math.prod(series.shape) != sum(math.prod(page.shape) for page in pages):
-        raise _TiffError("its pages do not hold as many values as it declares")
-    for page in pages:
-        keyframe = page.keyframe
-        if int(keyframe.compression) not in _COMPRESSIONS:
-            known = ", ".join(dict.fromkeys(_COMPRESSIONS.values()))
-            raise _TiffError(f"compression {int(keyframe.compression)}; expected {known}")
-        tile = keyframe.tilewidth * keyframe.tilelength * max(keyframe.tiledepth, 1) if keyframe.is_tiled else 0
-        if tile > max(4 * keyframe.imagewidth * keyframe.imagelength, _LARGEST_TILE):
-            raise _TiffError(f"tiles of {keyframe.tilewidth} x {keyframe.tilelength} pixels in a smaller page")
-        extents = list(zip(page.dataoffsets, page.databytecounts, strict=True))
-        if not _is_whole(keyframe, extents):
-            raise _TiffError("strips or tiles are missing")
-        if max(offset + count for offset, count in extents) > size:
-            raise _TiffError("its data lie beyond the end of the file: truncated?")
-
-
-def _is_whole(keyframe: Any, extents: list[tuple[int, int]]) -> bool:
-    """Return whether a page has all its strips or tiles; tifffile joins those that follow each other."""
-    if not all(offset > 0 and count > 0 for offset, count in extents):
-        return False
-    if keyframe.is_contiguous or len(extents) == 1 < math.prod(keyframe.chunked):
-        return int(keyframe.compression) == 1 and sum(count for _, count in extents) >= int(keyframe.nbytes)
-    return bool(len(extents) == math.prod(keyframe.chunked))
+def _check_page(page: Any, size: int) -> None:
+    """Raise ``ValueError`` unless all strips or tiles of a page are in a file of so many bytes."""
+    keyframe, (offsets, counts) = page.keyframe, (page.dataoffsets, page.databytecounts)
+    if int(keyframe.compression) not in _COMPRESSIONS:
+        known = ", ".join(dict.fromkeys(_COMPRESSIONS.values()))
+        raise ValueError(f"compression {int(keyframe.compression)}; expected {known}")
+    tile = keyframe.tilewidth * keyframe.tilelength * max(keyframe.tiledepth, 1) if keyframe.is_tiled else 0
+    if tile > max(4 * keyframe.imagewidth * keyframe.imagelength, _LARGEST_TILE):
+        raise ValueError(f"tiles of {keyframe.tilewidth} x {keyframe.tilelength} pixels in a smaller page")
+    if keyframe.is_contiguous or len(offsets) == 1:  # tifffile joins strips that follow each other
+        whole = int(keyframe.compression) != 1 or sum(counts) >= int(keyframe.nbytes)
+    else:
+        whole = len(offsets) == len(counts) == math.prod(keyframe.chunked)
+    if not (whole and min(offsets, default=0) > 0 and min(counts, default=0) > 0):
+        raise ValueError("strips or tiles are missing")
+    if max(map(sum, zip(offsets, counts, strict=True))) > size:
+        raise ValueError("its data lie beyond the end of the file: truncated?")
 
 
 _READERS: dict[str, Reader] = {

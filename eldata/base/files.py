@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import io
 import json
 import os
 import re
@@ -26,21 +25,6 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 
 _LONGEST_PATH = 4096
-
-
-class SmallReads(io.FileIO):
-    """A file of which no more is read at once than so many bytes, such as of an archive's endless list of members."""
-
-    def __init__(self, path: Path, most_bytes: int) -> None:
-        super().__init__(path)
-        self._most_bytes = most_bytes
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        """Return so many bytes, or what is left if it is not too much."""
-        wanted = self._most_bytes if size is None or size < 0 else size
-        if wanted > self._most_bytes:
-            raise OverflowError(f"its list of members takes {wanted} bytes")
-        return super().read(wanted)
 
 
 @contextmanager

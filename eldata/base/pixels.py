@@ -15,7 +15,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.files import SmallReads, file_problem
+from eldata.base.files import file_problem
 from eldata.base.visible import in_line
 from eldata.errors import FileError
 
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 _MOST_HEADER_BYTES = 4096  # numpy pads that of plain numbers to 118 bytes
 _MOST_DIMENSIONS = 32
-_LARGEST_READ = 1 << 20
 _LONGEST_NAME = 64  # of a type
 # What zipfile raises of damaged and hostile archives. A RuntimeError is how it refuses members that are encrypted, and,
 # as the NotImplementedError derived from it, patched data and versions of the format that it does not know.
@@ -196,11 +195,10 @@ def opened_npz(path: Path) -> Iterator[NpzArchive]:
     """
     if not zipfile.is_zipfile(path):
         raise NpyError("is not a whole npz archive")
-    with SmallReads(path, _LARGEST_READ) as file:
-        with _damage_named():
-            archive = zipfile.ZipFile(file)
-        with archive:
-            yield NpzArchive(archive)
+    with _damage_named():
+        archive = zipfile.ZipFile(path)
+    with archive:
+        yield NpzArchive(archive)
 
 
 @contextmanager
@@ -272,7 +270,7 @@ def read_png_header(path: Path) -> PngHeader:
     return _header(head[16:])
 
 
-def _header(content: bytes | bytearray) -> PngHeader:
+def _header(content: bytes | memoryview) -> PngHeader:
     width, height, bit_depth, colour = struct.unpack_from(">IIBB", content)
     name = _COLOURS.get(colour, f"colour type {colour}")
     shape = height, width, *_CHANNELS.get(name, (3,))
@@ -298,40 +296,26 @@ def read_png(path: Path, check: Callable[[PngHeader], None] | None = None) -> ND
     """
     import imagecodecs
 
-    with path.open("rb") as file:
-        content = _pixel_chunks(file, check)
-    array: NDArray[Any] = imagecodecs.png_decode(content)
+    content = memoryview(path.read_bytes())
+    if content[:16] != _SIGNATURE + _HEADER_CHUNK or len(content) < _WHOLE_HEADER:
+        raise ValueError("does not begin as a PNG file")
+    if check is not None:
+        check(_header(content[16:]))
+    array: NDArray[Any] = imagecodecs.png_decode(b"".join(_pixel_chunks(content)))
     return array
 
 
-def _pixel_chunks(file: IO[bytes], check: Callable[[PngHeader], None] | None) -> bytearray:
-    """Return a PNG file without the chunks that are not pixels; libpng checks what it is then given."""
-    content = bytearray(file.read(_WHOLE_HEADER))
-    if content[:16] != _SIGNATURE + _HEADER_CHUNK or len(content) < _WHOLE_HEADER:
-        raise ValueError("does not begin as a PNG file")
-    header = _header(content[16:])
-    if check is not None:
-        check(header)
-    most, kind = _most_compressed_bytes(header), b""
+def _pixel_chunks(content: memoryview) -> Iterator[memoryview]:
+    """Yield the parts of a PNG file but for chunks that are not pixels; libpng checks what it is then given."""
+    yield content[:8]
+    at, kind = 8, b""
     while kind != b"IEND":
-        head = file.read(8)
-        if len(head) < 8:
+        if len(content) < at + 12:
             raise ValueError("ends without its last chunk: truncated?")
-        length, kind = struct.unpack(">I4s", head)
-        if kind not in _OF_PIXELS:
-            file.seek(length + 4, 1)  # and the checksum
-        elif len(content) + length > most:
-            raise ValueError(f"more compressed data than {header.size} pixels can need")
-        else:
-            content += head + file.read(length + 4)
-    return content
-
-
-def _most_compressed_bytes(header: PngHeader) -> int:
-    """Return a generous bound: deflate adds a few bytes per 16 kB that do not compress, chunks 12 each."""
-    height, *row = header.shape
-    samples = height * (math.prod(row) * header.bit_depth // 8 + 16)
-    return samples + samples // 8 + (1 << 16)
+        length, kind = struct.unpack_from(">I4s", content, at)
+        if kind in _OF_PIXELS:
+            yield content[at : at + length + 12]
+        at += length + 12
 
 
 def rgb_frame(path: Path) -> NDArray[np.float32]:

@@ -57,7 +57,7 @@ def add_options(parser: console.Parser) -> None:
 
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
-    from eldata.download.card_downloads import choose_parts
+    from eldata.download.fetching import choose_parts
     from eldata.download.installing import unpack_dataset
     from eldata.download.overview import overview, presence_of
     from eldata.manifest.catalogue import known_manifest
@@ -111,21 +111,15 @@ def _terms(found: Overview, downloads: Sequence[Download]) -> str:
 
 
 def _fetch(manifest: Manifest, root: Path, parts: Sequence[Download]) -> list[Installed]:
-    from eldata.download.fetching import Fetcher
-    from eldata.download.hub import fetch_repository, hub_name
+    from eldata.download.fetching import RangeDownloader
     from eldata.download.installing import fetch_dataset
     from eldata.download.overview import presence_of
 
-    fetcher = Fetcher()
     installed = []
     for part in parts:
         listed = [record for record in manifest.records if part.holds(record.path)]
-        folder = manifest.stated_folder(root)
-        if not presence_of(folder, listed).complete:
-            of_hub = bool(hub_name(part))
-            installed.append(
-                fetch_repository(part, manifest, folder) if of_hub else fetch_dataset(part, manifest, root, fetcher)
-            )
+        if not presence_of(manifest.stated_folder(root), listed).complete:
+            installed.append(fetch_dataset(part, manifest, root, RangeDownloader()))
     return installed
 
 

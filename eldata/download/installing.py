@@ -7,17 +7,15 @@ from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
-from eldata.download.archives import open_archive
-from eldata.download.card_downloads import SUFFIXES, archive_name, kept_archives
-from eldata.download.unpacking import Unpacked, unpack_archive
-from eldata.errors import ArchiveError, DownloadError
+from eldata.download.archives import Unpacked, read_members, unpack_archive
+from eldata.download.fetching import RangeDownloader, archive_name, fetch_archive
+from eldata.errors import ArchiveError
 from eldata.manifest.patterns import is_pattern
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
     from pathlib import Path
 
-    from eldata.download.fetching import Fetcher
     from eldata.manifest.card import Download
     from eldata.manifest.catalogue import Manifest
 
@@ -41,9 +39,9 @@ class Installed:
     def format_text(self) -> str:
         """Return it as text."""
         done = self.unpacked
-        lines = [f"    left alone, differs from the archive: {path}" for path in done.differing]
+        lines = [f"    left alone, differs in size from the archive's: {path}" for path in done.differing]
         lines.append(
-            f"{self.archive.name}: {len(done.written)} files unpacked, {len(done.identical)} were there already"
+            f"{self.archive.name}: {len(done.written)} files unpacked, {len(done.same_size)} were there already"
             + (f", {len(done.differing)} differ and were left alone" if done.differing else "")
             + f"; {self.files_listed} of its files are listed in the manifest"
             + (f"; {len(self.left)} files beside the dataset's folder stay in it" if self.left else "")
@@ -60,36 +58,32 @@ def unpack_dataset(archive_path: Path, manifest: Manifest, folder: Path) -> Inst
     Raises
     ------
     ArchiveError, DownloadError
-        See :func:`~eldata.download.archives.open_archive`, :func:`find_relocation` and
-        :func:`~eldata.download.unpacking.unpack_archive`.
+        See :func:`~eldata.download.archives.read_members`, :func:`find_relocation` and
+        :func:`~eldata.download.archives.unpack_archive`.
     """
-    archive = open_archive(archive_path)
+    members = read_members(archive_path)
     listed = [record.path for record in manifest.records]
-    names = [member.name for member in archive.files]
-    below = next((one.below for one in manifest.card.downloads if archive_name(one) == archive_path.name), None)
+    names = [member.name for member in members]
+    downloads = manifest.card.downloads
+    below = next((one.below for one in downloads if archive_name(one.address) == archive_path.name), None)
     relocation = find_relocation(archive_path, names, listed, below)
     targets = {name: target for name in names if (target := relocation.target(name)) is not None}
-    unpacked = unpack_archive(archive, targets, folder)
+    unpacked = unpack_archive(archive_path, members, targets, folder)
     left = tuple(sorted(set(names) - set(targets)))
     return Installed(archive_path, unpacked, count_listed(targets.values(), listed), left)
 
 
-def fetch_dataset(download: Download, manifest: Manifest, root: Path, fetcher: Fetcher) -> Installed:
+def fetch_dataset(
+    download: Download, manifest: Manifest, root: Path | str | None = None, downloader: RangeDownloader | None = None
+) -> Installed:
     """Fetch an archive of the card into the data root's folder of archives, where it is kept, and unpack it.
 
     Raises
     ------
     ArchiveError, DownloadError
-        See :meth:`~eldata.download.fetching.Fetcher.fetch` and :func:`unpack_dataset`.
+        See :func:`~eldata.download.fetching.fetch_archive` and :func:`unpack_dataset`.
     """
-    name = archive_name(download)
-    if not name:
-        raise DownloadError(
-            f"{download.address}: expected an address that ends in the name of an archive ({', '.join(SUFFIXES)}); "
-            "fetch it in a browser and use --from"
-        )
-
-    archive = fetcher.fetch(kept_archives(manifest.card, root), name, size_bytes=download.size_bytes)
+    archive = fetch_archive(download, root, downloader or RangeDownloader())
     return unpack_dataset(archive, manifest, manifest.stated_folder(root))
 
 

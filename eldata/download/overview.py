@@ -7,8 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.tables import wrapped
-from eldata.download.card_downloads import archive_size
-from eldata.download.unpacking import STAGING
+from eldata.download.archives import STAGING, size_text
 from eldata.manifest.catalogue import carded_names, data_root, known_manifest, shipped_card, shipped_names
 from eldata.manifest.patterns import is_pattern, matching
 
@@ -166,11 +165,15 @@ def _remarks(card: Card) -> list[str]:
     return lines
 
 
+def _archive_size(download: Download) -> str:
+    return size_text(download.size_bytes) if download.size_bytes is not None else download.about
+
+
 def _size(card: Card) -> str:
     """Return the size of the archives, as far as it is known."""
     first_of: dict[str, str] = {}
     for download in card.downloads:
-        if size := archive_size(download):
+        if size := _archive_size(download):
             first_of.setdefault(download.part, size)
     named = {part: size for part, size in first_of.items() if part} or first_of  # no mirrors beside them
     return " + ".join(named.values()) or "not known"
@@ -182,7 +185,7 @@ def format_downloads(downloads: Iterable[Download]) -> list[str]:
     for download in downloads:
         how = "direct" if download.direct else "by hand, in a browser"
         part = f"part {download.part}" if download.part else ""
-        facts = ", ".join(filter(None, (how, part, archive_size(download))))
+        facts = ", ".join(filter(None, (how, part, _archive_size(download))))
         lines += [f"    {download.address}", f"        {facts}{': ' if download.notes else ''}{download.notes}"]
     return lines or ["    see the homepage"]
 

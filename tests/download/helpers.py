@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.download.card_downloads import kept_archives
-from eldata.download.fetching import Fetcher, Patience
+from eldata.download.fetching import RangeDownloader, fetch_archive
 from eldata.manifest.card import CameraCard, Card, Download, save_card
 from eldata.manifest.catalogue import Manifest, load_manifest
 from eldata.manifest.table import save_records
@@ -18,20 +17,20 @@ from eldata.records import FrameRecord
 if TYPE_CHECKING:
     from pathlib import Path
 
-HASTY = Patience(tries=3, first_wait_s=0.001, longest_wait_s=0.002, silence_s=5)
-
-
-def fetcher(patience: Patience = HASTY) -> Fetcher:
-    return Fetcher(patience, plain_http_hosts=["127.0.0.1"])
+HASTY = RangeDownloader(tries=3, longest_wait_s=0.001, silence_s=5, plain_http=True)
 
 
 def fetch(
-    address: str, target: Path, patience: Patience = HASTY, *, size_bytes: int | None = None, sha256: str | None = None
+    address: str,
+    target: Path,
+    downloader: RangeDownloader = HASTY,
+    *,
+    size_bytes: int | None = None,
+    sha256: str | None = None,
 ) -> Path:
     """Fetch as a card with this one download says, into the data root whose folder of archives ``target`` lies in."""
-    card = small_card(Download(address, size_bytes, direct=True, sha256=sha256))
-    archives = kept_archives(card, target.parent.parent)
-    return fetcher(patience).fetch(archives, target.name, size_bytes=size_bytes)
+    download = Download(address, size_bytes, direct=True, sha256=sha256)
+    return fetch_archive(download, target.parent.parent, downloader)
 
 
 def noise(size: int, seed: int = 0) -> bytes:

@@ -98,6 +98,15 @@ def breaking_after(count: int) -> Behaviour:
     return lambda handler, site: answer(handler, site, most=count)
 
 
+def endless(handler: Handler, site: Site) -> None:
+    """Announce a length, and never stop sending."""
+    handler.start(200, Content_Length=len(site.content), Transfer_Encoding="chunked", ETag=site.etag)
+    piece = site.content[:5000]
+    while True:
+        handler.wfile.write(b"%x\r\n%s\r\n" % (len(piece), piece))
+        site.sent_bytes += len(piece)
+
+
 def claiming(shift: int) -> Behaviour:
     return lambda handler, site: answer(handler, site, shift=shift)
 
@@ -140,14 +149,8 @@ def without_length(handler: Handler, site: Site) -> None:
 
 
 def page(handler: Handler, site: Site) -> None:
-    body = b"<!DOCTYPE html><html><title>Google Drive - Virus scan warning</title></html>"
-    handler.start(200, Content_Length=len(body), Content_Type="text/html; charset=utf-8")
-    handler.wfile.write(body)
-
-
-def page_called_zip(handler: Handler, site: Site) -> None:
-    body = b"<html>" + b" " * 2000
-    handler.start(200, Content_Length=len(body), Content_Type="application/zip", ETag=site.etag)
+    body = b"<!DOCTYPE html><title>Google Drive - Virus scan warning</title>" + b" " * 2000
+    handler.start(200, Content_Length=len(body), Content_Type="text/html", ETag=site.etag)
     handler.wfile.write(body)
 
 

@@ -251,12 +251,10 @@ H5: dict[str, Callable[[Path], None]] = {
     "chunk-of-gigabytes": h5(
         lambda file: file.create_dataset("x", PACKED, "<f4", chunks=(4, 16_000, 16_000), maxshape=(None,) * 3)
     ),
-    "chunk-that-is-a-bomb": h5(lambda file: chunked(file, deflated_zeros(ENDLESS_BYTES))),
     "chunk-that-ends-early": h5(lambda file: chunked(file, zlib.compress(good().tobytes())[:2000])),
     "chunk-that-is-not-deflated": h5(lambda file: chunked(file, b"text" * 100)),
     "chunk-that-is-not-lzf": h5(lambda file: chunked(file, b"\xff" * 100, compression="lzf")),
     "chunk-too-small": h5(lambda file: chunked(file, bytes(100), mask=1)),
-    "chunk-too-large": h5(lambda file: chunked(file, bytes(100_000), mask=1)),
     "chunk-of-another-filter": h5(lambda file: file.create_dataset("x", data=np.rint(9 * good()), scaleoffset=0)),
     "checksum": h5(damaged_checksum),
     "thousands-of-items": h5(thousands_of_items),
@@ -326,15 +324,6 @@ def content(data: bytes) -> Callable[[Path], None]:
     return save
 
 
-def circular(path: Path) -> None:
-    tiff(path, grey(), metadata=None)
-    content = bytearray(path.read_bytes())
-    (at,) = struct.unpack_from("<I", content, 4)
-    (count,) = struct.unpack_from("<H", content, at)
-    struct.pack_into("<I", content, at + 2 + 12 * count, at)
-    path.write_bytes(content)
-
-
 def ome(path: Path) -> None:
     """A page whose description says that the pixels are in another file."""
     beside = secret_beside(path)
@@ -359,25 +348,16 @@ def sparse(path: Path) -> None:
     path.write_bytes(content)
 
 
-def sub_pages(path: Path) -> None:
-    with tifffile.TiffWriter(path) as file:
-        file.write(grey(), photometric="minisblack", subifds=1)
-        file.write(grey()[::2, ::2], photometric="minisblack", subfiletype=1)
-
-
 TIFF: dict[str, Callable[[Path], None]] = {
     "30000-by-30000": lambda path: with_tags(path, {256: (4, 1, 30_000), 257: (4, 1, 30_000), 278: (4, 1, 30_000)}),
     "4-billion-by-4-billion": lambda path: with_tags(path, {256: (4, 1, 2**32 - 1), 257: (4, 1, 2**32 - 1)}),
-    "pages-in-a-circle": circular,
     "100-pages": lambda path: tiff(path, np.zeros((100, 4, 6), np.uint16), metadata=None),
-    "pages-within-pages": sub_pages,
     "pixels-in-another-file": ome,
     "strips-missing": sparse,
     "strip-beyond-the-end": lambda path: with_tags(path, {273: (4, 1, 100_000)}),
     "strip-of-gigabytes": lambda path: with_tags(path, {279: (4, 1, 0xFFFFFFFF)}),
     "strip-of-nothing": lambda path: with_tags(path, {279: (4, 1, 0)}),
     "a-billion-strips": lambda path: with_tags(path, {273: (4, 1 << 30, 8)}),
-    "a-tag-of-gigabytes": lambda path: with_tags(path, {305: (2, 0xFFFFFFFF, 8)}),
     "tiles-of-gigabytes": lambda path: huge_tiles(path),  # noqa: PLW0108 # defined below
     "compression-with-a-picture-of-its-own": lambda path: tiff(
         path, (grey() >> 8).astype(np.uint8), compression="jpeg"

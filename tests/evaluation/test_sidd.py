@@ -157,7 +157,7 @@ def blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
             done = unpack_dataset(file, manifest, root / "SIDD")
             assert (len(done.unpacked.written), done.files_listed, done.left) == (1280, 1280, ())
     again = unpack_dataset(root / f"{NAMES[0]}.mat", manifest, root / "SIDD")
-    assert len(again.unpacked.identical) == 1280
+    assert len(again.unpacked.same_size) == 1280
     return root
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from eldata.base.files import write_text
 from eldata.base.pixels import read_png, read_png_header, read_rgb16, rgb_frame
-from eldata.download.card_downloads import archive_name, choose_parts
+from eldata.download.fetching import archive_name, choose_parts
 from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
 from eldata.manifest import writing
 from eldata.manifest.catalogue import load_manifest, shipped_manifest
@@ -83,7 +83,7 @@ def test_splits_from_lists(tmp_path: Path) -> None:
 def test_a_program_fetches_what_the_manifest_lists() -> None:
     """Whether an archive of raws is here already, the manifest cannot tell: those are fetched by hand."""
     manifest = shipped_manifest("drv")
-    downloads = {archive_name(download): download for download in manifest.card.downloads}
+    downloads = {archive_name(download.address): download for download in manifest.card.downloads}
     shorts = [f"short{number}" for number in range(1, 6)]
     assert set(downloads) == {"long.zip", "VBM4D_rawRGB.zip", *(f"{part}.zip" for part in shorts)}
     assert [part.part for part in choose_parts(tuple(downloads.values()), ["long", "noisy"])] == ["long", "noisy"]

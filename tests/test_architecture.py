@@ -12,7 +12,6 @@ from collections import defaultdict
 from dataclasses import dataclass
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
-from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -397,22 +396,6 @@ def test_a_public_name_means_one_thing() -> None:
 def test_a_modules_name_says_what_it_holds() -> None:
     found = [module for module in trees() if module.rpartition(".")[2] in SAYS_LITTLE]
     assert sorted(found) == ["eldata.calibration.core", "eldata.errors"]
-
-
-# Public calls that spell their keywords out for the reader, one of which passes them on to the other.
-SPELT_OUT = {("eldata.noise.model.__call__", "eldata.noise.model.on_mosaic")}
-
-
-def test_no_keyword_list_is_typed_twice() -> None:
-    """Five keywords of the same names and types in two signatures are a record, or a TypedDict to unpack."""
-    lists = [
-        (f"{module}.{node.name}", {ast.unparse(argument) for argument in node.args.kwonlyargs})
-        for module, tree in trees().items()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef) and len(node.args.kwonlyargs) >= 5
-    ]
-    twice = {(a, b) for (a, of_a), (b, of_b) in combinations(lists, 2) if len(of_a & of_b) >= 5}
-    assert twice - SPELT_OUT == set()
 
 
 # --- constructs that do not occur ---------------------------------------------------------------------------------

@@ -12,9 +12,8 @@ import numpy as np
 from eldata.base.files import file_problem, inside
 from eldata.base.pixels import NpyError, read_npy
 from eldata.base.tables import frame_of
-from eldata.datasets.choices import check_representation, chosen_shading, shading_text
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, DrawnItem, Part
+from eldata.datasets.items import CroppedItems, DrawnItem, Part, shading_text
 from eldata.errors import DatasetError
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, known_names, load_manifest
 from eldata.manifest.pairs import Choice
@@ -147,14 +146,11 @@ class SourcePairs(CroppedItems[Sample]):
         crop: int | None = None, augment: bool = False, crops: Crops = "random", crops_per_frame: int = 1,
         seed: int = 0,
     ) -> None:  # fmt: skip
-        check_representation(levels, clip, amplification)
         self.source = source
         self.records: tuple[PairRecord, ...] = Records(records)
         self.name = name
-        self.levels: FrameLevels = levels
-        self.clip = clip
-        self.amplification: Amplification = amplification
-        self.dark_shading = chosen_shading(dark_shading, (record.camera for record in self.records))
+        cameras = (record.camera for record in self.records)
+        self._choose_values(levels, clip, amplification, dark_shading, cameras)
         self.crops_per_frame = crops_per_frame
         super().__init__(crop, augment, crops, seed, ("crops_per_frame", crops_per_frame))
         self._pairs: dict[int, OpenedPair] = {}

@@ -7,9 +7,8 @@ from dataclasses import asdict
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypedDict
 
-from eldata.datasets.choices import check_representation, chosen_shading, shading_text
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import CroppedItems, DrawnItem, Part
+from eldata.datasets.items import CroppedItems, DrawnItem, Part, shading_text
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
@@ -138,7 +137,6 @@ class ClipWindows(CroppedItems[ClipSample]):
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = None, augment: bool = False, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
-        check_representation(levels, clip, amplification)
         self._is_paired = not dynamic
         self.region = region
         if self.region is not None and (min(self.region[:2]) < 0 or min(self.region[2:]) < 1):
@@ -149,12 +147,9 @@ class ClipWindows(CroppedItems[ClipSample]):
         super().__init__(crop, augment, crops, seed, ("crops_per_window", crops_per_window))
         self.source = source
         self.root = place
-        self.levels: FrameLevels = levels
-        self.clip = clip
-        self.amplification: Amplification = amplification
         choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
         chosen = expand(choose_clips(rows, subsets, choice, ids=ids), place)
-        self.dark_shading = chosen_shading(dark_shading, (row.camera for row in chosen))
+        self._choose_values(levels, clip, amplification, dark_shading, (row.camera for row in chosen))
         self.layout = Layout.of(chosen)
         self.clips = clips_of(chosen)
         lone = [each.scene for each in self.clips if each.reference is None]

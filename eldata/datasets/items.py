@@ -20,15 +20,19 @@ from eldata.base.seeds import checked_epoch, checked_seed, item_generator
 from eldata.datasets.batches import Batch, Field, new_arrays, new_batch, reading_threads
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, check_choice
+from eldata.noise.dark_shading import DarkShading
+from eldata.protocols.protocol import Amplification
+from eldata.raw.levels import CLIP_RANGES, FRAME_LEVELS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
 
     from eldata.plots.axes import Drawing
-    from eldata.raw.levels import Clip
+    from eldata.raw.levels import Clip, FrameLevels
     from eldata.records import Sensor
     from eldata.sources.frames import Frame
 
@@ -260,6 +264,36 @@ class CroppedItems(ReadItems[Sample]):
         self._epoch = SharedNumber()
         self._starts: list[int] | None = None  # of a grid: the first item of each record, and their number
 
+    def _choose_values(
+        self,
+        levels: FrameLevels,
+        clip: Clip,
+        amplification: Amplification,
+        shading: DarkShading | Path | str | None,
+        cameras: Iterable[str],
+    ) -> None:
+        """Choose what becomes of DN: of inputs of these cameras, less a dark shading, which may be given as its file.
+
+        Raises
+        ------
+        ArgumentError
+            If a value is unknown (the message lists the known ones), or there is a shading and the inputs are of
+            several cameras.
+        ShadingError
+            If the shading's file cannot be read.
+        """
+        check_choice("levels", levels, FRAME_LEVELS)
+        check_choice("clip", clip, tuple(CLIP_RANGES))
+        check_choice("amplification", amplification, get_args(Amplification))
+        self.levels, self.clip, self.amplification = levels, clip, amplification
+        self.dark_shading = None if shading is None else DarkShading.of(shading)
+        several = list(dict.fromkeys(cameras))
+        if self.dark_shading is not None and len(several) > 1:
+            raise ArgumentError(
+                f"dark_shading is of one body, {self.dark_shading.camera}, and there are pairs or clips of "
+                f"{len(several)} cameras: {', '.join(several)}; choose one with cameras=[...]"
+            )
+
     @property
     def epoch(self) -> int:
         """The current epoch."""
@@ -315,3 +349,8 @@ class CroppedItems(ReadItems[Sample]):
         """Draw an item from (seed, epoch, index): what :meth:`drawn` returns."""
         index = checked_index(index, len(self))
         return self.drawn(index, item_generator(self.seed, self.epoch, index))
+
+
+def shading_text(shading: DarkShading | None) -> str:
+    """Return what a repr says of a dark shading; nothing if there is none."""
+    return "" if shading is None else f", dark_shading={shading.digest[:15]}"

@@ -79,7 +79,7 @@ def run(arguments: console.Arguments) -> int:
     for one in installed:
         print(one.format_text())
     presence = presence_of(found.folder, wanted)
-    differing = sum(len(one.unpacked.differing) for one in installed)
+    differing = sum(len(one.differing) for one in installed)
     data = {
         "dataset": manifest.name,
         "folder": str(found.folder),

@@ -31,6 +31,8 @@ from eldata.errors import ArchiveError, DownloadError, EldataError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    Outcome = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
+
 STAGING = ".eldata-unpacking"
 FORMATS = {
     b"PK\x03\x04": "zip",
@@ -53,18 +55,6 @@ class Member:
     name: str
     size_bytes: int
     fault: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Unpacked:
-    """What :func:`unpack_archive` did, as paths relative to the dataset's folder.
-
-    ``same_size`` were there already, and so were ``differing``, of another size or not files; all were left alone.
-    """
-
-    written: tuple[str, ...]
-    same_size: tuple[str, ...]
-    differing: tuple[str, ...]
 
 
 def read_members(path: Path) -> list[Member]:
@@ -133,7 +123,7 @@ def _name_damage(path: Path) -> Iterator[None]:
         raise ArchiveError(path, f"is damaged, or not of a kind that eldata unpacks ({said}); {cut_short}") from error
 
 
-def unpack_archive(path: Path, members: Iterable[Member], targets: Mapping[str, str], folder: Path) -> Unpacked:
+def unpack_archive(path: Path, members: Iterable[Member], targets: Mapping[str, str], folder: Path) -> Outcome:
     """Write an archive's files below ``folder``, without following links out of it and without replacing a file.
 
     Parameters
@@ -142,6 +132,12 @@ def unpack_archive(path: Path, members: Iterable[Member], targets: Mapping[str, 
         The archive and what :func:`read_members` tells of it.
     targets
         Where each member, by name, belongs, relative to ``folder``. Other members stay in the archive.
+
+    Returns
+    -------
+    tuple
+        What was written; what was there already, of the same size; and what was there with another size or is not a
+        file. Both of these were left alone.
 
     Raises
     ------
@@ -179,7 +175,8 @@ def unpack_archive(path: Path, members: Iterable[Member], targets: Mapping[str, 
         advice = "files unpacked before are whole, and the same command goes on"
         raise DownloadError(f"cannot unpack {path} into {folder}: {error.strerror or error}; {advice}") from error
     groups = (size_of.keys() - there, same, there - same)
-    return Unpacked(*(tuple(sorted(targets[name] for name in group)) for group in groups))
+    written, same_size, differing = (tuple(sorted(targets[name] for name in group)) for group in groups)
+    return written, same_size, differing
 
 
 def _extract(path: Path, names: Sequence[str], staging: Path, bar: tqdm[Any]) -> Iterator[tuple[str, Path]]:

@@ -96,7 +96,7 @@ def fetch_archive(download: Download, root: Path | str | None, downloader: Range
 
 @dataclass(frozen=True, slots=True)
 class RangeDownloader:
-    """A downloader for pooch, for large archives and bad connections.
+    """A downloader for pooch's registries and ``retrieve``, for large archives and bad connections.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class RangeDownloader:
         del pooch
         check_posix("fetching a file")
         part = Path(output_file).with_name(f"{archive_name(url)}.part")
-        note = part.with_name(f"{part.name}.json")
+        note = part.with_suffix(".part.json")
         session = requests.Session()
         session.max_redirects = 5
         if not self.plain_http:
@@ -134,7 +134,7 @@ class RangeDownloader:
             furthest, failures = file.tell(), 0
             while True:
                 try:
-                    self._fetch_rest(session, url, part, file, bar)
+                    self._fetch_rest(session, url, note, file, bar)
                     break
                 except (ValueError, requests.TooManyRedirects) as error:
                     reason = "is, or redirects to, an address that is not fetched (https alone, few redirects)"
@@ -153,12 +153,11 @@ class RangeDownloader:
             part.replace(output_file)
             note.unlink(missing_ok=True)
 
-    def _fetch_rest(self, session: requests.Session, url: str, part: Path, file: IO[bytes], bar: tqdm[Any]) -> None:
+    def _fetch_rest(self, session: requests.Session, url: str, note: Path, file: IO[bytes], bar: tqdm[Any]) -> None:
         """Ask for what is missing, once, and take no more than the server, or the card, says there is."""
         import requests
 
-        have, note = file.seek(0, os.SEEK_END), part.with_name(f"{part.name}.json")
-        mark, total = _read_note(note, url)
+        have, (mark, total) = file.seek(0, os.SEEK_END), _read_note(note, url)
         if not mark or have > total or self.size_bytes not in (None, total):
             have = 0
         if have and have == total:
@@ -172,9 +171,7 @@ class RangeDownloader:
                 # A server that ignores If-Range would append the new version's end to the old one's start.
                 if _mark_of(answer) not in ("", mark) or not re.fullmatch(rf"bytes {have}-\d+/{total}", sent):
                     note.unlink()
-                    raise requests.ConnectionError(
-                        "the server's file has changed, or it sends other bytes than asked for"
-                    )
+                    raise requests.ConnectionError("the server's file has changed, or it sends other bytes than asked")
             elif answer.status_code == 200:  # from the start, or it has no ranges, or another version by now
                 length = answer.headers.get("Content-Length", "")
                 if not length.isdecimal() or self.size_bytes not in (None, int(length)):
@@ -182,10 +179,12 @@ class RangeDownloader:
                     raise DownloadError(f"{url}: {expected}, the server says {length or 'nothing'}; {_BY_HAND}")
                 mark, total, have = _mark_of(answer), int(length), 0
             elif answer.status_code in _PASSING:
+                if answer.status_code in (206, 416):  # not a part that was asked for
+                    note.unlink(missing_ok=True)
                 raise requests.ConnectionError(f"the server answered {answer.status_code} {answer.reason}")
             else:
                 raise DownloadError(f"{url}: the server answered {answer.status_code} {answer.reason}; {_BY_HAND}")
-            check_room(part.parent, total - have, "still to come")
+            check_room(note.parent, total - have, "still to come")
             bar.total, bar.n = total, have
             for piece in answer.iter_content(_PIECE_BYTES):
                 if have == 0:  # not earlier: a hotel's login page must not cost the gigabytes that have arrived
@@ -214,6 +213,5 @@ def _read_note(path: Path, address: str) -> tuple[str, int]:
 def _mark_of(answer: requests.Response) -> str:
     """Return what tells this version of the file from others, in the form for If-Range."""
     etag: str = answer.headers.get("ETag", "")
-    if etag and not etag.startswith("W/"):  # a weak one may stay when bytes change
-        return etag
-    return answer.headers.get("Last-Modified", "")
+    # A weak one may stay when bytes change.
+    return etag if etag and not etag.startswith("W/") else answer.headers.get("Last-Modified", "")

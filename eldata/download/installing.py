@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
-from eldata.download.archives import Unpacked, read_members, unpack_archive
+from eldata.download.archives import read_members, unpack_archive
 from eldata.download.fetching import RangeDownloader, archive_name, fetch_archive
 from eldata.errors import ArchiveError
 from eldata.manifest.patterns import is_pattern
@@ -16,19 +16,24 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
     from pathlib import Path
 
+    _Ends = dict[str, dict[str, set[str]]]
+
     from eldata.manifest.card import Download
     from eldata.manifest.catalogue import Manifest
 
 
 @dataclass(frozen=True, slots=True)
 class Installed:
-    """What was unpacked from one archive.
+    """What was unpacked from one archive, as paths relative to the dataset's folder.
 
-    ``files_listed`` of its files are in the manifest; ``left`` are its members beside the dataset's folder.
+    ``same_size`` were there already, and so were ``differing``, of another size or not files; all were left alone.
+    ``files_listed`` of the archive's files are in the manifest; ``left`` are its members beside the dataset's folder.
     """
 
     archive: Path
-    unpacked: Unpacked
+    written: tuple[str, ...]
+    same_size: tuple[str, ...]
+    differing: tuple[str, ...]
     files_listed: int
     left: tuple[str, ...]
 
@@ -38,11 +43,10 @@ class Installed:
 
     def format_text(self) -> str:
         """Return it as text."""
-        done = self.unpacked
-        lines = [f"    left alone, differs in size from the archive's: {path}" for path in done.differing]
+        lines = [f"    left alone, differs in size from the archive's: {path}" for path in self.differing]
         lines.append(
-            f"{self.archive.name}: {len(done.written)} files unpacked, {len(done.same_size)} were there already"
-            + (f", {len(done.differing)} differ and were left alone" if done.differing else "")
+            f"{self.archive.name}: {len(self.written)} files unpacked, {len(self.same_size)} were there already"
+            + (f", {len(self.differing)} differ and were left alone" if self.differing else "")
             + f"; {self.files_listed} of its files are listed in the manifest"
             + (f"; {len(self.left)} files beside the dataset's folder stay in it" if self.left else "")
         )
@@ -68,9 +72,9 @@ def unpack_dataset(archive_path: Path, manifest: Manifest, folder: Path) -> Inst
     below = next((one.below for one in downloads if archive_name(one.address) == archive_path.name), None)
     relocation = find_relocation(archive_path, names, listed, below)
     targets = {name: target for name in names if (target := relocation.target(name)) is not None}
-    unpacked = unpack_archive(archive_path, members, targets, folder)
+    outcome = unpack_archive(archive_path, members, targets, folder)
     left = tuple(sorted(set(names) - set(targets)))
-    return Installed(archive_path, unpacked, count_listed(targets.values(), listed), left)
+    return Installed(archive_path, *outcome, count_listed(targets.values(), listed), left)
 
 
 def fetch_dataset(
@@ -119,11 +123,11 @@ def find_relocation(
     ArchiveError
         If no file is listed, or the files fit in several ways.
     """
-    ends = _Ends(listed)
+    ends = _index_ends(listed)
     votes: Counter[Relocation] = Counter()
     unclear: list[str] = []
     for name in names:
-        inside, above = ends.of(name)
+        inside, above = _find_end(ends, name)
         if len(above) == 1:
             votes[Relocation(inside, next(iter(above)))] += 1
         elif above:
@@ -147,32 +151,28 @@ def find_relocation(
 
 def count_listed(paths: Iterable[str], listed: Iterable[str]) -> int:
     """Return how many paths a manifest lists, by name or by pattern."""
-    ends = _Ends(tuple(listed))
-    return sum("" in ends.of(path)[1] for path in paths)
+    ends = _index_ends(listed)
+    return sum("" in _find_end(ends, path)[1] for path in paths)
 
 
-class _Ends:
-    """The ends of listed paths, such as ``short/00001_00_0.1s.ARW``, and what lies above each."""
+def _index_ends(listed: Iterable[str]) -> _Ends:
+    """Return the ends of listed paths, such as ``short/00001_00_0.1s.ARW``: folder, then file, then what lies above."""
+    ends: _Ends = {}
+    for path in listed:
+        *folders, file = path.split("/")
+        for start in range(len(folders) + (not is_pattern(file))):  # *.png without a folder says nothing
+            held = ends.setdefault("/".join(folders[start:]), {})
+            held.setdefault(file, set()).add("/".join(folders[:start]))
+    return ends
 
-    def __init__(self, listed: Collection[str]) -> None:
-        # End of the folder: name of the file, or pattern: what lies above.
-        self._names: dict[str, dict[str, set[str]]] = {}
-        self._patterns: dict[str, dict[str, set[str]]] = {}
-        for path in listed:
-            *folders, file = path.split("/")
-            of_kind = self._patterns if is_pattern(file) else self._names
-            for start in range(len(folders) + (of_kind is self._names)):  # *.png without a folder says nothing
-                ends = of_kind.setdefault("/".join(folders[start:]), {})
-                ends.setdefault(file, set()).add("/".join(folders[:start]))
 
-    def of(self, name: str) -> tuple[str, set[str]]:
-        """Return what lies above a member in the archive, and what above its listed namesakes in the dataset."""
-        *folders, file = name.split("/")
-        for start in range(len(folders) + 1):  # the longest end that is listed says most
-            folder = "/".join(folders[start:])
-            names, patterns = self._names.get(folder), self._patterns.get(folder, {})
-            fitting = (found for listed, found in patterns.items() if fnmatchcase(file, listed))
-            above = (names or {}).get(file) or next(fitting, set())
-            if above or (start < len(folders) and (names or patterns)):  # an unlisted file of a listed folder
-                return "/".join(folders[:start]), above
-        return "", set()
+def _find_end(ends: _Ends, name: str) -> tuple[str, set[str]]:
+    """Return what lies above a member in the archive, and what above its listed namesakes in the dataset."""
+    *folders, file = name.split("/")
+    for start in range(len(folders) + 1):  # the longest end that is listed says most
+        held = ends.get("/".join(folders[start:]), {})
+        fitting = (above for listed, above in held.items() if is_pattern(listed) and fnmatchcase(file, listed))
+        above = held.get(file) or next(fitting, set())
+        if above or (start < len(folders) and held):  # an unlisted file of a listed folder
+            return "/".join(folders[:start]), above
+    return "", set()

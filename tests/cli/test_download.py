@@ -186,7 +186,7 @@ def test_files_that_differ_are_listed(eldata: Cli, small: server.Site, data: Pat
     assert "some differ from the archive; move those away" in outcome.out
     assert (data / "SID" / name).read_bytes() == b"mine"
     report = json.loads((tmp_path / "x.json").read_text())
-    assert report["archives"][0]["unpacked"]["differing"] == [name]
+    assert report["archives"][0]["differing"] == [name]
     assert report["presence"]["complete"] is True
     assert report["folder"] == "data/SID"
 

@@ -22,7 +22,7 @@ import pytest
 
 from eldata.cli.main import main
 from eldata.download import archives
-from eldata.download.archives import STAGING, Unpacked, read_members, unpack_archive
+from eldata.download.archives import STAGING, read_members, unpack_archive
 from eldata.errors import ArchiveError, DownloadError, EldataError, ManifestError
 from tests.cases import in_one_test
 from tests.download.helpers import contents, noise, sevenzipped, tree, zipped
@@ -32,6 +32,8 @@ from tests.waiting import PATIENCE_S, until
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from eldata.download.archives import Outcome
 
 FILES = contents()
 NAMES = tuple(sorted(FILES))
@@ -64,7 +66,7 @@ def save(tmp_path: Path, content: bytes) -> Path:
     return path
 
 
-def unpack(path: Path, folder: Path) -> Unpacked:
+def unpack(path: Path, folder: Path) -> Outcome:
     members = read_members(path)
     return unpack_archive(path, members, {member.name: member.name for member in members}, folder)
 
@@ -88,10 +90,10 @@ def refused(path: Path, *words: str) -> None:
 def test_unpacked_once_and_then_there(name: str, tmp_path: Path) -> None:
     path = save(tmp_path, PACKERS[name](FILES | {"Sony/empty": b""}))
     names = tuple(sorted([*NAMES, "Sony/empty"]))
-    assert unpack(path, tmp_path / "SID") == Unpacked(names, (), ())
+    assert unpack(path, tmp_path / "SID") == (names, (), ())
     assert tree(tmp_path / "SID") == FILES | {"Sony/empty": b""}
     assert sorted(path.name for path in (tmp_path / "SID").iterdir()) == ["Sony"]
-    assert unpack(path, tmp_path / "SID") == Unpacked((), names, ())
+    assert unpack(path, tmp_path / "SID") == ((), names, ())
 
 
 def test_folders_are_no_files(tmp_path: Path) -> None:
@@ -99,7 +101,7 @@ def test_folders_are_no_files(tmp_path: Path) -> None:
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.mkdir("Sony")
         archive.writestr("Sony/a", b"a")
-    assert unpack(save(tmp_path, buffer.getvalue()), tmp_path / "SID").written == ("Sony/a",)
+    assert unpack(save(tmp_path, buffer.getvalue()), tmp_path / "SID")[0] == ("Sony/a",)
 
 
 def test_members_are_on_the_disk_before_they_get_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,7 +122,7 @@ def test_what_differs_is_left_alone(change: str, tmp_path: Path) -> None:
     else:
         place.write_bytes(FILES[NAMES[2]][:-1])
     before = tree(tmp_path / "SID")
-    assert unpack(path, tmp_path / "SID") == Unpacked(NAMES[:2] + NAMES[3:], (), (NAMES[2],))
+    assert unpack(path, tmp_path / "SID") == (NAMES[:2] + NAMES[3:], (), (NAMES[2],))
     after = tree(tmp_path / "SID")
     assert {path: after[path] for path in before} == before
     assert place.is_symlink() == (change == "link")
@@ -175,7 +177,7 @@ def test_too_little_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert tree(tmp_path / "SID") == {}
     (tmp_path / "SID" / "Sony" / "long").mkdir(parents=True)
     (tmp_path / "SID" / NAMES[0]).write_bytes(FILES[NAMES[0]])
-    assert unpack(path, tmp_path / "SID").same_size == NAMES[:1]  # what is there needs no room
+    assert unpack(path, tmp_path / "SID")[1] == NAMES[:1]  # what is there needs no room
 
 
 @pytest.mark.parametrize("name", ["zip", "7z"])
@@ -242,7 +244,7 @@ def test_a_killed_run_is_gone_on_with(sent: signal.Signals, name: str, tmp_path:
     assert left.items() < FILES.items()
     assert (folder / STAGING).is_dir()
     again = unpack(path, folder)
-    assert (len(again.written), len(again.same_size), again.differing) == (4, 2, ())
+    assert tuple(map(len, again)) == (4, 2, 0)
     assert tree(folder) == FILES
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
-    add_shared(parser, run, "root", "jobs", json="blocks")
+    add_shared(parser, run, "root", "jobs", json=True)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, show_and_write
-from eldata.base.outputs import add_output, page_kind
+from eldata.base.outputs import add_output
 
 if TYPE_CHECKING:
     import argparse
@@ -31,15 +31,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="only this scene, by name or number, and no calibration frames; may be repeated",
     )
     add_cameras(parser)
-    add_output(
-        parser, "--sheet", kind=page_kind("sheet"), help="write a contact sheet, an HTML page that needs no network"
-    )
+    add_output(parser, "--sheet", help="write a contact sheet, an HTML page that needs no network")
     parser.add_argument(
         "--write",
         action="store_true",
         help='write the measured ratio and shift of each pair into the manifest, for amplification="measured"',
     )
-    add_shared(parser, run, "root", "jobs", json="dataset ok groups")
+    add_shared(parser, run, "root", "jobs", json=True)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -16,7 +16,7 @@ from functools import partial
 
 from eldata.base import console
 from eldata.base.files import write_json
-from eldata.base.outputs import CROISSANT, add_output, json_kind
+from eldata.base.outputs import add_output
 from eldata.errors import ArgumentError, EldataError
 
 
@@ -26,12 +26,11 @@ def add_options(parser: console.Parser) -> None:
     add_output(
         parser,
         "--croissant",
-        kind=CROISSANT,
         nargs="?",
         const="",
         help="describe DATASET, or the set of a manifest's CSV file, in Croissant 1.1 (JSON-LD): in FILE, or printed",
     )
-    console.add_shared(parser, run, "root", json=json_kind("datasets", begins=rb'\{\n  "datasets"'))
+    console.add_shared(parser, run, "root", json=True)
 
 
 def run(arguments: console.Arguments) -> int:

@@ -16,7 +16,6 @@ from tests.shared import made_once
 from tests.syncing import not_synced
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Iterator
     from pathlib import Path
 
@@ -124,21 +123,3 @@ def commands_work_in_this_process() -> Iterator[None]:
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages with empty pictures: drawing them takes two seconds an ISO, and what they show tests/reports looks at."""
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, file, **__: file.write(b"<svg/>"))
-
-
-@pytest.fixture(autouse=True)
-def what_commands_write_is_of_their_kind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of every command that a test runs in this process: the same command may replace each file that it wrote."""
-    from eldata.base import console
-    from eldata.base.outputs import NEW
-
-    run = console._parsed_and_run
-
-    def run_and_look(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: argparse.Namespace) -> int:
-        code = run(parser, argv, arguments)
-        for action, option, name in arguments.outputs.values() if code in (console.OK, console.PROBLEMS) else ():
-            for path, kind in action.files(name) if name else ():  # without one it was printed
-                assert kind is NEW or kind.problem(path) is None, f"{arguments.command} {option}: {kind.problem(path)}"
-        return code
-
-    monkeypatch.setattr(console, "_parsed_and_run", run_and_look)

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, add_shared, show_and_write
-from eldata.base.outputs import NEW, add_output
+from eldata.base.outputs import add_output
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     parser.add_argument("camera", metavar="CAMERA", nargs="?", help="a camera description (JSON)")
-    add_output(parser, "--example", kind=NEW, help="write an example description to FILE, which must be new")
-    add_shared(parser, run, json="name models shutter times")
+    add_output(parser, "--example", help="write an example description to FILE")
+    add_shared(parser, run, json=True)
 
 
 def run(arguments: argparse.Namespace) -> int:

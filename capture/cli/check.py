@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, show_and_write
-from eldata.base.outputs import add_output, page_kind
+from eldata.base.outputs import add_output
 
 if TYPE_CHECKING:
     import argparse
@@ -30,10 +30,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="only this scene, by name or number, and no calibration frames; may be repeated",
     )
     add_cameras(parser)
-    add_output(
-        parser, "--sheet", kind=page_kind("sheet"), help="write a contact sheet, an HTML page that needs no network"
-    )
-    add_shared(parser, run, "root", "jobs", json="dataset ok groups")
+    add_output(parser, "--sheet", help="write a contact sheet, an HTML page that needs no network")
+    add_shared(parser, run, "root", "jobs", json=True)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -14,26 +14,21 @@ from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, add_shared, show_and_write
 from eldata.base.files import write_text
-from eldata.base.outputs import FileKind, add_output
+from eldata.base.outputs import add_output
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import argparse
 
-_CHECKLIST = FileKind(
-    rb'(# )?Capture checklist: |\s*<!DOCTYPE html>.*?<meta name="generator" content="eldata checklist">'
-)
 _FORMATS = ("html", "md", "txt")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     parser.add_argument("plan", metavar="PLAN", help="a plan (capture plan)")
-    add_output(
-        parser, "-o", "--output", kind=_CHECKLIST, help="write it to FILE; without, md and txt go to the terminal"
-    )
+    add_output(parser, "-o", "--output", help="write it to FILE; without, md and txt go to the terminal")
     parser.add_argument("--format", choices=_FORMATS, help="default: by the suffix of FILE; without FILE txt")
-    add_shared(parser, run, json="file format plan frames")
+    add_shared(parser, run, json=True)
 
 
 def run(arguments: argparse.Namespace) -> int:

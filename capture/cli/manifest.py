@@ -25,7 +25,7 @@ from capture.observed import ORDERS
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import encoded, write_json
 from eldata.base.numbers import counted
-from eldata.base.outputs import CARD, FileKind, add_output
+from eldata.base.outputs import add_output
 from eldata.base.visible import in_line
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
@@ -45,8 +45,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         parser,
         "-o",
         "--output",
-        kind=FileKind(rb"path,role,camera,"),
-        beside={".json": CARD},
+        beside=[".json"],
         makes_folder=True,
         type=_table_name,
         required=True,
@@ -78,7 +77,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="join the set that this manifest lists: another card, night or camera; with --copy-to or --link-to",
     )
-    add_shared(parser, run, "jobs", json="schema shots unused")
+    add_shared(parser, run, "jobs", json=True)
 
 
 def _table_name(text: str) -> str:

@@ -30,7 +30,7 @@ from capture.cli.values import (
 )
 from capture.protocol import COUNTS, PROTOCOLS, CaptureProtocol
 from eldata.base.console import OK, add_shared, show_and_write, whole_number
-from eldata.base.outputs import NEW, add_output, json_kind
+from eldata.base.outputs import add_output
 from eldata.base.tables import text_table
 from eldata.errors import ArgumentError
 
@@ -122,8 +122,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default=None,
         help="bias and dark frames a second time, with the sensor warm from the shooting; the first come before it",
     )
-    add_output(parser, "-o", "--output", kind=NEW, help="the new plan's file; with PLAN: write the changes there")
-    add_shared(parser, run, json=json_kind("schema camera protocol", begins=rb'\{\n  "'))
+    add_output(parser, "-o", "--output", help="the new plan's file; with PLAN: write the changes there")
+    add_shared(parser, run, json=True)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -44,7 +44,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_numbers(parser, "--isos", "ISO", f"ISOs of the noisy frames (default: {spaced(isos)})", isos)
     add_numbers(parser, "--factors", "FACTOR", f"low-light factors (default: {spaced(factors)})", factors)
     add_alike(parser)
-    add_shared(parser, run, json="base_iso metered_s frames")
+    add_shared(parser, run, json=True)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -22,7 +22,7 @@ from capture.plan import CALIBRATION, Plan
 from capture.shots import WRITE_S, minutes
 from eldata.base.console import OK, add_shared
 from eldata.base.files import write_text
-from eldata.base.outputs import FileKind, add_output
+from eldata.base.outputs import add_output
 from eldata.base.tables import one_line
 
 if TYPE_CHECKING:
@@ -33,15 +33,12 @@ if TYPE_CHECKING:
     from capture.shutter import ShutterTime
 
 _NEXT_LINE = "\n    "
-_SCRIPT = FileKind(rb"#!/bin/sh\n# [^\n]*\n# Written by capture script")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     parser.add_argument("plan", metavar="PLAN", help="the plan (capture plan)")
-    add_output(
-        parser, "-o", "--output", kind=_SCRIPT, required=True, help="the script; frames go into folders beside it"
-    )
+    add_output(parser, "-o", "--output", required=True, help="the script; frames go into folders beside it")
     add_only(parser)
     add_shared(parser, run)
 

@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import traceback
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from importlib import import_module
 from inspect import cleandoc
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias
@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias
 from eldata import __version__
 from eldata.base.files import write_json
 from eldata.base.numbers import whole_of
-from eldata.base.outputs import NEW, FileKind, add_output, check_outputs, json_kind
-from eldata.base.visible import visible, visible_output
+from eldata.base.outputs import add_output, check_outputs
+from eldata.base.visible import Screen, visible
 from eldata.errors import ArgumentError, EldataError, nearest
 
 if TYPE_CHECKING:
@@ -245,16 +245,14 @@ def running_options() -> dict[str, dict[str, Any]]:
     }
 
 
-def _add_running(
-    container: argparse._ActionsContainer, names: Iterable[str], kind: FileKind | None, *, shown: bool
-) -> None:
+def _add_running(container: argparse._ActionsContainer, names: Iterable[str], *, shown: bool) -> None:
     workers = container.add_mutually_exclusive_group() if "jobs" in names else container  # one without any is an error
     for name, shown_as in running_options().items():
         if name not in names:
             continue
         options = shown_as if shown else shown_as | {"help": argparse.SUPPRESS}
         if name == "json":
-            add_output(container, "--json", kind=kind or NEW, **options)
+            add_output(container, "--json", **options)
         else:
             (workers if name in ("jobs", "dask") else container).add_argument(f"--{name}", **options)
 
@@ -279,21 +277,20 @@ def add_shared(
     parser: argparse.ArgumentParser,
     run: Callable[[Arguments], int],
     *options: Literal["root", "cameras", "isos", "jobs", "workers"],
-    json: str | FileKind | None = None,
+    json: bool = False,
     interrupted: str = "files are written whole or not at all, so none is left half",
 ) -> None:
     """Finish a subcommand: say which of the options that commands share it takes, and what :func:`run` is to call.
 
     ``"workers"`` are ``--jobs`` and ``--dask``; ``--debug`` is for all. ``interrupted`` says what Ctrl-C leaves;
-    ``{name}`` in it is the value of that argument. ``json`` is for ``--json``: the fields of what it writes, or its
-    kind.
+    ``{name}`` in it is the value of that argument. ``json``: whether it takes ``--json``.
     """
     if "cameras" in options:
         add_cameras(parser)
     if "isos" in options:
         add_camera_and_isos(parser)
     names = [name for option in options for name in _BRINGS.get(option, ())]
-    names += ["debug"] if json is None else ["json", "debug"]
+    names += ["json", "debug"] if json else ["debug"]
     forms = (f"--{name} {one.get('metavar', '')}".rstrip() for name, one in running_options().items() if name in names)
     parser.add_argument_group("running", f"{', '.join(forms)}: see {parser.prog.partition(' ')[0]} --help")
     parser.set_defaults(
@@ -303,7 +300,7 @@ def add_shared(
         actions=parser._actions,  # noqa: SLF001 # which of them name files that the subcommand reads
     )
     # They are shown once, in the program's help.
-    _add_running(parser, names, json_kind(json) if isinstance(json, str) else json, shown=False)
+    _add_running(parser, names, shown=False)
 
 
 def command_line(
@@ -322,7 +319,7 @@ def command_line(
     parser.add_argument("--version", action="version", version=f"{prog} {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     where = "before a command's name or after it; a command's help names those that it takes"
-    _add_running(parser.add_argument_group("running", where), running, None, shown=True)
+    _add_running(parser.add_argument_group("running", where), running, shown=True)
     for module in modules:
         add_module(commands, import_module(f"{package}.{module}"))
     return parser
@@ -347,7 +344,9 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     """
     _occupy_closed_streams()
     arguments = argparse.Namespace(debug=False, command=parser.prog, interrupted="nothing was begun", outputs={})
-    with visible_output():
+    out: Any = Screen(sys.stdout)
+    err: Any = Screen(sys.stderr, has_bars=True)
+    with redirect_stdout(out), redirect_stderr(err):
         try:
             with _terminable():
                 code = _parsed_and_run(parser, argv, arguments)
@@ -412,9 +411,9 @@ def _explained(error: BaseException, arguments: Arguments) -> tuple[int, str]:
         _drop_output()
         return CLOSED_PIPE, ""
     if isinstance(error, OSError) and error.filename is not None:
-        _drop_output()
         return UNUSABLE, f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.strerror:
+        _drop_output()
         return UNUSABLE, f"the system refused a step of this: {error.strerror}; --debug shows which"
     if isinstance(error, ImportError):
         return UNUSABLE, f"a library does not load ({error}): install eldata again, in a fresh environment"

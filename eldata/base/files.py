@@ -102,14 +102,6 @@ def folder_problem(folder: Path) -> str | None:
     return "is a file, not a folder" if folder.exists() else "there is no such folder"
 
 
-def current_folder() -> str | None:
-    """Return where relative paths start; ``None`` if that folder was removed."""
-    try:
-        return str(Path.cwd())
-    except OSError:
-        return None
-
-
 def write_problem(path: Path) -> str | None:
     """Return why :func:`atomic_write` cannot write a file, or ``None``; nothing is made, opened or changed.
 

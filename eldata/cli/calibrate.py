@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base import console
 from eldata.base.numbers import counted, number_of, whole_of
-from eldata.base.outputs import PROFILE, FileKind, add_output, json_kind, page_kind
+from eldata.base.outputs import add_output
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError
 
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.manifest.verify_report import Problem
-
-_SHADING = FileKind(rb"PK\x03\x04.{26}about\.npy")  # the first of its arrays
 
 
 def add_options(parser: console.Parser) -> None:
@@ -42,12 +40,11 @@ def add_options(parser: console.Parser) -> None:
             "of a set"
         ),
     )
-    add_output(parser, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)")
-    add_output(parser, "--html", kind=page_kind("calibration"), help="write a report with plots to FILE")
+    add_output(parser, "-o", "--output", help="write the camera profile to FILE (JSON)")
+    add_output(parser, "--html", help="write a report with plots to FILE")
     add_output(
         parser,
         "--dark-shading",
-        kind=_SHADING,
         help=(
             "write what the sensor shows of itself in the dark to FILE (.npz): a line over ISO in each pixel, and the "
             "black level error of each ISO. Reads the bias frames once more"
@@ -104,7 +101,7 @@ def add_options(parser: console.Parser) -> None:
             "column noise, bands, telegraph pixels, PRNU. The profile is then of schema 3"
         ),
     )
-    console.add_shared(parser, run, "isos", "root", "workers", json=json_kind("camera isos gains", "camera problems"))
+    console.add_shared(parser, run, "isos", "root", "workers", json=True)
 
 
 def _stated_gain(text: str) -> tuple[int, float] | str:

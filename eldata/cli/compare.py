@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.outputs import COMPARISON_DATA, COMPARISON_PAGE, add_output
+from eldata.base.outputs import add_output
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
 
@@ -40,9 +40,7 @@ def add_options(parser: console.Parser) -> None:
     )
     parser.add_argument("--protocol", metavar="P", help="which protocol's results, of files that hold several")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
-    add_output(
-        parser, "--html", kind=COMPARISON_PAGE, help="write a page with plots and the biggest differences to FILE"
-    )
+    add_output(parser, "--html", help="write a page with plots and the biggest differences to FILE")
     parser.add_argument(
         "--pictures",
         choices=("parts", "whole"),
@@ -68,7 +66,7 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument(
         "--dark-shading", metavar="FILE", help="with --pictures: the dark shading that the results state, if any"
     )
-    console.add_shared(parser, run, "root", "jobs", json=COMPARISON_DATA)
+    console.add_shared(parser, run, "root", "jobs", json=True)
 
 
 def run(arguments: console.Arguments) -> int:

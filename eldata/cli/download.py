@@ -52,7 +52,7 @@ def add_options(parser: console.Parser) -> None:
         help="only this archive of a dataset that comes in several; may be repeated",
     )
     kept = "what has arrived is kept, and the same command goes on from there"
-    console.add_shared(parser, run, "root", json="dataset folder presence archives", interrupted=kept)
+    console.add_shared(parser, run, "root", json=True, interrupted=kept)
 
 
 def run(arguments: console.Arguments) -> int:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, cast
 
 from eldata.base import console
 from eldata.base.files import write_json
-from eldata.base.outputs import RESULT, SCORES, add_output, page_kind
+from eldata.base.outputs import add_output
 from eldata.base.tables import FORMATS
 from eldata.cli.baseline import add_excluded, add_pairs, add_set
 from eldata.errors import ArgumentError
@@ -102,11 +102,9 @@ def add_options(parser: console.Parser) -> None:
         help="refuse predictions that show a mistake, such as channels in another order, a shift, or a wrong level; "
         "without it, a line says so",
     )
-    add_output(parser, "--csv", kind=SCORES, help="write the score of each image to FILE")
+    add_output(parser, "--csv", help="write the score of each image to FILE")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the table (default: text)")
-    add_output(
-        parser, "--html", kind=page_kind("evaluation"), help="write a page with plots, pictures and intervals to FILE"
-    )
+    add_output(parser, "--html", help="write a page with plots, pictures and intervals to FILE")
     parser.add_argument(
         "-o",
         "--output",
@@ -136,7 +134,7 @@ def add_options(parser: console.Parser) -> None:
         "make of it: of FRAME, its path or name in the CSV (default: of the one with the lowest PSNR). The page of "
         "--html shows it of the worst and the median, too",
     )
-    console.add_shared(parser, run, "root", "workers", json=RESULT)
+    console.add_shared(parser, run, "root", "workers", json=True)
 
 
 def run(arguments: console.Arguments) -> int:

@@ -14,14 +14,13 @@ import sys
 from functools import partial
 
 from eldata.base import console
-from eldata.base.outputs import json_kind
 from eldata.errors import EldataError
 
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
     parser.add_argument("dataset", metavar="DATASET", nargs="?", help="a dataset's name, such as eld")
-    console.add_shared(parser, run, "root", json=json_kind("datasets", begins=rb'\{\n  "datasets"'))
+    console.add_shared(parser, run, "root", json=True)
 
 
 def run(arguments: console.Arguments) -> int:

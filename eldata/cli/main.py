@@ -14,7 +14,7 @@ _COMMANDS = (
     *("demo", "info", "download", "manifest", "verify", "lock"),
     *("baseline", "predict", "protocols", "evaluate", "compare", "reproduce"),
     *("calibrate", "synthesize", "profile", "noise"),
-    *("pack", "completion"),
+    "pack",
 )
 
 _FIRST = ("eldata demo", "eldata info eld", "eldata evaluate preds --dataset eld --root data")

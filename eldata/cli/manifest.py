@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base import console
 from eldata.base.numbers import counted
-from eldata.base.outputs import NEW, add_output, json_kind
+from eldata.base.outputs import add_output
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -30,8 +30,7 @@ def add_options(parser: console.Parser) -> None:
         parser,
         "-o",
         "--output",
-        kind=NEW,
-        beside={".json": NEW},
+        beside=[".json"],
         required=True,
         metavar="CSV",
         help="the new manifest, such as mine.csv; its card, mine.json, lies beside it",
@@ -46,7 +45,7 @@ def add_options(parser: console.Parser) -> None:
         metavar="PATTERN",
         help="where a scene's name stands in all paths, such as '*/{scene}_*' (default: a scene is a folder)",
     )
-    console.add_shared(parser, run, "workers", json=json_kind("card frames problems"))
+    console.add_shared(parser, run, "workers", json=True)
 
 
 def run(arguments: console.Arguments) -> int:
@@ -57,6 +56,9 @@ def run(arguments: console.Arguments) -> int:
     output, folder = Path(arguments.output), Path(arguments.folder).absolute()
     if output.suffix != ".csv":
         raise ArgumentError(f"-o takes a name that ends in .csv, found {arguments.output}")
+    for path in (output, output.with_suffix(".json")):
+        if path.exists():  # people fill in the card
+            raise ArgumentError(f"{path} is there already: give another name, or remove it")
     with console.chosen_workers(arguments) as workers:
         found = sort_own_set(folder, output.stem, reference=arguments.reference, scene=arguments.scene, workers=workers)
     if not found.problems:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base import console
 from eldata.base.numbers import counted
-from eldata.base.outputs import add_output, page_kind
+from eldata.base.outputs import add_output
 from eldata.cli.baseline import add_another_camera
 
 if TYPE_CHECKING:
@@ -52,8 +52,8 @@ def add_options(parser: console.Parser) -> None:
         "--seed", type=console.whole_number(0), default=0, metavar="S", help="seed of the model (default: %(default)s)"
     )
     add_another_camera(check, "frames of another camera")
-    add_output(check, "--html", kind=page_kind("acceptance"), help="write a page with plots to FILE")
-    console.add_shared(check, run_check, "isos", "workers", json="camera isos limit_standard_errors model")
+    add_output(check, "--html", help="write a page with plots to FILE")
+    console.add_shared(check, run_check, "isos", "workers", json=True)
 
 
 def add_components(parser: argparse.ArgumentParser, *, dark_frames: str, dark_shading: str) -> None:

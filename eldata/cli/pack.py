@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from eldata.base import console
 from eldata.base.files import folder_problem
 from eldata.base.numbers import counted
-from eldata.base.outputs import NEW, add_output
+from eldata.base.outputs import add_output
 from eldata.cli.baseline import add_part
 from eldata.errors import ArgumentError
 
@@ -34,7 +34,7 @@ def add_options(parser: console.Parser) -> None:
         metavar="DATASET",
         help="a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), or a folder of clean raws",
     )
-    add_output(parser, "-o", "--output", kind=NEW, metavar="STORE", required=True, help="a new file, such as store.h5")
+    add_output(parser, "-o", "--output", metavar="STORE", required=True, help="a new file, such as store.h5")
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
     add_part(parser)
     parser.add_argument("--clip", action="append", dest="ids", metavar="ID", help="only this clip; may be repeated")

@@ -12,7 +12,7 @@ import shlex
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.outputs import PROFILE, FileKind, add_output, page_kind
+from eldata.base.outputs import add_output
 
 if TYPE_CHECKING:
     from eldata.noise.profile import CameraProfile
@@ -39,11 +39,11 @@ def add_options(parser: console.Parser) -> None:
         metavar="S",
         help="seed of all randomness (default: %(default)s)",
     )
-    add_output(show, "--html", kind=page_kind("profile"), help="write a page with plots to FILE")
-    console.add_shared(show, run_show, json="camera profile model comparisons")
+    add_output(show, "--html", help="write a page with plots to FILE")
+    console.add_shared(show, run_show, json=True)
     estimate = console.add_command(subcommands, "estimate", run_estimate.__doc__)
     estimate.add_argument("image", metavar="IMAGE", help="a raw file as the camera wrote it")
-    add_output(estimate, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)")
+    add_output(estimate, "-o", "--output", help="write the camera profile to FILE (JSON)")
     estimate.add_argument(
         "--from",
         dest="source",
@@ -51,10 +51,10 @@ def add_options(parser: console.Parser) -> None:
         default="auto",
         help="take the file's NoiseProfile, or the pixels (default: the former where there is one)",
     )
-    console.add_shared(estimate, run_estimate, json="path source problems remarks")
+    console.add_shared(estimate, run_estimate, json=True)
     importing = console.add_command(subcommands, "import", run_import.__doc__)
     importing.add_argument("file", metavar="FILE", help="the parameters, JSON")
-    add_output(importing, "-o", "--output", kind=PROFILE, help="write the camera profile to FILE (JSON)", required=True)
+    add_output(importing, "-o", "--output", help="write the camera profile to FILE (JSON)", required=True)
     importing.add_argument("--camera", metavar="NAME", help="the camera's name (default: the file's, less _params)")
     importing.add_argument(
         "--calibration",
@@ -63,7 +63,7 @@ def add_options(parser: console.Parser) -> None:
     )
     console.add_shared(importing, run_import)
     listing = console.add_command(subcommands, "list", run_list.__doc__)
-    console.add_shared(listing, run_list, json=FileKind(rb'\[\s*\{\s*"profile":'))
+    console.add_shared(listing, run_list, json=True)
 
 
 def run_show(arguments: console.Arguments) -> int:

@@ -32,7 +32,7 @@ def add_options(parser: console.Parser) -> None:
         ),
     )
     parser.add_argument("--dataset", metavar="N", help="only those for this dataset")
-    console.add_shared(parser, run, json="protocols")
+    console.add_shared(parser, run, json=True)
 
 
 def run(arguments: console.Arguments) -> int:

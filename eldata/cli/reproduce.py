@@ -11,9 +11,6 @@ versions, manifest, protocol. Exit code 1 if a value differs.
 from __future__ import annotations
 
 from eldata.base import console
-from eldata.base.outputs import json_kind
-
-_KIND = json_kind("results", begins=rb'\{\n  "results": \[\n    \{\n      "source"')  # those of evaluate have no source
 
 
 def add_options(parser: console.Parser) -> None:
@@ -28,7 +25,7 @@ def add_options(parser: console.Parser) -> None:
         "--task", metavar="MODULE:NAME", help="the task of the result, if it is not the function that the result names"
     )
     parser.add_argument("--store", metavar="FILE", help="take the dataset's frames from this store (eldata pack)")
-    console.add_shared(parser, run, "root", "workers", json=_KIND)
+    console.add_shared(parser, run, "root", "workers", json=True)
 
 
 def run(arguments: console.Arguments) -> int:

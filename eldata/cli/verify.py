@@ -17,7 +17,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.outputs import json_kind
 from eldata.errors import ArgumentError
 from eldata.manifest.verify import verify
 from eldata.manifest.verify_report import LEVELS
@@ -40,7 +39,7 @@ def add_options(parser: console.Parser) -> None:
     )
     console.add_cameras(parser)
     parser.add_argument("--level", choices=LEVELS, default="quick", help="how deep to look (default: %(default)s)")
-    console.add_shared(parser, run, "root", "workers", json=json_kind("level ok datasets"))
+    console.add_shared(parser, run, "root", "workers", json=True)
 
 
 def run(arguments: console.Arguments) -> int:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
 from capture.cli.main import main as capture_main
@@ -19,10 +17,8 @@ from eldata.base.outputs import Output
 from eldata.cli.main import main as eldata_main
 from eldata.cli.main import parser as eldata_parser
 from eldata.errors import EldataError
-from eldata.manifest.catalogue import shipped_folder
 from eldata.noise.profile import CameraProfile
-from tests.capture.simulated import plan_of, shoot, whole_plan
-from tests.cases import in_one_test
+from tests.capture.simulated import plan_of
 from tests.cli.conftest import Cli, room_for
 
 if TYPE_CHECKING:
@@ -70,46 +66,13 @@ FOLDERS = {
 
 
 @pytest.mark.parametrize("parser", [eldata_parser(), capture_parser()], ids=["eldata", "capture"])
-def test_every_output_is_a_file_of_a_kind_or_a_folder(parser: argparse.ArgumentParser) -> None:
+def test_every_output_is_a_file_or_a_folder(parser: argparse.ArgumentParser) -> None:
     found = {
         (command, action.option_strings[-1])
         for command, action in options_of(parser)
         if {"-o", "--output"} & set(action.option_strings) and not isinstance(action, Output)
     }
     assert found == {one for one in FOLDERS if one[0].startswith(parser.prog)}
-
-
-# --- what is there already ----------------------------------------------------------------------------------------
-
-
-def foreign_files(folder: Path) -> dict[str, Path]:
-    """A file of each kind that people keep."""
-    plan = plan_of("4", factors=(1,))
-    profile = CameraProfile.load("SonyA7S2")
-    shoot(folder / "card", whole_plan(plan)[:1])[0].rename(folder / "photograph")
-    (folder / "card").rmdir()
-    np.save(folder / "prediction.npy", np.zeros((4, 2, 3), np.float32))
-    np.savez(folder / "predictions.npz", prediction=np.zeros((4, 2, 3), np.float32))
-    plan.save(folder / "plan")
-    profile.save(folder / "profile")
-    plan.camera.save(folder / "camera")
-    (folder / "table").write_bytes((shipped_folder() / "eld.csv").read_bytes())
-    (folder / "set").write_bytes((shipped_folder() / "eld.json").read_bytes())
-    (folder / "notes").write_text("remember the lens cap")
-    (folder / "page").write_text("<!DOCTYPE html>\n<title>mine</title>")
-    (folder / "list").write_text("[1, 2]")
-    (folder / "compact").write_text('{"name": "mine"}')
-    (folder / "broken").write_bytes(b"{\xff\x00")
-    return {path.stem: path.rename(path.with_suffix(".csv")) for path in sorted(folder.iterdir())}
-
-
-# Of these the option's own kind is the other's, too: a profile may be calibrated again.
-SAME_KIND = {
-    ("eldata calibrate", "--output", "profile"),
-    ("eldata profile estimate", "--output", "profile"),
-    ("eldata profile import", "--output", "profile"),
-    ("capture manifest", "--output", "table"),  # which asks for --replace or --append
-}
 
 
 PROGRAMS = {"eldata": (eldata_main, eldata_parser), "capture": (capture_main, capture_parser)}
@@ -123,33 +86,6 @@ def of_program(
     outputs = [(command, action) for command, action in options_of(parser) if isinstance(action, Output)]
     assert len(outputs) > 12
     return main, parser, outputs
-
-
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_no_file_that_is_there_is_replaced_unless_the_option_wrote_it(
-    program: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of every output of every command: refused before the input, which is not there, is read."""
-    (tmp_path / "files").mkdir()
-    files = foreign_files(tmp_path / "files")
-    before = {name: path.read_bytes() for name, path in files.items()}
-    (tmp_path / "cwd").mkdir()
-    monkeypatch.chdir(tmp_path / "cwd")
-    main, parser, outputs = of_program(program)
-    accepted = set()
-    for turn, (command, action) in enumerate(outputs):
-        option = action.option_strings[-1]
-        accepted |= {(command, option, name) for name, path in files.items() if action.kind.problem(path) is None}
-        refused = [path for name, path in files.items() if (command, option, name) not in accepted]
-        path = refused[turn % len(refused)]  # of each option the command is run with one of them, in turn
-        assert main([*command.split()[1:], *needed(parser, command), option, str(path)]) == 2, (command, option, path)
-        out, err = capsys.readouterr()
-        assert (out, err.count("\n")) == ("", 1)
-        assert err.startswith(f"{command}: {option} {path}: is there already")
-        assert "Give another name, or move that file away" in err
-    assert {name: path.read_bytes() for name, path in files.items()} == before
-    assert accepted == {one for one in SAME_KIND if one[0].startswith(program)}
-    assert not any(Path.cwd().iterdir())
 
 
 def needed(parser: argparse.ArgumentParser, command: str) -> list[str]:
@@ -168,17 +104,7 @@ def needed(parser: argparse.ArgumentParser, command: str) -> list[str]:
     return found
 
 
-def test_what_is_there_is_named(eldata: Cli) -> None:
-    Path("notes.csv").write_text("remember the lens cap\n")
-    outcome = eldata("evaluate", "preds", "--dataset", "eld", "--csv", "notes.csv")
-    assert outcome.err == (
-        "eldata evaluate: --csv notes.csv: is there already, and is text that begins with 'remember the lens cap'; "
-        "only what this option wrote is replaced. Give another name, or move that file away\n"
-    )
-
-
 def test_a_file_that_is_read_is_not_written_by_whatever_name(eldata: Cli) -> None:
-    """Though it is of the option's own kind."""
     CameraProfile.load("SonyA7S2").save("profile.json")
     before = Path("profile.json").read_bytes()
     Path("folder").mkdir()
@@ -200,24 +126,10 @@ def test_the_card_beside_a_manifest_replaces_no_plan(capsys: pytest.CaptureFixtu
     plan = tmp_path / "mine.json"
     plan_of("4", factors=(1,)).save(plan)
     before = plan.read_bytes()
-    for given, problem in (
-        (plan, "is what PLAN names, and this command reads it"),
-        (tmp_path / "none.json", "is there already, and is JSON with the fields calibration, camera, protocol, scenes"),
-    ):
-        command = ["manifest", str(given), str(tmp_path), "-o", str(tmp_path / "mine.csv"), "--replace"]
-        assert capture_main(command) == 2
-        assert f"-o {tmp_path / 'mine.csv'}: its {plan} {problem}" in capsys.readouterr().err
+    assert capture_main(["manifest", str(plan), str(tmp_path), "-o", str(tmp_path / "mine.csv"), "--replace"]) == 2
+    problem = "is what PLAN names, and this command reads it"
+    assert f"-o {tmp_path / 'mine.csv'}: its {plan} {problem}" in capsys.readouterr().err
     assert plan.read_bytes() == before
-
-
-def test_a_folder_of_results_replaces_no_manifest(eldata: Cli, own: Tree, predictions: Path) -> None:
-    shutil.copytree(predictions, own.manifest.stem)
-    before = {path.name: path.read_bytes() for path in own.manifest.parent.iterdir()}
-    arguments = ("evaluate", own.manifest.stem, "--manifest", own.manifest, "--root", own.root, "--jobs", "1")
-    outcome = eldata(*arguments, "-o", own.manifest.parent)
-    assert (outcome.code, outcome.out) == (2, "")
-    assert f"its {own.manifest.stem}.json is there already, and is JSON with the fields" in outcome.err
-    assert {path.name: path.read_bytes() for path in own.manifest.parent.iterdir()} == before
 
 
 # --- before the work ----------------------------------------------------------------------------------------------
@@ -250,23 +162,6 @@ def test_a_place_to_write_to_is_tried_before_the_input_is_read(
         main([*given, "x.csv"])
         assert "cannot write" not in capsys.readouterr().err, "it is the input that is wrong now"
         Path("x.csv").unlink(missing_ok=True)
-
-
-@in_one_test("second", ["x.csv", "folder/../x.csv", "link/x.csv", "{absolute}"])
-def test_one_file_is_not_written_twice(second: str, eldata: Cli) -> None:
-    Path("folder").mkdir(exist_ok=True)
-    Path("link").unlink(missing_ok=True)
-    Path("link").symlink_to(Path.cwd())
-    second = second.replace("{absolute}", str(Path("x.csv").absolute()))
-    outcome = eldata("evaluate", "preds", "--dataset", "eld", "--csv", "x.csv", "--json", second)
-    assert (outcome.code, outcome.out) == (2, "")
-    assert outcome.err == f"eldata evaluate: --csv and --json both write {second}; give each a file of its own\n"
-
-
-def test_files_of_one_name_in_two_folders_are_two(eldata: Cli) -> None:
-    Path("folder").mkdir()
-    outcome = eldata("evaluate", "preds", "--manifest", "none.csv", "--csv", "x", "--json", "folder/x")
-    assert "none.csv" in outcome.err
 
 
 def test_an_older_file_is_left_alone_until_there_is_a_new_one(eldata: Cli) -> None:

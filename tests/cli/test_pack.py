@@ -75,9 +75,7 @@ def test_what_is_no_store(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
     store.write_bytes(b"x" * 5000)
     assert_one_line(eldata("verify", store), "is not an HDF5 file; eldata pack makes stores")
     assert_one_line(eldata("verify", store, "--camera", "DemoBeta"), "--camera", "checked whole")
-    assert_one_line(
-        eldata(*command(tree, store)), "store.h5: is there already. Give another name, or move that file away"
-    )
+    assert_one_line(eldata(*command(tree, store)), "store.h5: is there already; remove it, or name another file")
     store.unlink()
     eldata(*command(tree, store))
     os.truncate(store, store.stat().st_size // 2)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Unpack
 
 from eldata.base.arguments import spell_keywords
 from eldata.base.files import folder_problem, path_problem, remove_leftovers, write_json, write_problem
-from eldata.base.outputs import COMPARISON_DATA, COMPARISON_PAGE, RESULT, SCORES, check_output
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import perform_each
@@ -162,16 +161,17 @@ def results_folder(folder: Path, names: Iterable[str]) -> None:
     Raises
     ------
     ArgumentError
-        If it cannot be made, a file cannot be written in it, or one is there that is no result.
+        If it cannot be made, or a file cannot be written in it.
     """
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise ArgumentError(f"cannot write {folder}: {error.strerror}; give a folder, in one that is there") from error
-    kinds = {f"{name}{suffix}": kind for name in names for suffix, kind in ((".json", RESULT), (".csv", SCORES))}
-    kinds |= {f"{COMPARISON}.json": COMPARISON_DATA, f"{COMPARISON}.html": COMPARISON_PAGE}
-    for name, kind in kinds.items():
+    for name in (
+        *(f"{name}{suffix}" for name in names for suffix in (".json", ".csv")),
+        f"{COMPARISON}.json",
+        f"{COMPARISON}.html",
+    ):
         problem = write_problem(folder / name)
         if problem is not None:
             raise ArgumentError(f"cannot write {folder / name}: {problem}")
-        check_output(f"-o {folder}: its {name}", folder / name, kind)

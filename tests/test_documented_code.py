@@ -110,7 +110,7 @@ def of_readme(_: pytest.MonkeyPatch) -> Names:
 def of_evaluation(_: pytest.MonkeyPatch) -> Names:
     eld_and_predictions()
     shutil.copytree("preds", "preds-bm3d")
-    return {}
+    return {"depth": lambda image: image.mean(axis=0)}
 
 
 def of_reports(_: pytest.MonkeyPatch) -> Names:

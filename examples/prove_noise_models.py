@@ -1,8 +1,7 @@
 """Train one small U-Net on each noise model in turn, and score all on a camera whose noise is none of them.
 
-    eldata demo proof/benchmark --benchmark
+    python examples/virtual_benchmark.py proof/benchmark
     python examples/prove_noise_models.py proof                       # all rows, both cameras, three seeds
-    python examples/prove_noise_models.py proof --check               # the acceptance test of each model, too
     python examples/prove_noise_models.py docs/proof --table          # only the table of what is recorded
 
 `proof/<camera>.json` records the scores of each row and seed that is finished. What it has is not done again, and a
@@ -18,7 +17,6 @@ import argparse
 import math
 import os
 import shutil
-import time
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -31,10 +29,8 @@ from eldata import PackedStore, SyntheticPairs
 from eldata.base.fields import TextFile
 from eldata.base.files import write_json
 from eldata.base.tables import markdown_table
-from eldata.baselines import BaselineDenoiser, Training, UNet, absolute_error, write_predictions
-from eldata.calibration import check_noise
+from eldata.baselines import BaselineDenoiser, Training, UNet, write_predictions
 from eldata.datasets import CleanFrames, DarkFrames, Noise2Noise, training_loader
-from eldata.datasets.loading import set_epoch
 from eldata.errors import EldataError
 from eldata.evaluation import evaluate
 from eldata.evaluation.statistics import interval_of_mean
@@ -44,7 +40,7 @@ from eldata.sources.store.build import build_store
 from eldata.sources.store.sources import source_of_dataset
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Mapping, Sequence
 
     from eldata.baselines import NoisyFrame
     from eldata.raw.levels import Clip
@@ -69,12 +65,9 @@ class Recipe:
 
     def network(self, seed: int) -> UNet:
         """Return the network with its first weights."""
-        return arranged(UNet(4, width=self.width, depth=self.depth, seed=seed))
-
-
-def arranged(network: UNet) -> UNet:
-    """Return a network in the layout in which a CPU takes two thirds of the time for a step."""
-    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload,no-any-return] # torch's stub
+        network = UNet(4, width=self.width, depth=self.depth, seed=seed)
+        # The layout in which a CPU takes two thirds of the time for a step.
+        return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload,no-any-return] # torch's stub
 
 
 @dataclass(frozen=True)
@@ -104,22 +97,12 @@ class Bench:
         """The bias frames that it was calibrated from."""
         return DarkFrames(str(self.folder / "benchmark" / "profiles" / f"{self.camera}-bias.h5"), isos=ISOS)
 
-    @property
-    def held_out(self) -> Path:
-        """Frames that neither calibration nor training has seen."""
-        return self.root / "held-out" / self.camera
-
-    def clean_files(self) -> list[Path]:
-        """Return the long exposures to train on."""
+    def clean(self) -> CleanFrames:
+        """Return the long exposures to train on as a source, decoded once."""
         manifest = load_manifest(self.manifest)
         wanted = ("reference", "train", self.camera)
         rows = [row for row in manifest.records if (row.role, row.split, row.camera) == wanted]
-        return [manifest.folder(self.root) / row.path for row in rows]
-
-    def clean(self) -> CleanFrames:
-        """Return them as a source, decoded once."""
-        files = self.clean_files()
-        return CleanFrames(files, keep=len(files))
+        return CleanFrames([manifest.folder(self.root) / row.path for row in rows], keep=len(rows))
 
     @property
     def shading(self) -> Path:
@@ -159,21 +142,16 @@ def noise_model(bench: Bench, spec: str) -> NoiseModel:
 
 
 FULL, LESS = "P*+G*+B+R+U", "P*+G*+R+U"
-UNTRAINED = {
-    "input": "amplified input",
-    "dct": "VST + DCT",
-    "bm3d": "BM3D",
-    "anscombe-bm3d": "A-BM3D",
-}
-SPECS = ("G", "P+G", "P*+G", "P*+G*", "P*+G*+B", "P*+G*+B+R", FULL, "P*+D")
+UNTRAINED = {"input": "amplified input", "anscombe-bm3d": "A-BM3D"}
+SPECS = ("G", "P+G", "P*+G*", "P*+G*+B", FULL, "P*+D")
 TRAINED = (*SPECS, "shading", "any ISO", "virtual", "noise2noise", "paired")
 TITLES = UNTRAINED | {
-    "P*+D": "dark frames, P*+D",
-    "shading": f"{LESS}, dark shading taken off the input",
-    "any ISO": f"{FULL}, K from the whole range",
-    "virtual": f"virtual cameras, {FULL}",
-    "noise2noise": "Noise2Noise, real",
-    "paired": "paired, real",
+    "P*+D": "P*+D, dark frames",
+    "shading": f"{LESS}, dark shading subtracted",
+    "any ISO": f"{FULL}, any K",
+    "virtual": f"{FULL}, virtual cameras",
+    "noise2noise": "Noise2Noise",
+    "paired": "paired",
 }
 
 
@@ -201,7 +179,6 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=3, help="(default: %(default)s)")
     parser.add_argument("--rows", nargs="+", choices=(*UNTRAINED, *TRAINED), default=[*UNTRAINED, *TRAINED])
     parser.add_argument("--cameras", nargs="+", default=["BenchAlpha", "BenchBeta"])
-    parser.add_argument("--check", action="store_true", help="run the acceptance test of each noise model")
     parser.add_argument("--table", action="store_true", help="only print the table of what is recorded")
     options = parser.parse_args(argv)
     torch.set_num_threads(1)
@@ -212,24 +189,17 @@ def main(argv: Sequence[str] | None = None) -> None:
     records = {camera: Record(path, None if options.table else asdict(recipe)) for camera, path in files.items()}
     for camera, record in () if options.table else records.items():
         work(Bench(options.folder, camera), recipe, record, options)
-    print("\n\n".join(table(camera, record) for camera, record in records.items()))
+    print(table(records))
 
 
 def work(bench: Bench, recipe: Recipe, record: Record, options: argparse.Namespace) -> None:
     """Do what a camera's record lacks."""
-    if options.check:
-        for spec in (row for row in SPECS if row in options.rows and row not in record.checks):
-            record.add_check(spec, check(bench, spec))
     for seed, row in product(range(options.seeds), options.rows):
         if row in TRAINED and not record.has(row, seed):
             record.add(row, seed, *train(bench, row, seed, recipe, options.device))
         elif row in UNTRAINED and not record.has(row, 0):
-            record.add(row, 0, *score(bench, untrained(bench, row), row))
-
-
-def untrained(bench: Bench, row: str) -> Any:
-    """Return what denoises without a training of ours; for the noisy input nothing does."""
-    return None if row == "input" else BaselineDenoiser(row, (bench.profile,))
+            denoiser = None if row == "input" else BaselineDenoiser(row, (bench.profile,))
+            record.add(row, 0, *score(bench, denoiser, row))
 
 
 def slug(row: str) -> str:
@@ -241,7 +211,7 @@ def slug(row: str) -> str:
 
 
 class Record:
-    """A camera's scores, images of each row and seed in one order, and what the acceptance test said of each model."""
+    """A camera's scores: images of each row and seed in one order."""
 
     def __init__(self, path: Path, recipe: dict[str, Any] | None) -> None:
         self.path = path
@@ -251,25 +221,17 @@ class Record:
         if recipe not in (None, known["recipe"]):
             raise EldataError(f"{path}: is of {known['recipe']}, not of {recipe}; take another folder")
         self.data = known
-        self.checks: dict[str, dict[str, float]] = known.setdefault("checks", {})
         self.scores: dict[str, dict[str, list[float]]] = known.setdefault("psnr_db", {})
 
     def has(self, row: str, seed: int) -> bool:
         """Return whether a row's seed is finished."""
         return str(seed) in self.scores.get(row, {})
 
-    def add(self, row: str, seed: int, images: list[tuple[str, float]], scores: list[float], facts: Any = None) -> None:
+    def add(self, row: str, seed: int, images: list[tuple[str, float]], scores: list[float]) -> None:
         """Take up the scores of a row's seed; its images are those of all the others."""
         if self.data.setdefault("images", [list(one) for one in images]) != [list(one) for one in images]:
             raise EldataError(f"{self.path}: {row} was scored on other images than what is recorded")
         self.scores.setdefault(row, {})[str(seed)] = scores
-        if facts:
-            self.data.setdefault("training", {}).setdefault(row, {})[str(seed)] = facts
-        write_json(self.path, self.data)
-
-    def add_check(self, spec: str, statistics: dict[str, float]) -> None:
-        """Take up what the acceptance test said of a model."""
-        self.checks[spec] = statistics
         write_json(self.path, self.data)
 
     def of(self, row: str, ratio: float, less: str | None = None) -> tuple[np.ndarray, list[str]]:
@@ -327,8 +289,8 @@ def score(bench: Bench, denoiser: Any, name: str) -> tuple[list[tuple[str, float
 
 def train(
     bench: Bench, row: str, seed: int, recipe: Recipe, device: str
-) -> tuple[list[tuple[str, float]], list[float], dict[str, float]]:
-    """Train a network on one row's data, or go on with it, and score it; return scores and what it took."""
+) -> tuple[list[tuple[str, float]], list[float]]:
+    """Train a network on one row's data, or go on with it, and score it."""
     name = f"{slug(row)}.{seed}"
     runs = bench.folder / "runs"
     runs.mkdir(exist_ok=True)
@@ -339,59 +301,11 @@ def train(
     training = Training(
         network, loader, steps=recipe.steps, learning_rate=recipe.rate, device=device, settings=settings
     )
-    speed = speeds(loader, recipe.network(seed), device)
-    begun = time.process_time()
     for report in training.epochs(checkpoint):
         print(f"{bench.camera}.{name}: {report}", flush=True)
-    facts = {"cpu_s": round(time.process_time() - begun, 1), **speed}
-    images, scores = score(bench, Trained(network, device), name)
+    scored = score(bench, Trained(network, device), name)
     checkpoint.unlink()
-    return images, scores, facts
-
-
-def speeds(loader: Any, network: UNet, device: str) -> dict[str, float]:
-    """Return images a second that the data give, and those that the network takes, each by itself.
-
-    On a CPU by CPU time, since something else may run beside it.
-    """
-    clock = time.process_time if device == "cpu" else time.perf_counter
-
-    def per_second(step: Any) -> float:
-        step()
-        begun = clock()
-        for _ in range(20):
-            step()
-        if device != "cpu":
-            torch.cuda.synchronize()
-        return round(20 * BATCH / (clock() - begun), 1)
-
-    set_epoch(loader, 0)
-    batches: Iterator[Any] = iter(loader)
-    batch = {name: next(batches)[name].to(device) for name in ("input", "target")}
-    network.to(device)
-    optimiser = torch.optim.Adam(network.parameters())
-
-    def step() -> None:
-        optimiser.zero_grad()
-        absolute_error(network, batch).backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
-
-    return {"data_per_s": per_second(lambda: next(batches)), "network_per_s": per_second(step)}
-
-
-def check(bench: Bench, row: str) -> dict[str, float]:
-    """Hold a model against the held-out frames; return the mean deviation of each statistic, on a logarithmic scale."""
-    # Dark frames are a whole sensor's; what is compared is the middle, which with these frames is all of it.
-    found = check_noise(noise_model(bench, row), bench.held_out, bench.profile, whole_frames=row.endswith("D"))
-    print(f"{bench.camera}.{row}: {found.summary}", flush=True)
-    statistics = [one for iso in found.as_dict()["isos"] for one in iso["statistics"]]
-    groups: dict[str, list[float]] = {}
-    for one in statistics:
-        if one.get("deviation") is not None:
-            name = "flats" if one["check"].startswith("flats") else one["check"]
-            groups.setdefault(name, []).append(math.log1p(abs(one["deviation"])))
-    means = {name: round(float(np.mean(values)), 4) for name, values in groups.items()}
-    return {"number of statistics that are off": sum(one["verdict"] == "off" for one in statistics), **means}
+    return scored
 
 
 # --- the table --------------------------------------------------------------------------------------------------------
@@ -412,39 +326,25 @@ def with_interval(values: np.ndarray, scenes: list[str]) -> tuple[float, float]:
     return float(values.mean()), half
 
 
-def table(camera: str, record: Record) -> str:
-    """Return the table of one camera: PSNR, and the distance from real pairs on the same images."""
-    cells = []
-    for row in (one for one in (*UNTRAINED, *TRAINED) if one in record.scores):
-        line = [TITLES.get(row, row), "" if row in UNTRAINED else str(len(record.scores[row]))]
-        for ratio in RATIOS:
-            line.append("{:.2f} ± {:.2f}".format(*with_interval(*record.of(row, ratio))))
-            if "paired" in record.scores and row != "paired":
-                line.append("{:+.2f} ± {:.2f}".format(*with_interval(*record.of(row, ratio, "paired"))))
-            else:
-                line.append("")
-        cells.append(line)
-    header = ["trained on", "seeds", "x100 [dB]", "less paired", "x200 [dB]", "less paired"]
-    if not cells:
-        raise EldataError(f"{record.path}: holds no scores of {camera}")
-    return f"{camera}\n\n{markdown_table(header, cells)}{predictors(record)}"
+def table(records: Mapping[str, Record]) -> str:
+    """Return the table: the PSNR of networks trained on real pairs, and how far others lie above it on the same images.
 
-
-def predictors(record: Record) -> str:
-    """Return which statistics of the acceptance test order the models as their networks' scores do."""
-    from scipy.stats import spearmanr
-
-    specs = [spec for spec in SPECS if spec in record.checks and spec in record.scores]
-    if len(specs) < 4:
-        return ""
-    scores = [float(record.of(spec, 200.0)[0].mean()) for spec in specs]
-    ranks = {}
-    for name in set.intersection(*(set(record.checks[spec]) for spec in specs)):
-        values = [record.checks[spec][name] for spec in specs]
-        if len(set(values)) > 1:
-            ranks[name] = float(spearmanr(values, scores).statistic)
-    lines = [[name, f"{rank:+.2f}"] for name, rank in sorted(ranks.items(), key=lambda item: (item[1], item[0]))]
-    return f"\n\n{markdown_table([f'deviation, {len(specs)} models', 'rank correlation with x200'], lines)}"
+    Without such a network, each row's own PSNR.
+    """
+    lines = []
+    done = [row for row in (*UNTRAINED, *TRAINED) if all(row in record.scores for record in records.values())]
+    if not done:
+        raise EldataError("no row is finished for every camera")
+    less = "paired" if "paired" in done else None
+    for row in done:
+        own = less is None or row == less
+        form = "{:.2f}±{:.2f}" if own else "{:+.2f}±{:.2f}"
+        line = [TITLES.get(row, row)]
+        for record, ratio in product(records.values(), RATIOS):
+            line.append(form.format(*with_interval(*record.of(row, ratio, None if own else less))))
+        lines.append(line)
+    header = ["trained on", *(f"{camera} x{ratio:g}" for camera, ratio in product(records, RATIOS))]
+    return markdown_table(header, lines)
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ from safetensors.torch import load_file
 from torch import nn
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 from torch.utils.data import ConcatDataset
+from virtual_benchmark import TRAINING_PICTURES, picture_radiance, pictures_of
 
 from eldata import SyntheticPairs
 from eldata.base.files import atomic_write
@@ -40,7 +41,6 @@ from eldata.base.workers import Workers
 from eldata.baselines import Training
 from eldata.baselines.unet import NoiseAwareUNet, save_weights
 from eldata.datasets import Arrays, training_loader
-from eldata.demo.benchmark_frames import TRAINING_PICTURES, picture_radiance, pictures_of
 from eldata.demo.camera import CAMERAS, METERED_SHARE, mosaic_light
 from eldata.demo.scenes import scene_radiance
 from eldata.noise import LED_RANGES, NoiseModel, VirtualCameras

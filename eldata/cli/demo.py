@@ -3,9 +3,7 @@
 Photograph procedural scenes with two simulated cameras into real DNG files, verify them, denoise them, score the
 results and draw a contact sheet. With --train, train a network on other scenes of these cameras, in about two minutes
 on two CPU cores, and score it beside the others. With --calibration, take bias and flat-field frames with a camera
-whose noise is known, calibrate it from them, and compare with the truth. With --benchmark, make a benchmark in ELD's
-layout, with scenes to train on and scenes to test on, of two cameras whose noise is not the noise model's, and
-calibrate them (docs/proof.md). DIR must be new, empty, or an earlier demo.
+whose noise is known, calibrate it from them, and compare with the truth. DIR must be new, empty, or an earlier demo.
 
     eldata demo
     eldata demo --train
@@ -31,9 +29,7 @@ _FEATURES = {
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
     parser.add_argument("folder", metavar="DIR", nargs="?", default="eldata-demo", help="default: %(default)s")
-    parser.add_argument(
-        "--scenes", type=int, metavar="N", help="scenes per camera (default: 4; with --benchmark 10, to test on)"
-    )
+    parser.add_argument("--scenes", type=int, metavar="N", help="scenes per camera (default: 4)")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of the noise (default: %(default)s)")
     parser.add_argument(
         "--beside",
@@ -44,7 +40,6 @@ def add_options(parser: console.Parser) -> None:
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--train", action="store_true", help="train a network on other scenes, and score it too")
     instead.add_argument("--calibration", action="store_true", help="calibrate a camera, in place of scenes")
-    instead.add_argument("--benchmark", action="store_true", help="make a benchmark to train and test networks on")
     parser.add_argument(
         "--without",
         action="append",
@@ -61,8 +56,8 @@ def run(arguments: console.Arguments) -> int:
     from pathlib import Path
 
     folder, seed, workers = Path(arguments.folder), arguments.seed, Workers(arguments.jobs)
-    if arguments.beside is not None and (arguments.calibration or arguments.benchmark):
-        raise ArgumentError("--beside is about the demo that scores: leave it out with --calibration and --benchmark")
+    if arguments.beside is not None and arguments.calibration:
+        raise ArgumentError("--beside is about the demo that scores: leave it out with --calibration")
     if arguments.scenes is not None and arguments.calibration:
         raise ArgumentError("--scenes is about photographs of scenes: leave it out with --calibration")
     if arguments.calibration:
@@ -74,15 +69,6 @@ def run(arguments: console.Arguments) -> int:
         return console.OK
     if arguments.without:
         raise ArgumentError("--without is about calibration frames: give --calibration too")
-    if arguments.benchmark:
-        from eldata.demo.benchmark import run_benchmark
-        from eldata.demo.benchmark_frames import BenchmarkPlan
-
-        plan = BenchmarkPlan(seed=seed)
-        if arguments.scenes is not None:
-            plan = replace(plan, scenes=arguments.scenes)
-        run_benchmark(folder, plan, workers=workers)
-        return console.OK
     from eldata.demo.evaluation import run_demo
 
     scenes = 4 if arguments.scenes is None else arguments.scenes

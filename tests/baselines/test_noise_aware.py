@@ -65,6 +65,7 @@ def test_before_its_training_it_returns_its_input() -> None:
 @pytest.fixture
 def example(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """The script of the training, with three frames, and epochs of nine steps."""
+    monkeypatch.syspath_prepend(EXAMPLE.parent)  # whose pictures are the virtual benchmark's
     spec = importlib.util.spec_from_file_location("train_noise_aware", EXAMPLE)
     assert spec is not None
     assert spec.loader is not None

@@ -219,7 +219,7 @@ _BETA_BLACK_DN: Final = {
 }  # fmt: skip
 
 # Filters, black levels and colours are those of the demo's two cameras.
-BENCHMARK_SENSORS: Final = (
+SENSORS: Final = (
     SensorDesign(
         name="BenchAlpha",
         sensor=replace(CAMERAS[0].sensor, model="Bench Alpha", height=384, width=576),

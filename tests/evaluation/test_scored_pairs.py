@@ -141,6 +141,7 @@ def test_what_is_missing_is_said_before_anything_is_read(own: OwnSet, tmp_path: 
         EldataError, match=r"s0/x50.dng: has no prediction.* \(and 1 more: eldata evaluate lists all\)$"
     ):
         scored_pairs(tmp_path, **own.where)
+    (tmp_path / "s0" / "other.npy").write_bytes(b"")  # of no frame
     found = scored_pairs(tmp_path, **own.where, allow_missing=True)
     assert [record.path for _, _, record in found] == ["s0/x100.dng", "s1/x100.dng"]
     with pytest.raises(ArgumentError, match="a folder of predictions or a baseline"):

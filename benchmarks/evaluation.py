@@ -11,28 +11,12 @@ import torch
 from benchmarks import published
 from benchmarks.harness import Row, in_turn
 from benchmarks.oracle import deviations
-from eldata import evaluate, evaluate_all
+from eldata import evaluate
 from eldata.evaluation import units
 
 if TYPE_CHECKING:
     from benchmarks.data import Files
-    from eldata.evaluation import CombinedResult, EvaluationResult
-
-
-def all_protocols_cost(files: Files, rounds: int) -> list[Row]:
-    """Measure what scoring under every protocol costs against one: the same files, in one pass."""
-
-    def one() -> EvaluationResult:
-        return evaluate(files.predictions, root=files.data, manifest=files.manifest)
-
-    def every() -> CombinedResult:
-        return evaluate_all(files.predictions, root=files.data, manifest=files.manifest)
-
-    combined = every()
-    assert combined.results[0] == one()
-    timings = in_turn(rounds, {"all protocols": every, "one protocol": one})
-    case = f"{len(combined.results)} protocols, {len(combined.results[0].images)} pairs, jobs=1"
-    return [timings.cost(case, "all protocols", "one protocol", at_most=2)]
+    from eldata.evaluation import EvaluationResult
 
 
 def looking_cost(files: Files, rounds: int) -> list[Row]:
@@ -76,7 +60,6 @@ def run(files: Files, rounds: int, _cores: int) -> list[Row]:
     )
     case = f"one of {len(images)} pairs, jobs=1"
     return [
-        *all_protocols_cost(files, rounds),
         *looking_cost(files, rounds),
         timings.faster(case, "eldata", "published", values=values),
         timings.cost(case, "eldata", "LibRaw, both files", at_most=1.4),

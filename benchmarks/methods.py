@@ -1,4 +1,4 @@
-"""Several folders of predictions: one evaluation of each, one pass over all of them, and from a packed store."""
+"""Several folders of predictions: one evaluation of each, and one pass over all of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from benchmarks.harness import Row, in_turn
 from eldata import evaluate
 from eldata.evaluation import evaluate_methods
-from eldata.sources.store import build_store, source_of_dataset
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,11 +22,6 @@ _FOLDERS = 3
 
 def run(files: Files, rounds: int, _cores: int) -> list[Row]:
     folders = _folders(files.predictions)
-    store = files.predictions.with_name("methods.h5")
-    begun = time.process_time()
-    if not store.exists():
-        build_store(source_of_dataset("eld-demo", root=files.data, manifest=files.manifest), store)
-    packing = time.process_time() - begun
 
     def each() -> list[EvaluationResult]:
         return [evaluate(folder, root=files.data, manifest=files.manifest) for folder in folders]
@@ -35,26 +29,9 @@ def run(files: Files, rounds: int, _cores: int) -> list[Row]:
     def one_pass() -> list[EvaluationResult]:
         return list(evaluate_methods(folders, root=files.data, manifest=files.manifest).values())
 
-    def stored() -> list[EvaluationResult]:
-        return list(evaluate_methods(folders, root=files.data, manifest=files.manifest, store=store).values())
-
-    def one_folder() -> EvaluationResult:
-        return evaluate(folders[0], root=files.data, manifest=files.manifest)
-
-    def one_stored() -> EvaluationResult:
-        return evaluate(folders[0], root=files.data, manifest=files.manifest, store=store)
-
-    count = len(one_folder().images)
     expected = [result.scores for result in each()]
     assert [result.scores for result in one_pass()] == expected
-    assert [result.scores for result in stored()] == expected
-    ways: dict[str, Callable[[], object]] = {
-        "one pass": one_pass,
-        "one evaluation per folder": each,
-        "one pass, store": stored,
-        "one folder, store": one_stored,
-        "one folder": one_folder,
-    }
+    ways: dict[str, Callable[[], object]] = {"one pass": one_pass, "one evaluation per folder": each}
     used: dict[str, list[float]] = {name: [] for name in ways}
 
     def metered(name: str) -> Callable[[], None]:
@@ -67,19 +44,10 @@ def run(files: Files, rounds: int, _cores: int) -> list[Row]:
 
     timings = in_turn(rounds, {name: metered(name) for name in ways})
 
-    def cpu(ours: str, theirs: str) -> str:
-        first, second = (min(used[name][1:]) for name in (ours, theirs))  # the first round warms up
-        return f"equal to the bit; CPU {first:.2f} s against {second:.2f} s"
-
-    case, one = f"{_FOLDERS} folders of {count} pairs, jobs=1", f"1 folder of {count} pairs, jobs=1"
-    return [
-        timings.faster(case, ours, theirs, values=cpu(ours, theirs))
-        for case, ours, theirs in (
-            (case, "one pass", "one evaluation per folder"),
-            (f"{case}, store (packed in {packing:.1f} s of CPU)", "one pass, store", "one evaluation per folder"),
-            (f"{one}, store", "one folder, store", "one folder"),
-        )
-    ]
+    ours, theirs = (min(used[name][1:]) for name in ways)  # the first round warms up
+    case = f"{_FOLDERS} folders of {len(expected[0])} pairs, jobs=1"
+    values = f"equal to the bit; CPU {ours:.2f} s against {theirs:.2f} s"
+    return [timings.faster(case, "one pass", "one evaluation per folder", values=values)]
 
 
 def _folders(predictions: Path) -> list[Path]:

@@ -25,7 +25,6 @@ from .datasets import StreamedPairs as StreamedPairs
 from .datasets import SyntheticClips as SyntheticClips
 from .datasets import SyntheticPairs as SyntheticPairs
 from .evaluation.evaluate import evaluate as evaluate
-from .evaluation.evaluate import evaluate_all as evaluate_all
 from .manifest import verify as verify
 
 __version__: str

@@ -109,9 +109,14 @@ def of_readme(_: pytest.MonkeyPatch) -> Names:
 
 
 def of_evaluation(_: pytest.MonkeyPatch) -> Names:
+    from eldata.demo.tree import make_tree
+
     eld_and_predictions()
     shutil.copytree("preds", "preds-bm3d")
-    return {}
+    make_tree(Path("eldata-demo"), scenes=1, size=(64, 96))
+    demo = ["--manifest", "eldata-demo/manifests/eld-demo.csv", "--root", "eldata-demo/data", "--jobs", "1"]
+    assert main(["baseline", "input", *demo, "-o", "eldata-demo/predictions/dct"]) == 0
+    return {"depth": lambda image: image.mean(axis=0)}
 
 
 def of_reports(_: pytest.MonkeyPatch) -> Names:

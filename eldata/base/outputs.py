@@ -88,8 +88,8 @@ def page_kind(name: str) -> FileKind:
 
 NEW = FileKind(rb"(?!)")  # any file that is there is another one
 PROFILE = json_kind("schema camera source gain_range_dn_per_e rows")
-RESULT = json_kind("protocol provenance coverage", "results not_scored same_scores")
-SCORES = FileKind(rb"(protocol,)?(path|scene,split),camera,")
+RESULT = json_kind("protocol provenance coverage")
+SCORES = FileKind(rb"(path|scene,split),camera,")
 COMPARISON_DATA = json_kind("methods warnings statistics")
 COMPARISON_PAGE = page_kind("compare")
 CARD = json_kind("name title folder")

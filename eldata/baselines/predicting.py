@@ -227,8 +227,8 @@ def write_predictions(
     """
     wanted: EvaluationOptions = {**options, "baseline": "input"}  # type: ignore[typeddict-item] # the others are left out
     request = make_request(None, dataset, protocol, wanted)
-    (chosen,) = request.protocols
-    pairs = plan_scoring(request, chosen, unscored=True).pairs
+    chosen = request.protocol
+    pairs = plan_scoring(request, unscored=True).pairs
     cameras = list(dict.fromkeys(pair.camera for pair in pairs))
     has_colours = chosen.pixels == "rgb" or chosen.input_space == "srgb"
     stated = denoiser.settings(cameras, (3,) if has_colours else CHANNELS[request.manifest.card.cfa])

@@ -22,7 +22,6 @@ from eldata.errors import ArgumentError
 if TYPE_CHECKING:
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.looking import ScoredImage
-    from eldata.evaluation.results import EvaluationResult
 
 
 def add_options(parser: console.Parser) -> None:
@@ -38,7 +37,6 @@ def add_options(parser: console.Parser) -> None:
         metavar="NAME",
         help="what to call a method; once per file, in their order (default: the file's name)",
     )
-    parser.add_argument("--protocol", metavar="P", help="which protocol's results, of files that hold several")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
     add_output(
         parser, "--html", kind=COMPARISON_PAGE, help="write a page with plots and the biggest differences to FILE"
@@ -75,6 +73,7 @@ def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.evaluation.comparison import Method, compare
     from eldata.evaluation.comparison.tables import format_comparison
+    from eldata.evaluation.saved import load_result
 
     if arguments.pictures and not arguments.html:
         raise ArgumentError("--pictures are of a page: say where to write it with --html FILE")
@@ -82,9 +81,7 @@ def run(arguments: console.Arguments) -> int:
     names = arguments.names or [path.stem for path in paths]
     if len(names) != len(paths):
         raise ArgumentError(f"expected one --name per file, or none; found {len(names)} for {len(paths)} files")
-    comparison = compare(
-        [Method(name, _result(path, arguments.protocol)) for name, path in zip(names, paths, strict=True)]
-    )
+    comparison = compare([Method(name, load_result(path)) for name, path in zip(names, paths, strict=True)])
 
     def told() -> str:
         for warning in comparison.warnings:
@@ -111,8 +108,7 @@ def run(arguments: console.Arguments) -> int:
 
 def _images(comparison: Comparison, arguments: console.Arguments) -> tuple[ScoredImage, ...]:
     """Return what to decode for the pictures, from what the results state of their data."""
-    from eldata.evaluation.looking import images_of
-    from eldata.evaluation.reproduction import stated_predictions, units_again
+    from eldata.evaluation.looking import images_of, stated_predictions, units_again
 
     named: list[Path | None] = [Path(name) for name in arguments.predictions]
     folders = named or [stated_predictions(result) for result in comparison.results]
@@ -129,17 +125,3 @@ def _images(comparison: Comparison, arguments: console.Arguments) -> tuple[Score
         dark_shading=arguments.dark_shading and Path(arguments.dark_shading).absolute(),
         units=units,
     )
-
-
-def _result(path: Path, protocol: str | None) -> EvaluationResult:
-    from eldata.errors import FileError
-    from eldata.evaluation.saved import load_results
-
-    results = load_results(path)
-    names = [result.protocol.name for result in results]
-    if protocol is None and len(results) > 1:
-        raise FileError(path, f"holds results of several protocols ({', '.join(names)}); choose one with --protocol")
-    chosen = [result for result in results if protocol in (None, result.protocol.name)]
-    if not chosen:
-        raise FileError(path, f"has no result of protocol {protocol!r}, only of {', '.join(names)}")
-    return chosen[0]

@@ -7,8 +7,8 @@ W), float in [0, 1] or uint16 with 65535 = 1.0 (dng: raw DN). Under a protocol o
 each raw file decoded once, and held against the first.
 
     eldata evaluate preds --dataset eld --root data
-    eldata evaluate preds --manifest mine.csv --root data --protocol all --html page.html --json scores.json
-    eldata evaluate preds/bm3d preds/ours --dataset eld --root data --store eld.h5 -o results
+    eldata evaluate preds --manifest mine.csv --root data --html page.html --json scores.json
+    eldata evaluate preds/bm3d preds/ours --dataset eld --root data -o results
 """
 
 from __future__ import annotations
@@ -19,21 +19,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from eldata.base import console
-from eldata.base.files import write_json
 from eldata.base.outputs import RESULT, SCORES, add_output, page_kind
 from eldata.base.tables import FORMATS
 from eldata.cli.baseline import add_excluded, add_pairs, add_set
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from eldata.base.tables import Format
     from eldata.base.workers import Workers
-    from eldata.evaluation.combined import CombinedResult
     from eldata.evaluation.comparison import Comparison
-    from eldata.evaluation.explanation import Explanation
-    from eldata.evaluation.request import EvaluationOptions, Request
+    from eldata.evaluation.request import EvaluationOptions
     from eldata.evaluation.results import EvaluationResult
 
 
@@ -58,9 +53,9 @@ def add_options(parser: console.Parser) -> None:
         "--protocol",
         metavar="P",
         help=(
-            f"how to score: {', '.join((*PROTOCOLS, *FAMILIES))}; a TOML file of your own; or all, "
-            "those for the dataset in one pass (default: the one that its card names, such as eld or sid; raw of a set "
-            "of your own). eldata protocols shows what each fixes"
+            f"how to score: {', '.join((*PROTOCOLS, *FAMILIES))}; or a TOML file of your own "
+            "(default: the one that the set's card names, such as eld or sid; raw of a set of your own). eldata "
+            "protocols shows what each fixes"
         ),
     )
     add_pairs(parser)
@@ -70,8 +65,7 @@ def add_options(parser: console.Parser) -> None:
         metavar="MODULE:NAME",
         help=(
             "add a column of your own: a function of (prediction, reference), or an eldata.evaluation.Task, which says "
-            "what images it wants, of how many consecutive frames, and whether lower is better; runs the module's code "
-            "(docs/evaluation.md)"
+            "what images it wants and whether lower is better; runs the module's code (docs/evaluation.md)"
         ),
     )
     parser.add_argument(
@@ -80,14 +74,6 @@ def add_options(parser: console.Parser) -> None:
         help=(
             "the inputs are corrected with this dark shading (eldata calibrate --dark-shading): the baseline is scored "
             "so, of predictions it states so; table, page and the protocol's digest say which one"
-        ),
-    )
-    parser.add_argument(
-        "--store",
-        metavar="FILE",
-        help=(
-            "take the dataset's frames from this store (eldata pack) in place of its raw files: the same scores to the "
-            "bit, and nothing is decoded again"
         ),
     )
     console.add_cameras(parser)
@@ -127,15 +113,6 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument(
         "--compare", action="store_true", help="show the result among the published numbers that compare with it"
     )
-    parser.add_argument(
-        "--explain",
-        metavar="FRAME",
-        nargs="?",
-        const="",
-        help="tell of one image the steps from its files to its score, and what each other choice of a protocol would "
-        "make of it: of FRAME, its path or name in the CSV (default: of the one with the lowest PSNR). The page of "
-        "--html shows it of the worst and the median, too",
-    )
     console.add_shared(parser, run, "root", "workers", json=RESULT)
 
 
@@ -149,29 +126,23 @@ def run(arguments: console.Arguments) -> int:
     predictions = next(iter(arguments.predictions), None)
     with console.chosen_workers(arguments) as workers:
         request = make_request(predictions, arguments.dataset or "", arguments.protocol, _options(arguments, workers))
-        combined = perform(request)
-        result = combined if request.every else combined.results[0]
-        explanations: list[Explanation] = []  # the one that is asked for is the first
+        result = perform(request)
 
         def write_page() -> None:
             from eldata.reports.evaluation import write_evaluation_page
 
             write_evaluation_page(
-                combined.results,
+                result,
                 arguments.html,
                 dataset_folder=request.files,
                 predictions=request.predictions,
                 dark_shading=request.dark_shading,
-                store=request.store,
-                explanations=explanations,
             )
 
         console.each_of(
-            lambda: explanations.extend(_explained(request, combined.results[0], arguments)),
-            arguments.json and (lambda: _write_json(result, explanations, arguments)),
+            arguments.json and (lambda: result.write_json(arguments.json)),
             arguments.csv and (lambda: result.write_csv(arguments.csv)),
-            lambda: _show(result, combined, arguments),
-            lambda: _show_explanation(explanations, arguments),
+            lambda: _show(result, arguments),
             arguments.html and write_page,  # last, because it takes longest
         )
     return console.OK if result.scored and not result.problems else console.PROBLEMS
@@ -182,32 +153,6 @@ def _options(arguments: console.Arguments, workers: Workers) -> EvaluationOption
 
     names = EvaluationOptions.__annotations__.keys() - {"workers"}
     return cast("EvaluationOptions", console.chosen(arguments, names) | {"workers": workers})
-
-
-def _explained(request: Request, result: EvaluationResult, arguments: console.Arguments) -> list[Explanation]:
-    """Return the explanation of the image that is asked for, and of the worst and the median for a page."""
-    from eldata.evaluation.explanation import chosen_score, explain_scores, ranked_scores
-
-    if not result.scored:
-        return []
-    asked = [] if arguments.explain is None else [chosen_score(result, arguments.explain or None)]
-    more = ranked_scores(result) if arguments.html else []
-    return explain_scores(request, result, asked + [one for one in more if all(one[1] is not of for _, of in asked)])
-
-
-def _write_json(
-    result: EvaluationResult | CombinedResult, explanations: Sequence[Explanation], arguments: console.Arguments
-) -> None:
-    asked = arguments.explain is not None
-    told = {"explanations": [one.as_dict() for one in explanations]} if asked and explanations else {}
-    write_json(arguments.json, result.as_dict() | told)
-
-
-def _show_explanation(explanations: Sequence[Explanation], arguments: console.Arguments) -> None:
-    """Print the first; beside a table that is to be pasted elsewhere, as problems are."""
-    if explanations and arguments.explain is not None:
-        text = arguments.format == "text"
-        print(f"\n{explanations[0].text}", file=sys.stdout if text else sys.stderr)
 
 
 def _run_several(arguments: console.Arguments) -> int:
@@ -224,8 +169,6 @@ def _run_several(arguments: console.Arguments) -> int:
 
     if arguments.baseline is not None:
         raise ArgumentError("-o and --name are for folders of predictions; of --baseline give --json FILE, --csv FILE")
-    if arguments.explain is not None:
-        raise ArgumentError("--explain is of one method; give one folder, without -o and --name")
     given = next((name for name in ("json", "csv", "html") if getattr(arguments, name)), None)
     if given is not None:
         raise ArgumentError(
@@ -246,9 +189,9 @@ def _run_several(arguments: console.Arguments) -> int:
 
     def show() -> None:
         heading = {"text": "{}:\n", "markdown": "## {}\n", "latex": "% {}"}[arguments.format]
-        for name, combined in methods.results.items():
+        for name, result in methods.results.items():
             print(heading.format(name))
-            _show(combined if requests[0].every else combined.results[0], combined, arguments)
+            _show(result, arguments)
             print()
         if comparison is not None:
             for warning in comparison.warnings:
@@ -275,7 +218,6 @@ def _with_pictures(comparison: Comparison, arguments: console.Arguments) -> str:
     """Return the command that draws a comparison's images."""
     out = Path(arguments.output)
     options = {name: getattr(arguments, name) for name in ("manifest", "root", "dark_shading")}
-    options["protocol"] = comparison.methods[0].result.protocol.name if arguments.protocol == "all" else None
     return " ".join(
         [
             "eldata compare",
@@ -286,7 +228,7 @@ def _with_pictures(comparison: Comparison, arguments: console.Arguments) -> str:
     )
 
 
-def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, arguments: console.Arguments) -> None:
+def _show(result: EvaluationResult, arguments: console.Arguments) -> None:
     from eldata.evaluation.scores import problem_lines
 
     form: Format = arguments.format if result.scored else "text"
@@ -297,7 +239,4 @@ def _show(result: EvaluationResult | CombinedResult, combined: CombinedResult, a
     if arguments.compare and result.scored:
         from eldata.evaluation.published import comparison_table
 
-        for one, *others in combined.groups:
-            print(f"\n{comparison_table(one)}")
-            if others:
-                print(f"\nThe same holds for {', '.join(other.protocol.name for other in others)}: the same scores.")
+        print(f"\n{comparison_table(result)}")

@@ -1,27 +1,24 @@
-"""The evaluation: check the dataset, find the predictions, score images or clips under one protocol or under all."""
+"""The evaluation: check the dataset, find the predictions, score images or clips under a protocol."""
 
 from __future__ import annotations
 
 import platform
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import version
-from itertools import chain, islice
 from typing import TYPE_CHECKING, Any, Unpack
 
 from eldata import __version__
 from eldata.base.arguments import spell_keywords
-from eldata.errors import ArgumentError, ManifestError
-from eldata.evaluation.combined import CombinedResult, NotScored
+from eldata.errors import EldataError
 from eldata.evaluation.diagnosis import suspicions_of
 from eldata.evaluation.layouts import Expected, FoundPredictions, dataset_itself, find_predictions, misplaced
 from eldata.evaluation.planning import known_places, places_elsewhere, plan_scoring, require_pairs
-from eldata.evaluation.predictions import LOOKS, look_of_folder, look_wanted, other_look
-from eldata.evaluation.request import ALL, SETTINGS, EvaluationOptions, Request, make_request, stated_shading
+from eldata.evaluation.predictions import other_look
+from eldata.evaluation.request import SETTINGS, EvaluationOptions, Request, make_request, stated_shading
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import EvaluationProblem, frames_of, place_of
 from eldata.evaluation.tasks import task_note
-from eldata.evaluation.units import Contender, score_plans
+from eldata.evaluation.units import Contender, compared_images, score_contenders
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.kinds import IMAGES
 from eldata.protocols.protocol import CHOICES, ONE_CAMERAS_LEVELS
@@ -29,12 +26,16 @@ from eldata.protocols.words import LEVELS
 from eldata.records import PairRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Iterator, Sequence
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from eldata.evaluation.planning import ScoringPlan
-    from eldata.evaluation.scores import UnitScore
-    from eldata.evaluation.units import PlanScores
+    from eldata.evaluation.request import Baseline
+    from eldata.evaluation.scores import Pair, UnitScore
+    from eldata.evaluation.units import PairScores
     from eldata.protocols.protocol import Protocol
 
 
@@ -90,18 +91,12 @@ def evaluate(
         score. Default: False, the result's ``suspicions`` name it.
     task
         A function of (prediction, reference), (C, h, w) float32 as the protocol compares them, whose value is scored
-        too, of clips frame by frame; or a :class:`~eldata.evaluation.Task`, which says which images it wants, of how
-        many frames at a time, and whether lower is better; or the name of either, ``package.module:name``.
-        Default: none.
+        too, of clips frame by frame; or a :class:`~eldata.evaluation.Task`, which says which images it wants and
+        whether lower is better; or the name of either, ``package.module:name``. Default: none.
     dark_shading
         The file of a dark shading (:class:`eldata.noise.DarkShading`) that the inputs are corrected with: it is taken
         off the baseline here; that predictions are of inputs less it is your statement. The protocol of the result
         states its digest. Refused for several cameras, and for another model, size, CFA or ISO. Default: none.
-    store
-        A store (``eldata pack``) whose frames are taken in place of the dataset's files, which need not be there: the
-        scores are the same to the bit, and lossless JPEG is not decoded again. What it kept of the files that it was
-        packed from is held against the manifest, and the result says which store it was. Refused for clips and for
-        renderings by LibRaw. Default: none.
     workers
         Number of worker processes, or an executor that scores (:mod:`eldata.base.workers`); the files are checked from
         here. Scores do not depend on it. Default: 1.
@@ -130,61 +125,99 @@ def evaluate(
     >>> result.frame.groupby("camera")["ssim"].mean().round(2).to_dict()
     {'DemoAlpha': 0.63, 'DemoBeta': 0.5}
     """
-    if protocol == ALL:
-        raise ArgumentError("evaluate() scores under one protocol; eldata.evaluation.evaluate_all() does under all")
-    return perform(make_request(predictions, dataset, protocol, options)).results[0]
+    return perform(make_request(predictions, dataset, protocol, options))
 
 
-@spell_keywords(EvaluationOptions)
-def evaluate_all(
-    predictions: Path | str | None, dataset: str = "eld", **options: Unpack[EvaluationOptions]
-) -> CombinedResult:
-    """Score a folder of predictions under every protocol for the dataset, in one pass over the files.
+def scored_pairs(
+    predictions: Path | str | None,
+    dataset: str = "eld",
+    *,
+    protocol: str | Path | Protocol | None = None,
+    root: Path | str | None = None,
+    manifest: Path | str | None = None,
+    cameras: Collection[str] | None = None,
+    subset: str | None = None,
+    ids: Collection[str] | None = None,
+    exclude_flags: Collection[str] = (),
+    allow_missing: bool = False,
+    baseline: Baseline | None = None,
+    dark_shading: Path | str | None = None,
+) -> Iterator[tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]], Pair]]:
+    """Yield prediction, reference and record of each pair, for whatever else is to be measured of what is scored.
 
-    Each protocol scores its own pairs, and each result equals that of :func:`evaluate`. Protocols of sRGB are scored if
-    the predictions are renderings, the others if they are raw. A set of your own is scored once for each way to score.
-    Protocols that come to the same on these files share their scores, which are computed once
-    (:attr:`CombinedResult.groups`).
+    The images are those that :func:`evaluate` takes the score of, treated as the protocol has it: the scored region,
+    the prediction clamped and multiplied by its factor, both rendered or rounded under a protocol of renderings. They
+    are made one after the other, as they are asked for; the data set is checked before the first, as by
+    :func:`evaluate`.
 
     Parameters
     ----------
-    predictions, dataset, **options
-        As for :func:`evaluate`: ``root``, ``manifest``, ``cameras``, ``subset`` (of clips), ``ids``, ``exclude_flags``,
-        ``allow_missing``, ``baseline``, ``dark_shading`` and ``workers``.
+    predictions, dataset, protocol, root, manifest, cameras, subset, ids, exclude_flags, baseline, dark_shading
+        As for :func:`evaluate`.
+    allow_missing
+        Whether to leave out pairs without a prediction. Default: False.
 
-    Returns
-    -------
-    CombinedResult
-        One :class:`EvaluationResult` per protocol, and the protocols that could not be scored, with why.
+    Yields
+    ------
+    prediction, reference : ndarray
+        (C, h, w) each, with 1.0 the white level. Packed raw: float64, (1, H, W) where the protocol's SSIM is of the
+        mosaic; references lie in [0, 1] but for values below black that the protocol keeps, predictions where it clamps
+        them. Renderings: (3, h, w) in [0, 1]; of protocols that round, float32 of 256 levels, k / 255. Of a clip
+        (T, C, h, w), its frames in order.
+    record : PairRecord or ClipRecord
+        Which pair, or window of a clip: paths, camera, scene, ISO, ratio.
 
     Raises
     ------
+    EldataError
+        If a prediction is missing, or a file cannot be used.
     EldataError, DatasetError, ManifestError, ArgumentError
-        Like :func:`evaluate`; or if no protocol can be scored.
+        Like :func:`evaluate`.
 
     Examples
     --------
-    >>> from eldata import evaluate_all
-    >>> manifest = "eldata-demo/manifests/eld-demo.csv"
-    >>> every = evaluate_all(None, manifest=manifest, root="eldata-demo/data", baseline="input")
-    >>> [result.protocol.name for result in every.results]
-    ['eld', 'eld-uncorrected', 'led-eld', 'lrd-eld', 'eld-srgb', 'eld-raw2rgb']
+    >>> import numpy as np
+    >>> from eldata.evaluation import scored_pairs
+    >>> demo = {"manifest": "eldata-demo/manifests/eld-demo.csv", "root": "eldata-demo/data"}
+    >>> prediction, reference, record = next(scored_pairs(None, baseline="input", **demo))
+    >>> prediction.shape == reference.shape, record.path
+    (True, 'DemoAlpha/scene-1/IMG_0004.dng')
+    >>> round(float(np.abs(prediction - reference).mean()), 3)
+    0.012
     """
-    return perform(make_request(predictions, dataset, ALL, options))
+    options: EvaluationOptions = {
+        "root": root,
+        "manifest": manifest,
+        "cameras": cameras,
+        "subset": subset,
+        "ids": ids,
+        "exclude_flags": exclude_flags,
+        "allow_missing": allow_missing,
+        "baseline": baseline,
+        "dark_shading": dark_shading,
+    }
+    request = make_request(predictions, dataset, protocol, options)
+    plan = plan_scoring(request)
+    found = _found(request, plan)
+    if found.problems and not (allow_missing and found.files):
+        more = f" (and {len(found.problems) - 1} more: eldata evaluate lists all)" if len(found.problems) > 1 else ""
+        raise EldataError(f"{found.problems[0]}{more}")
+    originals = require_pairs(request, plan.pairs)
+    return compared_images(request, originals, Contender(plan.pairs, None if predictions is None else found.files))
 
 
-def perform(request: Request) -> CombinedResult:
-    """Return the result of each protocol of a request.
+def perform(request: Request) -> EvaluationResult:
+    """Return the result of a request.
 
     Raises
     ------
     EldataError, DatasetError, ManifestError, ArgumentError
-        Like :func:`evaluate` and :func:`evaluate_all`.
+        Like :func:`evaluate`.
     """
     return perform_each([request])[0]
 
 
-def perform_each(requests: Sequence[Request]) -> list[CombinedResult]:
+def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
     """Return what :func:`perform` does of each of these requests, which differ in their predictions alone, in one pass.
 
     Raises
@@ -193,145 +226,66 @@ def perform_each(requests: Sequence[Request]) -> list[CombinedResult]:
         Like :func:`perform`; what is wrong with the predictions in one folder is a problem of its result alone.
     """
     first = requests[0]
-    plans: list[ScoringPlan] = []
-    left_out: list[NotScored] = []
-    for protocol in first.protocols:
-        try:
-            plans.append(plan_scoring(first, protocol))
-        except (ArgumentError, ManifestError) as error:
-            if not first.every:
-                raise
-            left_out.append(NotScored(protocol.name, str(error)))
-    fitting = [_of_one_space(request, plans) if request.every else (plans, []) for request in requests]
-    scored = _scored(requests, [fit for fit, _ in fitting])
-    return [
-        _combined(request, of, [*left_out, *unfit])
-        for request, of, (_, unfit) in zip(requests, scored, fitting, strict=True)
-    ]
-
-
-def _combined(
-    request: Request, scored: Sequence[tuple[EvaluationResult, PlanScores]], left_out: list[NotScored]
-) -> CombinedResult:
-    """Return the results; under all protocols, those that cannot score what is there are left out and named."""
-    results = []
-    for result, found in scored:
-        if request.every and found.unfit and not found.scores:
-            left_out.append(NotScored(result.protocol.name, str(found.unfit[0])))
-        else:
-            results.append(result)
-    if not results:
-        reasons = "; ".join(f"{one.protocol}: {one.reason}" for one in left_out)
-        raise ArgumentError(f"no protocol can score {request.manifest.name!r} so: {reasons}")
-    return CombinedResult(tuple(results), tuple(left_out))
-
-
-def _of_one_space(request: Request, plans: Sequence[ScoringPlan]) -> tuple[list[ScoringPlan], list[NotScored]]:
-    """Return the plans that take predictions as they are, raw or renderings, and why not the others."""
-    if request.kind is not IMAGES:
-        return list(plans), []
-    if request.predictions is None:
-        there, unfit = "the input is raw", [plan for plan in plans if not plan.protocol.is_of_packed]
-    else:
-        places = dict.fromkeys(pair.path for plan in plans for pair in plan.pairs)
-        look = look_of_folder(find_predictions(request.predictions, places), request)
-        there = f"the predictions are {LOOKS[look].removeprefix('renderings in ').removesuffix(' frames')}"
-        unfit = [plan for plan in plans if look_wanted(plan.protocol) != look]
-    wanted = LOOKS | {"raw": "packed raw"}
-    reasons = [NotScored(one.protocol.name, f"scores {wanted[look_wanted(one.protocol)]}; {there}") for one in unfit]
-    return [plan for plan in plans if plan not in unfit], reasons
-
-
-# --- one pass over the files ------------------------------------------------------------------------------------------
-
-
-def _scored(
-    requests: Sequence[Request], plans: Sequence[Sequence[ScoringPlan]]
-) -> list[list[tuple[EvaluationResult, PlanScores]]]:
-    """Return the result of each plan of each request, and what scoring found beyond it."""
-    if not any(plans):
-        return [[] for _ in requests]
-    found = [_found(request, of) for request, of in zip(requests, plans, strict=True)]
-    first = requests[0]
-    originals = require_pairs(first, {pair.path: pair for of in plans for plan in of for pair in plan.pairs}.values())
+    plan = plan_scoring(first)
+    found = [_found(request, plan) for request in requests]
+    originals = require_pairs(first, plan.pairs)
     contenders = [
         Contender(
-            plan if request.allow_missing or not one.problems else replace(plan, pairs=()),
-            number,
+            plan.pairs if request.allow_missing or not one.problems else (),
             None if request.predictions is None else one.files,
         )
-        for number, request in enumerate(requests)
-        for plan, one in zip(plans[number], found[number], strict=True)
+        for request, one in zip(requests, found, strict=True)
     ]
-    scored = iter(score_plans(first, originals, contenders))
-    return [
-        _results(request, of, ones, list(islice(scored, len(of))), originals.stated)
-        for request, of, ones in zip(requests, plans, found, strict=True)
-    ]
+    scored = score_contenders(first, originals, plan.pairs, contenders)
+    return [_result(request, plan, one, new) for request, one, new in zip(requests, found, scored, strict=True)]
 
 
-def _results(
-    request: Request,
-    plans: Sequence[ScoringPlan],
-    found: Sequence[FoundPredictions],
-    scored: Sequence[PlanScores],
-    store: dict[str, str],
-) -> list[tuple[EvaluationResult, PlanScores]]:
-    """Return the results of one request."""
-    suspicions = [suspicions_of(new.inspections) for new in scored]
-    refused = [EvaluationProblem(str(request.predictions), str(one)) for of in suspicions for one in of]
-    if not request.strict:
-        refused = []
-    results = []
-    for plan, one, new, suspect in zip(plans, found, scored, suspicions, strict=True):
-        every = [*one.problems, *new.problems, *new.unfit]
-        scores = new.scores if not refused and (request.allow_missing or not every) else {}
-        provenance = provenance_of(request, plan, new) | ({"store": store} if store else {})
-        result = EvaluationResult.of(plan.protocol, provenance, plan.pairs, scores, [*refused, *every])
-        result = replace(result, suspicions=suspect)
-        notes = [*shading_notes(request), *notes_of(plan, one, result, new)]
-        results.append((replace(result, notes=tuple(notes)), new))
-    return results
+def _result(request: Request, plan: ScoringPlan, found: FoundPredictions, scored: PairScores) -> EvaluationResult:
+    suspicions = suspicions_of(scored.inspections)
+    refused = [EvaluationProblem(str(request.predictions), str(one)) for one in suspicions] if request.strict else []
+    problems = [*found.problems, *scored.problems]
+    scores = scored.scores if not refused and (request.allow_missing or not problems) else {}
+    provenance = provenance_of(request, plan, scored)
+    result = EvaluationResult.of(request.protocol, provenance, plan.pairs, scores, [*refused, *problems])
+    result = replace(result, suspicions=suspicions)
+    return replace(result, notes=(*shading_notes(request), *notes_of(request.protocol, plan, found, result, scored)))
 
 
-def _found(request: Request, plans: Sequence[ScoringPlan]) -> list[FoundPredictions]:
-    """Return the predictions of what each plan scores; a baseline has none.
+def _found(request: Request, plan: ScoringPlan) -> FoundPredictions:
+    """Return the predictions of what is scored; a baseline has none.
 
-    In a folder of which nothing is where a prediction may be, that is the one problem of all plans.
+    Of a folder in which nothing is where a prediction may be, or nothing is what the protocol takes, that is the one
+    problem.
     """
-    if request.predictions is None:
-        return [FoundPredictions({}, (), 0) for _ in plans]
+    folder = request.predictions
+    if folder is None:
+        return FoundPredictions({}, (), 0)
     known, elsewhere = known_places(request), places_elsewhere(request)
-    places = [[place_of(pair, frame) for pair in plan.pairs for frame in frames_of(pair)] for plan in plans]
+    places = [place_of(pair, frame) for pair in plan.pairs for frame in frames_of(pair)]
     references: dict[str, str] = {}
-    for pair in (pair for plan in plans for pair in plan.pairs if isinstance(pair, PairRecord)):
-        references.setdefault(pair.reference, pair.path)
-    expected = Expected(list(dict.fromkeys(chain.from_iterable(places))), references, elsewhere)
-    problem = dataset_itself(request.predictions, request.folder, [row.path for row in request.manifest.records])
-    problem = problem or misplaced(request.predictions, expected, known)
+    for pair in plan.pairs:
+        if isinstance(pair, PairRecord):
+            references.setdefault(pair.reference, pair.path)
+    problem = dataset_itself(folder, request.folder, [row.path for row in request.manifest.records])
+    problem = problem or misplaced(folder, Expected(list(dict.fromkeys(places)), references, elsewhere), known)
     if problem is not None:
-        return [FoundPredictions({}, (problem,), 0) for _ in plans]
-    find = partial(find_predictions, request.predictions, elsewhere=elsewhere, allow_missing=request.allow_missing)
-    if request.every:  # its plans are of the predictions' space, and share their problems
-        return [find(places=wanted, known=known) for wanted in places]
-    return [
-        _of_its_space(request, request.predictions, plan, find(places=wanted, known=known, because=_own_pairs(plan)))
-        for plan, wanted in zip(plans, places, strict=True)
-    ]
-
-
-def _own_pairs(plan: ScoringPlan) -> str:
-    """Return why a set of the user's own may lack predictions of pairs that its protocol does not choose elsewhere."""
-    name, set_aside = plan.protocol.name, plan.facts.get("set_aside")
-    return f", and {name} scores this set's own pairs, not its {', '.join(set_aside)}" if set_aside else ""
-
-
-def _of_its_space(request: Request, folder: Path, plan: ScoringPlan, found: FoundPredictions) -> FoundPredictions:
-    """Return the predictions; if none of them is what the protocol takes, that is their one problem."""
-    if plan.protocol.kind is not IMAGES:
-        return found
-    reason = other_look(plan.protocol, found, request.manifest, folder)
+        return FoundPredictions({}, (problem,), 0)
+    found = find_predictions(
+        folder,
+        places,
+        known=known,
+        elsewhere=elsewhere,
+        allow_missing=request.allow_missing,
+        because=_own_pairs(request.protocol.name, plan),
+    )
+    reason = other_look(request.protocol, found, request.manifest, folder) if request.kind is IMAGES else None
     return found if reason is None else FoundPredictions({}, (EvaluationProblem(str(folder), reason),), 0)
+
+
+def _own_pairs(name: str, plan: ScoringPlan) -> str:
+    """Return why a set of the user's own may lack predictions of pairs that its protocol does not choose elsewhere."""
+    set_aside = plan.facts.get("set_aside")
+    return f", and {name} scores this set's own pairs, not its {', '.join(set_aside)}" if set_aside else ""
 
 
 # --- what stands beside a result's numbers ----------------------------------------------------------------------------
@@ -355,7 +309,9 @@ def shading_notes(request: Request) -> list[str]:
     return [f"the predictions are, as {said}, of inputs less {which}"]
 
 
-def notes_of(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult, scored: PlanScores) -> list[str]:
+def notes_of(
+    protocol: Protocol, plan: ScoringPlan, found: FoundPredictions, result: EvaluationResult, scored: PairScores
+) -> list[str]:
     """Return what a reader of a result's table should know: of its pairs, its predictions, its levels and factors."""
     notes, scores = [], result.scores
     if set_aside := plan.facts.get("set_aside"):
@@ -374,12 +330,12 @@ def notes_of(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResul
             "the file's one white level was taken"
         )
     notes += _white_level_notes(result.scores, scored)
-    levels = plan.protocol.levels
+    levels = protocol.levels
     same = {"metadata", "published"} & {*(scored.equal_choices or {}).get("levels", ())}
     if scores and levels in ONE_CAMERAS_LEVELS and not same:
         other = "others" if levels == "lrid" else "another black level"
         notes.append(
-            f"{LEVELS[levels]} was taken for every file, as protocol {plan.protocol.name} has it; some of these files "
+            f"{LEVELS[levels]} was taken for every file, as protocol {protocol.name} has it; some of these files "
             f"state {other}"
         )
     if "task" in result.provenance and scores:
@@ -399,7 +355,7 @@ def notes_of(plan: ScoringPlan, found: FoundPredictions, result: EvaluationResul
     return notes
 
 
-def _white_level_notes(scores: Sequence[UnitScore], scored: PlanScores) -> list[str]:
+def _white_level_notes(scores: Sequence[UnitScore], scored: PairScores) -> list[str]:
     """Return whose files saturate at another level than the protocol divides by, in one line with all numbers."""
     found: dict[str, set[float]] = {}
     taken_dn = 0.0
@@ -419,8 +375,8 @@ def _white_level_notes(scores: Sequence[UnitScore], scored: PlanScores) -> list[
     return [f"the files of {whose}, and the protocol divides by {taken_dn:g}: {own}"]
 
 
-def provenance_of(request: Request, plan: ScoringPlan, scored: PlanScores) -> dict[str, Any]:
-    """Return what the numbers of a plan depend on: versions, manifest, protocol's digest, choice of pairs."""
+def provenance_of(request: Request, plan: ScoringPlan, scored: PairScores) -> dict[str, Any]:
+    """Return what the numbers of a result depend on: versions, manifest, protocol's digest, choice of pairs."""
     import rawpy
 
     manifest, cameras = request.manifest, request.cameras
@@ -436,9 +392,9 @@ def provenance_of(request: Request, plan: ScoringPlan, scored: PlanScores) -> di
         "libraw": ".".join(map(str, rawpy.libraw_version)),
         "eldata": __version__,
         **{name: version(name) for name in ("numpy", "numba", "rawpy", "exifread")},
-        "protocol_digest": plan.protocol.digest,
+        "protocol_digest": request.protocol.digest,
         **plan.facts,
         "equal_choices": {name: [choice for choice in CHOICES[name] if choice in equal[name]] for name in equal},
-        **({} if request.dark_shading is None else {"dark_shading": plan.protocol.dark_shading}),
+        **({} if request.dark_shading is None else {"dark_shading": request.protocol.dark_shading}),
         **({} if request.task is None else {"task": request.task.provenance}),
     }

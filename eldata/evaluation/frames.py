@@ -1,7 +1,7 @@
-"""One noisy frame against its reference: files are decoded once, and each protocol makes of them what it states.
+"""One noisy frame against its reference: files are decoded once, and a protocol makes of them what it states.
 
 Nothing here lists by hand what a value depends on. What is kept is what a file holds, or what a function returned, by
-all of its arguments; and the score of protocols that come to the same on these files, by all that protocols state.
+all of its arguments.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from eldata.isp.response import response_of
 from eldata.manifest.clips import ClipRecord
 from eldata.metrics.registry import OF_FRAMES
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.protocols.digests import CHOOSING, OF_INPUT, canonical
 from eldata.protocols.protocol import NO_SHADING, Amplification, Levels
 from eldata.raw.cfa import packing_sites, unpack
 from eldata.raw.levels import check_in_dn, packed_black_level_dn, with_levels
@@ -48,22 +47,22 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class ScoringJob:
-    """What all units share: where predictions' paths begin, the dataset's frames, protocols, threads of a unit.
+    """What all units share: where predictions' paths begin, the dataset's frames, the protocol, threads of a unit.
 
     ``dark_shading``: the file of what is taken off inputs. ``task``: one of the user's own, if one is wanted.
     """
 
     start: Path
     originals: Originals
-    protocols: tuple[Protocol, ...]
+    protocol: Protocol
     threads: int | None
     dark_shading: Path | None = None
     task: Task | None = None
 
     @property
     def shading(self) -> DarkShading | None:
-        """The dark shading, which is the one that the protocols state."""
-        stated, path = self.protocols[0].dark_shading, self.dark_shading
+        """The dark shading, which is the one that the protocol states."""
+        stated, path = self.protocol.dark_shading, self.dark_shading
         if path is None and stated != NO_SHADING:
             raise ArgumentError(f"the inputs are less the dark shading {stated}; its file is needed to show them")
         found = None if path is None else dark_shading_in(path)
@@ -88,11 +87,6 @@ def read_once(read: Callable[[], Value]) -> Callable[[], Value]:
         return found[0]
 
     return ask
-
-
-def _first_equal(frame: RawFrame, levels: Levels) -> Levels:
-    """Return the first choice of levels that comes to the same on a frame, so that equal ones are computed once."""
-    return next(one for one in get_args(Levels) if levels_dn(frame, one) == levels_dn(frame, levels))
 
 
 class Reference:
@@ -127,7 +121,7 @@ class Reference:
         """Return what predictions are compared with, (C, h, w) of the whole frame."""
         if not protocol.is_of_packed:
             return self._rendered() if protocol.pixels == "srgb" else self._rgb()
-        how = _first_equal(self.frame, protocol.levels), protocol.reference_clip
+        how = protocol.levels, protocol.reference_clip
         made = self._shown(protocol.response, *how) if protocol.pixels == "srgb" else self._normalised(*how)
         return cast("NDArray[Any]", made)
 
@@ -151,7 +145,7 @@ class NoisyInput:
         if protocol.pixels == "rgb":  # amplified by its authors
             return self._rgb()
         ratio = self._ratio(protocol.amplification)
-        taken = self._normalised(_first_equal(self.frame, protocol.levels), protocol.input_clip, ratio)
+        taken = self._normalised(protocol.levels, protocol.input_clip, ratio)
         return cast(
             "NDArray[Any]", taken if protocol.pixels != "srgb" else rendered_frame(taken, self.frame, protocol.curve)
         )
@@ -224,8 +218,7 @@ class ComparedFrame:
     def __init__(self, job: ScoringJob, reference: Reference, pair: Pair, noisy: NoisyInput, file: Path | None) -> None:
         self.reference, self.path, self.file = reference, noisy.path, file
         self._job, self._pair, self._noisy = job, pair, noisy
-        self._scores: dict[str, Score] = {}
-        place, levels = job.start / (file or ""), job.protocols[0].levels  # which words of an error depend on
+        place, levels = job.start / (file or ""), job.protocol.levels  # which words of an error depend on
         dng = read_once(lambda: load_dng(place, reference.frame.sensor))
         self._dng = dng
         self._dng_normalised = cache(lambda levels: normalised_frame(dng(), levels, clip="none"))
@@ -271,7 +264,7 @@ class ComparedFrame:
         if protocol.pixels != "packed":
             return self._colours(protocol.pixels, self.reference.target(protocol).shape)
         if self._is_dng:
-            return cast("NDArray[Any]", self._dng_normalised(_first_equal(self._dng(), protocol.levels)))
+            return cast("NDArray[Any]", self._dng_normalised(protocol.levels))
         return self._raw()
 
     def input(self, protocol: Protocol) -> NDArray[Any]:
@@ -302,27 +295,15 @@ class ComparedFrame:
             "amplification": self._noisy.equal_ratios(protocol),
         }
 
-    def _deciding(self, protocol: Protocol) -> str:
-        """Return all that a protocol states that decides this score, and in place of a value those that are equal."""
-        ignored = CHOOSING if self.file is None else (*CHOOSING, *OF_INPUT)
-        stated = {name: value for name, value in canonical(protocol.as_dict()).items() if name not in ignored}
-        equal = {name: sorted(values) for name, values in self.equal_choices(protocol).items()}
-        return repr(sorted((stated | equal).items()))
-
     def score(self, protocol: Protocol, target: NDArray[Any]) -> Score:
         """Return the scores of the region."""
-        prediction = self.prediction(protocol)
-        deciding = self._deciding(protocol)
-        if deciding not in self._scores:
-            self._scores[deciding] = self._score(protocol, target, prediction)
-        return self._scores[deciding]
+        return self._score(protocol, target, self.prediction(protocol))
 
     def _score(self, protocol: Protocol, target: NDArray[Any], prediction: NDArray[Any]) -> Score:
-        from eldata.metrics.image_score import factor_by, score_by
+        from eldata.metrics.image_score import score_by
 
-        rules, threads = protocol.rules, self._job.threads
-        crop, part = protocol.crop(target.shape), protocol.factor_crop(target.shape)
-        factor = factor_by(prediction[part], target[part], rules, threads=threads)
+        rules, threads, crop = protocol.rules, self._job.threads, protocol.crop(target.shape)
+        factor = self._factor(protocol, target, prediction)
         p, g = prediction[crop], target[crop]
         if protocol.ssim_planes == "mosaic":
             cfa = self.reference.frame.sensor.cfa
@@ -331,6 +312,21 @@ class ComparedFrame:
             codes = _rendered(p, g, self.reference.frame.sensor, protocol, factor)
             return _score_codes(*codes, rules, factor, threads)
         return score_by(p, g, rules, factor=factor, threads=threads)
+
+    def _factor(self, protocol: Protocol, target: NDArray[Any], prediction: NDArray[Any]) -> float:
+        from eldata.metrics.image_score import factor_by
+
+        part = protocol.factor_crop(target.shape)
+        return factor_by(prediction[part], target[part], protocol.rules, threads=self._job.threads)
+
+    def scored_images(self, protocol: Protocol) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return prediction and reference that the score of the region is of; those of 256 levels as float32."""
+        target = self.target(protocol)
+        p, g = self.shown(protocol, target, self._factor(protocol, target, self.prediction(protocol)), "compared")
+        if protocol.ssim_planes == "mosaic":
+            cfa = self.reference.frame.sensor.cfa
+            p, g = (unpack(np.ascontiguousarray(image), cfa)[np.newaxis] for image in (p, g))
+        return p, g
 
     def inspected(self, protocol: Protocol, target: NDArray[Any], psnr_db: float) -> Inspection:
         """Return what the prediction shows of mistakes."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,20 +15,21 @@ from eldata.errors import ArgumentError, PredictionError
 from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
 from eldata.evaluation.layouts import find_predictions
 from eldata.evaluation.originals import Originals
-from eldata.evaluation.reproduction import protocol_of
+from eldata.evaluation.planning import plan_scoring, require_folder
+from eldata.evaluation.request import EvaluationOptions, make_request
+from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import FrameScore, cameras_in_order, natural, place_of, reference_of
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
 from eldata.isp.preview import brightening, preview
-from eldata.protocols.protocol import NO_SHADING, Protocol
+from eldata.manifest.catalogue import FrameFiles, known_names
+from eldata.protocols.protocol import NO_SHADING, ClipProtocol, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import Pair, UnitScore
-    from eldata.manifest.catalogue import FrameFiles
     from eldata.plots.scores import Strip
     from eldata.records import Sensor
 
@@ -148,7 +149,7 @@ class ScoredImage:
         """Return what one of the methods was scored on, by its number; a reference that is decoded already is taken."""
         protocol, path = self.protocols[index], self.frames[index].path
         shading = None if protocol.dark_shading == NO_SHADING else self.dark_shading
-        job = ScoringJob(Path.cwd(), self.originals, (protocol,), None, dark_shading=shading)
+        job = ScoringJob(Path.cwd(), self.originals, protocol, None, dark_shading=shading)
         reference = reference or self._reference()
         noisy = NoisyInput(job, reference, self.pair, path)
         return ComparedFrame(job, reference, self.pair, noisy, self.files[index])
@@ -259,7 +260,6 @@ def images_of(
     dataset_folder: Path | FrameFiles,
     predictions: Sequence[Path | None],
     dark_shading: Path | None = None,
-    store: Path | None = None,
     units: Mapping[str, Pair] | None = None,
 ) -> tuple[ScoredImage, ...]:
     """Return what to decode of images that results, one of each method, have scores of.
@@ -272,8 +272,6 @@ def images_of(
         Where the raw files lie, and the predictions of each method; ``None`` of one that is the noisy input itself.
     dark_shading
         The file of what was taken off the inputs, if anything was.
-    store
-        The store that was read in place of the dataset's files, if one was.
     units
         The pairs, or windows, by their paths: of results that were read back (:func:`units_again`), which hold none.
 
@@ -287,7 +285,8 @@ def images_of(
     if len(predictions) != len(results):
         raise ArgumentError(f"expected a folder of predictions per method; found {len(predictions)} for {len(results)}")
     known = {unit.path: unit for unit in results[0].units} if units is None else units
-    protocols, originals = tuple(map(protocol_of, results)), Originals.opened(dataset_folder, store)
+    files_of_set = FrameFiles(dataset_folder) if isinstance(dataset_folder, Path) else dataset_folder
+    protocols, originals = tuple(map(protocol_of, results)), Originals(files_of_set.absolute())
     frames = [_frames_of(of_image) for of_image in scores]
     places = [place_of(known[one[0].path], shown[0].path) for one, shown in zip(scores, frames, strict=True)]
     files = [None if folder is None else find_predictions(folder, places).files for folder in predictions]
@@ -307,6 +306,100 @@ def _frames_of(scores: Sequence[UnitScore]) -> tuple[FrameScore, ...]:
     shown = worst_frame(first)
     same = ([frame for frame in score.frames if frame.path == shown.path] for score in others)
     return shown, *(found[0] if found else worst_frame(score) for found, score in zip(same, others, strict=True))
+
+
+# --- a result that was read back ------------------------------------------------------------------------------------
+
+
+def protocol_of(result: EvaluationResult) -> Protocol:
+    """Return the protocol of a result, of one that was read back as this version has it.
+
+    Raises
+    ------
+    ArgumentError
+        If this version scores differently from what the result states.
+    """
+    stated = result.protocol
+    if isinstance(stated, Protocol):
+        return stated
+    kind = ClipProtocol if result.kind.is_of_clips else Protocol
+    fields: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in stated.fields.items()
+        if name in kind.__dataclass_fields__
+    }
+    try:
+        found = kind(**fields)
+    except TypeError:
+        found = None
+    if found is None or found.digest != stated.digest:
+        raise ArgumentError(
+            f"{result.source}: its protocol {stated.name!r} is of another version of eldata, which may have scored "
+            "otherwise; score again with eldata evaluate --json, or with that version"
+        )
+    return found
+
+
+def _check_known(result: EvaluationResult, manifest: Path | str | None) -> None:
+    if manifest is None and result.dataset not in known_names():
+        raise ArgumentError(
+            f"{result.source} is of {result.dataset!r}, which is not a set that eldata knows; give its manifest with "
+            "--manifest (manifest=...)"
+        )
+
+
+def _asked(result: EvaluationResult) -> tuple[Protocol, EvaluationOptions]:
+    """Return the protocol and the choice of pairs of a result that was read back."""
+    chosen = result.provenance.get("cameras", "all")
+    options: EvaluationOptions = {"cameras": None if chosen == "all" else chosen}
+    ids = result.provenance.get("ids")
+    if ids is not None:
+        options["ids"] = ids
+    else:
+        options["subset"] = result.provenance.get("subset")
+    return protocol_of(result), options
+
+
+def units_again(
+    result: EvaluationResult, *, manifest: Path | None = None, root: Path | None = None
+) -> tuple[FrameFiles, dict[str, Pair]]:
+    """Return the dataset's folder, and the pairs of a result that was read back, by their paths.
+
+    Parameters
+    ----------
+    result
+        Read back.
+    manifest
+        The manifest's file; by default that of the dataset that the result names.
+    root
+        The folder above the dataset's.
+
+    Raises
+    ------
+    ArgumentError
+        If the manifest is not the one that the scores are of.
+    ManifestError, DatasetError
+        If it is malformed, or the dataset is not there.
+    """
+    _check_known(result, manifest)
+    protocol, options = _asked(result)
+    options |= {"root": root, "manifest": manifest}
+    # Which pairs there are does not depend on what was taken off their inputs.
+    request = make_request(Path(), result.dataset, replace(protocol, dark_shading=NO_SHADING), options)
+    stated = result.provenance["manifest_sha256"]
+    if request.manifest.digest != stated:
+        raise ArgumentError(
+            f"{request.manifest.path} is not the manifest that {result.source} was scored with ({stated[:15]}, this "
+            f"is {request.manifest.digest[:15]}); give that one with --manifest"
+        )
+    require_folder(request)
+    return request.files, {pair.path: pair for pair in plan_scoring(request).pairs}
+
+
+def stated_predictions(result: EvaluationResult) -> Path | None:
+    """Return the folder of predictions that a result states; ``None``: the noisy input itself."""
+    stated = str(result.provenance.get("predictions", ""))
+    return None if stated == THE_INPUT else Path(stated)
 
 
 # --- intervals in words -------------------------------------------------------------------------------------------

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from eldata.base.numbers import counted
 from eldata.errors import ArgumentError, DatasetError
-from eldata.evaluation.originals import Originals, store_of
+from eldata.evaluation.originals import Originals
 from eldata.evaluation.request import OF_CLIPS
 from eldata.evaluation.scores import Pair, clip_place, files_of, iso_of
 from eldata.manifest.card import find_subset
@@ -34,17 +33,13 @@ if TYPE_CHECKING:
     from eldata.records import FrameRecord
 
 
-# What protocols of other pixels than packed raw take from the dataset's files.
-_OF_FILES = {"srgb": "LibRaw's renderings of the raw files", "rgb": "preprocessed RGB frames"}
-
-
 @dataclass(frozen=True, slots=True)
 class ScoringPlan:
-    """A protocol and what it scores here.
+    """What a protocol scores here.
 
     Attributes
     ----------
-    protocol, pairs
+    pairs
         Pairs of frames in the manifest's order, or windows of clips.
     facts
         What of the choice the provenance states, such as the subset on the card, and how many pairs were left out for
@@ -52,7 +47,6 @@ class ScoringPlan:
         words, because the set is the user's own.
     """
 
-    protocol: Protocol
     pairs: tuple[Pair, ...]
     facts: dict[str, Any] = field(default_factory=dict)
 
@@ -81,8 +75,8 @@ def places_elsewhere(request: Request) -> dict[str, list[str]]:
     }
 
 
-def plan_scoring(request: Request, protocol: Protocol, *, unscored: bool = False) -> ScoringPlan:
-    """Return what a protocol scores; with ``unscored`` also what is only to be predicted, a subset without references.
+def plan_scoring(request: Request, *, unscored: bool = False) -> ScoringPlan:
+    """Return what is scored; with ``unscored`` also what is only to be predicted, a subset without references.
 
     Of a set that comes with the package these are the protocol's pairs or clips. A set of the user's own has its own
     pairs: those at the protocol's factors if it has every one of them, else all.
@@ -97,41 +91,36 @@ def plan_scoring(request: Request, protocol: Protocol, *, unscored: bool = False
     DatasetError
         If the files of clips are not there, or not what the manifest says.
     """
-    name = request.manifest.name
+    name, protocol = request.manifest.name, request.protocol
     for_own = protocol.kind is IMAGES or protocol.dataset == OWN_SEQUENCES
     if not ((request.is_own and for_own) or protocol.covers(name)):
         raise ArgumentError(
             f"protocol {protocol.name!r} is for dataset {protocol.dataset!r}, not {name!r}; "
             "eldata protocols lists those for each"
         )
-    if request.store is not None and not protocol.is_of_packed:
-        raise ArgumentError(
-            f"protocol {protocol.name!r} scores {_OF_FILES[protocol.pixels]}, which a store does not hold; leave "
-            "--store (store) out"
-        )
     if isinstance(protocol, ClipProtocol):
         plan = _clip_plan(request, protocol)
     else:
         plan = _image_plan(request, protocol, unscored)
     if request.dark_shading is not None:
-        _check_shading(plan, dark_shading_in(request.dark_shading))
+        _check_shading(protocol, plan.pairs, dark_shading_in(request.dark_shading))
     return plan
 
 
-def _check_shading(plan: ScoringPlan, shading: DarkShading) -> None:
+def _check_shading(protocol: Protocol, pairs: Sequence[Pair], shading: DarkShading) -> None:
     """Raise :class:`ArgumentError` unless a dark shading can be that of all inputs, as far as the manifest knows."""
-    if plan.protocol.pixels == "rgb":
+    if protocol.pixels == "rgb":
         raise ArgumentError(
-            f"protocol {plan.protocol.name!r} scores preprocessed RGB, whose dark shading nobody can take off; leave "
+            f"protocol {protocol.name!r} scores preprocessed RGB, whose dark shading nobody can take off; leave "
             "--dark-shading (dark_shading) out"
         )
-    cameras = list(dict.fromkeys(pair.camera for pair in plan.pairs))
+    cameras = list(dict.fromkeys(pair.camera for pair in pairs))
     if len(cameras) > 1:
         raise ArgumentError(
             f"the dark shading of {shading.camera} is of one body, and {len(cameras)} cameras are scored: "
             f"{', '.join(cameras)}; choose one with --camera (cameras)"
         )
-    for iso in sorted({iso_of(pair) for pair in plan.pairs} - {0.0}):
+    for iso in sorted({iso_of(pair) for pair in pairs} - {0.0}):
         shading.measured(iso)
 
 
@@ -166,7 +155,7 @@ def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> Scoring
         "included_flags": _counted(pair.flags for pair in pairs),
         "excluded_flags": _excluded(request, (pair.flags for pair in candidates)),
     }
-    return ScoringPlan(protocol, pairs, facts)
+    return ScoringPlan(pairs, facts)
 
 
 def _set_aside(protocol: Protocol, ratios: tuple[int | float, ...]) -> list[str]:
@@ -236,13 +225,7 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
         for length in (protocol.frame_count or len(clip.frames),)
         for window in windows(clip, length=length, stride=length, frames=protocol.frames)
     )
-    task = request.task
     for window in found:
-        if task is not None and len(window.paths) < task.frames:
-            raise ArgumentError(
-                f"clip {window.scene}: protocol {protocol.name!r} scores {counted(len(window.paths), 'frame')} of it, "
-                f"and the task {task.place} wants {task.frames} consecutive ones; choose other clips: {OF_CLIPS}"
-            )
         if window.reference is None:
             raise DatasetError(f"clip {window.scene}: has no reference, so it cannot be scored")
         if protocol.dataset == OWN_SEQUENCES and not window.references:
@@ -257,7 +240,7 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
         "included_flags": _counted(kept.values()),
         "excluded_flags": _excluded(request, there.values()),
     }
-    return ScoringPlan(protocol, found, {"subset": subset, "ids": ids, "layout": str(Layout.of(listed)), **flags})
+    return ScoringPlan(found, {"subset": subset, "ids": ids, "layout": str(Layout.of(listed)), **flags})
 
 
 def _clip_subset(request: Request) -> str | None:
@@ -283,15 +266,9 @@ def require_folder(request: Request) -> None:
 
 
 def require_pairs(request: Request, pairs: Iterable[Pair]) -> Originals:
-    """Return where the frames of these pairs come from; raise :class:`DatasetError` unless the manifest means them.
-
-    Their files are held against the manifest; of a store, what it kept of the files that it was packed from.
-    """
+    """Return where the frames of these pairs come from; raise :class:`DatasetError` unless the manifest means them."""
     needed = {path for pair in pairs for path in files_of(pair)}
     rows = [row for row in request.manifest.records if row.role in ("noisy", "reference")]
-    if request.store is not None:
-        wanted = [row for row in rows if row.path in needed]
-        return store_of(request.manifest, request.folder, request.store, wanted)
     require_folder(request)
     listed = rows if request.kind is IMAGES else expand(rows, request.folder)
     check_rows(request, [row for row in listed if row.path in needed], "metadata")

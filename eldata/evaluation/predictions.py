@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from eldata.base.pixels import Declared
     from eldata.evaluation.layouts import FoundPredictions
-    from eldata.evaluation.request import Request
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.clips import ClipRecord
     from eldata.protocols.protocol import Levels, Protocol, Space
@@ -219,13 +218,6 @@ def looks_of(found: FoundPredictions, records: Iterable[FrameRecord]) -> Iterato
                 yield None
             else:
                 yield "binned" if 2 * math.prod(declared_array(file).shape) < 3 * width * height else "whole"
-
-
-def look_of_folder(found: FoundPredictions, request: Request) -> Look:
-    """Return what the first prediction looks to be that can be read; of unknown size what a protocol takes."""
-    for look in looks_of(found, request.manifest.records):
-        return look or ("whole" if "whole" in map(look_wanted, request.protocols) else "binned")
-    return "raw"
 
 
 def other_look(protocol: Protocol, found: FoundPredictions, manifest: Manifest, folder: Path) -> str | None:

@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 
 Baseline = Literal["input"]
 
-ALL = "all"
-"""In place of a protocol's name: every one that is for the dataset."""
-
 OF_CLIPS = "--clip ID (in Python ids=[...])"
 """What chooses clips, in messages: the commands that predict have another use for ``--clip``."""
 
@@ -50,13 +47,12 @@ class SetOptions(TypedDict, total=False):
 
 
 class EvaluationOptions(SetOptions, total=False):
-    """Keyword arguments of :func:`eldata.evaluate`, which says what they mean, and :func:`eldata.evaluate_all`."""
+    """Keyword arguments of :func:`eldata.evaluate`, which says what they mean."""
 
     allow_missing: bool
     baseline: Baseline | None
     strict: bool
     task: Task | TaskFunction | str | None
-    store: Path | str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,23 +65,18 @@ class Request:
         The dataset's manifest, and its folder.
     predictions
         Their folder; ``None`` for the baseline.
-    protocols
-        How to score; several for ``all``.
-    every
-        Whether every protocol was asked for, and those that cannot score are left out and named.
+    protocol
+        How to score.
     task
         One of the user's own; ``None``: none.
     dark_shading
-        The file of the dark shading that inputs are corrected with, whose digest the protocols state; ``None``: none.
-    store
-        The store that is read in place of the dataset's files; ``None``: they are read themselves.
+        The file of the dark shading that inputs are corrected with, whose digest the protocol states; ``None``: none.
     """
 
     manifest: Manifest
     folder: Path
     predictions: Path | None
-    protocols: tuple[Protocol, ...]
-    every: bool
+    protocol: Protocol
     cameras: Collection[str] | None
     subset: str | None
     ids: Collection[str] | None
@@ -94,13 +85,12 @@ class Request:
     strict: bool
     task: Task | None
     dark_shading: Path | None
-    store: Path | None
     workers: Workers
 
     @property
     def kind(self) -> Kind:
         """What is scored: images or clips."""
-        return self.protocols[0].kind
+        return self.protocol.kind
 
     @property
     def files(self) -> FrameFiles:
@@ -125,16 +115,13 @@ def make_request(
     """
     keywords("evaluate", options, EvaluationOptions)
     path, baseline = options.get("manifest"), options.get("baseline")
-    task, store = options.get("task"), options.get("store")
+    task, shading = options.get("task"), options.get("dark_shading")
     manifest = known_manifest(dataset) if path is None else load_manifest(path)
-    shading = options.get("dark_shading")
-    protocols = _every_protocol(manifest) if protocol == ALL else (_protocol(protocol, manifest),)
     request = Request(
         manifest=manifest,
         folder=manifest.folder(options.get("root")),
         predictions=None if predictions is None else Path(predictions),
-        protocols=_of_inputs(protocols, shading),
-        every=protocol == ALL,
+        protocol=_of_inputs(_protocol(protocol, manifest), shading),
         cameras=options.get("cameras"),
         subset=options.get("subset"),
         ids=options.get("ids"),
@@ -143,7 +130,6 @@ def make_request(
         strict=options.get("strict", False),
         task=None if task is None else Task.of(task),
         dark_shading=None if shading is None else Path(shading).absolute(),
-        store=None if store is None else Path(store),
         workers=Workers.of(options.get("workers", 1)),
     )
     if baseline not in (None, "input"):
@@ -152,15 +138,11 @@ def make_request(
         raise ArgumentError("give a folder of predictions or a baseline, and not both")
     if request.kind is IMAGES and request.ids is not None:
         raise ArgumentError(f"{OF_CLIPS} is for datasets of clips, such as drv")
-    if request.kind is IMAGES and request.every and request.subset is not None:
-        raise ArgumentError("--protocol all scores each protocol's own pairs; leave --subset out")
     if request.subset is not None and request.ids is not None:
         raise ArgumentError("give a subset or ids, not both")
-    first = request.protocols[0]
-    if not request.every and predictions is None and first.pixels == "srgb" and not first.is_of_packed:
-        raise ArgumentError(f"protocol {first.name!r} scores renderings, so the raw input is not a baseline of it")
-    if request.store is not None and request.kind is not IMAGES:
-        raise ArgumentError("--store (store) is for datasets of images; clips are scored from their files")
+    chosen = request.protocol
+    if predictions is None and chosen.pixels == "srgb" and not chosen.is_of_packed:
+        raise ArgumentError(f"protocol {chosen.name!r} scores renderings, so the raw input is not a baseline of it")
     if request.predictions is not None:
         _check_inputs(request, request.predictions)
     if request.task is not None:
@@ -171,13 +153,6 @@ def make_request(
 def _is_own(manifest: Manifest) -> bool:
     default = default_protocol(manifest.card)
     return manifest.name not in shipped_names() and (default.kind is IMAGES or not default.covers(manifest.name))
-
-
-def _every_protocol(manifest: Manifest) -> tuple[Protocol, ...]:
-    """Return the protocols for a dataset, the one that its card names first."""
-    default = default_protocol(manifest.card)
-    others = protocols_for(manifest.name, own=_is_own(manifest))
-    return tuple(dict.fromkeys(one for one in (default, *others) if one.kind is default.kind))
 
 
 def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:
@@ -200,17 +175,16 @@ def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Pro
     return chosen
 
 
-def _of_inputs(protocols: tuple[Protocol, ...], shading: Path | str | None) -> tuple[Protocol, ...]:
-    """Return the protocols with what is taken off their input; one that states a dark shading is of that one alone."""
+def _of_inputs(protocol: Protocol, shading: Path | str | None) -> Protocol:
+    """Return the protocol with what is taken off its input; if it states a dark shading, it is of that one alone."""
     digest = NO_SHADING if shading is None else dark_shading_in(Path(shading).absolute()).digest
-    for one in protocols:
-        if one.dark_shading not in (NO_SHADING, digest):
-            found = "none was given" if shading is None else f"{shading} is {digest}"
-            raise ArgumentError(
-                f"protocol {one.name!r} is of inputs less the dark shading {one.dark_shading}, and {found}: give that "
-                "one with --dark-shading (dark_shading=...)"
-            )
-    return tuple(replace(one, dark_shading=digest) for one in protocols)
+    if protocol.dark_shading not in (NO_SHADING, digest):
+        found = "none was given" if shading is None else f"{shading} is {digest}"
+        raise ArgumentError(
+            f"protocol {protocol.name!r} is of inputs less the dark shading {protocol.dark_shading}, and {found}: give "
+            "that one with --dark-shading (dark_shading=...)"
+        )
+    return replace(protocol, dark_shading=digest)
 
 
 def stated_shading(folder: Path) -> str | None:
@@ -236,16 +210,16 @@ def _stated(folder: Path, name: str) -> str | None:
 
 def _check_inputs(request: Request, folder: Path) -> None:
     """Check that the folder's own words on what its predictions were made of do not contradict the request."""
-    first = request.protocols[0]
-    if not request.every and first.is_of_packed and first.pixels == "srgb":
+    protocol = request.protocol
+    if protocol.is_of_packed and protocol.pixels == "srgb":
         for name in ("input_space", "response"):
-            stated, given = _stated(folder, name), in_words(name, getattr(first, name))
+            stated, given = _stated(folder, name), in_words(name, getattr(protocol, name))
             if stated not in (None, given):
                 raise ArgumentError(
                     f"{folder / SETTINGS} says of these predictions {FIELDS[name][0]}: {stated}, and protocol "
-                    f"{first.name!r} has {given} ({name}); give the protocol that they were made under"
+                    f"{protocol.name!r} has {given} ({name}); give the protocol that they were made under"
                 )
-    stated, given = stated_shading(folder), first.dark_shading
+    stated, given = stated_shading(folder), protocol.dark_shading
     if stated in (None, given):
         return
     said = "inputs as they are" if stated == NO_SHADING else f"inputs less the dark shading {stated}"
@@ -255,10 +229,8 @@ def _check_inputs(request: Request, folder: Path) -> None:
 
 
 def _check_task(request: Request, task: Task) -> None:
-    """Check that a task can have the images and frames that it wants, and that the workers can have it."""
-    if request.every:
-        raise ArgumentError("--task goes with one protocol, not with --protocol all")
-    (protocol,) = request.protocols
+    """Check that a task can have the images that it wants, and that the workers can have it."""
+    protocol = request.protocol
     if task.images not in {"packed": ("compared", "packed", "srgb"), "srgb": ("compared", "srgb")}.get(
         protocol.pixels, ("compared",)
     ):
@@ -266,12 +238,6 @@ def _check_task(request: Request, task: Task) -> None:
         raise ArgumentError(
             f"the task {task.place} wants {wanted}, which predictions under protocol {protocol.name!r} do not have; "
             "give a protocol that takes packed raw predictions, such as eld or sid"
-        )
-    if task.frames > 1 and protocol.kind is IMAGES:
-        raise ArgumentError(
-            f"the task {task.place} wants {task.frames} consecutive frames, and protocol {protocol.name!r} scores "
-            f"single images of {request.manifest.name!r}: give a set of clips, such as drv, or one of your own that "
-            "was photographed moment by moment, with --protocol sequences"
         )
     if request.workers.executor is None and request.workers.jobs > 1:
         task.check_transportable()

@@ -1,6 +1,6 @@
 """What an evaluation found: scores, means per group, and everything that they depend on.
 
-One record for images and for clips, computed or read back (:func:`eldata.evaluation.saved.load_results`), which is
+One record for images and for clips, computed or read back (:func:`eldata.evaluation.saved.load_result`), which is
 printed, saved, compared and shown as a page.
 """
 
@@ -410,20 +410,11 @@ class EvaluationResult:
 
     def write_csv(self, path: Path | str) -> None:
         """Write the scores as CSV with the columns of their kind, every digit, whole or not at all."""
-        write_scores([self], path)
+        rows = (score.row(self.kind) for score in self.scores)
+        columns = self.kind.columns
+        write_text(path, csv_text(columns, ([csv_number(row[name]) for name in columns] for row in rows)))
 
 
 def kind_of(kind: Kind, provenance: Mapping[str, Any]) -> Kind:
     """Return a protocol's kind with what was asked for beyond it: a task."""
     return kind.having(stated_figure(provenance["task"])) if "task" in provenance else kind
-
-
-def write_scores(results: Sequence[EvaluationResult], path: Path | str, *, named: bool = False) -> None:
-    """Write the scores of results of one kind as CSV, whole or not at all; ``named``: the protocol comes first."""
-    columns = results[0].kind.columns
-    rows = (
-        (*((result.protocol.name,) if named else ()), *(csv_number(row[name]) for name in columns))
-        for result in results
-        for row in (score.row(result.kind) for score in result.scores)
-    )
-    write_text(path, csv_text((*(("protocol",) if named else ()), *columns), rows))

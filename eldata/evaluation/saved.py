@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 _AGAIN: Final = "write it again with eldata evaluate --json"
 
 
-def load_results(path: Path | str) -> tuple[EvaluationResult, ...]:
-    """Read what ``eldata evaluate --json`` wrote: one result per protocol.
+def load_result(path: Path | str) -> EvaluationResult:
+    """Read what ``eldata evaluate --json`` wrote.
 
     Raises
     ------
@@ -32,10 +32,7 @@ def load_results(path: Path | str) -> tuple[EvaluationResult, ...]:
         If the file cannot be read, is not whole, is something else, or was written by a newer version; the message
         names the field.
     """
-    top = TextFile(path, FileError, advice=_AGAIN).json()
-    if "results" not in top.data:
-        return (_result(top),)
-    return tuple(_result(one) for one in top.objects("results", fewest=1, expected="a list of results"))
+    return _result(TextFile(path, FileError, advice=_AGAIN).json())
 
 
 def saved_result(data: object, source: Path | str) -> EvaluationResult:
@@ -44,7 +41,7 @@ def saved_result(data: object, source: Path | str) -> EvaluationResult:
     Raises
     ------
     FileError
-        Like :func:`load_results`.
+        Like :func:`load_result`.
     """
     return _result(TextFile(source, FileError, advice=_AGAIN).fields(data))
 
@@ -59,8 +56,6 @@ def _result(top: Fields) -> EvaluationResult:
         for name in ("label", "callable", "images"):
             task.text(name)
         task.flag("higher_is_better")
-        if "frames" in task.data:
-            task.whole("frames", at_least=2)
     kind = kind_of(own, provenance.data)
     written = provenance.text("eldata")
     if _release(written) > _release(__version__):

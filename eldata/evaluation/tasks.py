@@ -23,12 +23,12 @@ from eldata.errors import ArgumentError, FileError, check_choice
 from eldata.evaluation.scores import short_digest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
     Image = NDArray[np.float32]
-    TaskFunction = Callable[[Image, Image], float] | Callable[[Sequence[Image], Sequence[Image]], float]
+    TaskFunction = Callable[[Image, Image], float]
     Shown = tuple[NDArray[Any], NDArray[Any]]  # a frame's prediction and its reference
 
 TaskImages = Literal["compared", "packed", "srgb"]
@@ -38,15 +38,11 @@ _LONGEST_LABEL = 40  # it heads a column
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A function of a prediction and its reference, or of those of consecutive frames, scored beside PSNR and SSIM.
+    """A function of a prediction and its reference, scored beside PSNR and SSIM.
 
     It is called as ``function(prediction, reference)`` with arrays (C, h, w) float32 of the region that the protocol
     scores, which it may write to, the prediction clamped and rescaled as the protocol has it. It returns a finite
     number, always the same for the same images. For worker processes it stands at the top level of a module.
-
-    With ``frames=2`` or more it is called as ``function(predictions, references)``, two tuples of so many such arrays,
-    once for each run of consecutive frames that a scored window of a clip holds: five frames are four pairs. What
-    networks say of two frames, such as optical flow, needs that (K. Wei et al., TPAMI 2021, section 4.7).
 
     Attributes
     ----------
@@ -62,9 +58,6 @@ class Task:
         The head of its column; by default the function's name.
     version
         What decides its values beside its source, such as the digest of a detector's weights; it is recorded.
-    frames
-        How many consecutive frames it sees at a time, 1 or more. Single images have no frame before them: more than
-        one is for protocols of clips, and of sequences that were photographed moment by moment.
     """
 
     function: TaskFunction
@@ -72,14 +65,11 @@ class Task:
     higher_is_better: bool = True
     label: str = ""
     version: str = ""
-    frames: int = 1
 
     def __post_init__(self) -> None:
         if isinstance(self.function, type) or not callable(self.function):
             raise ArgumentError(f"a task is a function of (prediction, reference); {self.function!r:.100} is not one")
         check_choice("images", self.images, get_args(TaskImages))
-        if type(self.frames) is not int or self.frames < 1:
-            raise ArgumentError(f"frames must be a whole number, 1 or more; found {self.frames!r:.100}")
         if not self.label:
             object.__setattr__(self, "label", self.place.rpartition(":")[2].rpartition(".")[2])
         if len(self.label) > _LONGEST_LABEL or in_line(self.label) != self.label:
@@ -143,7 +133,6 @@ class Task:
             "label": self.label,
             "images": self.images,
             "higher_is_better": self.higher_is_better,
-            **({"frames": self.frames} if self.frames > 1 else {}),
         }
 
     def check_transportable(self) -> None:
@@ -156,8 +145,8 @@ class Task:
                 "top level of a module, or work in one process (--jobs 1, workers=1)"
             ) from error
 
-    def score(self, shown: Sequence[Shown], path: str) -> float:
-        """Return its value for as many consecutive frames as it wants; ``path`` is the last one's, for messages.
+    def score(self, shown: Shown, path: str) -> float:
+        """Return its value for a frame; ``path`` is its name in messages.
 
         Raises
         ------
@@ -165,8 +154,7 @@ class Task:
             Of the frame, if the function raises, or returns what is not a finite number.
         """
         try:
-            sides: Any = [tuple(np.array(image, np.float32) for image in side) for side in zip(*shown, strict=True)]
-            made: Any = self.function(*(sides if self.frames > 1 else (side[0] for side in sides)))
+            made: Any = self.function(*(np.array(image, np.float32) for image in shown))
         except Exception as error:  # whatever a function of somebody's own raises is this frame's problem
             place = traceback.extract_tb(error.__traceback__)[-1]
             said = in_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
@@ -201,5 +189,4 @@ def task_note(task: Mapping[str, Any]) -> str:
     source = f" ({short_digest(task['source_sha256'])})" if task["source_sha256"] else ""
     images = {"compared": "what the protocol compares", "packed": "packed raw", "srgb": "renderings in sRGB"}
     better = "higher" if task["higher_is_better"] else "lower"
-    together = f"{task['frames']} consecutive frames at a time, " if "frames" in task else ""
-    return f"{task['label']}: {task['callable']}{source}, of {together}{images[task['images']]}; {better} is better"
+    return f"{task['label']}: {task['callable']}{source}, of {images[task['images']]}; {better} is better"

@@ -1,9 +1,9 @@
-"""The one scoring loop: images and windows of clips under one or several protocols at once.
+"""The one scoring loop: images and windows of clips under a protocol.
 
 A unit of work is a reference with the predictions that are compared with it: those of the noisy frames of an image
 scene, or of the frames of a clip's window (each of which may have its own), in one folder or in several. Each file is
-read once, and what protocols and folders share is computed once; predictions are in memory one at a time, however many
-folders there are, but for those that a task of several frames sees together.
+read once, and what folders share is computed once; predictions are in memory one at a time, however many folders there
+are.
 """
 
 from __future__ import annotations
@@ -38,24 +38,21 @@ from eldata.manifest.clips import ClipRecord
 from eldata.protocols.protocol import ClipProtocol
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from eldata.evaluation.originals import Originals
-    from eldata.evaluation.planning import ScoringPlan
     from eldata.evaluation.request import Request
-    from eldata.evaluation.tasks import Shown
     from eldata.metrics.image_score import Score
 
 Value = TypeVar("Value")
 
 
 @dataclass(slots=True)
-class PlanScores:
-    """What the pairs of one plan scored, by path, and what kept others from being scored.
+class PairScores:
+    """What pairs scored, by path, and what kept others from being scored.
 
-    ``unfit``: pairs that the protocol cannot score whatever is predicted, such as frames too small for its region.
     ``without_channel_whites``: noisy frames whose reference LibRaw has no white level per channel of, where the
     protocol takes it. ``white_levels_dn``: of each noisy frame, the white level that its reference's file states, and
     the constant that the protocol has in its place, if any. ``equal_choices``: the values of a protocol's field, by the
@@ -65,17 +62,15 @@ class PlanScores:
 
     scores: dict[str, UnitScore] = field(default_factory=dict)
     problems: list[EvaluationProblem] = field(default_factory=list)
-    unfit: list[EvaluationProblem] = field(default_factory=list)
     without_channel_whites: list[str] = field(default_factory=list)
     white_levels_dn: dict[str, tuple[float, float] | None] = field(default_factory=dict)
     equal_choices: dict[str, frozenset[str]] | None = None
     inspections: list[Inspection] = field(default_factory=list)
 
-    def add(self, others: PlanScores) -> None:
+    def add(self, others: PairScores) -> None:
         """Take in what other pairs scored."""
         self.scores |= others.scores
         self.problems += others.problems
-        self.unfit += others.unfit
         self.without_channel_whites += others.without_channel_whites
         self.white_levels_dn |= others.white_levels_dn
         self.inspections += others.inspections
@@ -92,44 +87,42 @@ def _in_common(
 
 @dataclass(frozen=True, slots=True)
 class Contender:
-    """What is scored under one plan: a folder's predictions, or the input.
+    """Whose predictions are scored: a folder's, or the input.
 
     Attributes
     ----------
-    plan
-        Protocol and pairs.
-    method
-        The number of its folder: plans of one folder read its files once.
+    pairs
+        Of which pairs, in order.
     files
         The file of each prediction by its place; pairs without all of theirs are left out. ``None``: the noisy inputs
         themselves are scored.
-    is_looked_at
-        Whether some of the predictions are looked at for mistakes.
     """
 
-    plan: ScoringPlan
-    method: int
+    pairs: tuple[Pair, ...]
     files: dict[str, Path] | None
-    is_looked_at: bool = True
 
     def has(self, pair: Pair) -> bool:
         """Return whether a pair can be scored."""
         files = self.files
         return files is None or all(place_of(pair, frame) in files for frame in frames_of(pair))
 
+    def predictions_of(self, pair: Pair) -> tuple[Path, ...] | None:
+        """Return the files of a pair's predictions; ``None``: its input itself."""
+        files = self.files
+        return None if files is None else tuple(files[place_of(pair, frame)] for frame in frames_of(pair))
+
 
 @dataclass(frozen=True, slots=True)
 class _Member:
-    """A pair, the files of its frames' predictions in one folder (``None``: the input itself), and who is scored on it.
+    """A pair, the number of the contender, the files of the predictions (``None``: the input itself).
 
-    ``contenders`` are numbers; ``looked``: those of whose prediction is looked at for mistakes.
+    ``is_looked_at``: for mistakes.
     """
 
     pair: Pair
-    method: int
+    contender: int
     files: tuple[Path, ...] | None
-    contenders: tuple[int, ...]
-    looked: frozenset[int]
+    is_looked_at: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,23 +136,27 @@ class _Unit:
     def __str__(self) -> str:
         return self.reference
 
-    def by_method(self) -> list[_Unit]:
-        """Return a unit for each folder."""
-        methods = dict.fromkeys(member.method for member in self.members)
-        return [replace(self, members=tuple(m for m in self.members if m.method == method)) for method in methods]
+    def by_contender(self) -> list[_Unit]:
+        """Return a unit for each contender."""
+        numbers = dict.fromkeys(member.contender for member in self.members)
+        return [replace(self, members=tuple(m for m in self.members if m.contender == number)) for number in numbers]
 
 
-def score_plans(request: Request, originals: Originals, contenders: Sequence[Contender]) -> list[PlanScores]:
+def score_contenders(
+    request: Request, originals: Originals, pairs: Sequence[Pair], contenders: Sequence[Contender]
+) -> list[PairScores]:
     """Score the pairs of each contender, which find what they would find alone.
 
     Parameters
     ----------
     request
-        Who works, and what is wanted beyond the protocols.
+        Who works, under which protocol, and what is wanted beyond it.
     originals
         The dataset's frames.
+    pairs
+        Those of all contenders, in order.
     contenders
-        Protocols, their pairs, and whose predictions.
+        Whose predictions of them.
 
     Raises
     ------
@@ -167,22 +164,15 @@ def score_plans(request: Request, originals: Originals, contenders: Sequence[Con
         What a unit raised that is neither an :class:`~eldata.errors.EldataError` nor an :class:`OSError`, and so no
         problem of the data; a note names the unit.
     """
-    job = ScoringJob(
-        Path.cwd(),
-        replace(originals, held={}),
-        tuple(one.plan.protocol for one in contenders),
-        request.workers.threads_within,
-        request.dark_shading,
-        request.task,
-    )
-    found: list[dict[str, PlanScores]] = [{} for _ in contenders]
+    job = _job_of(request, originals)
+    found: list[dict[str, PairScores]] = [{} for _ in contenders]
     waiting = _units(originals, contenders)
     while waiting:
         units, waiting = waiting, []
         for outcome in request.workers.attempt(partial(_score_unit, job), units, label="scoring", unit="reference"):
             if not isinstance(outcome, Failed):
                 scored = outcome
-            elif len(apart := outcome.unit.by_method()) > 1:
+            elif len(apart := outcome.unit.by_contender()) > 1:
                 waiting += apart  # one folder's file may have ended the worker: it is not to cost the others' scores
                 continue
             elif isinstance(outcome.error, (EldataError, OSError)):
@@ -192,38 +182,34 @@ def score_plans(request: Request, originals: Originals, contenders: Sequence[Con
                 raise outcome.error
             for number, path, scores in scored:
                 found[number][path] = scores
-    return [_in_order(one.plan, scores) for one, scores in zip(contenders, found, strict=True)]
+    return [_in_order(pairs, scores) for scores in found]
 
 
-def _in_order(plan: ScoringPlan, found: dict[str, PlanScores]) -> PlanScores:
-    """Return what the pairs of a plan found, in the plan's order."""
-    scores = PlanScores()
-    for pair in plan.pairs:
+def _job_of(request: Request, originals: Originals) -> ScoringJob:
+    threads = request.workers.threads_within
+    return ScoringJob(Path.cwd(), originals, request.protocol, threads, request.dark_shading, request.task)
+
+
+def _in_order(pairs: Sequence[Pair], found: dict[str, PairScores]) -> PairScores:
+    """Return what pairs found, in their order."""
+    scores = PairScores()
+    for pair in pairs:
         if pair.path in found:
             scores.add(found[pair.path])
     return scores
 
 
 def _units(originals: Originals, contenders: Sequence[Contender]) -> list[_Unit]:
-    scoring: dict[str, dict[int, list[int]]] = defaultdict(lambda: defaultdict(list))
-    pairs: dict[str, Pair] = {}
-    looked = [
-        chosen_frames((pair.path, pair.camera, ratio_of(pair), iso_of(pair)) for pair in one.plan.pairs)
-        if one.files is not None and one.is_looked_at
-        else frozenset()
-        for one in contenders
-    ]
+    of_pair: dict[str, list[_Member]] = defaultdict(list)
     for number, one in enumerate(contenders):
-        for pair in filter(one.has, one.plan.pairs):
-            pairs[pair.path] = pair
-            scoring[pair.path][one.method].append(number)
+        looked: frozenset[str] = frozenset()
+        if one.files is not None:
+            looked = chosen_frames((pair.path, pair.camera, ratio_of(pair), iso_of(pair)) for pair in one.pairs)
+        for pair in filter(one.has, one.pairs):
+            of_pair[pair.path].append(_Member(pair, number, one.predictions_of(pair), pair.path in looked))
     members: dict[str, list[_Member]] = defaultdict(list)
-    for path, pair in pairs.items():
-        for method, numbers in scoring[path].items():
-            of = contenders[numbers[0]].files
-            found = None if of is None else tuple(of[place_of(pair, frame)] for frame in frames_of(pair))
-            chosen = frozenset(number for number in numbers if path in looked[number])
-            members[pair.reference or ""].append(_Member(pair, method, found, tuple(numbers), chosen))
+    for of in of_pair.values():
+        members[of[0].pair.reference or ""] += of
     return [
         _Unit(reference, tuple(sharing), originals.of(_frames(reference, sharing)))
         for reference, sharing in members.items()
@@ -235,45 +221,39 @@ def _frames(reference: str, members: Sequence[_Member]) -> list[str]:
     return list(dict.fromkeys((reference, *(frame for member in members for frame in files_of(member.pair)))))
 
 
-def _unusable(unit: _Unit, reason: str) -> list[tuple[int, str, PlanScores]]:
-    """Return for each contender the problem of each pair of a unit that was lost as a whole."""
-    return [
-        (number, member.pair.path, _without_reference(member.pair, reason))
-        for member in unit.members
-        for number in member.contenders
-    ]
+def _unusable(unit: _Unit, reason: str) -> list[tuple[int, str, PairScores]]:
+    """Return the problem of each pair of a unit that was lost as a whole."""
+    return [(one.contender, one.pair.path, _without_reference(one.pair, reason)) for one in unit.members]
 
 
-def _without_reference(pair: Pair, reason: str) -> PlanScores:
+def _without_reference(pair: Pair, reason: str) -> PairScores:
     problem = EvaluationProblem(pair.path, f"its reference {pair.reference} cannot be used: {reason}")
-    return PlanScores(problems=[problem])
+    return PairScores(problems=[problem])
 
 
 # --- in a worker ------------------------------------------------------------------------------------------------------
 
 
-def _score_unit(job: ScoringJob, unit: _Unit) -> list[tuple[int, str, PlanScores]]:
-    """Return what each pair of a unit scored for each of its contenders."""
+def _score_unit(job: ScoringJob, unit: _Unit) -> list[tuple[int, str, PairScores]]:
+    """Return what each pair of a unit scored for each contender."""
     job = replace(job, originals=unit.originals)
     job.originals.require(unit.reference)
     require_files(*(job.start / file for member in unit.members for file in member.files or ()))
     references = {unit.reference: Reference(job.originals, unit.reference)}
-    found: list[tuple[int, str, PlanScores]] = []
+    found: list[tuple[int, str, PairScores]] = []
     for path, of_pair in groupby(unit.members, key=lambda member: member.pair.path):
         noisy: dict[str, NoisyInput] = {}  # what several folders' predictions of this pair are held against
         members = list(of_pair)
         for member in members:
-            scorers = [_Scorer(job, member, number) for number in member.contenders]
+            scorer = _Scorer(job, member)
             for index, frame in enumerate(frames_of(member.pair)):
                 reference = _reference(job, references, reference_of(member.pair, frame) or unit.reference)
                 given = noisy.get(frame) or NoisyInput(job, reference, member.pair, frame)
                 if len(members) > 1:
                     noisy[frame] = given
                 file = None if member.files is None else member.files[index]
-                shared = ComparedFrame(job, reference, member.pair, given, file)
-                for scorer in scorers:
-                    scorer.take(shared)
-            found += [(one, path, scorer.finished()) for one, scorer in zip(member.contenders, scorers, strict=True)]
+                scorer.take(ComparedFrame(job, reference, member.pair, given, file))
+            found.append((member.contender, path, scorer.finished()))
     return found
 
 
@@ -285,30 +265,47 @@ def _reference(job: ScoringJob, known: dict[str, Reference], path: str) -> Refer
     return known[path]
 
 
-# --- one pair under one protocol ------------------------------------------------------------------------------------
+def compared_images(
+    request: Request, originals: Originals, contender: Contender
+) -> Iterator[tuple[NDArray[Any], NDArray[Any], Pair]]:
+    """Yield prediction and reference that the score of each pair is of, of a window of a clip the frames of both."""
+    job = _job_of(request, originals)
+    references: dict[str, Reference] = {}
+    for pair in filter(contender.has, contender.pairs):
+        files = contender.predictions_of(pair)
+        images = []
+        for index, frame in enumerate(frames_of(pair)):
+            reference = _reference(job, references, reference_of(pair, frame) or "")
+            noisy = NoisyInput(job, reference, pair, frame)
+            compared = ComparedFrame(job, reference, pair, noisy, None if files is None else files[index])
+            images.append(compared.scored_images(job.protocol))
+        first, second = zip(*images, strict=True)
+        is_clip = isinstance(pair, ClipRecord)
+        yield np.stack(first) if is_clip else first[0], np.stack(second) if is_clip else second[0], pair
+
+
+# --- one pair -------------------------------------------------------------------------------------------------------
 
 
 class _Scorer:
-    """Scores a pair under one protocol: means over its frames, and of a window of a clip ST-RRED.
+    """Scores a pair: means over its frames, and of a window of a clip ST-RRED.
 
     For that the grey image of each frame alone is kept.
     """
 
-    def __init__(self, job: ScoringJob, member: _Member, contender: int) -> None:
+    def __init__(self, job: ScoringJob, member: _Member) -> None:
         frames = frames_of(member.pair)
-        self._pair, self._protocol, self._job = member.pair, job.protocols[contender], job
-        self._looked = frames[len(frames) // 2] if contender in member.looked else None  # at, for mistakes
-        self._found = PlanScores()
+        self._pair, self._protocol, self._job = member.pair, job.protocol, job
+        self._looked = frames[len(frames) // 2] if member.is_looked_at else None  # at, for mistakes
+        self._found = PairScores()
         self._frames: list[FrameScore] = []
         self._values: list[dict[str, float]] = []  # of each frame
-        self._before: list[Shown] = []  # the frames before, as long as the task sees them with the next one
         self._of_task: list[float] = []
         self._grey = self._seen = np.empty(0)
 
     def take(self, frame: ComparedFrame) -> None:
         """Score a frame; what is wrong with it is kept."""
-        protocol, kept, path = self._protocol, self._found, self._pair.path
-        before, self._before = self._before, []  # those before a frame that fails are not consecutive with the next
+        protocol, task, kept, path = self._protocol, self._job.task, self._found, self._pair.path
         try:
             target = frame.target(protocol)
             kept.without_channel_whites = [path] * frame.reference.lacks_channel_whites(protocol)
@@ -320,13 +317,15 @@ class _Scorer:
         try:
             found = frame.score(protocol, target)
             others = frame.other_values(protocol, target, found.rescale)
-            self._before = self._ask_task(frame, target, found.rescale, before)
+            if task is not None:
+                shown = frame.shown(protocol, target, found.rescale, task.images)
+                self._of_task.append(task.score(shown, frame.path))
         except FileError as error:
             file = frame.file if isinstance(error, PredictionError) else error.path
             kept.problems.append(EvaluationProblem(str(file), error.reason))
         except ArgumentError as error:
             problem = EvaluationProblem(path, f"protocol {protocol.name} cannot score it: {error}")
-            self._found = PlanScores(unfit=[problem])
+            self._found = PairScores(problems=[problem])
         else:
             if isinstance(self._pair, ClipRecord):
                 self._keep_grey(self._pair, frame, target, found)
@@ -335,17 +334,6 @@ class _Scorer:
             self._frames.append(FrameScore(frame.path, found.psnr_db, found.ssim, found.rescale))
             if frame.path == self._looked:
                 kept.inspections.append(frame.inspected(protocol, target, found.psnr_db))
-
-    def _ask_task(self, frame: ComparedFrame, target: NDArray[Any], factor: float, before: list[Shown]) -> list[Shown]:
-        """Score the user's task once it has as many frames as it wants; return those that it sees again."""
-        task = self._job.task
-        if task is None:
-            return []
-        shown = [*before, frame.shown(self._protocol, target, factor, task.images)]
-        if len(shown) < task.frames:
-            return shown
-        self._of_task.append(task.score(shown, frame.path))
-        return shown[1:]
 
     def _keep_grey(self, window: ClipRecord, frame: ComparedFrame, target: NDArray[Any], found: Score) -> None:
         from eldata.metrics.st_rred import raw_to_grey
@@ -360,11 +348,11 @@ class _Scorer:
         scored = as_scored(prediction, self._protocol.rules, found.rescale, prediction.dtype)
         self._grey[place] = raw_to_grey(scored)
 
-    def finished(self) -> PlanScores:
+    def finished(self) -> PairScores:
         """Return the scores of the pair, or what is wrong with its frames."""
         found = self._found
-        if found.problems or found.unfit:
-            return PlanScores(problems=found.problems, unfit=found.unfit)
+        if found.problems:
+            return PairScores(problems=found.problems)
         found.scores[self._pair.path] = self._score()
         return found
 

@@ -139,11 +139,11 @@ def default_protocol(card: Card) -> Protocol:
     return PROTOCOLS[card.protocol]
 
 
-def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
+def protocols_for(dataset: str) -> tuple[Protocol, ...]:
     """Return the protocols that were made for a dataset.
 
-    A set of your ``own``, or of no known name, has its own pairs, so it gets one protocol of each way to score, the
-    first of the shipped ones. Levels that are those of one camera, whatever the file states, are not a way to score
+    A set of no known name has its own pairs, so it gets one protocol of images of each way to score, the first of the
+    shipped ones. Levels that are those of one camera, whatever the file states, are not a way to score
     another, nor is cutting down to whole DN, of which a set may hold none, nor SSIM of grey blocks.
 
     Examples
@@ -154,11 +154,11 @@ def protocols_for(dataset: str, *, own: bool = False) -> tuple[Protocol, ...]:
     """
     every = PROTOCOLS.values()
     covering = tuple(one for one in every if one.dataset != ANY_DATASET and one.covers(dataset))
-    if covering and not own:
+    if covering:
         return covering
     ways: list[Protocol] = []
-    for protocol in covering or every:
-        fits = protocol.levels not in ONE_CAMERAS_LEVELS and (covering or protocol.kind is IMAGES)
+    for protocol in every:
+        fits = protocol.kind is IMAGES and protocol.levels not in ONE_CAMERAS_LEVELS
         fits = fits and all(getattr(protocol, name) == NEUTRAL[name] for name in ("quantisation", "ssim_planes"))
         if fits and all(scoring(protocol.as_dict()) != scoring(way.as_dict()) for way in ways):
             ways.append(protocol)
@@ -173,8 +173,6 @@ _LISTS_OF_TEXT = ("cameras", "scenes")
 _NUMBERS = ("data_range", "mse_offset")
 _KNOWN = (_BASE, *(name for name in names_of(Protocol) if name != "family"))
 _LARGEST_BYTES = 1 << 20
-# Names that mean something else already.
-_TAKEN = ("all", *FAMILIES)
 
 
 def load_protocol(path: Path | str) -> Protocol:
@@ -200,7 +198,7 @@ def load_protocol(path: Path | str) -> Protocol:
     values = {name: _response_in(top, path.parent) if name == "response" else _field_of(top, name) for name in top.data}
     base = values.pop(_BASE)
     name = values["name"]
-    if name in PROTOCOLS or name in _TAKEN:
+    if name in PROTOCOLS or name in FAMILIES:
         raise top.problem("name", f"{shown(name)} is the name of a shipped protocol; choose another")
     if not name.isprintable() or name.endswith(".toml"):
         raise top.wrong("name", "printable text that does not end in .toml", name)

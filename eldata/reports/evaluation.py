@@ -14,7 +14,6 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from eldata.base.files import write_text
 from eldata.base.numbers import counted
-from eldata.errors import ArgumentError
 from eldata.evaluation.looking import (
     INTERVAL,
     TOO_FEW,
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from eldata.base.numbers import Figure
-    from eldata.evaluation.explanation import Explanation
     from eldata.evaluation.looking import Grouping
     from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
@@ -56,21 +54,19 @@ _USUAL = (0.8, 1.25)  # factors that errors of exposure come to
 
 
 def write_evaluation_page(
-    results: Sequence[EvaluationResult],
+    result: EvaluationResult,
     out: Path | str,
     *,
     dataset_folder: Path | FrameFiles,
     predictions: Path | None,
     dark_shading: Path | None = None,
-    store: Path | None = None,
-    explanations: Sequence[Explanation] = (),
 ) -> None:
     """Write the page of an evaluation, whole or not at all.
 
     Parameters
     ----------
-    results
-        One, or the same predictions under several protocols: the first is shown in full, the others by their tables.
+    result
+        Just computed.
     out
         The file.
     dataset_folder, predictions
@@ -78,30 +74,22 @@ def write_evaluation_page(
         more, to be shown.
     dark_shading
         The file of what was taken off the inputs, if anything was.
-    store
-        The store that was read in place of the dataset's files, if one was.
-    explanations
-        Of some of the first result's scores, to be shown too.
 
     Raises
     ------
     ArgumentError
-        If there is no result, or it was read back.
+        If the result was read back.
     RawFileError, PredictionError, EldataError
         If a file is no longer what was scored, or the page cannot be written.
     """
-    if not results:
-        raise ArgumentError("a page is of one result or more; found none")
-    where = {"dataset_folder": dataset_folder, "dark_shading": dark_shading, "store": store}
-    images = worst_and_best_images(results[0], EACH, predictions=predictions, **where)
-    write_text(out, evaluation_page(results, show_images(images), explanations))
+    where = {"dataset_folder": dataset_folder, "dark_shading": dark_shading}
+    images = worst_and_best_images(result, EACH, predictions=predictions, **where)
+    write_text(out, evaluation_page(result, show_images(images)))
 
 
-def evaluation_page(
-    results: Sequence[EvaluationResult], shown: ShownImages, explanations: Sequence[Explanation] = ()
-) -> str:
-    """Return the page; the same results and pictures give the same text."""
-    result, kind = results[0], results[0].kind
+def evaluation_page(result: EvaluationResult, shown: ShownImages) -> str:
+    """Return the page; the same result and pictures give the same text."""
+    kind = result.kind
     ids = {image.score.path: f"picture-{index}" for index, image in enumerate(shown.images, start=1)}
     plots = score_plots(
         scores_in_order(result.scores, result.dataset),
@@ -112,7 +100,6 @@ def evaluation_page(
     sections = [("means", "Means")]
     sections += [("distributions", "Distributions")] if plots else []
     sections += [("pictures", "Worst and best")] if shown.images else []
-    sections += [("explained", "Step by step")] if explanations else []
     sections += [("images", f"Every {kind.unit}")] if result.scores else []
     return rendered_with_script(
         "evaluation.html",
@@ -128,8 +115,6 @@ def evaluation_page(
         sections=[*sections, ("provenance", "Provenance")],
         table=table_with_intervals(result),
         interval_note=interval_note(result),
-        protocols=_protocols(results) if len(results) > 1 else None,
-        others=[(other, table_with_intervals(other)) for other in results[1:]],
         plots=plots,
         shown=shown,
         each=EACH,
@@ -141,7 +126,6 @@ def evaluation_page(
             ]
             for rank in dict.fromkeys(image.rank for image in shown.images)
         },
-        explained=[(one, _choices(one)) for one in explanations],
         rows=_rows(result, ids),
         protocol_fields=[(name, _protocol_text(name, value)) for name, value in result.protocol.as_dict().items()],
         provenance_fields=[(name, field_text(value)) for name, value in result.provenance.items()],
@@ -233,16 +217,6 @@ def _interval_text(interval: Interval, metric: Figure) -> str:
     return signed(f"{metric.format(interval.low)} to {metric.format(interval.high)}") if interval.is_known else "–"
 
 
-def _protocols(results: Sequence[EvaluationResult]) -> Table:
-    kind = results[0].kind
-    rows = [
-        (result.protocol.name, short_digest(result.digest), *result.whole.texts(kind))
-        for result in results
-        if result.table
-    ]
-    return Table(("protocol", "digest", *kind.heads), _cells(rows))
-
-
 def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
     kind = result.kind
     rows = []
@@ -256,13 +230,6 @@ def _rows(result: EvaluationResult, ids: dict[str, str]) -> Table:
     facts = () if kind.is_of_clips else FACTS
     header = (kind.unit, "camera", "scene", *facts, *kind.heads[1:], "rescaled by")
     return Table(header, tuple(rows), left=(0, 1, 2))
-
-
-def _choices(explanation: Explanation) -> Table:
-    """Return what other choices make of a score, each row with the choice first."""
-    *heads, choice = explanation.header
-    rows = tuple(tuple(map(Cell, (words, *map(signed, numbers)))) for *numbers, words in explanation.rows)
-    return Table((choice, *heads), rows)
 
 
 # --- words --------------------------------------------------------------------------------------------------------

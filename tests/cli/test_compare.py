@@ -209,14 +209,6 @@ def test_one_result_names_and_files(compare: Callable[..., Outcome], files: list
     assert_one_line(compare(*files[:2], "--json", tmp_path / "no" / "x.json"), "cannot write", "x.json")
 
 
-def test_several_protocols_need_a_choice(compare: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
-    many = written(tmp_path / "many.json", {"results": [result_data(), result_data(protocol="eld-uncorrected")]})
-    assert_one_line(compare(files[0], many), "many.json", "eld, eld-uncorrected", "--protocol")
-    assert_one_line(compare(files[0], many, "--protocol", "sid"), "no result of protocol 'sid'", "only of eld")
-    outcome = compare(files[1], many, "--protocol", "eld")
-    assert (outcome.code, outcome.err) == (0, "")
-
-
 def test_perfect_predictions(compare: Callable[..., Outcome], files: list[Path], tmp_path: Path) -> None:
     """An infinite PSNR has no difference: the groups that it is in say so, the others stand."""
     changed(files[1], lambda data: data["images"][0].update({"psnr_db": "inf"}))

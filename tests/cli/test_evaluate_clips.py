@@ -13,7 +13,7 @@ import pytest
 
 from eldata.base.pixels import rgb_frame
 from eldata.datasets.published.clips import DRVDataset
-from eldata.evaluation import evaluate, load_results, save_clip_prediction
+from eldata.evaluation import evaluate, load_result, save_clip_prediction
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.table import save_records
 from eldata.protocols.kinds import CLIPS
@@ -61,7 +61,7 @@ def run(eldata: Cli, drv: SmallDrv, *arguments: object, code: int = 0) -> str:
 def test_json_csv_and_tables(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
     files = ("--csv", tmp_path / "a.csv", "--json", tmp_path / "a.json")
     text = run(eldata, drv, predictions, *CHOSEN, *files)
-    (saved,) = load_results(tmp_path / "a.json")
+    saved = load_result(tmp_path / "a.json")
     result = evaluate(predictions, manifest=drv.csv, root=drv.root, ids=["0007", "0013"])
     assert saved.scores == result.scores
     assert saved.format_text() + "\n" == text == result.format_text() + "\n"
@@ -136,14 +136,14 @@ def test_cameras_and_flags(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_pa
 
 
 def test_page(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) -> None:
-    run(eldata, drv, predictions, *CHOSEN, "--protocol", "all", "--html", tmp_path / "a.html")
+    run(eldata, drv, predictions, *CHOSEN, "--html", tmp_path / "a.html")
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     assert_well_formed(page)
     text = checked(page).text
     for words in ("soft on drv", "Complete: 2 of 2 videos", "ST-RRED by camera", "Every video", "Rescaling that was"):
         assert words in text
     for words in ("ISO", "Every image", "pairs"):
-        assert words not in text.rpartition("Step by step")[0]
+        assert words not in text.rpartition("Where the numbers come from")[0]
     # Two clips are two scenes: both are among the worst. Of each, the frame with the lowest PSNR is shown.
     assert text.count("the frame with the lowest PSNR") == 2
     assert page.count('data-layer="input"') == page.count('data-layer="error"') == 2
@@ -159,7 +159,7 @@ def test_compare(eldata: Cli, drv: SmallDrv, predictions: Path, tmp_path: Path) 
     outcome = eldata("compare", *paths, "--html", tmp_path / "c.html", "--json", tmp_path / "c.json")
     assert (outcome.code, outcome.err) == (0, "")
     assert outcome.out.startswith("2 methods on 2 common videos of 2 scenes: drv, protocol drv-rgb (sha256:b867dd6b)\n")
-    (soft,), (rough,) = (load_results(path) for path in paths)
+    soft, rough = (load_result(path) for path in paths)
     means = outcome.out.splitlines()[4].split()
     # Lower is better of ST-RRED, and the better method has all three stars.
     assert soft.st_rred < rough.st_rred

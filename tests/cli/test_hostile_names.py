@@ -91,11 +91,10 @@ def test_sets_and_predictions(run: Callable[..., tuple[int, str]], demo_tree: Pa
     run("eldata", "evaluate", predictions, *more)
     strange.with_suffix(".dng").unlink()
     files = ("--csv", place_for_all / "s.csv", "--html", place_for_all / "page.html")
-    for path, protocol in zip(saved, ("eld", "all"), strict=True):
-        targets = files if protocol == "eld" else ()
-        code, text = run("eldata", "evaluate", predictions, *more, "--protocol", protocol, "--json", path, *targets)
+    for path, targets in zip(saved, (files, ()), strict=True):
+        code, text = run("eldata", "evaluate", predictions, *more, "--json", path, *targets)
         assert code == 0, text
-    code, text = run("eldata", "compare", *saved, "--protocol", "eld", "--html", place_for_all / "compared.html")
+    code, text = run("eldata", "compare", *saved, "--html", place_for_all / "compared.html")
     assert code == 0, text
     for page in ("page.html", "compared.html"):
         assert not has_unseen((place_for_all / page).read_text(encoding="utf-8"), lines=True)

@@ -84,17 +84,6 @@ def test_unknown_names(arguments: list[str], said: str, capsys: pytest.CaptureFi
 # --- eldata evaluate --------------------------------------------------------------------------------------------------
 
 
-def test_evaluate_all(eldata: Cli, tree: Tree, predictions: Path, tmp_path: Path) -> None:
-    outcome = eldata(
-        *("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1"),
-        *("--protocol", "all", "--csv", tmp_path / "all.csv", "--json", tmp_path / "all.json"),
-    )
-    assert outcome.code == 0
-    assert_golden("evaluate-all", normalised(outcome.out, tree=tree.folder))
-    assert (tmp_path / "all.csv").read_text().startswith("protocol,path,camera,")
-    assert len(json.loads((tmp_path / "all.json").read_text())["results"]) == 5
-
-
 def test_evaluate_under_a_file(eldata: Cli, tree: Tree, predictions: Path, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('base = "eld"\nname = "mine"\ntitle = "Levels of the file"\nlevels = "metadata"\n')
@@ -115,7 +104,6 @@ def test_evaluate_under_a_file(eldata: Cli, tree: Tree, predictions: Path, tmp_p
         (["x", "--baseline", "input", "--dataset", "eld"], "--baseline: not allowed with argument PREDS"),
         (["x", "--dataset", "eld", "--protocol", "elf"], "no protocol is called 'elf'"),
         (["x", "--dataset", "sid-fuji", "--protocol", "pmn"], "protocol 'pmn' is pmn-sid (for sid-sony) and pmn-eld"),
-        (["x", "--dataset", "eld", "--protocol", "all", "--subset", "y"], "leave --subset out"),
         (["x", "--dataset", "eld", "--clip", "0007"], "(in Python ids=[...]) is for datasets of clips, such as drv"),
         (
             ["x", "--dataset", "eld", "--protocol", "drv-rgb"],

@@ -69,7 +69,7 @@ class Tree:
 def scored_pairs(dataset: str, protocol: str | Protocol, **options: Unpack[EvaluationOptions]) -> list[PairRecord]:
     """The pairs that a protocol scores of a shipped set."""
     request = make_request("predictions", dataset, protocol, options)
-    return [pair for pair in plan_scoring(request, request.protocols[0]).pairs if isinstance(pair, PairRecord)]
+    return [pair for pair in plan_scoring(request).pairs if isinstance(pair, PairRecord)]
 
 
 def small_tree(folder: Path, scenes: int = 1) -> Tree:

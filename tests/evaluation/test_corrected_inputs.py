@@ -11,7 +11,7 @@ import pytest
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.cli.main import main
 from eldata.errors import ArgumentError, EldataError, ShadingError
-from eldata.evaluation import EvaluationResult, evaluate, load_results, save_prediction
+from eldata.evaluation import EvaluationResult, evaluate, load_result, save_prediction
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.looking import images_of
 from eldata.metrics import psnr
@@ -62,7 +62,7 @@ def test_the_baseline_is_corrected_and_the_result_says_so(
     assert corrected.digest != get_protocol("eld").digest
     assert corrected.protocol.as_dict()["dark_shading"] == corrected.provenance["dark_shading"] == digest
     corrected.write_json(tmp_path / "r.json")
-    (read,) = load_results(tmp_path / "r.json")
+    read = load_result(tmp_path / "r.json")
     for result in (corrected, read):
         words = f"input less dark shading {digest[:15]}"
         assert words in result.caption

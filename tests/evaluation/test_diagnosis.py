@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from eldata.cli.main import main
-from eldata.evaluation import evaluate, evaluate_all, load_results
+from eldata.evaluation import evaluate, load_result
 from eldata.evaluation.diagnosis import (
     EACH,
     MOST_FACTORS,
@@ -259,8 +259,8 @@ def test_an_evaluation_says_what_would_explain_its_score(larger: Tree, tmp_path:
     assert str(found) in result.format_text().splitlines()
     assert str(found) in result.format("markdown")
     result.write_json(tmp_path / "result.json")
-    assert load_results(tmp_path / "result.json")[0].suspicions == result.suspicions
-    write_evaluation_page([result], tmp_path / "page.html", dataset_folder=larger.files, predictions=wrong)
+    assert load_result(tmp_path / "result.json").suspicions == result.suspicions
+    write_evaluation_page(result, tmp_path / "page.html", dataset_folder=larger.files, predictions=wrong)
     assert str(found) in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
@@ -273,19 +273,8 @@ def test_strict_refuses(larger: Tree, tmp_path: Path) -> None:
         assert [problem.path for problem in result.problems] == [str(tmp_path)]
         assert result.problems[0].reason == str(result.suspicions[0])
         assert result.format_text().endswith("nothing was scored: 1 problem")
-    combined = evaluate_all(tmp_path, **options)
-    assert combined.scored == 0
     place(tmp_path, larger, lambda target, name: reordered(target, name)[[0, 1, 3, 2]])
     assert evaluate(tmp_path, **options).scored == 24
-
-
-def test_all_protocols_say_it_once(larger: Tree, tmp_path: Path) -> None:
-    place(tmp_path, larger, reordered)
-    combined = evaluate_all(tmp_path, **larger.where)
-    assert all(len(result.suspicions) == 1 for result in combined.results)
-    text = " ".join(combined.format_text().split())
-    assert text.count("SUSPECT") == 1
-    assert f"{combined.results[0].suspicions[0]} ({combined.results[0].protocol.name})" in text
 
 
 def test_the_input_itself_is_not_looked_at(larger: Tree) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.evaluation import evaluate, evaluate_all, save_prediction
+from eldata.evaluation import evaluate, save_prediction
 from eldata.evaluation.layouts import EXTENSIONS, Expected, dataset_itself, layout_in_words, nearest_in_words
 from eldata.evaluation.scores import EvaluationProblem, problem_lines
 
@@ -188,8 +188,6 @@ def test_predictions_of_another_space_are_one_message(tree: Tree, predictions: P
     (problem,) = run(tmp_path / "srgb", tree).problems
     assert problem.reason.startswith("protocol eld scores raw frames, and these are renderings in sRGB, such as ")
     assert problem.reason.endswith("; give protocol eld-raw2rgb or eld-rgb2rgb")
-    combined = evaluate_all(tmp_path / "srgb", **tree.where)
-    assert [result.protocol.name for result in combined.results] == ["eld-raw2rgb"]
 
 
 def test_why_more_frames_are_wanted_than_were_predicted_is_said(predictions: Path, tree: Tree) -> None:
@@ -209,13 +207,6 @@ def test_names_of_references_are_told(tree: Tree, predictions: Path, tmp_path: P
     (problem,) = run(tmp_path, tree).problems
     words = "DemoAlpha/scene-1/IMG_0006.npy has the name of a reference; predictions have that of their noisy frame"
     assert f"{words}, such as {FIRST}.npy" in problem.reason
-
-
-def test_all_protocols_share_the_message(tree: Tree, moved: Callable[[Callable[[str], str]], Path]) -> None:
-    folder = moved(lambda name: name.replace("/", "_"))
-    result = evaluate_all(folder, **tree.where)
-    assert len(result.results) > 2
-    assert len(result.problems) == 1
 
 
 def test_the_camera_asked_for_tells_which(tree: Tree, moved: Callable[[Callable[[str], str]], Path]) -> None:

@@ -14,16 +14,14 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from eldata import evaluate, evaluate_all
+from eldata import evaluate
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate_methods, load_prediction, units
 from eldata.evaluation.comparison.folders import named_folders
-from eldata.evaluation.evaluate import perform_each
-from eldata.evaluation.request import ALL, make_request
 from tests.evaluation.own_set import OwnSet, build_own_set, predict
 
 if TYPE_CHECKING:
-    from eldata.evaluation import CombinedResult, EvaluationResult
+    from eldata.evaluation import EvaluationResult
     from eldata.evaluation.frames import ComparedFrame
 
 
@@ -52,11 +50,6 @@ def as_text(result: EvaluationResult) -> str:
     return json.dumps(result.as_dict(), sort_keys=True)
 
 
-def under_all_protocols(own: OwnSet, folders: dict[str, Path]) -> list[CombinedResult]:
-    options: Any = own.where
-    return perform_each([make_request(folder, "", ALL, options) for folder in folders.values()])
-
-
 @pytest.mark.parametrize("allow_missing", [False, True])
 def test_each_as_alone(own: OwnSet, folders: dict[str, Path], allow_missing: bool) -> None:
     """JSON equal in every byte; a folder that lacks frames costs the others nothing."""
@@ -69,13 +62,6 @@ def test_each_as_alone(own: OwnSet, folders: dict[str, Path], allow_missing: boo
     assert [len(of.problems) for of in found.values()] == [0, 0, 1]
 
 
-def test_under_all_protocols(own: OwnSet, folders: dict[str, Path]) -> None:
-    chosen = {name: folders[name] for name in ("good", "swapped")}
-    for name, combined in zip(chosen, under_all_protocols(own, chosen), strict=True):
-        expected = evaluate_all(folders[name], **own.where)
-        assert json.dumps(combined.as_dict()) == json.dumps(expected.as_dict())
-
-
 def test_workers_change_nothing(own: OwnSet, folders: dict[str, Path]) -> None:
     expected = [as_text(result) for result in evaluate_methods(folders, **own.where).values()]
     with ThreadPoolExecutor(2) as executor:
@@ -85,7 +71,7 @@ def test_workers_change_nothing(own: OwnSet, folders: dict[str, Path]) -> None:
 
 
 def test_each_file_is_read_once(own: OwnSet, folders: dict[str, Path]) -> None:
-    """However many folders and protocols there are; and no noisy frame that no prediction is looked at with."""
+    """However many folders there are; and no noisy frame that no prediction is looked at with."""
     from eldata.evaluation import frames
     from eldata.raw import reading
 
@@ -100,7 +86,7 @@ def test_each_file_is_read_once(own: OwnSet, folders: dict[str, Path]) -> None:
         return load(path, *arguments)
 
     with patch.object(reading, "read_raw", counted), patch.object(frames, "load_prediction", loaded):
-        under_all_protocols(own, {name: folders[name] for name in ("good", "swapped")})
+        evaluate_methods({name: folders[name] for name in ("good", "swapped")}, **own.where)
     assert read["clean.dng"] == 3
     assert max(read[name] for name in ("x50.dng", "x100.dng")) <= 3  # one of each scene
     assert [count for path, count in read.items() if path.endswith(".npy")] == [1] * 12

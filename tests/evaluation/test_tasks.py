@@ -7,7 +7,6 @@ import hashlib
 import math
 import multiprocessing
 import re
-import shutil
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -23,9 +22,7 @@ from eldata.errors import ArgumentError, FileError
 from eldata.evaluation import (
     Task,
     evaluate,
-    evaluate_all,
-    load_results,
-    reproduce,
+    load_result,
     save_clip_prediction,
     save_prediction,
 )
@@ -38,8 +35,6 @@ from tests.evaluation.own_set import OwnSet, build_own_set
 from tests.reports.evaluations import result_data, written
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from eldata.evaluation import EvaluationResult
@@ -54,14 +49,6 @@ def worst_error(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
 
 def gap_of_means(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
     return float(prediction.astype(float).mean() - reference.astype(float).mean())
-
-
-def growth(predictions: Sequence[NDArray[Any]], references: Sequence[NDArray[Any]]) -> float:
-    """How much more two predictions differ than their references do."""
-    first, second = (float(np.abs(np.subtract(*side, dtype=float)).mean()) for side in (predictions, references))
-    for image in (*predictions, *references):
-        image[:] = 0  # they are its own
-    return first - second
 
 
 def failing(prediction: NDArray[Any], reference: NDArray[Any]) -> float:
@@ -80,7 +67,6 @@ def alone(prediction: NDArray[Any]) -> float:
     return 0.0
 
 
-growing = Task(growth, higher_is_better=False, label="growth", frames=2)
 worst = Task(worst_error, higher_is_better=False, label="worst error")
 HERE = "tests.evaluation.test_tasks"
 
@@ -126,11 +112,11 @@ def test_it_stands_beside_the_scores_everywhere(own: OwnSet, tmp_path: Path) -> 
         "higher_is_better": False,
     }
     result.write_json(tmp_path / "result.json")
-    (back,) = load_results(tmp_path / "result.json")
+    back = load_result(tmp_path / "result.json")
     assert (back.images, back.table, back.as_dict()) == (result.images, result.table, result.as_dict())
     assert f"worst error: {HERE}:worst_error (sha256:" in result.format("text")
     write_evaluation_page(
-        [result], tmp_path / "page.html", dataset_folder=own.files, predictions=own.root.parent / "preds"
+        result, tmp_path / "page.html", dataset_folder=own.files, predictions=own.root.parent / "preds"
     )
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert f"{result.images[0].task:.4f}" in page
@@ -231,24 +217,12 @@ def test_frames_without_a_value_are_named(task: Any, reason: str, own: OwnSet) -
         ({"task": f"{HERE}:OwnSet"}, f"{HERE}:OwnSet is a class; a task is a function of"),
         ({"task": alone}, "alone cannot be called with .prediction, reference.: too many positional arguments"),
         ({"task": Task(worst_error, "packed"), "protocol": "sid2018"}, "wants packed raw images, which .*'sid2018'"),
-        ({"task": growing}, "growth wants 2 consecutive frames, and protocol 'eld' scores single images of 'mine'"),
         ({"task": lambda *_: 0.0, "workers": 2}, "cannot be sent to worker processes .*: define it at the top level"),
     ],
 )
 def test_what_it_does_not_go_with_is_refused(options: dict[str, Any], words: str, own: OwnSet) -> None:
     with pytest.raises(ArgumentError, match=words):
         scored(own, **options)
-
-
-@pytest.mark.parametrize("frames", [0, True, 1.5, "2"])
-def test_frames_are_counted_in_whole_numbers(frames: Any) -> None:
-    with pytest.raises(ArgumentError, match="frames must be a whole number, 1 or more; found"):
-        Task(growth, frames=frames)
-
-
-def test_every_protocol_at_once_is_refused(own: OwnSet) -> None:
-    with pytest.raises(ArgumentError, match="--task goes with one protocol, not with --protocol all"):
-        evaluate_all(own.root.parent / "preds", **own.where, task=worst)
 
 
 def test_the_command(
@@ -273,10 +247,10 @@ def test_a_saved_task_is_read_field_by_field(tmp_path: Path) -> None:
     data = result_data(scenes=1)
     data["provenance"]["task"] = {"callable": "a:b", "label": "b", "images": "compared", "higher_is_better": "yes"}
     with pytest.raises(FileError, match=r"provenance.task.higher_is_better"):
-        load_results(written(tmp_path / "result.json", data))
+        load_result(written(tmp_path / "result.json", data))
 
 
-# --- several frames at a time -----------------------------------------------------------------------------------------
+# --- of clips ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -293,64 +267,15 @@ def predicted(clip: str, number: int) -> NDArray[np.float32]:
     return np.asarray(1.1 * rgb_frame_of(clip, number).transpose(2, 0, 1) / 65535, np.float32)
 
 
-def of_clips(drv: SmallDrv, **options: Any) -> EvaluationResult:
-    given: dict[str, Any] = {"manifest": drv.csv, "root": drv.root, "ids": ["0007", "0013"], "task": growing}
-    return evaluate(drv.root / "preds", **given | options)
-
-
-def test_two_frames_of_a_clip_are_handed_over_as_the_published_code_corrects_them(
-    drv: SmallDrv, tmp_path: Path
-) -> None:
-    result = of_clips(drv)
+def test_a_clip_has_the_mean_over_its_frames_as_the_published_code_corrects_them(drv: SmallDrv) -> None:
+    given: dict[str, Any] = {"manifest": drv.csv, "root": drv.root, "ids": ["0007", "0013"]}
+    result = evaluate(drv.root / "preds", task=gap_of_means, **given)
     assert [video.scene for video in result.videos] == ["0007", "0013"]
     for video in result.videos:
         still = (still_of(video.scene).transpose(2, 0, 1) / 65535).astype(np.float32)
         made = np.stack([predicted(video.scene, number) for number in range(5, 10)])
         _, shown = published_code.eld_clip(made, still, correct=True)
-        steps = np.abs(np.diff(shown, axis=0)).mean(axis=(1, 2, 3))  # of the one still there are none
-        assert len(steps) == 4
-        assert video.task == pytest.approx(steps.mean(), abs=1e-6)  # float32
-    assert of_clips(drv, workers=2).videos == result.videos
-    plainly = of_clips(drv, task=None)
-    assert result.digest == plainly.digest
-    assert [{**video.values, "task": 0.0} for video in result.videos] == [
-        {**video.values, "task": 0.0} for video in plainly.videos
-    ]
-    assert result.provenance["task"]["frames"] == 2
-    printed = " ".join(result.format("text").split())
-    assert f"growth: {HERE}:growth (sha256:" in printed
-    assert "of 2 consecutive frames at a time, what the protocol compares; lower is better" in printed
-    result.write_json(tmp_path / "result.json")
-    (back,) = load_results(tmp_path / "result.json")
-    assert (back.videos, back.as_dict()) == (result.videos, result.as_dict())
-    assert reproduce(tmp_path / "result.json", root=drv.root, manifest=drv.csv).same
-    result.write_csv(tmp_path / "scores.csv")
-    rows = list(csv.DictReader((tmp_path / "scores.csv").read_text().splitlines()))
-    assert [float(row["task"]) for row in rows] == [video.task for video in result.videos]
-    write_evaluation_page([result], tmp_path / "page.html", dataset_folder=drv.data, predictions=drv.root / "preds")
-    assert "growth" in (tmp_path / "page.html").read_text(encoding="utf-8")
+        assert video.task == pytest.approx(shown.mean(dtype=float) - still.mean(dtype=float), abs=1e-6)  # float32
+    assert evaluate(drv.root / "preds", task=gap_of_means, workers=2, **given).videos == result.videos
     both = compare([Method("one", result), Method("other", result)])
     assert [metric.name for metric in both.kind.metrics] == ["psnr_db", "ssim", "st_rred", "task"]
-
-
-def test_frames_on_both_sides_of_a_bad_one_are_not_consecutive(drv: SmallDrv, tmp_path: Path) -> None:
-    shutil.copytree(drv.root / "preds", tmp_path / "preds")
-    np.save(tmp_path / "preds/0007/0007.npy", np.full((3, 48, 56), np.nan, np.float32))
-    runs: list[int] = []
-
-    def look(predictions: Sequence[NDArray[Any]], references: Sequence[NDArray[Any]]) -> float:
-        assert len(references) == 2
-        runs.append(len(predictions))
-        return 0.0
-
-    found = evaluate(
-        tmp_path / "preds", manifest=drv.csv, root=drv.root, ids=["0007"], task=Task(look, frames=2), allow_missing=True
-    )
-    assert [Path(problem.path).name for problem in found.problems] == ["0007.npy"]
-    assert runs == [2, 2]  # frames 5 and 6, 8 and 9
-
-
-def test_clips_of_too_few_frames_are_refused(drv: SmallDrv) -> None:
-    words = "clip 0007: protocol 'drv-rgb' scores 5 frames of it, and the task .*growth wants 6 consecutive ones"
-    with pytest.raises(ArgumentError, match=words):
-        of_clips(drv, task=Task(growth, frames=6))

@@ -293,7 +293,7 @@ KINDS: dict[str, Kind] = {
             "profile": partial(called, "eldata.noise.profile:CameraProfile.load"),
             "parameters": _parameters,
             "protocol": partial(called, "eldata.protocols.named:load_protocol"),
-            "result": partial(called, "eldata.evaluation.saved:load_results"),
+            "result": partial(called, "eldata.evaluation.saved:load_result"),
             "published": _published_table,
             "sources": _published_sources,
             "scenes": partial(called, "manifests.sid_scenes:load_scenes"),

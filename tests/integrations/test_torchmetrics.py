@@ -102,6 +102,19 @@ def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[
         assert numbers(metric.compute()) == {"psnr_db": row.psnr_db, "ssim": row.ssim}
 
 
+def test_whole_frames_of_a_store_give_the_score_of_evaluate(tree: Tree, tmp_path: Path) -> None:
+    """A validation loop of torch over a store gives the mean that the command prints of the files, to the bit."""
+    from eldata.datasets import PackedStore
+    from eldata.sources.store import build_store, source_of_dataset
+
+    build_store(source_of_dataset("eld-demo", root=tree.root, manifest=tree.manifest), tmp_path / "demo.h5")
+    metric = ProtocolScore("raw")
+    for item in PackedStore(tmp_path / "demo.h5", crop=None, augment=False, levels="metadata"):
+        metric.update(item["input"], item["target"])
+    result = evaluate(None, manifest=tree.manifest, root=tree.root, baseline="input", protocol="raw")
+    assert numbers(metric.compute()) == {"psnr_db": result.psnr_db, "ssim": result.ssim}
+
+
 @pytest.mark.parametrize("clip", ["upper", "none"])
 def test_the_score_is_that_of_evaluate_whatever_the_clip_of_the_input(
     clip: Any, tree: Tree, placed: tuple[Path, dict[str, Any]], tmp_path: Path

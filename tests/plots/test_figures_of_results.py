@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 
 from eldata.calibration.core.photon_transfer import PhotonTransferLine
 from eldata.errors import ArgumentError
-from eldata.evaluation.combined import CombinedResult
 from eldata.evaluation.comparison import Method, compare
 from eldata.noise import CameraProfile
 from eldata.plots.axes import LIGHT
@@ -145,9 +144,6 @@ def test_a_result_in_one_line_and_in_a_notebook() -> None:
     assert_shows_in_a_notebook(scored, "eld 1.0, protocol eld", f"{scored.psnr_db:.2f}", "SonyA7S2")
     assert_one_line(replace(scored, scores=()), "nothing was scored)")
     assert_shows_in_a_notebook(replace(scored, scores=()), "0 of 24 pairs")
-    both = CombinedResult((scored, result(scenes=2, protocol="eld-uncorrected")))
-    assert_one_line(both, "CombinedResult(eld, 24 scored; protocols eld, eld-uncorrected)")
-    assert_shows_in_a_notebook(both, "eld, 2 protocols", "eld-uncorrected")
 
 
 def test_hostile_names_stay_text() -> None:

@@ -14,9 +14,8 @@ from PIL import Image
 from eldata.cli.main import main
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.looking import images_of, place_of_difference
-from eldata.evaluation.reproduction import units_again
-from eldata.evaluation.saved import load_results
+from eldata.evaluation.looking import images_of, place_of_difference, units_again
+from eldata.evaluation.saved import load_result
 from eldata.evaluation.scores import cameras_in_order, natural
 from eldata.evaluation.statistics import holm
 from eldata.reports import pictures
@@ -73,7 +72,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Compared:
         place(folder / name, tree, make)
         evaluate(folder / name, **tree.where).write_json(folder / f"{name}.json")
         files.append(folder / f"{name}.json")
-    methods = [Method(path.stem, load_results(path)[0]) for path in files]
+    methods = [Method(path.stem, load_result(path)) for path in files]
     comparison = compare(methods)
     dataset, units = units_again(methods[0].result, **tree.where)
     images = images_of(

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eldata.errors import ArgumentError, EldataError, PredictionError
-from eldata.evaluation.combined import CombinedResult
+from eldata.errors import EldataError, PredictionError
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import worst_and_best, worst_and_best_images
@@ -64,7 +63,7 @@ def evaluated(tree: Tree, predictions: Path) -> EvaluationResult:
 @pytest.fixture(scope="module")
 def page(evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("page") / "page.html"
-    write_evaluation_page([evaluated], path, dataset_folder=tree.files, predictions=predictions)
+    write_evaluation_page(evaluated, path, dataset_folder=tree.files, predictions=predictions)
     return path.read_text(encoding="utf-8")
 
 
@@ -92,7 +91,7 @@ def hostile_data(**options: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def hostile() -> str:
-    return evaluation_page([saved_result(hostile_data(), "test"), result(protocol="eld-uncorrected")], NOTHING)
+    return evaluation_page(saved_result(hostile_data(), "test"), NOTHING)
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +158,7 @@ def test_intervals_over_scenes_are_in_the_table() -> None:
     from eldata.evaluation.statistics import interval_of_mean
 
     one = result()
-    text = evaluation_page([one], NOTHING)
+    text = evaluation_page(one, NOTHING)
     for row in one.table:
         images = one.scores_of(row)
         interval = interval_of_mean([image.psnr_db for image in images], [image.scene for image in images])
@@ -169,7 +168,7 @@ def test_intervals_over_scenes_are_in_the_table() -> None:
 def test_one_camera_has_a_column_for_each_factor() -> None:
     one = result(cameras=["Sony"], ratios=[100, 250, 300], protocol="sid", dataset="sid-sony")
     assert one.paper_table.header == ("Sony", "x100", "x250", "x300", "all")
-    text = evaluation_page([one], NOTHING)
+    text = evaluation_page(one, NOTHING)
     assert text.count('<th scope="row">95% interval</th>') == 2
     assert '<th scope="col">×250</th>' in text
 
@@ -179,7 +178,6 @@ def test_incomplete_says_so_and_lists_what_is_missing(hostile: str) -> None:
     assert "Incomplete: 96 of 99 pairs" in text
     assert "Not in these means: 3 of 99 pairs" in text
     assert "Problems: 1" in text
-    assert "Table of protocol eld-uncorrected" in text
 
 
 def test_nothing_scored() -> None:
@@ -187,14 +185,14 @@ def test_nothing_scored() -> None:
     data["table"] = [row | {"scored": 0, "psnr_db": None, "ssim": None} for row in table_of(data)]
     data |= {"images": [], "problems": [{"path": "a", "reason": "has no prediction"}]}
     data["coverage"] = {"pairs": 12, "scored": 0, "missing": ["a"]}
-    text = checked(evaluation_page([saved_result(data, "test")], NOTHING)).text
+    text = checked(evaluation_page(saved_result(data, "test"), NOTHING)).text
     assert "Nothing was scored: 1 problem, listed below." in text
     assert "a: has no prediction" in text
     assert not re.search(r"\bnan\b", text)
 
 
 def test_without_rescaling_there_is_no_plot_of_it() -> None:
-    text = checked(evaluation_page([result(protocol="eld-uncorrected")], NOTHING)).text
+    text = checked(evaluation_page(result(protocol="eld-uncorrected"), NOTHING)).text
     assert "there is no factor to show" in text
     assert "Rescaling that was found" not in text
 
@@ -202,7 +200,7 @@ def test_without_rescaling_there_is_no_plot_of_it() -> None:
 def test_the_same_page_each_time(
     evaluated: EvaluationResult, tree: Tree, predictions: Path, page: str, tmp_path: Path
 ) -> None:
-    write_evaluation_page([evaluated], tmp_path / "a.html", dataset_folder=tree.files, predictions=predictions)
+    write_evaluation_page(evaluated, tmp_path / "a.html", dataset_folder=tree.files, predictions=predictions)
     assert (tmp_path / "a.html").read_text(encoding="utf-8") == page
 
 
@@ -218,7 +216,7 @@ def test_wrong_exposure_shows() -> None:
 def test_long_names_of_cameras_are_turned_and_come_in_the_papers_order() -> None:
     """Side by side, CanonEOS70D and CanonEOS700D touch; those of the demo do not."""
     names = ("CanonEOS700D", "CanonEOS70D", "NikonD850", "SonyA7S2")
-    text = evaluation_page([result(cameras=names)], NOTHING)
+    text = evaluation_page(result(cameras=names), NOTHING)
     plots = {
         plot.name: plot for plot in score_plots(result(cameras=names).scores, IMAGES, rescaled=True, scenes_shared=True)
     }
@@ -240,18 +238,14 @@ def test_names_that_the_font_lacks_are_boxes() -> None:
 
 
 def test_errors(evaluated: EvaluationResult, tree: Tree, predictions: Path, tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match="one result or more"):
-        write_evaluation_page([], tmp_path / "a.html", dataset_folder=tree.files, predictions=predictions)
     with pytest.raises(EldataError, match="cannot write"):
-        write_evaluation_page(
-            [evaluated], tmp_path / "no" / "a.html", dataset_folder=tree.files, predictions=predictions
-        )
+        write_evaluation_page(evaluated, tmp_path / "no" / "a.html", dataset_folder=tree.files, predictions=predictions)
     gone = tmp_path / "preds"
     shutil.copytree(predictions, gone)
     for path in gone.rglob("*.npy"):
         path.unlink()
     with pytest.raises(PredictionError, match="is gone since it was scored"):
-        write_evaluation_page([evaluated], tmp_path / "a.html", dataset_folder=tree.files, predictions=gone)
+        write_evaluation_page(evaluated, tmp_path / "a.html", dataset_folder=tree.files, predictions=gone)
     assert not (tmp_path / "a.html").exists()
 
 
@@ -333,7 +327,7 @@ def test_a_crop_comes_with_the_whole(
         assert pixels(image.whole[0]).shape == (16, 24, 3)
         centre = pixels(full.layers[2])[8:24, 12:36]
         assert np.abs(pixels(image.layers[2]) - centre).mean() < 2.5
-    text = evaluation_page([one], shown)
+    text = evaluation_page(one, shown)
     assert "the centre 24 × 16 packed pixels" in checked(text).text
     assert "left: 25.00%; top: 25.00%; width: 50.00%; height: 50.00%" in text
     assert_well_formed(text)
@@ -347,7 +341,7 @@ def test_the_input_as_a_baseline(tree: Tree, tmp_path: Path) -> None:
         if abs(image.score.rescale - 1) < 0.02:
             assert np.abs(pixels(layers["input"]) - pixels(layers["prediction"])).mean() < 3
         assert len(layers) == 4
-    write_evaluation_page([one], tmp_path / "a.html", dataset_folder=tree.files, predictions=None)
+    write_evaluation_page(one, tmp_path / "a.html", dataset_folder=tree.files, predictions=None)
     assert "The input itself on eld-demo" in (tmp_path / "a.html").read_text(encoding="utf-8")
 
 
@@ -368,7 +362,7 @@ def test_renderings_are_shown_as_they_are(tree: Tree, tmp_path: Path) -> None:
         assert list(layers) == ["prediction", "reference", "error"]
         assert pixels(layers["prediction"]).mean() == pytest.approx(0.9 * pixels(layers["reference"]).mean(), rel=0.02)
         assert image.full_size == (64, 96)
-    write_evaluation_page([one], tmp_path / "a.html", dataset_folder=tree.files, predictions=folder)
+    write_evaluation_page(one, tmp_path / "a.html", dataset_folder=tree.files, predictions=folder)
     assert "sRGB renderings" in (tmp_path / "a.html").read_text(encoding="utf-8")
 
 
@@ -398,7 +392,7 @@ def test_a_page_of_240_pairs_stays_below_10_mb() -> None:
         for score in scores
     )
     assert len(images) == 2 * EACH
-    assert 8e6 < len(evaluation_page([one], ShownImages(images, 0.1))) < 10e6
+    assert 8e6 < len(evaluation_page(one, ShownImages(images, 0.1))) < 10e6
 
 
 def test_pictures_get_smaller_until_they_fit(
@@ -436,7 +430,6 @@ def test_markdown_and_latex_have_the_same_numbers() -> None:
     assert f"eld 1.0, protocol eld ({digest}): 96 of 96 pairs." in markdown
     assert r"\label{tab:eld-eld}" in latex
     assert latex.count(r"\midrule") == 3
-    assert CombinedResult((one, one)).format("latex").count(r"\begin{table}") == 2
 
 
 def test_choices_and_gaps_are_in_the_caption() -> None:

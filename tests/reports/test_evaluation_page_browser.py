@@ -37,11 +37,11 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     paths = {name: folder / f"{name}.html" for name in ("evaluation", "comparison", "hostile", "hostile-comparison")}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pictures, "CROP", (24, 36))
-        write_evaluation_page([evaluated], paths["evaluation"], dataset_folder=tree.files, predictions=folder / "preds")
+        write_evaluation_page(evaluated, paths["evaluation"], dataset_folder=tree.files, predictions=folder / "preds")
     methods = [Method(name, result(gain_db=gain, method=gain)) for gain, name in enumerate(("base", "unet", "best"))]
     write_comparison_page(compare(methods), paths["comparison"])
     hostile = [saved_result(hostile_data(method=method), "test") for method in (0, 1)]
-    paths["hostile"].write_text(evaluation_page(hostile[:1], ShownImages((), 1.0)), encoding="utf-8")
+    paths["hostile"].write_text(evaluation_page(hostile[0], ShownImages((), 1.0)), encoding="utf-8")
     bad = "<b>" + "long" * 30
     write_comparison_page(compare([Method("a", hostile[0]), Method(bad, hostile[1])]), paths["hostile-comparison"])
     return paths

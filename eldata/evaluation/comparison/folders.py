@@ -13,12 +13,11 @@ from eldata.base.outputs import COMPARISON_DATA, COMPARISON_PAGE, RESULT, SCORES
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import perform_each
-from eldata.evaluation.request import ALL, EvaluationOptions, make_request
+from eldata.evaluation.request import EvaluationOptions, make_request
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from eldata.evaluation.combined import CombinedResult
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.results import EvaluationResult
     from eldata.protocols.protocol import Protocol
@@ -69,14 +68,12 @@ def evaluate_methods(
     >>> {name: round(float(result.frame["psnr_db"].mean()), 2) for name, result in results.items()}
     {'input': 29.02, 'dct': 39.03}
     """
-    if protocol == ALL:
-        raise ArgumentError("evaluate_methods() scores under one protocol; the command eldata evaluate does under all")
     if isinstance(predictions, Mapping):
         folders = named_folders([Path(folder) for folder in predictions.values()], list(predictions))
     else:
         folders = named_folders([Path(folder) for folder in predictions])
-    combined = perform_each([make_request(folder, dataset, protocol, options) for folder in folders.values()])
-    return {name: one.results[0] for name, one in zip(folders, combined, strict=True)}
+    results = perform_each([make_request(folder, dataset, protocol, options) for folder in folders.values()])
+    return dict(zip(folders, results, strict=True))
 
 
 def named_folders(folders: Sequence[Path], names: Sequence[str] = ()) -> dict[str, Path]:
@@ -118,18 +115,18 @@ def named_folders(folders: Sequence[Path], names: Sequence[str] = ()) -> dict[st
 class ScoredMethods:
     """The results of several folders, by the names of the methods.
 
-    ``comparison``: of those that have scores, with the first of them, under the first protocol; ``None`` where there is
-    none to be made, and ``why_not``.
+    ``comparison``: of those that have scores, with the first of them; ``None`` where there is none to be made, and
+    ``why_not``.
     """
 
-    results: Mapping[str, CombinedResult]
+    results: Mapping[str, EvaluationResult]
     comparison: Comparison | None
     why_not: str = ""
 
     @classmethod
-    def of(cls, results: Mapping[str, CombinedResult]) -> ScoredMethods:
+    def of(cls, results: Mapping[str, EvaluationResult]) -> ScoredMethods:
         """Return results with their comparison."""
-        scored = {name: of.results[0] for name, of in results.items() if of.results[0].scored}
+        scored = {name: of for name, of in results.items() if of.scored}
         if len(results) < 2:
             return cls(results, None)
         if len(scored) < 2:
@@ -148,10 +145,9 @@ class ScoredMethods:
     def write(self, folder: Path) -> None:
         """Write NAME.json and NAME.csv of each method, and comparison.json; each whole or not at all."""
         remove_leftovers(folder)
-        for name, of in self.results.items():
-            whole = of if len(of.results) > 1 or of.not_scored else of.results[0]
-            whole.write_json(folder / f"{name}.json")
-            whole.write_csv(folder / f"{name}.csv")
+        for name, result in self.results.items():
+            result.write_json(folder / f"{name}.json")
+            result.write_csv(folder / f"{name}.csv")
         if self.comparison is not None:
             write_json(folder / f"{COMPARISON}.json", self.comparison.as_dict())
 

@@ -1,8 +1,7 @@
-"""All protocols in one pass, sets of one's own, references that cannot be decoded, executors."""
+"""Sets of one's own, choices of a protocol that come to the same, references that cannot be decoded."""
 
 from __future__ import annotations
 
-import csv
 import gc
 import json
 import shutil
@@ -17,8 +16,7 @@ import pytest
 from eldata.base.workers import Workers
 from eldata.cli.main import main
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation import evaluate, evaluate_all, save_prediction, units
-from eldata.evaluation.diagnosis import Suspicion
+from eldata.evaluation import evaluate, save_prediction
 from eldata.evaluation.evaluate import perform
 from eldata.evaluation.published import comparison_table
 from eldata.evaluation.request import make_request
@@ -63,7 +61,7 @@ def preds(own: OwnSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return predict(own, tmp_path_factory.mktemp("preds"), scenes=2)
 
 
-# --- all in one pass --------------------------------------------------------------------------------------------------
+# --- one pass ---------------------------------------------------------------------------------------------------------
 
 
 def test_frames_are_gone_before_the_next_ones_are_read(
@@ -85,77 +83,15 @@ def test_frames_are_gone_before_the_next_ones_are_read(
     monkeypatch.setattr(reading, "read_raw", watched)
     gc.disable()
     try:
-        evaluate_all(preds, **own.where)
+        evaluate(preds, **own.where)
     finally:
         gc.enable()
     assert alive == [0, 0]
 
 
-def test_shifts_are_of_the_same_pairs(own: OwnSet, preds: Path) -> None:
-    combined = evaluate_all(preds, **own.where)
-    raw, _, uncorrected = combined.results[:3]
-    expected = np.mean([b.psnr_db - a.psnr_db for a, b in zip(raw.images, uncorrected.images, strict=True)])
-    shift, shared = combined.shift(uncorrected, "psnr_db")
-    assert shift == pytest.approx(expected, abs=1e-12)
-    assert shared == 4
-    shifts = [combined.shift(result, "psnr_db")[0] for result in combined.results]
-    assert shifts[0] == 0.0
-    assert combined.spans()["psnr_db"] == max(shifts) - min(shifts)
-    line = next(line for line in combined.format_table().splitlines() if line.startswith("eld-uncorrected"))
-    assert line.split()[-1] == f"{expected:+.2f}"
-
-
-def test_what_is_suspect_under_a_protocol_alone_is_not_laid_to_it(own: OwnSet, preds: Path) -> None:
-    combined = evaluate_all(preds, **own.where)
-    known, new = (
-        Suspicion(words, "", 2, 2, 30.0, 35.0, "s0/x100.dng")
-        for words in ("as if packed R, G1, G2, B", "as if normalised with 1023")
-    )
-    first, other, *rest = (replace(one, suspicions=(known,)) for one in combined.results)
-    combined = replace(combined, results=(first, replace(other, suspicions=(known, new)), *rest))
-    assert [combined.is_suspect(one) for one in combined.results] == [False, True, *(False for _ in rest)]
-    row = next(line for line in combined.format_table().splitlines() if line.startswith(other.protocol.name))
-    assert row.endswith(" suspect")
-    shifts = [combined.shift(one, "psnr_db")[0] for one in (first, *rest)]
-    assert combined.spans()["psnr_db"] == max(shifts) - min(shifts)
-
-
-def test_files_of_all(own: OwnSet, preds: Path, tmp_path: Path) -> None:
-    combined = evaluate_all(preds, **own.where)
-    combined.write_json(tmp_path / "all.json")
-    combined.write_csv(tmp_path / "all.csv")
-    data = json.loads((tmp_path / "all.json").read_text(encoding="utf-8"))
-    assert data["results"] == [json.loads(json.dumps(result.as_dict())) for result in combined.results]
-    left_out = {"eld-cvpr20", "sid-srgb", "sid-raw2rgb", "eld-raw2rgb", "sid2018"}
-    assert {one["protocol"] for one in data["not_scored"]} == left_out
-    with (tmp_path / "all.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == ("protocol", *IMAGES.columns)
-    for result in combined.results:
-        mine = [row for row in rows if row["protocol"] == result.protocol.name]
-        assert [float(row["psnr_db"]) for row in mine] == [image.psnr_db for image in result.images]
-        result.write_csv(tmp_path / "one.csv")
-        assert (tmp_path / "one.csv").read_text().splitlines()[0] == ",".join(IMAGES.columns)
-
-
-def test_problems_are_told_once(own: OwnSet, tmp_path: Path) -> None:
-    predict(own, tmp_path, scenes=2)
-    (tmp_path / "s0/x50.npy").unlink()
-    np.save(tmp_path / "s1/x50.npy", np.zeros((1, 2, 4), np.float32))
-    combined = evaluate_all(tmp_path, **own.where)
-    assert combined.scored == 0
-    assert [problem.path for problem in combined.problems] == ["s0/x50.dng"]  # nothing was scored, so none was loaded
-    partly = evaluate_all(tmp_path, **own.where, allow_missing=True)
-    assert [problem.path for problem in partly.problems] == [str(tmp_path / "s1/x50.npy")]
-    assert partly.scored == 2
-    assert "INCOMPLETE: 2 pairs are not in the means of raw," in partly.format_text()
-
-
-def test_evaluate_takes_one_protocol(own: OwnSet, preds: Path) -> None:
-    with pytest.raises(ArgumentError, match="evaluate_all"):
-        evaluate(preds, **own.where, protocol="all")
+def test_what_cannot_be_scored_is_refused(own: OwnSet, preds: Path) -> None:
     with pytest.raises(EldataError, match="no such folder"):
-        evaluate_all(preds / "nowhere", **own.where)
+        evaluate(preds / "nowhere", **own.where)
     for arguments in ({"predictions": None}, {"predictions": preds, "baseline": "input"}):
         with pytest.raises(ArgumentError, match="a folder of predictions or a baseline"):
             evaluate(**own.where, **arguments)
@@ -163,7 +99,7 @@ def test_evaluate_takes_one_protocol(own: OwnSet, preds: Path) -> None:
         evaluate(None, **own.where, protocol="sid2018", baseline="input")
 
 
-# --- one score under several names ------------------------------------------------------------------------------------
+# --- choices that come to the same ------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -183,49 +119,16 @@ def sony(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return root, root / "preds"
 
 
-def test_names_that_share_a_score(sony: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_that_share_a_score(sony: tuple[Path, Path]) -> None:
     """``sid`` takes the files' black level, ``pmn-sid`` 512, and these files say 512."""
-    from eldata.metrics import image_score
-
-    computed = []
-    genuine = image_score.score_by
-
-    def score_by(*arguments: object, **options: object) -> object:
-        computed.append(arguments)
-        return genuine(*arguments, **options)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(image_score, "score_by", score_by)
-    monkeypatch.setattr(units, "chosen_frames", lambda _frames: frozenset())  # looking for mistakes scores some again
     root, preds = sony
-    combined = evaluate_all(preds, "sid-sony", root=root)
-    names = [[result.protocol.name for result in group] for group in combined.groups]
-    assert names == [["sid", "pmn-sid", "sony-sid"], ["sid-uncorrected"], ["led-sid"], ["lrd-sid"]]
-    assert len(computed) == 129 * 3 + 93  # what two names share is computed once
-    sid, pmn, _ = combined.groups[0]
+    sid, pmn = (evaluate(preds, "sid-sony", root=root, protocol=name) for name in ("sid", "pmn-sid"))
+    assert sid.scored == 129
     assert sid.images == pmn.images
+    assert sid.scored_unlike(pmn) == []
     assert pmn.provenance["equal_choices"] == {"levels": ["published", "sid-sony"]}
     assert not pmn.notes
-    text = combined.format_text()
-    same = "sid, pmn-sid, sony-sid"
-    assert sum(line.startswith(f"{same} ") for line in combined.format_table().splitlines()) == 2  # of each metric
-    shared = f"the same scores, computed once: {same} (levels: white 16383, black the file's and black 512, white 16383"
-    assert f"{shared} came to the same)" in " ".join(text.split())
-    data = combined.as_dict()
-    assert data["same_scores"] == [["sid", "pmn-sid", "sony-sid"]]
-    assert [one["protocol"]["name"] for one in data["results"]].count("pmn-sid") == 1
-    alone = evaluate(preds, "sid-sony", root=root, protocol="pmn-sid")
-    assert alone == next(result for result in combined.results if result.protocol.name == "pmn-sid")
-    assert comparison_table(alone).count("> yours") == comparison_table(sid).count("> yours") == 3
-
-
-def test_published_numbers_are_shown_once(sony: tuple[Path, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    root, preds = sony
-    arguments = ["--dataset", "sid-sony", "--root", str(root), "--protocol", "all", "--jobs", "1", "--compare"]
-    assert main(["evaluate", str(preds), *arguments]) == 0
-    shown = capsys.readouterr().out
-    assert shown.count("published numbers on sid-sony, protocol") == 4
-    assert "protocol pmn-sid," not in shown
-    assert "The same holds for pmn-sid, sony-sid: the same scores." in shown
+    assert comparison_table(pmn).count("> yours") == comparison_table(sid).count("> yours") == 3
 
 
 def test_the_input_has_its_amplification_too(sony: tuple[Path, Path], own: OwnSet, tmp_path: Path) -> None:
@@ -309,9 +212,6 @@ def test_another_white_level_than_the_files_is_said(
         assert f"note: {said}" in " ".join(capsys.readouterr().out.split())
         assert json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))["notes"].count(said) == 1
         assert "saturate at 1023 DN, and the protocol divides by 16383" in (tmp_path / "r.html").read_text("utf-8")
-        assert main(["evaluate", *given, *place, "all"]) == 0
-        those = "eld, eld-uncorrected, eld-srgb" + (", eld-raw2rgb" if "input" in given else "")
-        assert f"note: {said} ({those})" in " ".join(capsys.readouterr().out.split())
         assert main(["evaluate", *given, *place, "lrd-sid"]) == 0, "the file's own white level"
         assert "saturate" not in capsys.readouterr().out
 
@@ -412,7 +312,7 @@ def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Pa
     clips = make_request(None, "", None, {"manifest": drv.csv, "root": drv.root, "ids": ["0007"], "baseline": "input"})
     for request, protocol, unit in zip((images, clips), broken, ("s0/clean.dng", "long/0007/"), strict=True):
         with pytest.raises(TypeError) as caught:
-            perform(replace(request, protocols=(protocol,), workers=Workers(2)))
+            perform(replace(request, protocol=protocol, workers=Workers(2)))
         assert any(
             note.startswith(f"while the predictions for the reference {unit}") for note in caught.value.__notes__
         )

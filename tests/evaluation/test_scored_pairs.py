@@ -1,0 +1,156 @@
+"""What the score is taken of, pair by pair: measured again, it gives the score to the last digit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from eldata.errors import ArgumentError, EldataError, PredictionError
+from eldata.evaluation import evaluate, save_clip_prediction, save_prediction, scored_pairs
+from eldata.metrics import psnr, ssim
+from eldata.protocols import PROTOCOLS
+from eldata.protocols.kinds import IMAGES
+from eldata.records import PairRecord
+from tests.drv_tree import rgb_frame_of, small_drv, still_of
+from tests.evaluation.own_set import OwnSet, build_own_set, predict
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from eldata.protocols import Protocol
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> OwnSet:
+    """Two scenes of a reference and two noisy frames, and predictions in ``preds`` beside them. Not to be changed."""
+    folder = tmp_path_factory.mktemp("own")
+    own = build_own_set(folder, scenes=2)
+    predict(own, folder / "preds", 0.02)
+    return own
+
+
+def measured(prediction: NDArray[Any], reference: NDArray[Any], protocol: Protocol) -> tuple[float, float]:
+    """PSNR and SSIM by their public functions, as a protocol defines them."""
+    how: dict[str, Any] = {"window": protocol.ssim_window, "covariance": protocol.ssim_covariance}
+    if protocol.mse_offset:
+        error = math.fsum(np.square(prediction - reference).ravel()) / reference.size + protocol.mse_offset
+        return -10 * math.log10(error), ssim(prediction, reference, **how)
+    return psnr(prediction, reference), ssim(prediction, reference, **how)
+
+
+OF_RAW = [name for name, one in PROTOCOLS.items() if one.kind is IMAGES and one.region[:6] != "centre"]
+OF_RAW = [name for name in OF_RAW if PROTOCOLS[name].space == "raw"]
+
+
+@pytest.mark.parametrize("baseline", [None, "input"])
+@pytest.mark.parametrize("name", OF_RAW)
+def test_what_is_measured_of_raw_values_is_the_score_to_the_last_digit(name: str, baseline: Any, own: OwnSet) -> None:
+    protocol = PROTOCOLS[name]
+    predictions = None if baseline else own.root.parent / "preds"
+    result = evaluate(predictions, **own.where, protocol=name, baseline=baseline)
+    pairs = list(scored_pairs(predictions, **own.where, protocol=name, baseline=baseline))
+    assert [record for _, _, record in pairs] == list(result.pairs)
+    for (prediction, reference, record), image in zip(pairs, result.images, strict=True):
+        assert isinstance(record, PairRecord)
+        assert prediction.dtype == reference.dtype == np.float64
+        assert prediction.shape == reference.shape
+        assert len(reference) == (1 if protocol.ssim_planes == "mosaic" else 4)
+        found_db, similarity = measured(prediction, reference, protocol)
+        assert similarity == image.ssim
+        assert found_db == pytest.approx(image.psnr_db, abs=1e-12) if protocol.mse_offset else found_db == image.psnr_db
+
+
+def codes(image: NDArray[Any]) -> NDArray[np.float32]:
+    """The levels of an image of 256, exactly."""
+    assert image.dtype == np.float32
+    found: NDArray[np.float32] = np.rint(255 * image)
+    np.testing.assert_array_equal((found / np.float32(255)).astype(np.float32), image)
+    return found
+
+
+@pytest.mark.parametrize("name", ["eld-srgb", "sid2018"])
+def test_renderings_have_256_levels(name: str, own: OwnSet, tmp_path: Path) -> None:
+    folder, protocol = own.root.parent / "preds", PROTOCOLS[name]
+    if name == "sid2018":
+        folder = tmp_path
+        for number, path in enumerate(sorted(own.files.glob("*/x*.dng"))):
+            made = np.random.default_rng(number).uniform(-0.1, 1.1, (3, 60, 84)).astype(np.float32)
+            save_prediction(folder, path.relative_to(own.files).as_posix(), made)
+    result = evaluate(folder, **own.where, protocol=name)
+    for (prediction, reference, _), image in zip(
+        scored_pairs(folder, **own.where, protocol=name), result.images, strict=True
+    ):
+        first, second = codes(prediction), codes(reference)
+        how: dict[str, Any] = {"window": protocol.ssim_window, "covariance": protocol.ssim_covariance}
+        assert ssim(first, second, data_range=255.0, **how) == image.ssim
+        assert psnr(first, second, data_range=255.0) == pytest.approx(image.psnr_db, abs=1e-12)
+
+
+def test_renderings_that_a_network_made_are_as_they_are(own: OwnSet, tmp_path: Path) -> None:
+    for number, path in enumerate(sorted(own.files.glob("*/x*.dng"))):
+        made = np.random.default_rng(number).uniform(0, 1, (3, 30, 42)).astype(np.float32)
+        save_prediction(tmp_path, path.relative_to(own.files).as_posix(), made)
+    result = evaluate(tmp_path, **own.where, protocol="eld-raw2rgb")
+    for (prediction, reference, _), image in zip(
+        scored_pairs(tmp_path, **own.where, protocol="eld-raw2rgb"), result.images, strict=True
+    ):
+        assert reference.shape == (3, 30, 42)
+        assert measured(prediction, reference, PROTOCOLS["eld-raw2rgb"]) == (image.psnr_db, image.ssim)
+
+
+def test_frames_of_a_clip_come_together(tmp_path: Path) -> None:
+    """As what is said of two frames, such as optical flow, needs them."""
+    from eldata.datasets.published.clips import DRVDataset
+
+    drv = small_drv(tmp_path / "drv", ("0007", "0013"), 12)
+    for window in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
+        frames = [1.1 * rgb_frame_of(window.scene, number).transpose(2, 0, 1) / 65535 for number in range(5, 10)]
+        save_clip_prediction(tmp_path / "preds", window, np.stack(frames).astype(np.float32))
+    given: dict[str, Any] = {"manifest": drv.csv, "root": drv.root, "ids": ["0007", "0013"]}
+    result = evaluate(tmp_path / "preds", **given)
+    pairs = list(scored_pairs(tmp_path / "preds", **given))
+    assert [record.scene for _, _, record in pairs] == ["0007", "0013"]
+    for (prediction, reference, record), video in zip(pairs, result.videos, strict=True):
+        still = (still_of(record.scene).transpose(2, 0, 1) / 65535).astype(np.float32)
+        assert prediction.shape == reference.shape == (5, *still.shape)
+        np.testing.assert_array_equal(reference, np.broadcast_to(still, reference.shape))
+        found = [psnr(*images) for images in zip(prediction, reference, strict=True)]
+        assert found == [frame.psnr_db for frame in video.frames]
+
+
+def test_files_are_read_as_they_are_asked_for(own: OwnSet, tmp_path: Path) -> None:
+    predict(own, tmp_path, 0.01)
+    np.save(tmp_path / "s1" / "x50.npy", np.zeros((1, 2, 3), np.float32))
+    pairs = scored_pairs(tmp_path, **own.where)
+    assert [next(pairs)[2].path for _ in range(3)] == ["s0/x100.dng", "s0/x50.dng", "s1/x100.dng"]
+    with pytest.raises(PredictionError, match=r"expected shape \(4, 30, 42\)"):
+        next(pairs)
+
+
+def test_what_is_missing_is_said_before_anything_is_read(own: OwnSet, tmp_path: Path) -> None:
+    predict(own, tmp_path, 0.01)
+    (tmp_path / "s0" / "x50.npy").unlink()
+    (tmp_path / "s1" / "x50.npy").unlink()
+    with pytest.raises(
+        EldataError, match=r"s0/x50.dng: has no prediction.* \(and 1 more: eldata evaluate lists all\)$"
+    ):
+        scored_pairs(tmp_path, **own.where)
+    (tmp_path / "s0" / "other.npy").write_bytes(b"")  # of no frame
+    found = scored_pairs(tmp_path, **own.where, allow_missing=True)
+    assert [record.path for _, _, record in found] == ["s0/x100.dng", "s1/x100.dng"]
+    with pytest.raises(ArgumentError, match="a folder of predictions or a baseline"):
+        scored_pairs(None, **own.where)
+
+
+def test_cameras_and_region_are_those_that_are_asked_for(own: OwnSet) -> None:
+    with pytest.raises(ArgumentError, match="no pair has camera Other"):
+        scored_pairs(None, **own.where, baseline="input", cameras=["Other"])
+    chosen = replace(PROTOCOLS["eld"], region="border-4", rescaling="none")
+    (first, *_) = scored_pairs(own.root.parent / "preds", **own.where, protocol=chosen)
+    assert first[0].shape == (4, 22, 34)

@@ -1,7 +1,7 @@
 """A browser to drive: the system's Chromium over the pipe of its DevTools protocol, which needs no driver package.
 
 Selenium would be one more dependency, and chromedriver one more program of just the right version, for what these few
-commands do: real key presses and taps, downloads, files to choose, paper.
+commands do: real key presses and taps, paper.
 """
 
 from __future__ import annotations
@@ -177,11 +177,6 @@ class Page:
         """Replace what stands in a field, by keyboard."""
         self.run(f"(() => {{ const e = document.querySelector({json.dumps(selector)}); e.focus(); e.select(); }})()")
         self.send("Input.insertText", text=text)
-
-    def choose_file(self, selector: str, path: Path) -> None:
-        root = self.send("DOM.getDocument")["root"]["nodeId"]
-        node = self.send("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
-        self.send("DOM.setFileInputFiles", nodeId=node, files=[str(path)])
 
     def wait(self, condition: Callable[[], bool]) -> None:
         until(condition, "what the page is to show")

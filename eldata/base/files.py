@@ -199,10 +199,13 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
         with ExitStack() as ends:
             try:
                 file = ends.enter_context(temporary.open("xb"))
+                made = os.fstat(file.fileno())
+                ends.callback(_remove_if_at, temporary, made)
             except FileExistsError:
                 continue  # a live one, or somebody else's
-            made = os.fstat(file.fileno())
-            ends.callback(_remove_if_at, temporary, made)
+            except KeyboardInterrupt:  # it may be there already, and nobody would know of it
+                _remove_if_dead(temporary)
+                raise
             if can_lock(file.fileno()) is False:
                 # Another process took it for dead in the moment before, and will remove it.
                 ends.pop_all()

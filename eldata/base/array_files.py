@@ -23,6 +23,7 @@ png
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from typing import TYPE_CHECKING, Any
@@ -262,7 +263,8 @@ def _read_tiff(path: Path, check: Check, name: str) -> NDArray[Any]:
     import tifffile
 
     del name
-    tifffile.logger().disabled = True  # what it would say is an error here
+    if not tifffile.logger().handlers:  # or Python prints what it says beside our error
+        tifffile.logger().addHandler(logging.NullHandler())
     plain: dict[str, Any] = {f"is_{kind}": False for kind in tifffile.TIFF.FILE_FLAGS - {"shaped", "uniform"}}
     with tifffile.TiffFile(path, **plain) as file:
         series = file.series[0]

@@ -162,7 +162,7 @@ def unpack_archive(path: Path, members: Iterable[Member], targets: Mapping[str, 
         staging.mkdir()
         with _name_damage(path), progress_bar(f"unpacking {path.name}", missing_bytes) as bar:
             for name, staged in _extract(path, new, staging, bar) if new else ():
-                with staged.open("rb") as file:
+                with staged.open("rb+") as file:  # Windows syncs no other
                     os.fsync(file.fileno())
                 places[name].parent.mkdir(parents=True, exist_ok=True)
                 # A link would refuse to replace a file that appeared meanwhile, but not every disk has links.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
@@ -124,29 +123,21 @@ def find_relocation(
         If no file is listed, or the files fit in several ways.
     """
     ends = _index_ends(listed)
-    votes: Counter[Relocation] = Counter()
-    unclear: list[str] = []
-    for name in names:
-        inside, above = _find_end(ends, name)
-        if len(above) == 1:
-            votes[Relocation(inside, next(iter(above)))] += 1
-        elif above:
-            unclear.append(name)
-    if len(votes) == 1 and not unclear:
-        return next(iter(votes))
+    found = (_find_end(ends, name) for name in names)
+    ways = dict.fromkeys(Relocation(within, below) for within, belows in found for below in sorted(belows))
+    if len(ways) == 1:
+        return next(iter(ways))
     by_hand = f"unpack it by hand so that {min(listed)} lies in the dataset's folder, then run eldata verify"
-    if not votes and not unclear:
-        if unlisted_below is not None:
-            return Relocation("", unlisted_below)
-        raise ArchiveError(
-            archive,
-            f"none of its {len(names)} files is listed (found such as {min(names)}, expected such as {min(listed)}); "
-            f"is it another dataset's archive? If not, {by_hand}",
-        )
-    if unclear:
-        raise ArchiveError(archive, f"{unclear[0]} could be any of several listed files; {by_hand}")
-    ways = ", ".join(f"{way.inside or '.'} as {way.below or '.'}" for way, _ in votes.most_common(3))
-    raise ArchiveError(archive, f"its files fit the manifest in {len(votes)} ways ({ways}); {by_hand}")
+    if ways:
+        shown = ", ".join(f"{way.inside or '.'} as {way.below or '.'}" for way in list(ways)[:3])
+        raise ArchiveError(archive, f"its files fit the manifest in {len(ways)} ways ({shown}); {by_hand}")
+    if unlisted_below is not None:
+        return Relocation("", unlisted_below)
+    raise ArchiveError(
+        archive,
+        f"none of its {len(names)} files is listed (found such as {min(names)}, expected such as {min(listed)}); "
+        f"is it another dataset's archive? If not, {by_hand}",
+    )
 
 
 def count_listed(paths: Iterable[str], listed: Iterable[str]) -> int:

@@ -307,8 +307,9 @@ def _worst(found: Calibration) -> str:
         truth = DEMO_GAMMA.noise_at(known[int(one.iso)])
         gain = max(gain, abs(_percent(one.gain_dn_per_e or 0.0, truth.gain_dn_per_e)))
         row = max(row, abs(_percent(one.rows.rows.sigma_dn, truth.sigma_row_dn)))
-        shape = max(shape, abs(one.read.tukey_lambda - truth.tukey_lambda))
-        scale = max(scale, abs(_percent(one.read.sigma_tl_dn, truth.sigma_tl_dn)))
+        if one.tukey_lambda is not None and one.sigma_tl_dn is not None:
+            shape = max(shape, abs(one.tukey_lambda.value - truth.tukey_lambda))
+            scale = max(scale, abs(_percent(one.sigma_tl_dn.value, truth.sigma_tl_dn)))
     assert gain < _GAIN_PERCENT
     assert row < _ROW_PERCENT
     assert shape < _SHAPE_OFF

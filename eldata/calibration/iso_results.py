@@ -21,8 +21,6 @@ from eldata.calibration.core.findings import COARSE, SYMBOLS, GivenFigure, given
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from eldata.calibration.acceptance.reproduction import Reproduction
-    from eldata.calibration.audit.structure import MeasuredStructure
     from eldata.calibration.core._frames import Plane
     from eldata.calibration.core.defects import PatternSummary
     from eldata.calibration.core.findings import Effect, Figure, Finding
@@ -30,6 +28,7 @@ if TYPE_CHECKING:
     from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.core.row_noise import ColourBias, RowNoise
     from eldata.calibration.core.single_frame import SingleFramePlot
+    from eldata.calibration.reproduction import Reproduction
     from eldata.manifest.verify_report import Problem
     from eldata.noise.gain_modes import ProfileRow
     from eldata.noise.parameters import NoiseParameters
@@ -95,9 +94,10 @@ class IsoGain:
         """The symbols of both kinds of figures."""
         return named(self.withheld), named(self.widened)
 
-    def why(self, figure: Figure, effect: Effect = "withheld") -> str:
-        """Return in words why a figure is not given, or has a larger error; empty if it is not so."""
-        return "; ".join(one.text for one in self.findings if one.effect == effect and figure in one.figures)
+    def why(self, *figures: Figure, effect: Effect = "withheld") -> str:
+        """Return in words why figures are not given, or have a larger error; empty if it is not so."""
+        texts = (one.text for one in self.findings if one.effect == effect and not {*figures}.isdisjoint(one.figures))
+        return "; ".join(dict.fromkeys(texts))
 
     @property
     def all_remarks(self) -> tuple[str, ...]:
@@ -173,10 +173,10 @@ class IsoCalibration(IsoGain):
     ----------
     bias_frames
         How many went into the estimates.
-    bias, rows, read
-        Colour bias, row (and column) noise, read noise.
-    plot
-        Quantiles of the residuals for the probability plots.
+    bias, rows
+        Colour bias, row (and column) noise.
+    read, plot
+        Read noise, and quantiles of the residuals for the probability plots; ``None`` where values end at 0.
     pattern
         What stays from frame to frame.
     single_frame
@@ -187,8 +187,6 @@ class IsoCalibration(IsoGain):
     reproduction
         The noise model with these parameters against a bias frame that no estimator saw; ``None`` if there were too
         few frames to hold one out, or one of the parameters is withheld.
-    structure
-        What the noise of pixels has in common; ``None`` if it was not asked for.
     step_dn, stepped
         By how many DN the values of the bias frames step, and the read noise that is left beside rounding to that;
         ``None`` at 1 DN, or where the one is not told from the other.
@@ -203,13 +201,12 @@ class IsoCalibration(IsoGain):
     bias_frames: int
     bias: ColourBias
     rows: RowNoise
-    read: ReadNoise
-    plot: ProbabilityPlot
+    read: ReadNoise | None
+    plot: ProbabilityPlot | None
     pattern: PatternSummary
     spectrum_dn2: Plane = field(repr=False)
     reproduction: Reproduction | None = None
     single_frame: SingleFramePlot | None = None
-    structure: MeasuredStructure | None = None
     step_dn: int = 1
     stepped: ReadNoise | None = None
     quantisation_step_dn: float = 1.0
@@ -287,8 +284,8 @@ class IsoCalibration(IsoGain):
             sigma_tl_dn=scale.value,
             sigma_gauss_dn=gauss.value,
             sigma_row_dn=None if row is None else row.value,
-            r_squared_tl=self.read.r_squared_tl,
-            r_squared_gauss=self.read.r_squared_gauss,
+            r_squared_tl=None if self.read is None else self.read.r_squared_tl,
+            r_squared_gauss=None if self.read is None else self.read.r_squared_gauss,
             frame_bias_dn=tuple(frames),
         )
 
@@ -305,8 +302,6 @@ class IsoCalibration(IsoGain):
             "defects": self.pattern.defects,
             "reproduction": None if self.reproduction is None else self.reproduction.as_dict(),
         }
-        if self.structure is not None:
-            found["structure"] = asdict(self.structure)
         return {name: without_infinities(value) for name, value in found.items()}
 
 

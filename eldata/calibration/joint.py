@@ -17,11 +17,10 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.gain_modes import GainMode, LogLogFit, modes_problem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from eldata.calibration.core._frames import Values
     from eldata.calibration.core.figures import DarkFigure
-    from eldata.calibration.core.findings import Finding
+    from eldata.calibration.core.findings import Finding, GivenFigure
     from eldata.calibration.iso_results import IsoCalibration
 
 
@@ -122,142 +121,83 @@ class FittedMode:
         return found
 
 
-_BY_CHANCE = 0.002  # of one fit: a calibration has three
-_ROUNDING = 1e-24  # squares that are left of points on a line
+# --- steps over the ISOs ----------------------------------------------------------------------------------------------
+
+_LEAST_STEP_OF_GAIN, _LEAST_STEP_OF_NOISE = 0.1, 0.35  # of ln
+_SURELY = 5.0  # standard errors
+_OF_OTHERS = 4.0  # of the median of the other ISOs' steps
+_SAME_GAIN = 0.05  # of ln K: an extended ISO has the K of its neighbour
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """A step between two neighbours in a line of ln(scale) over ln(K), and the spread around a line through both."""
+def iso_steps(isos: Sequence[IsoCalibration]) -> list[tuple[float, Finding]]:
+    """Return steps of K over the ISO or of the read noise between neighbouring ISOs, each with the upper one.
 
-    name: str
-    place: tuple[float, float]
-    height: float
-    statistic: float
-    threshold: float
-    spread_without: float
-    spread: float
-
-
-@dataclass(frozen=True, slots=True)
-class GainStep:
-    """A step in joint fits between two neighbouring gains, as where a camera switches its conversion gain.
-
-    Attributes
-    ----------
-    below_dn_per_e, above_dn_per_e
-        The last K before it and the first one after it.
-    steps
-        Of each scale that has one.
+    K goes with the ISO. Read noise of parts before and after the amplifier grows over ln K with a slope that goes from
+    0 to 1, and between two ISOs lies between those on either side; between the lowest two and the highest two it is
+    anywhere from 0 to 1. A camera that switches its conversion gain leaves both.
     """
-
-    below_dn_per_e: float
-    above_dn_per_e: float
-    steps: tuple[_Step, ...]
-
-    def finding(self, iso_of: Mapping[float, float], *, is_taken: bool) -> Finding:
-        """Return the remark on it: that the profile has modes on either side, or what its lines suffer."""
-        below, above = iso_of[self.below_dn_per_e], iso_of[self.above_dn_per_e]
-        heights = " and ".join(f"{step.name} ({math.expm1(step.height):+.0%})" for step in self.steps)
-        spreads = " and ".join(f"{step.spread:.2g} ({step.spread_without:.2g} without it)" for step in self.steps)
-        largest = max(self.steps, key=_clearness)
-        seen = (
-            f"between ISO {below:g} and {above:g} there is a step over K of {heights}, as where a camera switches its "
-            "conversion gain"
+    known = sorted((one for one in isos if one.gain is not None), key=lambda one: one.iso)
+    found = []
+    for one, other in pairwise(known):
+        off = math.log(_gain(other) / _gain(one) * one.iso / other.iso)
+        error = math.hypot(*(_relative_error(each.gain) for each in (one, other)))
+        threshold = max(_LEAST_STEP_OF_GAIN, _SURELY * error)
+        if abs(off) > threshold:
+            found.append(_step(one, other, f"K over the ISO changes by {math.expm1(off):+.0%}", off, threshold))
+    quiet = [one for one in known if one.sigma_gauss_dn is not None and one.sigma_gauss_dn.value > 0]
+    for one, other, off, threshold in _noise_steps(sorted(quiet, key=_gain)):
+        before, after = (each.sigma_gauss_dn.text for each in (one, other) if each.sigma_gauss_dn is not None)
+        what = (
+            f"the read noise goes from {before} to {after} DN, {math.expm1(off):+.0%} beside what K and the ISOs "
+            "around make likely"
         )
-        if is_taken:
-            outcome = (
-                ": the profile has a gain mode on either side, each with lines of its own, and knows nothing between "
-                "them; where the camera switches can be stated (--mode ISO)"
-            )
-        else:
-            outcome = (
-                f"; it makes the spread around the line larger, {spreads}, and noise drawn from the fit more varied "
-                "than the camera's: state the modes (--mode ISO), or calibrate the ISOs on either side by themselves "
-                "(--iso)"
-            )
-        return STEP.seen(largest.statistic, largest.threshold, seen + outcome)
+        found.append(_step(one, other, what, off, threshold))
+    return sorted(found, key=lambda step: step[0])
 
 
-def gain_steps(points: Mapping[str, Sequence[tuple[float, float]]]) -> tuple[GainStep, ...]:
-    """Return the steps of ``ln(scale)`` over ``ln(K)``, ascending, as where a camera switches its conversion gain.
-
-    For each place with two ISOs or more on either side, a step is fitted beside slope and intercept. The largest ratio
-    to its standard error is held against Student's quantile for n - 3 degrees of freedom, with the chance divided among
-    the places. A step must also be likelier by that chance than a parabola and than any elbow, since read noise of two
-    parts, before and after the amplifier, bends the line from one slope to another. On either side of the clearest step
-    further ones are looked for.
-
-    Parameters
-    ----------
-    points
-        K and scale by the scale's name; scales of 0 are left out.
-    """
-    found: dict[tuple[float, float], list[_Step]] = {}
-    for name, measured in points.items():
-        usable = sorted((gain, scale) for gain, scale in measured if scale > 0 and math.isfinite(scale))
-        if len(usable) < 5 or len({gain for gain, _ in usable}) < len(usable):
-            continue
-        step = _step(name, *zip(*usable, strict=True))
-        if step is not None:
-            found.setdefault(step.place, []).append(step)
-    if not found:
-        return ()
-    below, above = max(found, key=lambda place: max(map(_clearness, found[place])))
-    before, after = (
-        gain_steps(
-            {name: [one for one in measured if (one[0] >= above) == is_after] for name, measured in points.items()}
-        )
-        for is_after in (False, True)
+def _step(one: IsoCalibration, other: IsoCalibration, what: str, off: float, threshold: float) -> tuple[float, Finding]:
+    low, high = sorted((one.iso, other.iso))
+    text = (
+        f"between ISO {low:g} and {high:g} {what}, as where a camera switches its conversion gain or scales numbers; "
+        "one line through both sides makes the noise that is drawn from it more varied than the camera's: state the "
+        f"gain mode with --mode {high:g} (modes=[{high:g}]), or that there is none with --mode none (modes=[])"
     )
-    return (*before, GainStep(below, above, tuple(found[below, above])), *after)
+    return high, STEP.seen(abs(off), threshold, text)
 
 
-def _clearness(step: _Step) -> float:
-    return step.statistic / step.threshold
+def _noise_steps(
+    isos: Sequence[IsoCalibration],
+) -> Iterator[tuple[IsoCalibration, IsoCalibration, float, float]]:
+    """Yield the clearest step of sigma_G over K, then those on either side of it."""
+    pairs = [(one, other) for one, other in pairwise(isos) if _gain(other) > _gain(one) * math.exp(_SAME_GAIN)]
+    moved = [(math.log(_gain(other) / _gain(one)), *_rise(one, other)) for one, other in pairs]
+    slopes = [min(max(rise / gain, 0.0), 1.0) for gain, rise, _ in moved]
+    steps = []
+    for place, (gain, rise, _) in enumerate(moved):
+        beside = [0.0, 1.0] if place in (0, len(slopes) - 1) else sorted((slopes[place - 1], slopes[place + 1]))
+        steps.append(rise - min(max(rise, beside[0] * gain), beside[1] * gain))
+    if not steps:
+        return
+    at = int(np.argmax(np.abs(steps)))
+    others = [abs(step) for place, step in enumerate(steps) if abs(place - at) > 1]
+    threshold = max(_LEAST_STEP_OF_NOISE, _SURELY * moved[at][2], _OF_OTHERS * float(np.median(others or [0.0])))
+    if abs(steps[at]) > threshold:
+        one, other = pairs[at]
+        yield from _noise_steps([each for each in isos if _gain(each) <= _gain(one)])
+        yield one, other, steps[at], threshold
+        yield from _noise_steps([each for each in isos if _gain(each) >= _gain(other)])
 
 
-def _step(name: str, gains: Sequence[float], scales: Sequence[float]) -> _Step | None:
-    """Return the clearest step, if it is one and says more than a bend."""
-    from scipy.special import stdtrit
-
-    count = len(gains)
-    x, y = np.log(np.asarray(gains)), np.log(np.asarray(scales))
-    centred = x - x.mean()
-    line = np.stack([np.ones(count), centred])
-    places = range(2, count - 1)
-    after = {place: (np.arange(count) >= place).astype(np.float64) for place in places}
-    bends = [centred**2, *(np.logaddexp(0.0, 2 * (x - elbow)) for elbow in _elbows(x))]
-    freedom = count - 3
-    threshold = float(-stdtrit(freedom, _BY_CHANCE / (2 * len(places))))
-    rest, place = min((_rest(np.stack([*line, after[place]]), y), place) for place in places)
-    statistic = math.sqrt(max(_rest(line, y) - rest, 0.0) * freedom / max(rest, _ROUNDING))
-    # Were there a bend, a step of given place would be 1 / p times as likely with a chance of p at most (Markov).
-    bent = min(_rest(np.stack([*line, bend]), y) for bend in bends)
-    is_likelier = count * math.log(max(bent, _ROUNDING) / max(rest, _ROUNDING)) > 2 * math.log(len(places) / _BY_CHANCE)
-    if statistic <= threshold or not is_likelier:
-        return None
-    height = float(_solved(np.stack([*line, after[place]]), y)[-1])
-    where = gains[place - 1], gains[place]
-    spreads = math.sqrt(rest / freedom), fit_log_log(gains, scales).fit.sigma
-    return _Step(name, where, height, statistic, threshold, *spreads)
+def _rise(one: IsoCalibration, other: IsoCalibration) -> tuple[float, float]:
+    """Return by how much ln(sigma_G) rises, and its error."""
+    first, second = one.sigma_gauss_dn, other.sigma_gauss_dn
+    if first is None or second is None:
+        return math.nan, math.nan
+    return math.log(second.value / first.value), math.hypot(_relative_error(first), _relative_error(second))
 
 
-def _elbows(x: Values) -> Values:
-    """Return where noise after the amplifier may equal that before it: at each point, between, and just beyond."""
-    between = (x[1:] + x[:-1]) / 2
-    return np.concatenate([x, between, [2 * x[0] - between[0], 2 * x[-1] - between[-1]]])
-
-
-def _solved(curve: Values, y: Values) -> Values:
-    """Return the coefficients of a curve's parts, by least squares."""
-    return np.asarray(np.linalg.lstsq(curve.T, y, rcond=None)[0])
-
-
-def _rest(curve: Values, y: Values) -> float:
-    """Return the squares that a curve leaves."""
-    left = y - _solved(curve, y) @ curve
-    return float(left @ left)
+def _relative_error(figure: GivenFigure | None) -> float:
+    return 0.0 if figure is None or not math.isfinite(figure.error) else figure.error / figure.value
 
 
 # --- gain modes ---------------------------------------------------------------------------------------------------
@@ -294,23 +234,13 @@ def joint_fits(isos: Sequence[IsoCalibration], starts: Sequence[float] | None = 
         What was measured.
     starts
         The first ISO of each gain mode but the lowest, as somebody states them, ascending; none for one mode. ``None``:
-        modes are told by steps in the fits (:func:`gain_steps`).
+        one mode too, and steps over the ISOs are remarked.
     """
     known = sorted((one for one in isos if one.gain_dn_per_e is not None), key=_gain)
-    iso_of = {_gain(one): one.iso for one in known}
-    steps = gain_steps({figure.label: _points(known, figure) for figure in SCALES})
-    said: list[Finding] = []
-    if starts is None:
-        parts = _split(known, [step.above_dn_per_e for step in steps], _gain)
-        is_taken = all(map(_makes_a_mode, parts))
-        if not is_taken:
-            parts = [known]
-        said = [step.finding(iso_of, is_taken=is_taken) for step in steps]
-    else:
-        parts = _split(known, starts, lambda one: one.iso)
-        firsts = {_gain(part[0]) for part in parts[1:] if part}
-        said = [step.finding(iso_of, is_taken=False) for step in steps if step.above_dn_per_e not in firsts]
-    remarks = [one.remark for one in said]
+    parts = _split(known, starts or ())
+    stated = {min(one.iso for one in part) for part in parts[1:] if part}
+    is_without = starts is not None and not starts
+    remarks = [] if is_without else [step.remark for iso, step in iso_steps(isos) if iso not in stated]
     if not known:
         return JointFits((), tuple(remarks))
     if len(parts) > 1 and (lacking := [part for part in parts if not _makes_a_mode(part)]):
@@ -344,12 +274,10 @@ def _gain(one: IsoCalibration) -> float:
     return one.gain_dn_per_e or math.nan
 
 
-def _split(
-    known: Sequence[IsoCalibration], starts: Iterable[float], of: Callable[[IsoCalibration], float]
-) -> list[list[IsoCalibration]]:
+def _split(known: Sequence[IsoCalibration], starts: Sequence[float]) -> list[list[IsoCalibration]]:
     """Return the ISOs below the first start, from it to the next one, and so on."""
     ends = [-math.inf, *starts, math.inf]
-    return [[one for one in known if low <= of(one) < high] for low, high in pairwise(ends)]
+    return [[one for one in known if low <= one.iso < high] for low, high in pairwise(ends)]
 
 
 def _makes_a_mode(part: Sequence[IsoCalibration]) -> bool:

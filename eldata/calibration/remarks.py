@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.audit.bias_sums import GAPS
+from eldata.calibration.audit.bias_checks import GAPS
 from eldata.calibration.audit.frames import ADVISED_BIAS_FRAMES
 from eldata.calibration.iso_results import usual_gain_per_iso
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.audit.frames import IsoFrames
+    from eldata.calibration.frames import IsoFrames
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
 
 _LONGEST_BIAS_S = 1 / 250
@@ -39,7 +39,7 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
         )
     if lossy is not None:
         remarks.append(f"the files have {lossy}, which changes noise: no figure here is the sensor's own")
-    if "read noise" in found.withheld:
+    if read is None or "read noise" in found.withheld:
         pass  # a finding says more
     elif read.r_squared_tl < _POOR_PLOT - 1 / (12 * (found.bias_frames * read.sigma_gauss_dn) ** 2):
         # Residuals are multiples of 1/n DN; those steps alone take 1/(12 n^2 sigma^2) from R^2.

@@ -134,8 +134,9 @@ class Calibration:
             lines = ((one.mode, one.estimate(scale)) for one in self.modes)
             if points:
                 drawn = tuple((mode, line) for mode, line in lines if line is not None)
-                name, figure = scale.label.removeprefix("sigma_"), scale.basis or "read noise"
-                panels.append(ScalePanel(name, figure, drawn, points))
+                panels.append(
+                    ScalePanel(scale.label.removeprefix("sigma_"), scale.basis or "read noise", drawn, points)
+                )
         return tuple(panels)
 
     def plot(self, iso: float | None = None) -> Drawing:
@@ -190,7 +191,7 @@ class Calibration:
                 spans = [(line.fit, low, high) for line, low, high in panel.spans]
                 scale_over_gain(axes, panel.name, spans, panel.points, theme)
 
-            draws.append((panel.figure if panel.name == "row" else f"{panel.figure}, {panel.name}", draw_scales))
+            draws.append(("row noise" if panel.name == "row" else f"read noise, {panel.name}", draw_scales))
         if not draws:
             raise nothing_to_draw(f"the calibration of {self.camera}", "no ISO has flats or both K and bias frames")
         return drawn_grid(f"Calibration of {self.camera}", draws)
@@ -223,7 +224,6 @@ class Calibration:
             ("", self.table()),
             ("K alone, from flats without bias frames\n", self.gain_table()),
             ("colour bias over the recorded black level [DN]\n", self.bias_table()),
-            ("structure of the noise, for components C, W, T and F\n", self.structure_table()),
             ("", fits),
             ("a bias frame kept out, against simulated ones\n", self.reproduction_table()),
         )
@@ -274,13 +274,6 @@ class Calibration:
         ]
         return ("ISO", *(self.isos[0].channels if self.isos else ()), "DSNU"), rows
 
-    def structure_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Return header and rows of what the noise of pixels has in common, where it was asked for."""
-        from eldata.calibration.audit.structure import HEADER
-
-        rows = [(f"{one.iso:g}", *one.structure.cells()) for one in self.isos if one.structure is not None]
-        return ("ISO", *HEADER), rows
-
     def fit_table(self) -> list[tuple[str, ...]]:
         """Return the rows of the joint fits that could be made, those of each gain mode after another."""
         return [
@@ -298,7 +291,7 @@ class Calibration:
 
     def reproduction_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Return header and rows of how well the noise model reproduces the frames that were kept out."""
-        from eldata.calibration.acceptance.reproduction import HEADINGS
+        from eldata.calibration.reproduction import HEADINGS
 
         kept = [(one.iso, one.reproduction) for one in self.isos if one.reproduction is not None]
         return ("ISO", *HEADINGS), [(f"{iso:g}", *found.cells()) for iso, found in kept]
@@ -340,7 +333,7 @@ class ScalePanel:
     Attributes
     ----------
     name, figure
-        Index of its sigma, and the figure that is withheld with it.
+        Index of its sigma, and the figure that it is withheld with.
     lines
         The fitted ones, with their gain modes.
     points

@@ -12,8 +12,8 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.numbers import counted
 from eldata.base.workers import Workers
-from eldata.calibration.audit.frames import FramesError, sorted_frames
 from eldata.calibration.core._frames import sites
+from eldata.calibration.frames import FramesError, sorted_frames
 from eldata.calibration.one_iso import bias_pattern
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.dark_shading import DarkShading

@@ -80,7 +80,7 @@ def add_options(parser: console.Parser) -> None:
         metavar="ISO",
         help=(
             "the camera switches its conversion gain, and from this ISO on the noise has lines of its own over K; may "
-            "be repeated; none: it does not switch (default: told by a step in the lines)"
+            "be repeated; none: it does not switch (default: neither is said, and a step over the ISOs is remarked)"
         ),
     )
     parser.add_argument(
@@ -91,14 +91,6 @@ def add_options(parser: console.Parser) -> None:
         help=(
             "give what this check withholds, with an error of what it may be off by, and say so in the profile; may be "
             "repeated. The remarks name the checks that can be accepted"
-        ),
-    )
-    parser.add_argument(
-        "--structure",
-        action="store_true",
-        help=(
-            "also measure what the noise of pixels has in common, for components C, W, T and F of the noise model: "
-            "column noise, bands, telegraph pixels, PRNU. The profile is then of schema 3"
         ),
     )
     console.add_shared(parser, run, "isos", "root", "workers", json=True)
@@ -124,8 +116,8 @@ def run(arguments: console.Arguments) -> int:
     from dataclasses import asdict
 
     from eldata.base.files import write_text
-    from eldata.calibration.audit.frames import FramesError
     from eldata.calibration.camera import calibrate, stated_gains
+    from eldata.calibration.frames import FramesError
     from eldata.calibration.shading_fit import dark_shading
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.noise.profile import CameraProfile
@@ -140,8 +132,7 @@ def run(arguments: console.Arguments) -> int:
     gains |= dict(stated for stated in arguments.gains if not isinstance(stated, str))
     try:
         with console.chosen_workers(arguments) as workers:
-            options = {"modes": modes, "structure": arguments.structure, "workers": workers}
-            found = calibrate(frames, gains=gains, accept=arguments.accept, **options)
+            found = calibrate(frames, gains=gains, modes=modes, accept=arguments.accept, workers=workers)
             shading, no_shading = None, ""
             try:
                 if arguments.dark_shading:

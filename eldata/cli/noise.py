@@ -126,7 +126,7 @@ def run_check(arguments: console.Arguments) -> int:
     from eldata.base.files import write_text
     from eldata.base.tables import one_line
     from eldata.calibration.acceptance.comparison import check_noise
-    from eldata.calibration.audit.frames import FramesError
+    from eldata.calibration.frames import FramesError
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.datasets.synthetic.dark_frames import DarkFrames
     from eldata.noise.dark_shading import DarkShading

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,19 +15,17 @@ from eldata.reports.calibration_iso import (
     read_noise_plots,
     reproduced_pictures,
     reproduced_plots,
-    row_bands_plot,
     rows_plot,
     shading_pictures,
     spectrum_picture,
     transfer_plot,
 )
-from eldata.reports.calibration_joint import joint_plots, structure_numbers
+from eldata.reports.calibration_joint import joint_plots
 from eldata.reports.html import digits, grouped, measured, rendered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.audit.structure import MeasuredStructure
     from eldata.calibration.core.findings import Effect, Figure, GivenFigure
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
     from eldata.calibration.results import Calibration
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from eldata.reports.figures import Plot
 
 _GRAVEST: tuple[Effect, ...] = ("withheld", "wider", "remark")
+_READ: tuple[Figure, ...] = ("shape", "read noise")
 _FIT_HEADER = ("fit over ln K", "slope", "intercept", "σ", "R²")
 
 
@@ -72,7 +72,6 @@ def _tables(calibration: Calibration) -> list[dict[str, Any]]:
         "figures": ("Figures, value ± standard error", *calibration.table()),
         "gains": ("K alone, from flats without bias frames", *calibration.gain_table()),
         "colour-bias": ("Colour bias over the recorded black level [DN]", *calibration.bias_table()),
-        "structure": ("What the noise of pixels has in common", *calibration.structure_table()),
         "fits": ("Lines of ln σ over ln K", _FIT_HEADER, calibration.fit_table()),
         "reproduction": ("A bias frame kept out, against simulated ones", *calibration.reproduction_table()),
     }
@@ -188,18 +187,17 @@ def _alone(figure: GivenFigure | None, count: int = 3) -> str:
     return digits(figure.value, count) + (" (stated)" if figure.is_stated else "")
 
 
-def _judged(one: IsoGain, figure: Figure, group: _Group) -> _Group:
-    """Return a group with the sentence why its figure is not given, or with which error; as it is if all is well."""
-    if why := one.why(figure):
+def _judged(one: IsoGain, group: _Group, *figures: Figure) -> _Group:
+    """Return a group with the sentence why figures are not given, or with which error; as it is if all is well."""
+    if why := one.why(*figures):
         return replace(group, note=f"Withheld: {why.rstrip('.')}.", effect="withheld")
-    if why := one.why(figure, "wider"):
+    if why := one.why(*figures, effect="wider"):
         return replace(group, note=f"Errors made larger: {why.rstrip('.')}.", effect="wider")
     return group
 
 
 def _groups(one: IsoCalibration) -> tuple[_Group, ...]:
-    structure = () if one.structure is None else (_structure(one, one.structure),)
-    return _gain(one), _colour_bias(one), _rows(one), *structure, _read_noise(one), _reproduction(one), _pattern(one)
+    return _gain(one), _colour_bias(one), _rows(one), _read_noise(one), _reproduction(one), _pattern(one)
 
 
 def _by_channel(template: str, one: IsoGain, values: Sequence[str]) -> list[tuple[str, str]]:
@@ -214,7 +212,7 @@ def _gain(one: IsoGain) -> _Group:
         note = "There are no pairs of equal flats of this ISO, so K is not known and there is no photon transfer line."
         if stated:
             note = "K is stated: there is no photon transfer line that gives it."
-        return _judged(one, "gain", _Group(title, stated, note=note))
+        return _judged(one, _Group(title, stated, note=note), "gain")
     transfer = one.transfer
     numbers = [("K [DN/e⁻]", estimated(one.gain))]
     if one.channel_gains is not None:
@@ -226,7 +224,7 @@ def _gain(one: IsoGain) -> _Group:
         ("Flat frames", str(transfer.frames)),
         ("Area left out", f"{transfer.left_out:.1%}"),
     ]
-    return _judged(one, "gain", _Group(title, tuple(numbers), plots=(transfer_plot(one, transfer),)))
+    return _judged(one, _Group(title, tuple(numbers), plots=(transfer_plot(one, transfer),)), "gain")
 
 
 def _colour_bias(one: IsoCalibration) -> _Group:
@@ -239,7 +237,7 @@ def _colour_bias(one: IsoCalibration) -> _Group:
         ("Bias frames", str(bias.frames)),
     ]
     plots = () if given is None else (bias_plot(one, given),)
-    return _judged(one, "colour bias", _Group("Colour bias", tuple(numbers), plots=plots))
+    return _judged(one, _Group("Colour bias", tuple(numbers), plots=plots), "colour bias")
 
 
 def _rows(one: IsoCalibration) -> _Group:
@@ -253,34 +251,27 @@ def _rows(one: IsoCalibration) -> _Group:
         ("Excess kurtosis", digits(rows.excess_kurtosis, 2)),
     )
     plots = (rows_plot(one), line_spectrum_plot(one))
-    return _judged(one, "row noise", _Group("Row noise", numbers, plots=plots, pictures=(spectrum_picture(one),)))
-
-
-def _structure(one: IsoCalibration, structure: MeasuredStructure) -> _Group:
-    spectrum = structure.row_spectrum
-    plots = () if spectrum is None else (row_bands_plot(one, structure, spectrum),)
-    return _Group("What pixels have in common", structure_numbers(structure, one.withheld), plots=plots)
+    return _judged(one, _Group("Row noise", numbers, plots=plots, pictures=(spectrum_picture(one),)), "row noise")
 
 
 def _read_noise(one: IsoCalibration) -> _Group:
-    read = one.read
+    title, read, plot, shape = "Read noise", one.read, one.plot, one.tukey_lambda
+    if read is None or plot is None:
+        return _judged(one, _Group(title, ()), *_READ)
     by_ppcc = (("λ by PPCC", digits(read.ppcc_lambda)), ("σ TL by PPCC", f"{digits(read.ppcc_sigma_tl_dn)} DN"))
-    shape = one.tukey_lambda
-    has_curve = shape is not None and read.curve.size > 0  # of values that clip at black there is none
     numbers = (
         ("λ", estimated(shape)),
         ("σ TL", estimated(one.sigma_tl_dn, "DN")),
         ("σ G", estimated(one.sigma_gauss_dn, "DN")),
-        *(by_ppcc if has_curve else ()),
-        ("χ² per d.o.f.", digits(read.chi2_per_dof)),
+        *(() if shape is None else by_ppcc),
+        *([] if math.isnan(read.chi2_per_dof) else [("χ² per d.o.f.", digits(read.chi2_per_dof))]),
         ("R², Tukey lambda", digits(read.r_squared_tl, 6)),
         ("R², Gaussian", digits(read.r_squared_gauss, 6)),
         *_as_published(one),
         ("Residuals", grouped(read.residuals)),
     )
-    of_shape = (ppcc_plot(one, shape),) if shape is not None and has_curve else ()
-    plots = (*of_shape, *read_noise_plots(one))
-    return _judged(one, "read noise", _Group("Read noise", numbers, plots=plots))
+    of_shape = () if shape is None else (ppcc_plot(one, read, shape),)
+    return _judged(one, _Group(title, numbers, plots=(*of_shape, *read_noise_plots(one, read, plot))), *_READ)
 
 
 def _as_published(one: IsoCalibration) -> tuple[tuple[str, str], ...]:

@@ -46,11 +46,13 @@ def stacked(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> FixedPatter
 
 
 def calibrated(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Calibration:
-    sums = BiasSums(stacked(camera, frames))
+    """Of frames whose values do not end at 0."""
+    fixed = stacked(camera, frames)
+    sums = BiasSums(fixed)
     for frame in frames:
         sums.add(frame)
-    fixed = sums.fixed_pattern()
     found = sums.figures([camera.black] * len(camera.bias))
+    assert found.read is not None
     return Calibration(fixed, found.rows, found.read, found.bias, found.findings)
 
 
@@ -59,8 +61,8 @@ def figures_of(found: Calibration, camera: Camera) -> dict[str, tuple[Figure, fl
     read, rows = found.read, found.rows.rows
     truth = camera.noise.sigma_gauss_dn
     return {
-        "lambda": ("read noise", read.tukey_lambda, read.tukey_lambda_error, camera.tukey_lambda, 1.0),
-        "sigma_TL": ("read noise", read.sigma_tl_dn, read.sigma_tl_error_dn, camera.sigma_tl, read.sigma_tl_dn),
+        "lambda": ("shape", read.tukey_lambda, read.tukey_lambda_error, camera.tukey_lambda, 1.0),
+        "sigma_TL": ("shape", read.sigma_tl_dn, read.sigma_tl_error_dn, camera.sigma_tl, read.sigma_tl_dn),
         "sigma_G": ("read noise", read.sigma_gauss_dn, read.sigma_gauss_error_dn, truth, read.sigma_gauss_dn),
         "sigma_row": ("row noise", rows.sigma_dn, rows.sigma_error_dn, camera.sigma_row, rows.sigma_dn),
     }

@@ -65,13 +65,6 @@ def corner_leak(peak_dn: float) -> Planted:
     return Planted(f"corner leak, {peak_dn:g} DN", _lit(light))
 
 
-def dark_signal(mean_dn: float) -> Planted:
-    """Dark current of each pixel's own, exponentially distributed over the pixels."""
-    return Planted(
-        f"dark signal, {mean_dn:g} DN", _lit(lambda camera, generator: generator.exponential(mean_dn, camera.shape))
-    )
-
-
 def telegraph(share: float, sigmas: float) -> Planted:
     """Pixels that jump between two levels around their mean, so many standard deviations of the read noise apart."""
 
@@ -143,16 +136,6 @@ def coarse(step: int) -> Planted:
     return Planted(f"values in steps of {step} DN", fault)
 
 
-def wave(share: float, period_rows: float = 37.3) -> Planted:
-    """Bands over the rows, of an amplitude that is a share of sigma_row; their phase differs from frame to frame."""
-
-    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
-        rows = np.arange(camera.shape[0])[:, None] / period_rows
-        return [frame + share * camera.sigma_row * np.sin(2 * np.pi * (rows + generator.random())) for frame in frames]
-
-    return Planted(f"bands, {share:g} sigma_row", fault)
-
-
 def drift(share: float) -> Planted:
     """1/f in the rows' offsets, whose standard deviation is a share of sigma_row."""
 
@@ -170,48 +153,4 @@ def drift(share: float) -> Planted:
     return Planted(f"slow drift, {share:g} sigma_row", fault)
 
 
-def column_noise(sigma_dn: float) -> Planted:
-    """An offset for each column, another one in each frame."""
-    return Planted(
-        f"column noise, {sigma_dn:g} DN",
-        lambda frames, camera, generator: [
-            frame + sigma_dn * generator.standard_normal((1, camera.shape[1])) for frame in frames
-        ],
-    )
-
-
-def together(*faults: Planted) -> Planted:
-    """All of them, one after another."""
-
-    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
-        for one in faults:
-            frames = one.fault(frames, camera, generator)
-        return frames
-
-    return Planted(", ".join(one.name for one in faults), fault)
-
-
-def spread_of_noise(share: float) -> Planted:
-    """Pixels of different noise, log-normal: no fault of the frames, but not the model either."""
-
-    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
-        factor = np.exp(share * generator.standard_normal(camera.shape))
-        level = np.mean(frames, axis=0)
-        return [level + factor * (frame - level) for frame in frames]
-
-    return Planted(f"noise of pixels differs by {share:.0%}", fault)
-
-
 NONE = Planted("none", lambda frames, _, __: frames)
-EVERY = (
-    *(corner_leak(peak) for peak in (20.0, 5.0, 2.0, 1.0)),
-    *(dark_signal(mean) for mean in (20.0, 5.0, 1.0, 0.3)),
-    *(telegraph(share, size) for share, size in ((0.01, 10.0), (0.01, 5.0), (0.01, 3.0), (0.001, 5.0), (0.0003, 5.0))),
-    *(jumping(share, size, 0.3) for share, size in ((0.02, 1.5), (0.05, 5.0))),
-    together(dark_signal(2.0), jumping(0.02, 5.0, 0.3)),
-    *(blurred(share) for share in (0.2, 0.05, 0.02, 0.01)),
-    *(star_eater(size, both_sides=both) for both in (False, True) for size in (0.0, 2.0, 4.0)),
-    *(coarse(step) for step in (2, 4)),
-    *(wave(share) for share in (2.0, 0.5, 0.2)),
-    *(drift(share) for share in (1.0, 0.5, 0.25)),
-)

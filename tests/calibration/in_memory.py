@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from eldata.base.workers import IN_THIS_PROCESS
-from eldata.calibration.audit.frames import IsoFrames
+from eldata.calibration.frames import IsoFrames
 from eldata.calibration.iso_results import IsoCalibration
 from eldata.calibration.one_iso import calibrate_iso
 from eldata.datasets.calibration_frames import FlatPair
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.workers import Workers
+    from eldata.calibration.core.read_noise import ReadNoise
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.records import Role, Sensor
 
@@ -77,6 +78,12 @@ def calibrated_in_memory(
     found = calibrate_iso(frames, iso_frames(bias, pairs), workers, **options)
     assert isinstance(found, IsoCalibration)
     return found
+
+
+def read_of(one: IsoCalibration) -> ReadNoise:
+    """The read noise of an ISO whose values do not end at 0."""
+    assert one.read is not None
+    return one.read
 
 
 def calibrated_arrays(sensor: Sensor, bias: Sequence[Mosaic], pairs: Sequence[tuple[Mosaic, Mosaic]]) -> IsoCalibration:

@@ -73,13 +73,13 @@ def truth(camera: Camera) -> NoiseParameters:
 
 
 def calibrated(specimen: Specimen, light_dn: Sequence[float], *stream: int) -> IsoCalibration:
-    """Measure a specimen with its structure: of ten bias frames, one of them kept out, and a pair of each light."""
+    """Measure a specimen: of ten bias frames, one of them kept out, and a pair of each light."""
 
     def take(role: str, number: int) -> NDArray[np.uint16]:
         light = light_dn[number // 2] if role == "flat" else 0.0
         return specimen.frame(light, np.random.default_rng([*stream, 9, role == "flat", number]))
 
-    return calibrated_in_memory(specimen.camera.sensor, 10, len(light_dn), take, structure=True)
+    return calibrated_in_memory(specimen.camera.sensor, 10, len(light_dn), take)
 
 
 def judged(

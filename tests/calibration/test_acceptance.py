@@ -18,7 +18,7 @@ import pytest
 
 from eldata.calibration.acceptance.comparison import check_noise
 from eldata.calibration.acceptance.results import FrameStatistic
-from eldata.calibration.audit.frames import FramesError
+from eldata.calibration.frames import FramesError
 from eldata.cli.main import main
 from eldata.errors import ArgumentError
 from eldata.examples.check_noise_model import Adapter, GaussianNetwork
@@ -88,7 +88,7 @@ def test_another_specimens_pattern_has_the_energy_and_not_the_places() -> None:
 
 def test_whole_frames_for_a_model_that_knows_the_places(monkeypatch: pytest.MonkeyPatch) -> None:
     """The middle is compared: given that piece alone, the model's own pattern would lie elsewhere (and not fit)."""
-    monkeypatch.setattr(import_module("eldata.calibration.acceptance.reproduction"), "_SIDE", 128)
+    monkeypatch.setattr(import_module("eldata.calibration.reproduction"), "_SIDE", 128)
     specimen = Specimen(PATTERNED)
     found = judged(specimen, specimen, flats=(2000.0,), pairs=16, whole_frames=True)
     assert found.shape == (128, 128)

@@ -13,7 +13,7 @@ import pytest
 from eldata.calibration import Finding
 from eldata.calibration.acceptance.theory import diagnose, sample_parameters
 from eldata.calibration.camera import joined
-from eldata.calibration.core.findings import ACCEPTABLE, SYMBOLS, checked_acceptance, named, with_accepted
+from eldata.calibration.core.findings import ACCEPTABLE, READ, SYMBOLS, checked_acceptance, named, with_accepted
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile
 from eldata.reports.calibration import calibration_page
@@ -29,13 +29,15 @@ if TYPE_CHECKING:
     from eldata.calibration.core.findings import Effect, Figure
 
 WHY = "half of the frames are of another planet; photograph this one"
-GAIN_CELL, READ_CELLS, ROW_CELL = 3, (4, 5, 6), 7  # of a table's row
+GAIN_CELL, ROW_CELL = 3, 7  # of a table's row
+CELLS: dict[str, tuple[int, ...]] = {"gain": (3,), "shape": (4, 5), "read noise": (6,), "row noise": (7,)}
 OF_FIGURE: dict[str, tuple[str, ...]] = {
     "gain": ("gain_dn_per_e", "gain_error", "gain_by_channel", "gain_spatial_dn_per_e"),
-    "read noise": (
-        *("tukey_lambda", "tukey_lambda_error", "sigma_tl_dn", "sigma_tl_error_dn", "sigma_gauss_dn"),
-        *("sigma_gauss_error_dn", "ppcc_lambda", "ppcc_sigma_tl_dn"),
+    "shape": (
+        *("tukey_lambda", "tukey_lambda_error", "sigma_tl_dn", "sigma_tl_error_dn"),
+        *("ppcc_lambda", "ppcc_sigma_tl_dn"),
     ),
+    "read noise": ("sigma_gauss_dn", "sigma_gauss_error_dn"),
     "row noise": ("sigma_row_dn", "sigma_row_error_dn", "sigma_column_dn", "sigma_column_error_dn"),
     "colour bias": ("colour_bias_dn", "colour_bias_error_dn"),
 }
@@ -84,7 +86,7 @@ def test_a_withheld_figure_is_given_nowhere(figure: Figure, isos: tuple[IsoCalib
     assert before["withheld"] == {}
 
     cells = found.table()[1][1]
-    hidden = {"gain": (GAIN_CELL,), "read noise": READ_CELLS, "row noise": (ROW_CELL,)}.get(figure, ())
+    hidden = CELLS.get(figure, ())
     for index in range(GAIN_CELL, ROW_CELL + 1):
         assert (cells[index] == "withheld") == (index in hidden)
     colours = found.bias_table()[1][1][1:5]
@@ -114,7 +116,8 @@ def test_the_profile_of_what_is_left(isos: tuple[IsoCalibration, ...], tmp_path:
     whole = joined("TestCamera", isos)
     expected: dict[Figure, tuple[int, tuple[int, int, int]]] = {
         "gain": (4, (3, 3, 3)),
-        "read noise": (3, (3, 3, 4)),
+        "shape": (3, (3, 4, 4)),
+        "read noise": (3, (4, 3, 4)),
         "row noise": (4, (4, 4, 3)),
         "colour bias": (3, (4, 4, 4)),
     }
@@ -147,6 +150,7 @@ def test_limits_of_k_are_of_what_is_given(isos: tuple[IsoCalibration, ...]) -> N
 def test_no_profile_of_nothing(isos: tuple[IsoCalibration, ...]) -> None:
     dark = "the read noise or the colour bias is withheld at every ISO"
     cases: tuple[tuple[Figure, str], ...] = (
+        ("shape", dark),
         ("read noise", dark),
         ("colour bias", dark),
         ("gain", "K is withheld at every ISO that has flats"),
@@ -162,7 +166,7 @@ def test_no_profile_of_nothing(isos: tuple[IsoCalibration, ...]) -> None:
 
 def test_no_profile_where_gain_and_read_noise_never_meet(isos: tuple[IsoCalibration, ...]) -> None:
     dark = [replace(one, findings=(finding("gain"),)) for one in isos[:2]]
-    light = [replace(one, findings=(finding("read noise"),)) for one in isos[2:]]
+    light = [replace(one, findings=(finding("shape"),)) for one in isos[2:]]
     assert joined("TestCamera", [*dark, *light]).no_profile.startswith("no ISO has both K and the read noise")
 
 
@@ -177,13 +181,14 @@ def test_an_allowance_widens_errors_in_quadrature(isos: tuple[IsoCalibration, ..
     """Each share of the figure; of lambda and the colour bias as it is. Two findings add, remarks and others do not."""
     found = with_findings(
         isos,
-        finding("gain", "read noise", "row noise", "colour bias", effect="wider", allowance=0.03),
-        finding("gain", "read noise", effect="wider", allowance=0.04),
+        finding("gain", *READ, "row noise", "colour bias", effect="wider", allowance=0.03),
+        finding("gain", *READ, effect="wider", allowance=0.04),
         finding("gain", effect="remark", allowance=9.0),
     )
     one = found.isos[1]
     assert one.transfer is not None
     read, rows = one.read, one.rows.rows
+    assert read is not None
     for given, value, error, allowance in (
         (one.gain, one.transfer.gain_dn_per_e, one.transfer.gain_error, 0.05 * one.transfer.gain_dn_per_e),
         (one.tukey_lambda, read.tukey_lambda, read.tukey_lambda_error, 0.05),
@@ -236,16 +241,16 @@ def spoilt(check: str, figure: Figure, allowance: float) -> Finding:
 def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
     figure: Figure, isos: tuple[IsoCalibration, ...], tmp_path: Path
 ) -> None:
-    seen = spoilt("dark signal", figure, 0.25)
+    seen = spoilt("coarse values", figure, 0.25)
     refused = with_findings(isos, seen)
     symbols = SYMBOLS[figure]
-    option = '--accept "dark signal"'
+    option = '--accept "coarse values"'
     assert refused.isos[1].all_remarks == (
         f"{WHY} (withheld: {symbols}; to have it all the same, with a larger error: {option})",
     )
     assert refused.accepted == refused.profile.accepted == ()
     assert "accepted" not in refused.profile.as_dict()
-    found = with_findings(isos, *with_accepted([seen], ["dark signal"]))
+    found = with_findings(isos, *with_accepted([seen], ["coarse values"]))
     one, whole = found.isos[1], isos[1]
     assert one.withheld == frozenset()
     assert one.widened == {figure}
@@ -254,7 +259,7 @@ def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
     assert found.profile.rows == joined("TestCamera", isos).profile.rows
     assert whole.parameters == one.parameters
 
-    said = f"dark signal: {symbols} at ISO 400"
+    said = f"coarse values: {symbols} at ISO 400"
     assert found.accepted == (said,)
     assert as_json(found)["accepted"] == [said]
     found.profile.save(tmp_path / "p.json")
@@ -266,7 +271,7 @@ def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
 
 @pytest.mark.usefixtures("undrawn")
 def test_pages_say_what_is_accepted(isos: tuple[IsoCalibration, ...]) -> None:
-    found = with_findings(isos, *with_accepted([spoilt("dark signal", "read noise", 0.25)], ["dark signal"]))
+    found = with_findings(isos, *with_accepted([spoilt("coarse values", "read noise", 0.25)], ["coarse values"]))
     (said,) = found.accepted
     assert f"Accepted, though a check would withhold it: {typeset(said)}." in page_of(found)
     page = checked(profile_page(diagnose(found.profile, sample_parameters(found.profile, 0)))).text
@@ -277,8 +282,8 @@ def test_pages_say_what_is_accepted(isos: tuple[IsoCalibration, ...]) -> None:
 def test_what_is_off_by_all_of_itself_cannot_be_accepted() -> None:
     """Nor what a check knows no size of. A level that light has raised is another matter: it is still a level."""
     for seen in (
-        spoilt("banding", "row noise", 1.0),
-        spoilt("filtered outliers", "read noise", 0.0),
+        spoilt("correlated noise", "row noise", 1.0),
+        spoilt("coarse values", "read noise", 0.0),
         spoilt("photon transfer", "gain", 0.1),
     ):
         assert with_accepted([seen], [seen.check]) == (seen,)
@@ -286,26 +291,26 @@ def test_what_is_off_by_all_of_itself_cannot_be_accepted() -> None:
     bias = spoilt("light", "colour bias", 7.0)
     (accepted,) = with_accepted([bias], ["light"])
     assert (accepted.effect, accepted.is_accepted, accepted.allowance) == ("wider", True, 7.0)
-    assert with_accepted([bias], ["dark signal"]) == (bias,)
+    assert with_accepted([bias], ["coarse values"]) == (bias,)
 
 
 def test_which_checks_can_be_accepted() -> None:
     assert checked_acceptance("light") == ("light",)
     assert checked_acceptance(ACCEPTABLE) == ACCEPTABLE
-    with pytest.raises(ArgumentError, match=r"'drak signal'.*known are 'light', .*; did you mean dark signal"):
-        checked_acceptance(["drak signal"])
+    with pytest.raises(ArgumentError, match=r"'coarse value'.*known are 'light', .*; did you mean coarse values"):
+        checked_acceptance(["coarse value"])
     with pytest.raises(ArgumentError, match="'photon transfer' is not a check whose withheld figures can be accepted"):
         checked_acceptance(["light", "photon transfer"])
 
 
 def test_the_way_on_where_everything_is_withheld(isos: tuple[IsoCalibration, ...]) -> None:
     """It is named where it leads somewhere: not where another check withholds the same figure for good."""
-    seen = spoilt("dark signal", "read noise", 0.2)
+    seen = replace(spoilt("coarse values", "read noise", 0.2), figures=READ)
     found = joined("TestCamera", [replace(one, findings=(seen,)) for one in isos])
-    assert found.no_profile.endswith('or have these figures with a larger error: --accept "dark signal"')
+    assert found.no_profile.endswith('or have these figures with a larger error: --accept "coarse values"')
     stuck = joined("TestCamera", [replace(one, findings=(seen, finding("read noise"))) for one in isos])
     assert stuck.no_profile.endswith("the remarks say why")
-    accepted = with_accepted([seen], ["dark signal"])
-    unused = joined("TestCamera", [replace(one, findings=accepted) for one in isos], accept=["dark signal", "light"])
+    accepted = with_accepted([seen], ["coarse values"])
+    unused = joined("TestCamera", [replace(one, findings=accepted) for one in isos], accept=["coarse values", "light"])
     assert unused.remarks == ("'light' was accepted, and withholds nothing that could be given",)
-    assert unused.profile.accepted == ("dark signal: lambda, sigma_TL, sigma_G at ISO 100, 400, 1600, 6400",)
+    assert unused.profile.accepted == ("coarse values: lambda, sigma_TL, sigma_G at ISO 100, 400, 1600, 6400",)

@@ -19,6 +19,7 @@ from eldata.cli.main import main
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile, NoiseParameters
 from tests.calibration import draws
+from tests.calibration.in_memory import read_of
 from tests.calibration.trees import CAMERA, ISOS, SIZE, FrameTree, made_tree
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def tree(pristine: FrameTree, tmp_path: Path) -> FrameTree:
 def assert_true(one: IsoCalibration, true: dict[str, Any], *, errors: float = 5) -> None:
     """Each figure lies within so many of its standard errors of the truth, and those errors are small."""
     assert one.transfer is not None
-    read, rows = one.read, one.rows.rows
+    read, rows = read_of(one), one.rows.rows
     for value, error, truth, largest in (
         (one.transfer.gain_dn_per_e, one.transfer.gain_error, true["gain_dn_per_e"], 0.01 * true["gain_dn_per_e"]),
         (read.tukey_lambda, read.tukey_lambda_error, true["tukey_lambda"], 0.01),
@@ -103,9 +104,9 @@ def test_the_profile_holds_what_was_measured(found: Calibration) -> None:
     for row, one in zip(profile.rows, found.isos, strict=True):
         assert row.iso == one.iso
         assert row.gain_dn_per_e == one.gain_dn_per_e
-        assert row.tukey_lambda == one.read.tukey_lambda
+        assert row.tukey_lambda == read_of(one).tukey_lambda
         assert row.colour_bias_dn == one.bias.bias_dn
-        assert (row.sigma_tl_dn, row.sigma_gauss_dn) == (one.read.sigma_tl_dn, one.read.sigma_gauss_dn)
+        assert (row.sigma_tl_dn, row.sigma_gauss_dn) == (read_of(one).sigma_tl_dn, read_of(one).sigma_gauss_dn)
         assert row.sigma_row_dn == one.rows.rows.sigma_dn
         assert one.parameters == NoiseParameters(
             gain_dn_per_e=row.gain_dn_per_e or 0.0,
@@ -182,6 +183,8 @@ def test_any_way_to_the_frames_gives_the_same(found: Calibration, pristine: Fram
     assert serial.as_dict()["isos"] == of_whole[:2]
     for one, other in zip(serial.isos, found.isos, strict=False):
         np.testing.assert_array_equal(one.spectrum_dn2, other.spectrum_dn2)
+        assert one.plot is not None
+        assert other.plot is not None
         np.testing.assert_array_equal(one.plot.ordered_dn, other.plot.ordered_dn)
     listed = calibrate(pristine.frames(manifest=pristine.manifest, isos=[400]), "Mine", workers=3)
     assert listed.as_dict()["isos"] == of_whole[1:2]
@@ -219,7 +222,7 @@ def test_an_iso_without_flats(found: Calibration, tree: FrameTree) -> None:
     assert_no_profile(dark, "K is not known: take pairs of equal flats")
     (one,), whole = dark.isos, found.isos[1]
     assert (one.transfer, one.spatial, one.gain_dn_per_e, one.flat_frames) == (None, None, None, 0)
-    assert one.read.tukey_lambda == whole.read.tukey_lambda
+    assert read_of(one).tukey_lambda == read_of(whole).tukey_lambda
     assert one.reproduction is not None
     assert whole.reproduction is not None
     assert one.reproduction.as_dict() == whole.reproduction.as_dict()
@@ -227,7 +230,7 @@ def test_an_iso_without_flats(found: Calibration, tree: FrameTree) -> None:
     without = joined(CAMERA, [found.isos[0], one, found.isos[2]])
     assert without.row_fit is None
     row = without.profile.rows[1]
-    assert (row.gain_dn_per_e, row.tukey_lambda) == (None, one.read.tukey_lambda)
+    assert (row.gain_dn_per_e, row.tukey_lambda) == (None, read_of(one).tukey_lambda)
     assert without.table()[1][1][2:4] == ("0", "-")
     json.dumps(without.as_dict(), allow_nan=False)
     without.profile.save(tree.folder / "p.json")

@@ -16,18 +16,16 @@ import pytest
 from eldata import calibrate
 from eldata.base.workers import Workers
 from eldata.calibration import FramesError
-from eldata.calibration.audit.bias_sums import code_step, missing_codes
+from eldata.calibration.audit.bias_checks import code_step, missing_codes
 from eldata.calibration.audit.frames import (
     Copies,
     FrameFigures,
     PairLevels,
     odd_bias_frames,
-    sorted_frames,
     unequal_pair,
     uneven_light,
-    unlike,
-    unlike_most,
 )
+from eldata.calibration.frames import sorted_frames, unlike, unlike_most
 from eldata.calibration.one_iso import decodings
 from eldata.datasets.calibration_frames import FlatPair
 from eldata.manifest.table import load_records, save_records
@@ -314,6 +312,8 @@ def test_copies_of_bias_frames_are_left_out(
     assert (found.reproduction is not None) == compared
     if not compared:  # then all that are left are used, as they are without the copies
         expected = calibrated_iso(without.frames(isos=[100]), 100)
+        assert found.read is not None
+        assert expected.read is not None
         assert found.read.tukey_lambda == expected.read.tukey_lambda
         assert found.rows.rows.sigma_dn == expected.rows.rows.sigma_dn
 

@@ -69,26 +69,15 @@ def test_the_spread_of_the_bias_comes_back_by_sampling(tmp_path: Path) -> None:
     assert drawn.mean(axis=0) == pytest.approx(row.colour_bias_dn, abs=4 * mean_error)
 
 
-@pytest.mark.parametrize(
-    "camera",
-    [Camera(shape=(264, 384), black=8.0, sigma_tl=3.0), Camera(shape=(264, 384), cfa=XTRANS, bias=(1.5, -0.75, 0.5))],
-    ids=["black is clipped", "three channels"],
-)
-def test_frames_of_other_cameras(camera: Camera, tmp_path: Path) -> None:
-    """Behind the clip the frames' biases are those of the fitted levels; one green stands for both.
-
-    0.06 DN of pixels and rows are in a frame's mean: four and a half of these. Behind the clip, where levels are taken
-    to move in proportion to means, drift of 5 DN over a black of 8 is off by 6 % more.
-    """
+def test_frames_of_a_camera_of_three_channels(tmp_path: Path) -> None:
+    """One green stands for both. 0.06 DN of pixels and rows are in a frame's mean: four and a half of these."""
+    camera = Camera(shape=(264, 384), cfa=XTRANS, bias=(1.5, -0.75, 0.5))
     frames, given = drifting(camera, 12)
-    found = profiled(camera, frames)
-    found.profile.save(tmp_path / "p.json")  # and loaded: their mean is the row's bias
+    profiled(camera, frames).profile.save(tmp_path / "p.json")  # and loaded: their mean is the row's bias
     (row,) = CameraProfile.load(tmp_path / "p.json").rows
     biases = np.array(row.frame_bias_dn)
     moved = given[:-1] - given[:-1].mean(axis=0)
-    channels = [0, 1, 2, 3 if len(camera.bias) == 4 else 1]
-    np.testing.assert_allclose(biases - biases.mean(axis=0), moved[:, channels], atol=0.27, rtol=0.06)
-    assert any("clips at black" in remark for remark in found.all_remarks) == (camera.black < 100)
+    np.testing.assert_allclose(biases - biases.mean(axis=0), moved[:, [0, 1, 2, 1]], atol=0.27)
 
 
 # --- the step of the values -------------------------------------------------------------------------------------------

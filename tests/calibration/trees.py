@@ -7,7 +7,7 @@ import shutil
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from eldata.calibration.audit.frames import FramesError, sorted_frames
+from eldata.calibration.frames import FramesError, sorted_frames
 from eldata.calibration.iso_results import IsoCalibration
 from eldata.calibration.one_iso import calibrate_iso
 from eldata.datasets.calibration_frames import CalibrationFrames

@@ -324,7 +324,7 @@ def test_unusable_input_is_one_line(eldata: Cli, pristine: FrameTree, tmp_path: 
         (["x", "--iso", "²"], ["--iso", "'²'"]),
         (["x", "--jobs", "0"], ["--jobs"]),
         (["x", "-o"], ["-o", "expected one argument"]),
-        (["{frames}", "--accept", "drak signal"], ["'drak signal'", "did you mean dark signal?"]),
+        (["{frames}", "--accept", "coarse value"], ["'coarse value'", "did you mean coarse values?"]),
     ],
 )
 def test_wrong_usage_is_one_line(arguments: list[str], words: list[str], eldata: Cli, pristine: FrameTree) -> None:

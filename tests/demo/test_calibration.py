@@ -106,6 +106,7 @@ def test_the_table_of_errors_is_found_less_true(demo: tuple[Path, Calibration, s
     for row, one, true in zip(rows, found.isos, truth["isos"], strict=True):
         assert one.transfer is not None
         read, lines = one.read, one.rows.rows
+        assert read is not None
         assert row[0] == f"{true['iso']}"
         for cell, value, known, error in (
             (row[1], one.transfer.gain_dn_per_e, true["gain_dn_per_e"], one.transfer.gain_error),

@@ -18,13 +18,12 @@ from PIL import Image
 
 from eldata.calibration.acceptance.results import Acceptance
 from eldata.calibration.acceptance.theory import diagnose, sample_parameters
-from eldata.calibration.audit.structure import MeasuredStructure
 from eldata.noise import NoiseModel
-from eldata.noise.structure import RowSpectrum, RowWave, TelegraphPixels
 from eldata.plots.pictures import block_means, grey_png
 from eldata.reports.calibration import calibration_page
 from eldata.reports.html import digits, measured, prose, typeset
 from eldata.reports.noise_models import acceptance_page, plots, profile_page
+from tests.calibration.in_memory import read_of
 from tests.calibration.judged import Specimen, judged
 from tests.calibration.simulation import XTRANS, Camera
 from tests.reports import calibrations
@@ -77,7 +76,7 @@ def sparse(isos: tuple[IsoCalibration, ...]) -> str:
         spatial=None,
         flat_frames=0,
         rows=replace(bare.rows, rows=quiet),
-        read=replace(bare.read, tukey_lambda_error=math.nan, sigma_gauss_error_dn=math.nan),
+        read=replace(read_of(bare), tukey_lambda_error=math.nan, sigma_gauss_error_dn=math.nan),
         bias=replace(bare.bias, standard_error_dn=(math.nan,) * 4),
         pattern=replace(bare.pattern, shading_dn=np.zeros_like(bare.pattern.shading_dn)),
         remarks=(HOSTILE, "long" * 100),
@@ -90,25 +89,6 @@ def xtrans() -> str:
     """One ISO of a camera with three channels."""
     camera = camera_at(800.0, cfa=XTRANS, bias=(1.0, -1.0, 0.5))
     return calibration_page(calibrations.calibration([calibrations.measured(800.0, camera)]))
-
-
-BANDED = RowSpectrum((0.002, 0.01, 0.1, 0.5), (0.9, 0.3, 0.1), (RowWave(1 / 37.3, 0.55),))
-STRUCTURES = (
-    MeasuredStructure(
-        *(0.41, 0.012, BANDED, (0.2, 0.05, 0.01), (0.03,), TelegraphPixels(0.0101, 6.3, 0.49, 0.09, 1.1, 0.8)),
-        *(0.00046, 0.07, 0.012, 0.0102, 0.00031),
-    ),
-    # Looked for and not told from nothing.
-    MeasuredStructure(0.0, 0.1, RowSpectrum((0.002, 0.5), (0.2,)), (0.01,), (), TelegraphPixels(0.0, 0.0), prnu=0.0),
-    # Withheld, and not looked for.
-    MeasuredStructure(None, math.nan, None, (), (), None),
-)
-
-
-@pytest.fixture(scope="module")
-def structured(isos: tuple[IsoCalibration, ...]) -> str:
-    known = (replace(one, structure=structure) for one, structure in zip(isos, STRUCTURES, strict=True))
-    return calibration_page(calibrations.calibration(tuple(known)))
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +126,7 @@ def acceptance(accepted: Acceptance) -> str:
     return acceptance_page(accepted)
 
 
-CALIBRATIONS = ("page", "sparse", "xtrans", "structured")
+CALIBRATIONS = ("page", "sparse", "xtrans")
 PAGES = (*CALIBRATIONS, "profile", "hostile_profile", "acceptance")
 EVERY = pytest.mark.parametrize("which", PAGES)
 
@@ -274,25 +254,6 @@ def test_sections_are_linked_and_the_first_is_open(page: str) -> None:
     assert [item["href"] for item in checker.all("a")] == ["#main", "#iso-100", "#iso-800", "#iso-6400"]
     assert ["open" in item for item in checker.all("details")] == [True, False, False]
     assert page.count("<h3>Row noise</h3>") == 3
-
-
-def test_structure_is_shown_with_its_errors(structured: str, page: str) -> None:
-    checker = checked(structured)
-    assert checker.text.count("What pixels have in common") == 3
-    parts = checker.text.split("What pixels have in common")
-    for shown in ("0.410 ± 0.012 DN", "banded", "Wave of 37.3 rows", "0.55 ± 0.03 DN", "10100 ± 460 ppm"):
-        assert shown in parts[1]
-    for shown in ("6.30 ± 0.07 DN", "0.490 ± 0.012", "0.09", "1.1", "1.02 ± 0.03 %"):
-        assert shown in parts[1]
-    assert parts[2].count("none seen") == 3
-    assert "independent of each other" in parts[2]
-    assert parts[3].count("not measured") == 4
-    about = [image["alt"] for image in checker.all("img")]
-    (telegraph,) = (alt for alt in about if alt.startswith("Telegraph pixels over ISO"))
-    assert "10100 ± 460 at ISO 100, none seen at ISO 800; jump [DN]: 6.30 ± 0.07 at ISO 100." in telegraph
-    (bands,) = (alt for alt in about if alt.startswith("Spectrum of the row means at ISO 100,"))
-    assert "3 bands, powers from 0.1 to 0.9 DN², a wave of 37.3 rows." in bands
-    assert "What pixels have in common" not in checked(page).text
 
 
 def test_what_is_missing_is_said(sparse: str) -> None:

@@ -31,7 +31,6 @@ from eldata.calibration.acceptance.pairs import (
     mean_of,
     smoothed,
 )
-from eldata.calibration.acceptance.reproduction import compared_place
 from eldata.calibration.acceptance.results import (
     Acceptance,
     FrameStatistic,
@@ -41,8 +40,9 @@ from eldata.calibration.acceptance.results import (
     frame_statistics,
 )
 from eldata.calibration.acceptance.theory import sample_parameters
-from eldata.calibration.audit.frames import FramesError, sorted_frames, work_elsewhere
 from eldata.calibration.core._frames import by_pixel, channels_of, pattern_of
+from eldata.calibration.frames import FramesError, sorted_frames, work_elsewhere
+from eldata.calibration.reproduction import compared_place
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
@@ -57,8 +57,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.calibration.acceptance.pairs import PairFigures
-    from eldata.calibration.audit.frames import IsoFrames
     from eldata.calibration.core._frames import Mosaic, Plane
+    from eldata.calibration.frames import IsoFrames
     from eldata.datasets.calibration_frames import FlatPair
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.parameters import NoiseParameters

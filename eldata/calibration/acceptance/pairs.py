@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from eldata.calibration.acceptance.reproduction import compared_piece
 from eldata.calibration.acceptance.verdicts import CHANNELS
-from eldata.calibration.audit.frames import FrameFigures, FrameReader, clipped_black
+from eldata.calibration.audit.frames import FrameFigures, problem_of
 from eldata.calibration.core._frames import by_pixel, channels_of, sites
+from eldata.calibration.frames import FrameReader
+from eldata.calibration.reproduction import compared_piece
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
     from eldata.calibration.core._frames import Counts, Mosaic, Plane, Values
     from eldata.datasets.calibration_frames import FlatPair
+    from eldata.manifest.verify_report import Problem
     from eldata.records import FrameRecord
 
 
@@ -399,3 +401,23 @@ def _blocks(plane: Plane, period: int) -> Values:
     blocks = plane[: down * side, : across * side].reshape(down, side, across, side)
     means: Values = blocks.mean(axis=(1, 3), dtype=np.float64)
     return means
+
+
+_CLIPPED_SHARE = 0.01  # of pixels at 0 DN
+
+
+def clipped_black(record: FrameRecord, mosaic: Mosaic) -> list[Problem]:
+    """Return a problem if more than 1 % of a bias frame's pixels are 0, where whole noise is needed."""
+    share = (mosaic.size - int(np.count_nonzero(mosaic))) / mosaic.size
+    if share <= _CLIPPED_SHARE:
+        return []
+    return [
+        problem_of(
+            record,
+            "black",
+            "noise on both sides of a black level above 0",
+            f"{share:.0%} of the pixels at 0 DN",
+            "black is clipped in this file, and half of the noise cannot be compared: use raw files that keep the "
+            "black level; a calibration takes these",
+        )
+    ]

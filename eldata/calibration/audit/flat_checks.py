@@ -1,4 +1,4 @@
-"""What the gain K rests on, and whether it held: checks of the photon transfer and of the joint fits over K."""
+"""What the gain K rests on, and whether it held: checks of the flats of one ISO."""
 
 from __future__ import annotations
 
@@ -7,69 +7,61 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.core.findings import BENT, CHANNELS_GAINS, EDGES, FLATS_CORRELATED, SATURATION
+from eldata.calibration.core.findings import FLATS_CORRELATED, NO_LINE, SATURATION
 from eldata.calibration.core.photon_transfer import straight_line
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
+    from eldata.calibration.core._frames import Counts, Values
     from eldata.calibration.core.findings import Finding
-    from eldata.calibration.core.photon_transfer import PhotonTransfer, PhotonTransferLine
-    from eldata.calibration.core.saturation import Saturation
+    from eldata.calibration.core.photon_transfer import FlatPairs, PhotonTransfer, PhotonTransferLine
 
 _BY_CHANCE = 1e-4  # of one check of one ISO
 # Blur of a share w gives neighbours of one colour a correlation of w, or of w / 2 if it goes along rows and columns
 # both, and takes 2 w from the variance: at most four times the correlation.
 _LOST_PER_CORRELATION = 4.0
 _LEAST_LOSS = 0.002  # of K: below it a correlation is not worth a word
-# Share of the measurements. Patches of 1000 pixels, six to a row of 24 megapixels, have edges in a tenth of its pieces.
-# A wall has one in 100,000 by chance, and none for light that falls off smoothly.
-_MOST_EDGES = 0.1
+_PILE = 100  # pixels: chance moves so many by 10 %
+_BELOW = slice(-34, -2)  # DN below a pile
+_OVER_PILE = 0.01  # of the pile may lie above it
+_SIGNIFICANT = 5.0  # standard errors
 
 
-def flat_findings(transfer: PhotonTransfer) -> tuple[Finding, ...]:
-    """Return what the checks of one ISO's flats say."""
-    saturation = saturation_findings(transfer.saturation, transfer.left_out)
-    return (*saturation, *_correlation(transfer), *_curvature(transfer), *_agreement(transfer))
+def flat_findings(transfer: PhotonTransfer) -> Iterator[Finding]:
+    """Yield what the checks of one ISO's flats say of K."""
+    yield from _correlation(transfer)
+    yield from _line(transfer)
 
 
-def edge_findings(transfer: PhotonTransfer) -> Iterator[Finding]:
-    """Yield a remark if the flats show a scene with edges: the variance within a frame is then the scene's own."""
-    if transfer.edges > _MOST_EDGES:
-        yield EDGES.seen(
-            transfer.edges,
-            _MOST_EDGES,
-            f"{transfer.edges:.0%} of the flats' area have edges in or near them, as on a colour chart, and were left "
-            "out of K; the published method, which takes a frame's variance for noise, says nothing of such frames and "
-            "is not given beside it",
-        )
+def saturation(flats: FlatPairs) -> Iterator[Finding]:
+    """Yield a finding if pixels pile up at a value below the recorded white level, as where a sensor saturates.
 
-
-def saturation_findings(saturation: Sequence[Saturation | None], left_out: float) -> Iterator[Finding]:
-    """Yield a remark if channels saturate below the recorded white level.
-
-    Parameters
-    ----------
-    saturation
-        Where each channel does.
-    left_out
-        The share of the flats' area that was left out for it.
+    The upper end of noise, whatever its light, falls towards the top: there a value is rarer than those below it.
     """
-    found = [one for one in saturation if one is not None]
-    if not found:
+    piles = [(pile, name) for name, counts in enumerate(flats.counts) if (pile := _pile(counts, flats.limit_dn))]
+    if not piles:
         return
-    levels = sorted(one.level_dn for one in found)
-    where = f"{levels[0]:.0f} DN" if levels[-1] - levels[0] < 1 else f"{levels[0]:.0f} to {levels[-1]:.0f} DN"
-    channels = "" if len(found) == len(saturation) else f" in {len(found)} of {len(saturation)} channels"
-    how = "values pile up there" if all(one.is_sharp for one in found) else "their variance falls from there on"
-    worst = max(found, key=lambda one: one.statistic / one.threshold)
+    levels, over = [level for (level, _), _ in piles], max(over for (_, over), _ in piles)
+    where = f"{levels[0]} DN" if len(set(levels)) == 1 else f"{min(levels)} to {max(levels)} DN"
+    channels = "" if len(piles) == flats.channels else f" in {len(piles)} of {flats.channels} channels"
     yield SATURATION.seen(
-        worst.statistic,
-        worst.threshold,
-        f"the flats saturate at {where}{channels}, below the recorded white level: {how}. What lies near it and above "
-        f"was left out ({left_out:.0%} of the flats' area); give this level as white_level_dn where you use "
-        "this camera's frames",
-    )
+        over,
+        3.0,
+        f"the flats saturate at {where}{channels}, below the recorded white level: values pile up there, {over:.0f} "
+        "times as many as at the values below, and with the noise goes K; leave out the flats that reach this value",
+    ).of("withheld", SATURATION.figures)
+
+
+def _pile(counts: Counts, limit_dn: float) -> tuple[int, float] | None:
+    """Return the value at which pixels end in a pile, and how many times the counts below it; ``None`` if none do."""
+    above = np.cumsum(counts[::-1])[::-1] - counts
+    places = np.flatnonzero((counts >= _PILE) & (above <= _OVER_PILE * counts))
+    for place in places[(places >= -_BELOW.start) & (places < limit_dn)][::-1].tolist():
+        over = float(counts[place]) / max(1, int(counts[place + _BELOW.start : place + _BELOW.stop].max()))
+        if over > 3.0:
+            return place, over
+    return None
 
 
 def _correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
@@ -79,7 +71,6 @@ def _correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
     threshold = float(-ndtri(_BY_CHANCE / 2)) * error + _LEAST_LOSS / _LOST_PER_CORRELATION
     if not abs(found) > threshold:
         return
-    allowance = _LOST_PER_CORRELATION * abs(found)
     if found > 0:
         why = "the frames were smoothed or resampled, or the picture moved between the two of a pair"
     else:
@@ -89,72 +80,54 @@ def _correlation(transfer: PhotonTransfer) -> Iterator[Finding]:
         threshold,
         f"in the differences of flats, neighbours of one colour are correlated by {found:+.3f} (a raw file: 0): {why}; "
         "shoot on a tripod, with noise reduction and lens corrections off",
-        {"gain": (allowance, 0.0)},
+        {"gain": (_LOST_PER_CORRELATION * abs(found), 0.0)},
     )
 
 
-def _curvature(transfer: PhotonTransfer) -> Iterator[Finding]:
-    """Compare K with the slope at no light of a parabola through the same points.
+def _line(transfer: PhotonTransfer) -> Iterator[Finding]:
+    """Yield a finding if medians of the pairs' segments have no line of variance over signal, or another one than K.
 
-    Two tests, that share the chance: of all channels' bends together, as a sensor that is not linear bends them alike;
-    and of each by itself, by the sum of the squares of bend over error.
+    Edges that move between the two frames of a pair are in the mean and, up to a half of the segments, not in the
+    median; a response that is not linear, or that saturates by degrees, bends the line of both.
     """
-    bends = np.array([_bend(line) for line in transfer.channels])
-    weights = bends[:, 1] ** -2
-    if not weights.all():
+    lines = [
+        _of_medians(line, *medians)
+        for line, medians in zip(transfer.channels, transfer.medians, strict=True)
+        if medians.shape[1] >= 3 and np.ptp(medians[0]) > 0
+    ]
+    if not lines:
         return
-    bend = float(weights @ bends[:, 0] / weights.sum())
-    tests = (
-        (float(weights @ bends[:, 0] ** 2), _chi2_quantile(_BY_CHANCE / 2, len(bends))),
-        (float(bend**2 * weights.sum()), _chi2_quantile(_BY_CHANCE / 2, 1)),
-    )
-    statistic, threshold = max(tests, key=lambda test: test[0] / test[1])
-    allowance = abs(bend)
-    if not (statistic > threshold and allowance > transfer.gain_error / transfer.gain_dn_per_e):
+    gain = transfer.gain_dn_per_e
+    slopes, errors, bends, bend_errors = np.array(lines).T
+    tests = []
+    for off, error in ((slopes / gain - 1, errors / gain), (bends, bend_errors)):
+        weights = error**-2.0
+        if weights.any():
+            mean, its_error = float(weights @ off / weights.sum()), float(weights.sum() ** -0.5)
+            tests.append((abs(mean), math.hypot(its_error, transfer.gain_error / gain)))
+    share, error = max(tests, key=lambda test: test[0] / test[1])
+    if not share > _SIGNIFICANT * error:
         return
-    if bend > 0:
-        why = "slower than the signal, as where a sensor is not linear or a file was compressed with loss"
-    else:
-        why = "faster than the signal, as where something moved between the two frames of a pair"
-    yield from BENT.judged(
-        statistic,
-        threshold,
-        f"the variance of the flats grows {why}: without light its slope is {bend:+.1%} off K",
-        {"gain": (allowance, 0.0)},
+    text = (
+        f"the flats' noise does not follow one line over their light: medians over the frame give a K that is off by "
+        f"{slopes.mean() / gain - 1:+.1%}, and a line that bends by {bends.mean():+.1%} to where there is no light. "
+        "Edges that moved within a pair (a chart without a tripod), saturation by degrees or a sensor that is not "
+        "linear do this: shoot an even wall, from a tenth to a half of the range"
     )
+    yield from NO_LINE.judged(share / error, _SIGNIFICANT, text, {"gain": (max(test[0] for test in tests), 0.0)})
 
 
-def _bend(line: PhotonTransferLine) -> tuple[float, float]:
-    """Return how far the slope at no light of a parabola lies above K, as a share of K, and its standard error."""
-    if len(line.signal_dn) < 4:
-        return 0.0, math.inf
-    x, error = line.signal_dn, line.variance_error_dn2
+def _of_medians(
+    line: PhotonTransferLine, x: Values, v: Values, relative_error: Values
+) -> tuple[float, float, float, float]:
+    """Return slope and error of the line through points, and how far a parabola's slope at no light is off it."""
+    error = relative_error * np.maximum(line.variance_at(x), 1e-9)  # of a variance's own: high ones would weigh less
+    slope, _, (of_slope, _) = straight_line(x, v, error**-2, error**2)
+    if len(x) < 4:
+        return slope, math.sqrt(of_slope), 0.0, math.inf
     powers = np.stack([x**2, x, np.ones_like(x)], axis=1) / error[:, None]
     # Of v = a + b x + q x^2, b is the slope at no light; the line takes `tilt` q of the square for slope.
     of_square = np.linalg.pinv(powers / np.abs(powers).max(axis=0))[0] / np.abs(powers[:, 0]).max()
     tilt, _, _ = straight_line(x, x**2, error**-2, error**2)
-    q, q_error = float(of_square @ (line.variance_dn2 / error)), float(np.linalg.norm(of_square))
-    return -q * tilt / line.gain_dn_per_e, abs(tilt) * q_error / line.gain_dn_per_e
-
-
-def _agreement(transfer: PhotonTransfer) -> Iterator[Finding]:
-    lines = transfer.channels
-    statistic = transfer.agreement_chi2_per_dof * (len(lines) - 1)
-    threshold = _chi2_quantile(_BY_CHANCE, len(lines) - 1)
-    gains = np.array([line.gain_dn_per_e for line in lines])
-    allowance = float(gains.std(ddof=1)) / transfer.gain_dn_per_e
-    if not (statistic > threshold and allowance > transfer.gain_error / transfer.gain_dn_per_e):
-        return
-    listed = ", ".join(f"{gain:.4g}" for gain in gains)
-    yield from CHANNELS_GAINS.judged(
-        statistic,
-        threshold,
-        f"K differs between the channels: {listed} DN/e-; does the camera scale colours in its raw files?",
-        {"gain": (allowance, 0.0)},
-    )
-
-
-def _chi2_quantile(chance: float, freedom: int) -> float:
-    from scipy.special import chdtri
-
-    return float(chdtri(freedom, chance))
+    q, q_error = float(of_square @ (v / error)), float(np.linalg.norm(of_square))
+    return slope, math.sqrt(of_slope), -q * tilt / slope, abs(tilt * q_error / slope)

@@ -1,22 +1,19 @@
-"""Shape and scale of the read noise from counts of residuals: maximum likelihood, then rounding as it is.
+"""Shape and scale of the read noise from counts of residuals: maximum likelihood.
 
-The likelihood takes rounding for independent and uniform, and so is a smooth function whatever the fixed pattern. Where
-that is not so, the expectation of its scores s is not 0, but known (:mod:`eldata.calibration.core._rounding`): the
-estimate solves ``sum s (counts - N P) = 0`` with the true probabilities P. Where rounding is independent both are the
-same. So the estimate does not take ripples, whose size hangs on the fixed pattern, for information on the noise.
+It takes rounding for an independent and uniform error, and so is a smooth function whatever the fixed pattern. In quiet
+bodies whose pixels' levels share a fraction of a DN that is not so:
+:func:`~eldata.calibration.core.read_noise.read_noise_findings` allows for it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.core._rounding import RoundedResiduals, ripples, rounding_matters
 from eldata.calibration.core._tukey_lambda import HIGHEST, LOWEST
-from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
     from typing import Any
@@ -24,19 +21,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.core._frames import Counts, Values
-    from eldata.calibration.core._rounding import LevelFractions, Rounded
     from eldata.calibration.core._tukey_lambda import ResidualModel
-    from eldata.calibration.core.row_noise import OffsetResponse
 
 
 CELLS_PER_SIGMA = 20
 _CORE = 6 * CELLS_PER_SIGMA  # cells that stay as they are; beyond, they merge to ever wider ones
 _GROWTH = 1.05
 _LEAST_IN_TAIL = 20  # residuals in the outermost cell of the likelihood
-_MOST_STEPS = 30  # of the iteration; it converges in some six
-_STEP = 2e-3  # of shape and ln scale, for derivatives of what rounding adds
-_QUIET_DN = 0.7  # of the recorded values' standard deviation: below, the iteration begins at the best of a grid
-_GRID = (np.array([-0.3, -0.15, 0.0, 0.15]), np.geomspace(0.1, 0.8, 12))  # shapes, standard deviations in DN
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +52,9 @@ class ResidualHistogram:
         Residuals beyond, of either sign, count as "beyond" only: there the recorded values end at 0.
     squares_dn2
         (groups,) exact sums of the squared residuals; without, the counts tell them.
-    fractions
-        Where between whole DN the pixels' levels lie; without, rounding counts as independent of the noise.
+    level_waves
+        By channel, how alike the fractions of a DN are that the pixels' means over the frames have: the mean of
+        exp(2 pi i mean), near 0 where they lie everywhere between whole DN.
     """
 
     counts: NDArray[Any] = field(repr=False)
@@ -72,7 +64,7 @@ class ResidualHistogram:
     rounding_dn: float = 1.0
     reach_dn: float = math.inf
     squares_dn2: Values | None = field(default=None, repr=False)
-    fractions: LevelFractions | None = field(default=None, repr=False)
+    level_waves: NDArray[np.complexfloating[Any, Any]] = field(repr=False, default_factory=lambda: np.zeros(1, complex))
 
     @property
     def values_dn(self) -> Values:
@@ -111,20 +103,6 @@ class ResidualCells:
         """Lower edge of each cell."""
         return np.asarray(np.maximum(self.starts - 0.5, 0.0) * self.cell_dn)
 
-    def of_lattice(self, values: Values, frames: int) -> Values:
-        """Add up what is given by points 0, 1, ... 1/n DN, (..., points), by cells: (..., cells)."""
-        places = self.places(values.shape[-1], frames)
-        firsts = np.flatnonzero(np.diff(places, prepend=-1))
-        sums = np.zeros((*values.shape[:-1], len(self.starts)))
-        sums[..., places[firsts]] = np.add.reduceat(values, firsts, axis=-1)
-        return sums
-
-    def places(self, points: int, frames: int) -> Counts:
-        """Return the cell of each of the points 0, 1, ... 1/n DN."""
-        step = round(self.cell_dn * frames)
-        cell = (np.arange(points) + step // 2) // step
-        return np.asarray(np.searchsorted(self.starts, cell, side="right") - 1, dtype=np.int64)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualFit:
@@ -140,10 +118,6 @@ class ResidualFit:
         (groups, 2): what each group of rows adds to the errors of shape and ln scale.
     information
         (2, 2) covariance of the two if all residuals were independent.
-    rounded
-        What rounding does there, ``None`` where it is independent and uniform.
-    rounded_slope
-        Its variance's derivatives by shape and ln scale.
     converged
         Whether the iteration came to an end.
     """
@@ -153,8 +127,6 @@ class ResidualFit:
     probabilities: Values = field(repr=False)
     influence: Values = field(repr=False)
     information: Values = field(repr=False)
-    rounded: Rounded | None = field(repr=False)
-    rounded_slope: Values = field(repr=False)
     converged: bool
 
     @property
@@ -182,47 +154,17 @@ def folded(counts: Counts) -> Counts:
     return both
 
 
-def residual_fit(
-    cells: ResidualCells,
-    model: ResidualModel,
-    fractions: LevelFractions | None,
-    start: tuple[float, float],
-    deviation_dn: float,
-) -> ResidualFit:
-    """Fit shape and scale.
-
-    Parameters
-    ----------
-    cells
-        What was counted.
-    model
-        Of residuals with independent uniform rounding.
-    fractions
-        Where the pixels' levels lie between whole DN; without, rounding counts as independent.
-    start
-        Shape and scale to begin with.
-    deviation_dn
-        Standard deviation of the recorded values, rounding included.
-    """
-    smooth = _Smooth(cells, model)
-    at = smooth.maximised(np.array([start[0], math.log(start[1])]))
-    if fractions is not None and rounding_matters(math.exp(float(at[0][1]))):
-        return _Rounding(smooth, fractions).solved(at[0], deviation_dn)
-    where, probabilities, scores, converged = at
-    rounded = None
-    if fractions is not None and ripples(deviation_dn, model.frames, int(smooth.number)):
-        rounded = RoundedResiduals(model.frames, model.row_pixels, fractions).at(float(where[0]), math.exp(where[1]))
-        added = cells.of_lattice(rounded.change, model.frames)
-        probabilities = np.maximum(probabilities + added, 1e-300)
-    inverse = np.linalg.inv((scores * probabilities) @ scores.T * smooth.number)
-    influence = smooth.scores_by_group(scores, probabilities) @ inverse
-    return ResidualFit(
-        float(where[0]), math.exp(where[1]), probabilities, influence, inverse, rounded, np.zeros(2), converged
-    )
+def residual_fit(cells: ResidualCells, model: ResidualModel, start: tuple[float, float]) -> ResidualFit:
+    """Fit shape and scale to what was counted, from a shape and a scale to begin with."""
+    likelihood = _Likelihood(cells, model)
+    where, probabilities, scores, converged = likelihood.maximised(np.array([start[0], math.log(start[1])]))
+    inverse = np.linalg.inv((scores * probabilities) @ scores.T * likelihood.number)
+    influence = likelihood.scores_by_group(scores, probabilities) @ inverse
+    return ResidualFit(float(where[0]), math.exp(where[1]), probabilities, influence, inverse, converged)
 
 
-class _Smooth:
-    """The likelihood with independent uniform rounding."""
+class _Likelihood:
+    """The likelihood, with independent uniform rounding."""
 
     def __init__(self, cells: ResidualCells, model: ResidualModel) -> None:
         self.cells, self.model = cells, model
@@ -273,82 +215,6 @@ class _Smooth:
             if moved < 1e-6:
                 return at, probabilities, scores, True
         return at, probabilities, scores, False
-
-
-class _Rounding:
-    """The scores of the smooth likelihood, with the expectation that they have with rounding as it is."""
-
-    def __init__(self, smooth: _Smooth, fractions: LevelFractions) -> None:
-        self._smooth, self._fractions = smooth, fractions
-        self._residuals = RoundedResiduals(smooth.model.frames, smooth.model.row_pixels, fractions)
-
-    def _at(self, at: Values) -> tuple[Values, Rounded]:
-        """Return the cells' probabilities and what rounding does."""
-        rounded = self._residuals.at(float(at[0]), math.exp(float(at[1])))
-        added = self._smooth.cells.of_lattice(rounded.change, self._smooth.model.frames)
-        return self._smooth.probabilities(at) + added, rounded
-
-    def _begin(self, at: Values, deviation_dn: float) -> Values:
-        """Return where the likelihood is highest, of a grid and the given point."""
-        if deviation_dn > _QUIET_DN:
-            return at
-        points = [at]
-        for shape in _GRID[0]:
-            unit = math.sqrt(tukey_lambda_variance(float(shape)))
-            points += [np.array([shape, math.log(deviation / unit)]) for deviation in _GRID[1]]
-        values = [float(self._smooth.counts @ np.log(np.maximum(self._at(point)[0], 1e-12))) for point in points]
-        return points[int(np.argmax(values))]
-
-    def solved(self, at: Values, deviation_dn: float) -> ResidualFit:
-        smooth = self._smooth
-        at = self._begin(at, deviation_dn)
-        converged = False
-        for _ in range(_MOST_STEPS):
-            scores = smooth.scores(at)
-            probabilities, rounded = self._at(at)
-            rest = scores @ (smooth.counts - smooth.number * probabilities)
-            beside = [[self._at(at + sign * _STEP * unit) for sign in (1, -1)] for unit in np.eye(2)]
-            slope = smooth.number * np.stack([scores @ (up[0] - down[0]) for up, down in beside], axis=1) / (2 * _STEP)
-            variance_slope = np.array([up[1].variance_dn2 - down[1].variance_dn2 for up, down in beside]) / (2 * _STEP)
-            if converged:
-                break
-            move = np.linalg.lstsq(slope, rest, rcond=1e-9)[0]
-            proposed = _inside(at + move * min(1.0, 0.2 / max(float(np.abs(move).max()), 1e-12)))
-            converged = float(np.abs(proposed - at).max()) < 1e-5
-            at = proposed
-        inverse = np.linalg.pinv(slope)
-        # The scores' expectation hangs on the levels' fractions, whose estimate varies from group to group as well.
-        points = rounded.by_fraction.shape[2]
-        by_wave = smooth.number * rounded.by_wave(scores[:, smooth.cells.places(points, smooth.model.frames)].T)
-        waves, pixels = self._fractions.waves(), self._fractions.pixels
-        shares = pixels / pixels.sum(axis=0)
-        of_waves = shares[..., None] * (waves - np.einsum("gc,gcw->cw", shares, waves))
-        by_fractions = np.einsum("gcw,cwj->gj", of_waves, by_wave)
-        influence = smooth.scores_by_group(scores, probabilities) - centred(by_fractions, pixels.sum(axis=1))
-        influence = influence @ inverse.T
-        rounded = replace(rounded, response=self._response(rounded, beside, influence))
-        return ResidualFit(
-            shape=float(at[0]),
-            scale=math.exp(float(at[1])),
-            probabilities=np.maximum(probabilities, 1e-300),
-            influence=influence,
-            information=inverse @ ((scores * np.maximum(probabilities, 0.0)) @ scores.T * smooth.number) @ inverse.T,
-            rounded=rounded,
-            rounded_slope=variance_slope,
-            converged=converged,
-        )
-
-    def _response(
-        self, rounded: Rounded, beside: list[list[tuple[Values, Rounded]]], influence: Values
-    ) -> OffsetResponse:
-        """Return the response with what the errors of shape and scale make of the offsets behind the measured ones."""
-        n = self._smooth.model.frames
-        seen = max(self._fractions.offset_variance_dn2, 1e-4) / (1 - 1 / n)
-        slopes = [
-            (up[1].response.sigma_dn(seen) - down[1].response.sigma_dn(seen)) / (2 * _STEP) for up, down in beside
-        ]
-        error = math.sqrt(float(np.sum((influence @ np.array(slopes)) ** 2)))
-        return replace(rounded.response, relative_error=error / rounded.response.sigma_dn(seen))
 
 
 def centred(by_group: Values, sizes: Values | Counts) -> Values:

@@ -30,6 +30,8 @@ _TABLE = np.linspace(0.0, 9.0, 1201)  # arsinh(x / standard deviation): to 4000 
 _SIZE = 1 << 14  # cells of the distribution of the other frames' share
 _CELLS = 16  # of it, per standard deviation of one frame's share
 _MOST_FRAMES = 500  # with more, that share counts as normal
+_LEAST_SIGMA_STEPS = 0.1  # below, all is lost in rounding
+_MANY_STEPS = 5  # above, a ripple is below one in a million
 
 
 @kernel
@@ -98,6 +100,49 @@ class TailTable:
         beyond = np.exp(self._logs(np.minimum(np.arcsinh(np.abs(away)), _TABLE[-1])))
         found: Values = np.where(away < 0, 1 - beyond, beyond) @ chances
         return found
+
+
+@dataclass(frozen=True, slots=True)
+class Ripple:
+    """What rounding does to noise: how far its figures ripple as the mean goes from one step of the values to the next.
+
+    Peak to peak: ``mean`` (of the values less the true one, in steps, and in their standard deviations), and
+    ``variance`` as a share of its mean. They fall off exponentially with the noise: at 1 DN both are below a hundredth.
+    """
+
+    mean_steps: float
+    mean: float
+    variance: float
+
+    @classmethod
+    def of(cls, shape: float, sigma_steps: float) -> Ripple:
+        """Work it out for a Tukey-lambda distribution of this shape, and scale in steps of the values."""
+        if not sigma_steps > _LEAST_SIGMA_STEPS:
+            return cls(math.inf, math.inf, math.inf)
+        if sigma_steps > _MANY_STEPS:
+            return cls(0.0, 0.0, 0.0)
+        levels, values, chances = _recorded(shape, sigma_steps)
+        means = chances @ values
+        variances = (chances * (values - means[:, None]) ** 2).sum(axis=1)
+        typical, mean_steps = float(variances.mean()), float(np.ptp(means - levels))
+        return cls(mean_steps, mean_steps / math.sqrt(typical), float(np.ptp(variances)) / typical)
+
+
+def _recorded(shape: float, sigma_steps: float) -> tuple[Values, Values, Values]:
+    """Return levels from 0 to 1 step, recorded values, and the chance of each at each level, (levels, values)."""
+    reach = math.ceil(20 + 30 * sigma_steps)
+    levels, values = np.arange(16) / 16, np.arange(-reach, reach + 1.0)
+    edges = np.append(values - 0.5, values[-1] + 0.5) - levels[:, None]
+    tails = smoothed_tails(edges.ravel(), shape, sigma_steps, np.zeros(1), np.ones(1)).reshape(edges.shape)
+    return levels, values, -np.diff(tails, axis=1)
+
+
+def wave_of_rounding(shape: float, sigma: float, frames: int) -> float:
+    """Return the mean of exp(2 pi i mean) over pixels whose levels lie anywhere: rounding draws means to whole DN."""
+    if not _LEAST_SIGMA_STEPS < sigma < _MANY_STEPS:
+        return float(sigma <= _LEAST_SIGMA_STEPS)
+    _, values, chances = _recorded(shape, sigma)
+    return float(((chances @ np.exp(2j * math.pi * values / frames)) ** frames).mean().real)
 
 
 @dataclass(frozen=True, slots=True)

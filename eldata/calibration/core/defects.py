@@ -27,6 +27,7 @@ MINIMUM_FRAMES = 4
 
 _MOST_FRAMES = 16_384  # twice their sum fits 31 bits
 _CLIPPED_SHARE = 0.01  # of pixels that reach 0
+_REACHING_SHARE = 1e-4
 _OUTER = (0.9, 1.645), (0.99, 2.576)  # shares of normal values, and how many standard deviations they lie within
 _LEAST_REACH = 2.0  # standard deviations below its mean that a residual must be able to go
 _BLOCK = 16  # periods of the CFA a side, for the local level
@@ -83,6 +84,8 @@ class FixedPattern:
         those in a seventh of the rows.
     shading_error_dn
         Noise of an entry of the summary's shading, per channel.
+    reaches_0
+        Whether one sound pixel in 10,000 or more was 0 in some frame.
     summary
         Defects, non-uniformity and shading.
     """
@@ -95,6 +98,7 @@ class FixedPattern:
     level_dn: tuple[float, ...]
     temporal_variance_dn2: tuple[float, ...]
     shading_error_dn: tuple[float, ...]
+    reaches_0: bool
     summary: PatternSummary
 
     @property
@@ -102,9 +106,11 @@ class FixedPattern:
         """How far below its mean a residual can go before some pixels' recorded values end at 0, by any frame's.
 
         A residual is (1 - 1/n) of its own value less what the other frames put in, within five standard deviations.
+        Infinite where these leave little room, but no value is 0.
         """
-        own = 1 - 1 / self.frames
-        return own * min(self.level_dn) - 5 * math.sqrt(own * (1 - own) * max(self.temporal_variance_dn2))
+        own, variance = 1 - 1 / self.frames, max(self.temporal_variance_dn2)
+        reach = own * min(self.level_dn) - 5 * math.sqrt(own * (1 - own) * variance)
+        return reach if self.reaches_0 or reach >= _LEAST_REACH * math.sqrt(variance) else math.inf
 
     @property
     def clips_at_black(self) -> bool:
@@ -247,6 +253,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         level_dn=levels,
         temporal_variance_dn2=variances,
         shading_error_dn=noise,
+        reaches_0=float(((lowest == 0) & ~defects).mean()) > _REACHING_SHARE,
         summary=PatternSummary(
             defects=int(defects.sum()),
             off_level=off_level,

@@ -56,6 +56,8 @@ class DarkFigure(Figure):
         if found is None:
             return None
         value, error = found if isinstance(found, tuple) else (found, math.nan)
+        if math.isnan(value):
+            return None
         if self.basis is None:
             return GivenFigure(value, error)
         return given(one.findings, self.basis, value, error, value if self.is_relative else 1.0)
@@ -82,21 +84,31 @@ def _dark(
     return DarkFigure(name=name, label=label, meaning=meaning, of=of, unit=unit, **more)
 
 
+def _of_read(value: str, error: str = "") -> Callable[[Any], float | tuple[float, float] | None]:
+    """Return what a record found of its read noise: nothing where values end at 0."""
+
+    def of(one: Any) -> float | tuple[float, float] | None:
+        found = math.nan if one.read is None else getattr(one.read, value)
+        return (found, math.nan if one.read is None else getattr(one.read, error)) if error else found
+
+    return of
+
+
 TUKEY_LAMBDA: Final = _dark(
     *("tukey_lambda", "lambda", "shape of the read noise"),
-    lambda one: (one.read.tukey_lambda, one.read.tukey_lambda_error),
-    basis="read noise",
+    _of_read("tukey_lambda", "tukey_lambda_error"),
+    basis="shape",
     is_relative=False,
 )
 SIGMA_TL: Final = _dark(
     *("sigma_tl_dn", "sigma_TL", "scale of the read noise"),
-    lambda one: (one.read.sigma_tl_dn, one.read.sigma_tl_error_dn),
-    basis="read noise",
+    _of_read("sigma_tl_dn", "sigma_tl_error_dn"),
+    basis="shape",
     fit="tukey_lambda_fit",
 )
 SIGMA_GAUSS: Final = _dark(
     *("sigma_gauss_dn", "sigma_G", "standard deviation of the read noise"),
-    lambda one: (one.read.sigma_gauss_dn, one.read.sigma_gauss_error_dn),
+    _of_read("sigma_gauss_dn", "sigma_gauss_error_dn"),
     basis="read noise",
     fit="gauss_fit",
 )
@@ -115,8 +127,8 @@ SCALES: Final = (SIGMA_TL, SIGMA_GAUSS, SIGMA_ROW)
 """Those that have a line over K."""
 
 _R_SQUARED: Final = (
-    _dark("r_squared_tl", "R2 TL", "of the plot against Tukey lambda", lambda one: one.read.r_squared_tl, decimals=5),
-    _dark("r_squared_gauss", "R2 G", "of the normal plot", lambda one: one.read.r_squared_gauss, decimals=5),
+    _dark("r_squared_tl", "R2 TL", "of the plot against Tukey lambda", _of_read("r_squared_tl"), decimals=5),
+    _dark("r_squared_gauss", "R2 G", "of the normal plot", _of_read("r_squared_gauss"), decimals=5),
 )
 
 
@@ -134,10 +146,10 @@ def _of_one_frame(figure: DarkFigure) -> DarkFigure:
 DARK_FIGURES: Final = by_name(
     (
         *(TUKEY_LAMBDA, SIGMA_TL, SIGMA_GAUSS),
-        _dark("ppcc_lambda", "lambda, PPCC", "by its plot", lambda one: one.read.ppcc_lambda, basis="read noise"),
-        _dark("ppcc_sigma_tl_dn", "sigma_TL, PPCC", "of it", lambda one: one.read.ppcc_sigma_tl_dn, basis="read noise"),
+        _dark("ppcc_lambda", "lambda, PPCC", "by its plot", _of_read("ppcc_lambda"), basis="shape"),
+        _dark("ppcc_sigma_tl_dn", "sigma_TL, PPCC", "of it", _of_read("ppcc_sigma_tl_dn"), basis="shape"),
         *(*_R_SQUARED, *map(_of_one_frame, _R_SQUARED)),
-        _dark("read_chi2_per_dof", "chi2", "of the fit, per degree of freedom", lambda one: one.read.chi2_per_dof),
+        _dark("read_chi2_per_dof", "chi2", "of the fit, per degree of freedom", _of_read("chi2_per_dof")),
         SIGMA_ROW,
         _dark("row_shapiro_p", "Shapiro-Wilk p", "of normal row noise", lambda one: one.rows.rows.shapiro_p),
         SIGMA_COLUMN,

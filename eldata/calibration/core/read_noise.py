@@ -20,22 +20,34 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.core.findings import FIT, ROUNDING, SHAPE
+from eldata.calibration.core.findings import FIT, READ, ROUNDING, SHAPE
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from eldata.calibration.core._frames import Values
     from eldata.calibration.core._residual_fit import ResidualFit, ResidualHistogram
     from eldata.calibration.core._tukey_lambda import ResidualModel
-    from eldata.calibration.core.defects import PatternSummary
-    from eldata.calibration.core.findings import Figure, Finding
-    from eldata.calibration.core.row_noise import ColourBias, OffsetResponse
+    from eldata.calibration.core.findings import Effect, Finding
+    from eldata.calibration.core.row_noise import ColourBias, LineNoise
 
 _TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
 _MOST_ERROR = 0.15  # of lambda, and of sigma_TL as a share: beyond, neither figure nor error means anything
 _BY_CHANCE = 1e-6  # of the fit's chi^2
+_QUIETEST_DN = 0.4  # of sigma_G: below, rounding decides what is recorded
+_LEAST_BLUR = 0.05
+_WAVE_BY_CHANCE = 6.0  # of 1 / N, the mean squared size of N levels that lie anywhere: more once in 400
+_STEPS_SHOW = 5.0  # of the levels' wave in its own standard errors: of less, chi^2 per degree is not 0.2 larger
+# Measured, from 0.3 to 0.8 DN, with the ripple of the variance, peak to peak, for 1: of bodies without fixed pattern,
+# shifts of lambda and sigma_TL are up to 2 (relative ones) and of sigma_G up to 0.4; where levels lie anywhere, 0.2 and
+# 0.04 with its square for 1, as the noise of pixels then differs.
+_OF_RIPPLE, _OF_RIPPLE_IN_SIGMA = 2.0, 0.5
+_OF_SQUARE, _OF_SQUARE_IN_SIGMA = 0.2, 0.05
+_MOST_RIPPLE = 0.3  # of the variance: beyond, not even sigma_G is known
+_MOST_IN_ROWS = 0.3  # of sigma_row
 
 PLOT_POINTS = 121
 """Of a probability plot."""
@@ -44,9 +56,6 @@ PLOT_POINTS = 121
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ReadNoise:
     """Read noise of one ISO.
-
-    Shape and scale are those of the maximum likelihood with rounding as it is, whatever the fixed pattern; the errors
-    say what rounding leaves of them.
 
     Attributes
     ----------
@@ -68,17 +77,16 @@ class ReadNoise:
     r_squared_tl, r_squared_gauss
         Of the probability plots of the residuals against Tukey lambda at its best shape and against the normal one.
     chi2_per_dof, chi2_freedom
-        Of the fitted distribution over the cells with 25 residuals or more, and how many of these count.
+        Of the fitted distribution over the cells with 25 residuals or more, and how many of these count. Not a number
+        where the pixels' levels are so alike that the residuals show their steps of a DN.
     residuals
         How many there were.
     beyond
         How many lay outside of the histogram (more than 400 standard deviations).
     converged
         Whether the fit came to an end.
-    response
-        By how much row means move with row offsets, where rounding makes that uneven; else ``None``.
-    shift_dn
-        By how much rounding moves the mean of pixels whose levels share a fraction of a DN, at most.
+    alike
+        How far the pixels' levels share a fraction of a DN: from 0, everywhere between whole DN, to 1, all alike.
     """
 
     tukey_lambda: float
@@ -87,20 +95,19 @@ class ReadNoise:
     sigma_tl_error_dn: float
     sigma_gauss_dn: float
     sigma_gauss_error_dn: float
-    ppcc_lambda: float = math.nan
-    ppcc_sigma_tl_dn: float = math.nan
-    ppcc_lambda_plain: float = math.nan
-    ppcc_sigma_plain_dn: float = math.nan
-    curve: Values = field(repr=False, default_factory=lambda: np.zeros((2, 0)))
+    ppcc_lambda: float
+    ppcc_sigma_tl_dn: float
+    ppcc_lambda_plain: float
+    ppcc_sigma_plain_dn: float
+    curve: Values = field(repr=False)
     r_squared_tl: float
     r_squared_gauss: float
     chi2_per_dof: float
     chi2_freedom: int
     residuals: int
     converged: bool
-    beyond: int = 0
-    response: OffsetResponse | None = field(default=None, repr=False)
-    shift_dn: float = 0.0
+    beyond: int
+    alike: float
 
     @property
     def largest_error(self) -> float:
@@ -152,7 +159,14 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
         If it holds too few residuals, or all in a few cells.
     """
     from eldata.calibration.core._residual_fit import ResidualCells, residual_fit
-    from eldata.calibration.core._tukey_lambda import HIGHEST, LOWEST, ResidualModel, correlation, normal_correlation
+    from eldata.calibration.core._tukey_lambda import (
+        HIGHEST,
+        LOWEST,
+        ResidualModel,
+        correlation,
+        normal_correlation,
+        wave_of_rounding,
+    )
 
     counts = histogram.counts
     if counts.ndim != 2 or counts.shape[1] % 2 == 0 or not histogram.cell_dn > 0:
@@ -182,7 +196,7 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     variance = float(inner @ values**2) / float(inner.sum())
     start = (min(max(plain_lambda, LOWEST + 0.1), HIGHEST - 0.1), max(plain_sigma, 0.05 * math.sqrt(variance)))
     deviation = math.sqrt(variance / model.own)
-    fit = residual_fit(cells, model, histogram.fractions, start, deviation)
+    fit = residual_fit(cells, model, start)
     shape, sigma = fit.shape, fit.scale
     covariance = fit.covariance
     errors = np.sqrt(np.diag(covariance))
@@ -194,6 +208,12 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     normal, _ = normal_correlation(values[inner > 0], inner[inner > 0].astype(np.float64))
     gauss, gauss_error = _standard_deviation(histogram, model, fit)
     chi2, freedom = fit.chi2_per_dof(cells)
+    # The mean of n frames blurs the wave of the levels. Where it leaves nothing, how alike they are is not known.
+    blur = math.exp(-2 * math.pi**2 * deviation**2 / histogram.frames)
+    by_chance = _WAVE_BY_CHANCE * len(histogram.level_waves) * histogram.frames / number
+    waves = histogram.level_waves, histogram.level_waves - wave_of_rounding(shape, sigma, histogram.frames)
+    wave, of_levels = (math.sqrt(max(float((np.abs(each) ** 2).max()) - by_chance, 0.0)) for each in waves)
+    alike = min(of_levels / blur, 1.0) if blur > _LEAST_BLUR else 1.0
     return ReadNoise(
         tukey_lambda=shape,
         tukey_lambda_error=float(errors[0]),
@@ -208,30 +228,27 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
         curve=curve,
         r_squared_tl=best**2,
         r_squared_gauss=normal**2,
-        chi2_per_dof=chi2,
+        chi2_per_dof=math.nan if wave * math.sqrt(number) > _STEPS_SHOW else chi2,
         chi2_freedom=freedom,
         residuals=number,
         beyond=beyond,
         converged=fit.converged,
-        response=None if fit.rounded is None else fit.rounded.response,
-        shift_dn=0.0 if fit.rounded is None else fit.rounded.shift_dn,
+        alike=alike,
     )
 
 
-def read_noise_findings(read: ReadNoise, bias: ColourBias, pattern: PatternSummary) -> tuple[Finding, ...]:
-    """Return what the fit shows of its own assumptions, and what rounding does to the colour bias.
+def read_noise_findings(read: ReadNoise, bias: ColourBias, rows: LineNoise) -> tuple[Finding, ...]:
+    """Return what the fit shows of its own assumptions, and what rounding does to the figures.
 
     The fit's chi^2 has as many degrees of freedom as cells, less the parameters. What it is above 1 per degree, the
     errors are to be larger: a misfit of that size along the direction that a parameter moves would shift it so far.
     """
     from scipy.special import chdtri
 
-    found: list[Finding] = []
     limit = float(chdtri(read.chi2_freedom, _BY_CHANCE)) / read.chi2_freedom
     misfit = math.sqrt(read.chi2_per_dof - 1) if read.chi2_per_dof > limit else 0.0
     error = math.hypot(1.0, misfit) * read.largest_error
-    # Where rounding hides offsets, how many of them it hides hangs on the read noise.
-    figures: tuple[Figure, ...] = ("read noise",) if read.response is None else ("read noise", "row noise")
+    found = list(_rounding(read, bias, rows))
     if not read.converged or not error < _MOST_ERROR:
         found.append(
             SHAPE.seen(
@@ -239,7 +256,7 @@ def read_noise_findings(read: ReadNoise, bias: ColourBias, pattern: PatternSumma
                 _MOST_ERROR,
                 "rounding to whole DN, or too few pixels, leave too little of the read noise to tell its shape: use a "
                 "raw mode of more bits, more frames, or the figures of a higher ISO",
-            ).of("withheld", figures)
+            ).of("withheld", READ if read.converged else SHAPE.figures)
         )
     elif misfit:
         text = (
@@ -248,19 +265,59 @@ def read_noise_findings(read: ReadNoise, bias: ColourBias, pattern: PatternSumma
             "random telegraph noise; look at its plots"
         )
         allowance = misfit * read.largest_error
-        found.append(FIT.seen(read.chi2_per_dof, limit, text).of("wider", figures, allowance))
-    errors = [error for error in bias.standard_error_dn if math.isfinite(error)]
-    shift = read.shift_dn * math.exp(-2 * (math.pi * min(pattern.dsnu_dn)) ** 2)
-    if errors and shift > min(errors):
-        found.append(
-            ROUNDING.seen(
-                shift,
-                min(errors),
-                f"the read noise is quiet and the pixels' levels hardly differ, so that rounding moves their mean by "
-                f"up to {shift:.2g} DN",
-            ).of("wider", ROUNDING.figures, shift)
-        )
+        found.append(FIT.seen(read.chi2_per_dof, limit, text).of("wider", READ, allowance))
     return tuple(found)
+
+
+def _rounding(read: ReadNoise, bias: ColourBias, rows: LineNoise) -> Iterator[Finding]:
+    """Yield what rounding to whole DN does to figures of quiet noise.
+
+    It adds a twelfth to the variance, whatever the noise, only where the pixels' levels lie everywhere between whole
+    DN, or the noise is wide. Where they share a fraction of a DN, it makes noise smaller or larger, moves the mean, and
+    hides offsets of rows or enlarges them, by what :class:`Ripple` says; the rows' own offsets spread the levels.
+    """
+    from eldata.calibration.core._tukey_lambda import Ripple
+
+    sigma = read.sigma_gauss_dn
+    if not sigma >= _QUIETEST_DN:
+        text = (
+            f"the read noise is {sigma:.2g} DN, below {_QUIETEST_DN:g} DN, where rounding to whole DN decides what is "
+            "recorded, and the shape of the noise is not seen: use a raw mode of more bits, or the figures of a higher "
+            "ISO"
+        )
+        yield ROUNDING.seen(sigma, _QUIETEST_DN, text).of("withheld", ("shape",))
+    alike = read.alike * math.exp(-2 * (math.pi * rows.sigma_dn) ** 2)
+    ripple = Ripple.of(read.tukey_lambda, read.sigma_tl_dn)
+    # Of the noise as quiet as it may be, if rounding has made it larger.
+    lower = math.sqrt(1 - min(ripple.variance * alike, 1.0) / 2)
+    ripple = Ripple.of(read.tukey_lambda, lower * read.sigma_tl_dn)
+    width, shift = ripple.variance * alike, ripple.mean_steps / 2 * alike
+    text = (
+        f"the read noise is quiet ({sigma:.2g} DN): rounding changes the variance of a pixel's noise by up to "
+        f"{ripple.variance / 2:.1%}, as its level lies between whole DN, that of all by up to {width / 2:.1%}, and "
+        f"their mean by up to {shift:.2g} DN; use a raw mode of more bits"
+    )
+    of_shape = _OF_RIPPLE * width + _OF_SQUARE * ripple.variance**2
+    of_sigma = _OF_RIPPLE_IN_SIGMA * width + _OF_SQUARE_IN_SIGMA * ripple.variance**2
+    of_rows = 2 * math.pi * shift
+    if not width <= _MOST_RIPPLE:
+        yield ROUNDING.seen(width, _MOST_RIPPLE, text).of("withheld", READ)
+    elif of_shape > _MOST_ERROR:
+        yield ROUNDING.seen(of_shape, _MOST_ERROR, text).of("withheld", ("shape",))
+    elif of_shape > read.largest_error:
+        yield ROUNDING.seen(of_shape, read.largest_error, text).of("wider", ("shape",), of_shape)
+    least = read.sigma_gauss_error_dn / max(sigma, 1e-12)
+    if width <= _MOST_RIPPLE and of_sigma > least:
+        yield ROUNDING.seen(of_sigma, least, text).of("wider", ("read noise",), of_sigma)
+    least = rows.sigma_error_dn / max(rows.sigma_dn, 1e-12)
+    if not of_rows <= _MOST_IN_ROWS:
+        yield ROUNDING.seen(of_rows, _MOST_IN_ROWS, text).of("withheld", ("row noise",))
+    elif of_rows > least:
+        yield ROUNDING.seen(of_rows, least, text).of("wider", ("row noise",), of_rows)
+    errors = [error for error in bias.standard_error_dn if math.isfinite(error)]
+    if errors and shift > min(errors):
+        effect: Effect = "wider" if math.isfinite(shift) else "withheld"
+        yield ROUNDING.seen(shift, min(errors), text).of(effect, ("colour bias",), shift)
 
 
 def probability_plot(histogram: ResidualHistogram, read: ReadNoise) -> ProbabilityPlot:
@@ -323,7 +380,7 @@ def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:
 
 def _expected(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualFit) -> Values:
     """Return the probability of each inner cell of the histogram."""
-    from eldata.calibration.core._residual_fit import ResidualCells, folded
+    from eldata.calibration.core._residual_fit import folded
 
     both = folded(histogram.counts).sum(axis=0)
     half = histogram.counts.shape[1] // 2
@@ -331,9 +388,6 @@ def _expected(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualF
     starts = np.arange(cells + 1)
     edges = np.maximum(starts - 0.5, 0.0) * histogram.cell_dn
     probabilities = model.probabilities(edges, fit.shape, fit.scale)
-    if fit.rounded is not None:
-        each = ResidualCells(starts, np.zeros((1, cells + 1)), histogram.cell_dn)
-        probabilities = np.maximum(probabilities + each.of_lattice(fit.rounded.change, histogram.frames), 0.0)
     side = np.zeros(half)
     side[:cells] = probabilities[:cells]
     return np.concatenate([side[:0:-1] / 2, side[:1], side[1:] / 2])
@@ -376,12 +430,8 @@ def _standard_deviation(histogram: ResidualHistogram, model: ResidualModel, fit:
     )
     mean = float(squares.sum()) / number + beyond(fit.shape, fit.scale)
     by_rounding = histogram.rounding_dn**2 / 12
-    if fit.rounded is not None:
-        points = np.arange(fit.rounded.change.size) / histogram.frames
-        mean += float(fit.rounded.change @ np.where(points > edge, points, 0.0) ** 2)
-        by_rounding += fit.rounded.variance_dn2 / model.own
     sigma = math.sqrt(max(mean / model.own - by_rounding, 0.0))  # 1/own undoes what the means took
-    by_group = centred(squares, numbers) / number + fit.influence @ (slope - fit.rounded_slope)
+    by_group = centred(squares, numbers) / number + fit.influence @ slope
     groups = len(by_group)
     if groups < 2 or sigma == 0:
         return sigma, math.nan

@@ -35,54 +35,8 @@ if TYPE_CHECKING:
 
     LineSums: TypeAlias = tuple[Counts, Counts, Counts]
 
-_NODE_DN = 0.04  # spacing of row offsets: what turns a dozen times per DN is still resolved
-_NODES_REACH = 5.0
-
 SHAPIRO_VALUES = 5000
 """The Shapiro-Wilk test's p is accurate up to this many values; more are thinned evenly."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OffsetResponse:
-    """By how much the recorded values of a row move, on average over its pixels, when an offset moves what is recorded.
-
-    Attributes
-    ----------
-    offsets_dn
-        A grid of offsets, ascending.
-    seen_dn
-        (kinds of rows, offsets): the mean recorded values less those at offset 0.
-    shares
-        Of the kinds of rows.
-    relative_error
-        Standard error of the standard deviation that :meth:`sigma_dn` returns, by what is not known of the response.
-    """
-
-    offsets_dn: Values = field(repr=False)
-    seen_dn: Values = field(repr=False)
-    shares: Values = field(repr=False)
-    relative_error: float = 0.0
-
-    def seen(self, nodes: Values) -> Values:
-        """Return what is recorded, (kinds of rows, nodes)."""
-        return np.stack([np.interp(nodes, self.offsets_dn, of_kind) for of_kind in self.seen_dn])
-
-    def seen_variance_dn2(self, sigma_dn: float) -> float:
-        """Return the variance of what is recorded under normal offsets of this standard deviation."""
-        nodes, chances = normal_nodes(sigma_dn)
-        seen = self.seen(nodes)
-        return float(self.shares @ (seen**2 @ chances - (seen @ chances) ** 2))
-
-    def sigma_dn(self, seen_variance_dn2: float) -> float:
-        """Return the standard deviation of the normal offsets of which this variance is recorded."""
-        from scipy.optimize import brentq
-
-        if seen_variance_dn2 <= 0:
-            return 0.0
-        highest = float(self.offsets_dn[-1]) / _NODES_REACH
-        if self.seen_variance_dn2(highest) <= seen_variance_dn2:
-            return math.sqrt(seen_variance_dn2)
-        return float(brentq(lambda sigma: self.seen_variance_dn2(sigma) - seen_variance_dn2, 0.0, highest, xtol=1e-9))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,7 +220,7 @@ def levels_and_lines(sums: NDArray[Any], pixels: Counts) -> tuple[Values, Values
     return level, (sums - pixels * level).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
 
 
-def row_noise(means: LineMeans, response: OffsetResponse | None = None) -> RowNoise:
+def row_noise(means: LineMeans) -> RowNoise:
     """Estimate sigma_row (and the columns' sigma) from the line means over time.
 
     With r the mean of one mosaic row over its channels, less the channels' means and the row's mean over the n frames,
@@ -278,10 +232,6 @@ def row_noise(means: LineMeans, response: OffsetResponse | None = None) -> RowNo
     ----------
     means
         Of the same frames as the fixed pattern's.
-    response
-        By how much recorded means move with offsets, where that is not simply by as much: rounding hides offsets in
-        quiet noise or enlarges them (:attr:`~eldata.calibration.core.read_noise.ReadNoise.response`). The offsets are
-        then those whose recorded variance this is.
 
     Raises
     ------
@@ -299,7 +249,7 @@ def row_noise(means: LineMeans, response: OffsetResponse | None = None) -> RowNo
         (means.columns_dn, means.column_pixels, means.column_totals, fixed.pattern.T),
     )
     of_rows, of_columns = (
-        _line_noise(np.array(deviations), counts, sums / frames, pattern, pixel_variance, response)
+        _line_noise(np.array(deviations), counts, sums / frames, pattern, pixel_variance)
         for deviations, counts, sums, pattern in lines
     )
     return RowNoise(
@@ -316,7 +266,6 @@ def _line_noise(
     fixed_sums: Values,
     pattern: Counts,
     pixel_variance: float,
-    response: OffsetResponse | None,
 ) -> LineNoise:
     from scipy import stats
 
@@ -330,7 +279,7 @@ def _line_noise(
     scatter = float((deviations**2).sum()) / freedom
     of_pixels = pixel_variance * float((1 / counts[used]).mean())
     variance, variance_error = scatter - of_pixels, scatter * math.sqrt(2 / freedom)
-    sigma, error = _sigma(variance, variance_error, response)
+    sigma, error = _sigma(variance, variance_error)
     values = deviations.ravel() * math.sqrt(frames / (frames - 1))
     thinned = values[np.linspace(0, values.size - 1, min(values.size, SHAPIRO_VALUES)).astype(np.int64)]
     (quantiles, ordered), (_, _, correlation) = stats.probplot(thinned)
@@ -355,20 +304,13 @@ def _line_noise(
     )
 
 
-def _sigma(variance: float, error: float, response: OffsetResponse | None) -> tuple[float, float]:
-    """Return the standard deviation of offsets whose recorded variance is given with its error, and its error."""
-    highest = _offset_sigma(error, response)
+def _sigma(variance: float, error: float) -> tuple[float, float]:
+    """Return the standard deviation of offsets whose variance is given with its error, and its error."""
     if variance <= 0:
-        return 0.0, highest
-    sigma = _offset_sigma(variance, response)
+        return 0.0, math.sqrt(error)
     step = 1e-3 * variance
-    slope = (_offset_sigma(variance + step, response) - _offset_sigma(variance - step, response)) / (2 * step)
-    of_response = 0.0 if response is None else response.relative_error * sigma
-    return sigma, math.hypot(min(error * slope, highest), of_response)
-
-
-def _offset_sigma(variance: float, response: OffsetResponse | None) -> float:
-    return math.sqrt(variance) if response is None else response.sigma_dn(variance)
+    slope = (math.sqrt(variance + step) - math.sqrt(variance - step)) / (2 * step)
+    return math.sqrt(variance), min(error * slope, math.sqrt(error))
 
 
 def colour_bias(means: LineMeans, black_level_dn: Sequence[float]) -> ColourBias:
@@ -396,16 +338,6 @@ def colour_bias(means: LineMeans, black_level_dn: Sequence[float]) -> ColourBias
         frame_bias_dn=bias,
         frames=frames,
     )
-
-
-def normal_nodes(sigma: float) -> tuple[Values, Values]:
-    """Return nodes and weights of a normal distribution, fine enough for what turns a dozen times per DN."""
-    if sigma < 1e-4:
-        return np.zeros(1), np.ones(1)
-    count = 2 * math.ceil(max(_NODES_REACH * sigma / _NODE_DN, 12)) + 1
-    nodes = np.linspace(-_NODES_REACH, _NODES_REACH, count)
-    shares = np.exp(-0.5 * nodes**2)
-    return nodes * sigma, shares / shares.sum()
 
 
 # --- spectra ----------------------------------------------------------------------------------------------------------

@@ -1,11 +1,7 @@
-"""What faults of flats do to K, and what is said: ``python -m tests.calibration.flats_study``.
-
-The table has the faults that docs/calibration.md sums up; test_flat_checks.py has the others.
-"""
+"""Flats of simulated cameras with faults planted in them, and what comes of K."""
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -14,10 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erf
 
-from eldata.calibration.audit.flat_checks import flat_findings
+from eldata.calibration.audit.flat_checks import flat_findings, saturation
 from eldata.calibration.core.findings import given
 from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
-from eldata.calibration.joint import gain_steps
 from eldata.demo.body import Body
 from eldata.errors import DatasetError
 from tests.calibration.simulation import BAYER, XTRANS, Camera
@@ -167,28 +162,9 @@ def smoothed(weight: float) -> Callable[..., list[Pair]]:
     return lambda setting, generator: [(smooth(a), smooth(b)) for a, b in clean(setting, generator)]
 
 
-def scaled(factor: float) -> Callable[..., list[Pair]]:
-    """One channel is multiplied in the file."""
-
-    def scale(frame: NDArray[np.uint16], generator: np.random.Generator) -> NDArray[np.uint16]:
-        made = frame.copy()
-        part = (frame[0::2, 0::2] - BLACK) * factor + BLACK + generator.random(frame[0::2, 0::2].shape) - 0.5
-        made[0::2, 0::2] = np.rint(part).clip(0, WHITE)
-        return made
-
-    return lambda setting, generator: [(scale(a, generator), scale(b, generator)) for a, b in clean(setting, generator)]
-
-
 QUIET = Setting(gain=0.09, sigma_tl=0.65)
 LOUD = Setting(gain=27.0, sigma_tl=33.0)
 EVEN = Setting(vignetting=0.0)
-CASES: tuple[tuple[str, str, Callable[..., list[Pair]]], ...] = (
-    ("not linear", "1 % at white", bent(0.01)),
-    ("not linear", "5 % at white", bent(0.05)),
-    ("smoothed", "0.02", smoothed(0.02)),
-    ("smoothed", "0.2", smoothed(0.2)),
-    ("one channel scaled", "1.1", scaled(1.1)),
-)
 
 
 @dataclass(frozen=True)
@@ -206,11 +182,12 @@ def outcome(setting: Setting, pairs: Sequence[Pair]) -> Outcome:
     flats = FlatPairs(setting.cfa, setting.sensor.black_level_dn, WHITE)
     for first, second in pairs:
         flats.add(first, second)
+    piled = tuple(saturation(flats))
     try:
         transfer = photon_transfer(flats)
     except DatasetError as error:
-        return Outcome(math.nan, math.nan, (), str(error))
-    findings = flat_findings(transfer)
+        return Outcome(math.nan, math.nan, piled, str(error))
+    findings = (*piled, *flat_findings(transfer))
     gain = given(findings, "gain", transfer.gain_dn_per_e, transfer.gain_error, transfer.gain_dn_per_e)
     off = transfer.gain_dn_per_e / setting.gain - 1
     return Outcome(off, math.nan if gain is None else gain.error / setting.gain, findings)
@@ -242,103 +219,3 @@ def alarms(cameras: int) -> Counter[str]:
         said.update({one.check for one in found.findings})
         said["refused"] += bool(found.refused)
     return said
-
-
-REGIMES: dict[str, tuple[Callable[..., list[Pair]], Setting]] = {
-    "clean": (clean, Setting()),
-    "pairs unequal by 8 %": (unequal(0.08), Setting(gain=0.09, sigma_tl=0.65)),
-    "hard saturation at 13583": (clipped(13583), Setting()),
-    "soft saturation at 13583": (clipped(13583, 0.01), Setting()),
-    "two levels, even light": (clean, Setting(levels=(0.2, 0.7), vignetting=0.0)),
-    "high ISO, heavy tails": (
-        clean,
-        Setting(gain=27.0, sigma_tl=33.0, tukey_lambda=-0.24, levels=(0.02, 0.1, 0.4, 0.8)),
-    ),
-    "3 % not linear": (bent(0.03), Setting(shape=(384, 576))),
-    "smoothed by 0.02": (smoothed(0.02), Setting(shape=(384, 576))),
-    "one channel scaled by 1.1": (scaled(1.1), Setting()),
-}
-
-
-def coverage(name: str, repetitions: int) -> tuple[float, float, int]:
-    """Of the K that are given: the share whose 1.96 errors reach the truth, their mean in errors, how many."""
-    make, setting = REGIMES[name]
-    if setting.shape == Setting.shape:
-        setting = replace(setting, shape=(192, 288))
-    scores = []
-    for seed in range(repetitions):
-        found = outcome(setting, make(setting, np.random.default_rng((11, seed))))
-        if math.isfinite(found.error):
-            scores.append(found.off / found.error)
-    return float(np.mean(np.abs(scores) < 1.96)), float(np.mean(scores)), len(scores)
-
-
-def step_alarms(
-    step: float, scatter: float, isos: int, cameras: int, floor: float | None = None, stops: float = 1.0
-) -> float:
-    """The share of cameras of so many ISOs at which a step of ln(sigma) is said to be in one of three fits.
-
-    With a floor, noise in proportion to the gain meets noise of this size after the amplifier, which bends the lines.
-    """
-    said = 0
-    for seed in range(cameras):
-        generator = np.random.default_rng((13, seed))
-        gains = 0.1 * 2.0 ** (stops * np.arange(isos))
-        after = np.arange(isos) >= int(generator.integers(2, isos - 1))
-        scales = np.sqrt(gains) if floor is None else np.hypot(gains, floor)
-        points = {
-            name: [
-                (float(gain), float(scale * np.exp(step * late + scatter * generator.standard_normal())))
-                for gain, scale, late in zip(gains, scales, after, strict=True)
-            ]
-            for name in ("sigma_TL", "sigma_G", "sigma_row")
-        }
-        said += any(gain_steps(points))
-    return said / cameras
-
-
-def show_table(seed: int, only: str) -> None:
-    for fault, size, make in CASES:
-        if only not in fault:
-            continue
-        found = outcome(Setting(), make(Setting(), np.random.default_rng(seed)))
-        said = "; ".join(
-            f"{one.check}: {one.effect}{f' by {one.allowance:.1%}' if one.allowance else ''} "
-            f"({one.statistic:.3g} > {one.threshold:.3g})"
-            for one in found.findings
-        )
-        error = f"{found.error:.2%}" if math.isfinite(found.error) else "withheld"
-        print(f"| {fault} | {size} | {found.off:+.2%} | {error} | {said or 'nothing'} |")
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", nargs="*", default=["table"], help="table, clean, coverage, step")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default="", help="only faults or regimes of this name")
-    parser.add_argument("--repetitions", type=int, default=200)
-    given = parser.parse_args()
-    if "table" in given.what:
-        print("| fault | size | K off by | stated error | said |\n|---|---|---|---|---|")
-        show_table(given.seed, given.only)
-    if "clean" in given.what:
-        print(f"of {given.repetitions} sound cameras: {dict(alarms(given.repetitions)) or 'no alarm'}")
-    if "coverage" in given.what:
-        for name in REGIMES:
-            if given.only in name:
-                share, mean, count = coverage(name, given.repetitions)
-                print(f"{name}: {share:.1%} of {count} cover the truth, mean {mean:+.2f} errors")
-    if "step" in given.what:
-        for isos in (5, 7, 9, 12):
-            for step, scatter in ((0.0, 0.05), (-0.2, 0.03), (-0.4, 0.03), (-0.4, 0.08)):
-                print(f"{isos} ISOs, step {step}, scatter {scatter}: {step_alarms(step, scatter, isos, 1000):.1%}")
-        for isos in (5, 6, 9):
-            print(f"{isos} ISOs, step -0.9, scatter 0.03: {step_alarms(-0.9, 0.03, isos, 1000):.1%}")
-        for floor in (0.1, 0.3, 1.0):
-            for isos, stops in ((5, 1.0), (9, 1.0), (18, 1 / 3)):
-                alarms_of = [step_alarms(0.0, scatter, isos, 100, floor, stops) for scatter in (0.003, 0.01, 0.05)]
-                print(f"{isos} ISOs {stops:.2g} stops apart, bent at K = {floor}: {np.mean(alarms_of):.1%} of 300")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,178 @@
+"""What a calibration withholds where it cannot correct: noise below 0, and noise that rounding hides; K is given."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from eldata.calibration import Residuals
+from eldata.calibration.core.findings import given
+from eldata.calibration.core.row_noise import line_sums
+from eldata.errors import DatasetError
+from eldata.reports.calibration import calibration_page
+from tests.calibration.chain import calibrated, figures_of, stacked
+from tests.calibration.in_memory import calibrated_arrays
+from tests.calibration.simulation import XTRANS, Body, Camera
+from tests.reports.calibrations import calibration
+from tests.reports.pages import checked
+
+if TYPE_CHECKING:
+    from eldata.calibration.core.findings import Finding
+
+# --- values that end at 0 ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("camera", "zeros"),
+    [
+        (Camera(black=0.0, bias=(1.5, 0.2, 0.9, -0.5), gain=2.0), (0.3, 0.6)),
+        (Camera(black=0.0, bias=(9.0, 8.0, 7.0, 9.5), sigma_tl=1.7), (1e-3, 0.05)),
+        (Camera(black=0.0, bias=(0.6, 0.6, 0.6), cfa=XTRANS, sigma_tl=0.5), (0.2, 0.6)),
+        (Camera(black=0.0, bias=(40.0,) * 4, sigma_tl=14.0, tukey_lambda=-0.2), (0.02, 0.2)),
+    ],
+    ids=["half", "a tail", "X-Trans", "loud"],
+)
+def test_noise_below_0_is_withheld_and_k_is_not(camera: Camera, zeros: tuple[float, float]) -> None:
+    """Eight bias frames and four pairs of 258 x 384 pixels; K within five of its errors."""
+    camera = camera.with_(shape=(258, 384))
+    body = Body(camera, np.random.default_rng(9))
+    flats = body.flat_pairs((1500.0, 5000.0, 9000.0, 12000.0), shaded=False)
+    found = calibrated_arrays(camera.sensor, body.bias_frames(8), flats)
+    (said,) = found.findings
+    assert (said.check, said.effect) == ("clipped black", "withheld")
+    assert found.withheld == {"shape", "read noise", "row noise", "colour bias"}
+    assert zeros[0] < said.statistic < zeros[1]
+    assert f"values end at 0, where {said.statistic:.1%} of the bias frames' values lie" in said.text
+    assert (found.read, found.plot, found.single_frame, found.parameters, found.reproduction) == (None,) * 5
+    assert (found.tukey_lambda, found.sigma_tl_dn, found.sigma_gauss_dn, found.sigma_row_dn) == (None,) * 4
+    assert found.colour_bias is None
+    assert found.gain is not None
+    assert abs(found.gain.value - camera.gain) < 5 * found.gain.error < 0.1 * camera.gain
+
+
+def test_a_clipped_iso_on_page_in_text_and_as_json() -> None:
+    camera = Camera(shape=(256, 384), black=0.0, bias=(1.0, 0.2, 0.9, 0.5))
+    body = Body(camera, np.random.default_rng(10))
+    one = calibrated_arrays(camera.sensor, body.bias_frames(6), body.flat_pairs((1500.0, 5000.0, 9000.0)))
+    found = calibration([one])
+    assert found.made_profile is None
+    data = found.as_dict()["isos"][0]
+    assert set(data["withheld"]) == {"shape", "read noise", "row noise", "colour bias"}
+    for name in ("tukey_lambda", "tukey_lambda_error", "sigma_tl_dn", "sigma_gauss_dn", "r_squared_tl", "sigma_row_dn"):
+        assert data[name] is None
+    assert data["gain_dn_per_e"] == pytest.approx(1, rel=0.05)
+    page = checked(calibration_page(found)).text
+    assert "Withheld: values end at 0" in page
+    assert "nan" not in page + found.format_text()
+
+
+def test_residuals_do_not_show_clipped_noise() -> None:
+    camera = Camera(shape=(96, 128), black=0.0, hot_share=0.0)
+    frames = Body(camera, np.random.default_rng(8)).bias_frames(4)
+    fixed = stacked(camera, frames)
+    assert fixed.clips_at_black
+    residuals = Residuals(fixed)
+    for frame in frames:
+        residuals.add(frame, line_sums(frame, fixed))
+    with pytest.raises(DatasetError, match="much of it is clipped"):
+        residuals.histogram()
+
+
+@pytest.mark.parametrize("above", [4.5, 6.0])
+def test_black_near_0_that_is_not_reached_is_no_clip(above: float) -> None:
+    """Four frames whose noise, nearly Gaussian, ends above 0: so many standard deviations; two million residuals."""
+    camera = Camera(shape=(512, 768), tukey_lambda=0.14, sigma_tl=2.0, sigma_row=0.2, dsnu=0.1, column_pattern=0.0)
+    camera = camera.with_(black=above * camera.noise.sigma_gauss_dn, bias=(0.0,) * 4, hot_share=0.0)
+    read = calibrated(camera, Body(camera, np.random.default_rng(3)).bias_frames(4)).read
+    assert abs(read.tukey_lambda - 0.14) < 5 * read.tukey_lambda_error < 0.05
+    assert abs(read.sigma_tl_dn - 2.0) < 5 * read.sigma_tl_error_dn < 0.1
+
+
+# --- rounding of quiet noise ------------------------------------------------------------------------------------------
+
+QUIET = Camera(shape=(384, 576), hot_share=0.0, sigma_row=0.05)
+
+
+def quiet(deviation: float, shape: float, **changes: object) -> Camera:
+    scale = deviation / float(stats.tukeylambda(shape).std())
+    return QUIET.with_(tukey_lambda=shape, sigma_tl=scale, **changes)
+
+
+def of(findings: tuple[Finding, ...], check: str, figure: str) -> list[Finding]:
+    return [one for one in findings if one.check == check and figure in one.figures]
+
+
+@pytest.mark.parametrize(("deviation", "shape"), [(0.1, -0.1), (0.22, -0.1), (0.28, 0.1), (0.37, 0.0)])
+def test_below_0_4_dn_rounding_decides(deviation: float, shape: float) -> None:
+    """Levels lie everywhere between whole DN: lambda and sigma_TL go, and what is left is right within five errors."""
+    camera = quiet(deviation, shape, dsnu=0.9)
+    found = calibrated(camera, Body(camera, np.random.default_rng(2)).bias_frames(10))
+    said = of(found.findings, "rounding", "shape")[0]
+    assert said.effect == "withheld"
+    assert said.statistic == found.read.sigma_gauss_dn < said.threshold == 0.4
+    assert f"the read noise is {said.statistic:.2g} DN, below 0.4 DN" in said.text
+    for name, (figure, value, error, true, scale) in figures_of(found, camera).items():
+        one = given(found.findings, figure, value, error, scale)
+        assert (one is None) >= (name in ("lambda", "sigma_TL"))
+        assert one is None or abs(one.value - true) < 5 * one.error < 0.5 * true, name
+    if deviation > 0.3:
+        assert given(found.findings, "read noise", found.read.sigma_gauss_dn, 0.0, deviation) is not None
+
+
+@pytest.mark.parametrize(("deviation", "shape"), [(0.47, -0.15), (0.55, 0.1), (0.9, -0.2)])
+def test_above_0_4_dn_all_is_given_where_levels_differ(deviation: float, shape: float) -> None:
+    """The levels of a common sensor scatter by a DN: nothing goes, and the truth lies within five stated errors.
+
+    A million residuals; what rounding may do below 0.6 DN is in the errors, below 4 % all the same.
+    """
+    camera = quiet(deviation, shape, dsnu=1.0)
+    found = calibrated(camera, Body(camera, np.random.default_rng(4)).bias_frames(10))
+    for name, (figure, value, error, true, scale) in figures_of(found, camera).items():
+        one = given(found.findings, figure, value, error, scale)
+        assert one is not None
+        assert abs(one.value - true) < 5 * one.error, name
+        assert one.error < 0.04 * (1 if name == "lambda" else true)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.35, 0.5])
+@pytest.mark.parametrize(
+    ("deviation", "shape", "dsnu"),
+    [(0.33, 0.05, 0.0), (0.45, -0.15, 0.1), (0.55, 0.1, 0.0), (0.7, -0.1, 0.15), (0.9, -0.2, 0)],
+)
+def test_levels_that_share_a_fraction(deviation: float, shape: float, dsnu: float, level: float) -> None:
+    """A body without a fixed pattern, or nearly: what is given lies within 2.5 errors, however rounding moves it.
+
+    These are bounds of a shift that the frames do not show, not standard deviations of chance, which at 900,000
+    residuals is a tenth of them or less; they are at most 15 % of lambda and sigma_TL and 16 % of sigma_G.
+    """
+    camera = quiet(deviation, shape, dsnu=dsnu, column_pattern=0.0, bias=(level,) * 4)
+    found = calibrated(camera, Body(camera, np.random.default_rng(12)).bias_frames(10))
+    assert of(found.findings, "fit of the read noise", "shape") == [], "steps of a DN are no other family"
+    for name, (figure, value, error, true, scale) in figures_of(found, camera).items():
+        one = given(found.findings, figure, value, error, scale)
+        if one is not None:
+            assert abs(one.value - true) < 2.5 * one.error, (name, one, true)
+            assert one.error < (0.16 if figure != "row noise" else 0.4) * (1 if name == "lambda" else true)
+    for channel, mean in enumerate(found.bias.bias_dn):
+        one = given(found.findings, "colour bias", mean, found.bias.standard_error_dn[channel], 1.0)
+        assert one is None or abs(one.value - level) < max(2.5 * one.error, 0.01)
+    if deviation < 0.5 and dsnu == 0:
+        assert any(one.effect == "withheld" for one in of(found.findings, "rounding", "shape"))
+
+
+@pytest.mark.parametrize(("sigma_tl", "level"), [(0.03, 0.0), (0.05, 0.5)])
+def test_lost_in_rounding(sigma_tl: float, level: float) -> None:
+    """Nearly all pixels have one value of two: nothing of the read noise is given."""
+    camera = QUIET.with_(
+        shape=(256, 384), sigma_tl=sigma_tl, tukey_lambda=-0.1, sigma_row=0.03, dsnu=0.6 - level, bias=(level,) * 4
+    )
+    found = calibrated(camera, Body(camera, np.random.default_rng(2)).bias_frames(10))
+    figures = figures_of(found, camera)
+    for name in ("lambda", "sigma_TL"):
+        figure, value, error, _, scale = figures[name]
+        assert given(found.findings, figure, value, error, scale) is None
+    assert math.isfinite(found.rows.rows.sigma_dn)

@@ -1,9 +1,4 @@
-from .acceptance.comparison import check_noise as check_noise
-from .acceptance.reproduction import Reproduction as Reproduction
-from .acceptance.reproduction import reproduction as reproduction
-from .acceptance.results import Acceptance as Acceptance
 from .audit.frames import FramesError as FramesError
-from .audit.structure import MeasuredStructure as MeasuredStructure
 from .camera import calibrate as calibrate
 from .core._residual_fit import ResidualHistogram as ResidualHistogram
 from .core.bias_figures import BiasSums as BiasSums
@@ -31,10 +26,8 @@ from .core.single_frame import single_frame_plot as single_frame_plot
 from .core.single_frame import spatial_photon_transfer as spatial_photon_transfer
 from .iso_results import IsoCalibration as IsoCalibration
 from .joint import fit_log_log as fit_log_log
-from .one_photograph.estimate import ImageEstimate as ImageEstimate
-from .one_photograph.estimate import estimate_profile as estimate_profile
-from .one_photograph.noise_line import NoiseLine as NoiseLine
-from .one_photograph.noise_line import noise_line as noise_line
+from .reproduction import Reproduction as Reproduction
+from .reproduction import reproduction as reproduction
 from .results import Calibration as Calibration
 from .shading_fit import ShadingFit as ShadingFit
 from .shading_fit import dark_shading as dark_shading

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +13,6 @@ from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import AnyWorkers, Failed, Workers
 from eldata.calibration.audit.frames import FramesError, sorted_frames, work_elsewhere
-from eldata.calibration.audit.structure import pooled_prnu
 from eldata.calibration.core.findings import checked_acceptance
 from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
 from eldata.calibration.joint import joint_fits, whole_ranges
@@ -32,7 +30,6 @@ if TYPE_CHECKING:
 
     from eldata.calibration.audit.frames import IsoFrames
     from eldata.calibration.core.findings import Figure
-    from eldata.noise.structure import NoiseStructure
 
 _LEVELS_APART = 0.001  # of the range
 
@@ -44,7 +41,6 @@ def calibrate(
     isos: Collection[int] | None = None,
     gains: Mapping[float, float] | CameraProfile | None = None,
     modes: Sequence[float] | None = None,
-    structure: bool = False,
     accept: Collection[str] = (),
     workers: AnyWorkers = 1,
 ) -> Calibration:
@@ -64,9 +60,6 @@ def calibrate(
     modes
         The first ISO of each gain mode of the camera but the lowest, such as ``[2000]``; an empty list for a camera
         that has one. By default modes are told by steps in the joint fits.
-    structure
-        Measure the figures of components C, W, T and F of the noise model, too: column noise, the spectrum of the rows,
-        telegraph pixels and PRNU. A profile with them has schema 3.
     accept
         Names of checks, such as ``("dark signal",)``: figures that they withhold are given with a larger error, and the
         profile says so (``accepted``). The remarks name the checks that can be accepted.
@@ -117,7 +110,7 @@ def calibrate(
         for one in sorted_frames(frames, Workers(workers.jobs))
     ]
     usable = [one for one in chosen if not one.problems]
-    found = _measured(frames, usable, workers, structure)
+    found = _measured(frames, usable, workers)
     wrong = {one.iso: outcome for one, outcome in zip(usable, found, strict=True) if isinstance(outcome, FramesError)}
     failed = [FailedIso(float(one.iso), one.problems) for one in chosen if one.problems]
     failed += [FailedIso(float(iso), error.problems) for iso, error in wrong.items()]
@@ -168,13 +161,11 @@ def stated_gains(frames: CalibrationFrames, gains: Mapping[float, float] | Camer
     return stated
 
 
-def _measured(
-    frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers, structure: bool
-) -> list[IsoGain | FramesError]:
+def _measured(frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers) -> list[IsoGain | FramesError]:
     label = f"calibrating {frames.camera}"
     if workers.executor is not None:
         # Frames are summed where they are decoded: to send them would take longer than that.
-        work = work_elsewhere(partial(calibrate_iso, structure=structure), frames)
+        work = work_elsewhere(calibrate_iso, frames)
         outcomes = workers.attempt(work, chosen, label=label, unit="ISO")
         return [_failure(frames, one) if isinstance(one, Failed) else one for one in outcomes]
     found: list[IsoGain | FramesError] = []
@@ -182,7 +173,7 @@ def _measured(
     with tqdm(total=total, desc=label, unit="frame", disable=None, leave=False) as bar:
         for one in chosen:
             try:
-                found.append(calibrate_iso(frames, one, workers, structure=structure, done=bar.update))
+                found.append(calibrate_iso(frames, one, workers, done=bar.update))
             except FramesError as error:
                 found.append(error)
     return found
@@ -264,18 +255,10 @@ def joined(
         white_level_dn=white,
         notes=found.all_remarks,
         modes=() if only is not None else tuple(modes_found),
-        structure=_structure(ordered),
         accepted=found.accepted,
         quantisation_step_dn=step_dn,
     )
     return replace(found, made_profile=profile)
-
-
-def _structure(isos: Sequence[IsoCalibration]) -> tuple[NoiseStructure, ...]:
-    """Return the figures of components C, W, T and F at the ISOs that have K, if they were measured."""
-    known = [(one, one.structure) for one in isos if one.structure is not None and one.gain_dn_per_e is not None]
-    prnu = pooled_prnu([structure for _, structure in known])
-    return tuple(structure.at(one.gain_dn_per_e or 1.0, one.iso, prnu) for one, structure in known)
 
 
 def _in_common_steps(isos: tuple[IsoCalibration, ...], remarks: list[str]) -> tuple[tuple[IsoCalibration, ...], float]:

@@ -21,8 +21,6 @@ from eldata.calibration.core.findings import COARSE, SYMBOLS, GivenFigure, given
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from eldata.calibration.acceptance.reproduction import Reproduction
-    from eldata.calibration.audit.structure import MeasuredStructure
     from eldata.calibration.core._frames import Plane
     from eldata.calibration.core.defects import PatternSummary
     from eldata.calibration.core.findings import Effect, Figure, Finding
@@ -30,6 +28,7 @@ if TYPE_CHECKING:
     from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.core.row_noise import ColourBias, RowNoise
     from eldata.calibration.core.single_frame import SingleFramePlot
+    from eldata.calibration.reproduction import Reproduction
     from eldata.manifest.verify_report import Problem
     from eldata.noise.gain_modes import ProfileRow
     from eldata.noise.parameters import NoiseParameters
@@ -187,8 +186,6 @@ class IsoCalibration(IsoGain):
     reproduction
         The noise model with these parameters against a bias frame that no estimator saw; ``None`` if there were too
         few frames to hold one out, or one of the parameters is withheld.
-    structure
-        What the noise of pixels has in common; ``None`` if it was not asked for.
     step_dn, stepped
         By how many DN the values of the bias frames step, and the read noise that is left beside rounding to that;
         ``None`` at 1 DN, or where the one is not told from the other.
@@ -209,7 +206,6 @@ class IsoCalibration(IsoGain):
     spectrum_dn2: Plane = field(repr=False)
     reproduction: Reproduction | None = None
     single_frame: SingleFramePlot | None = None
-    structure: MeasuredStructure | None = None
     step_dn: int = 1
     stepped: ReadNoise | None = None
     quantisation_step_dn: float = 1.0
@@ -268,7 +264,7 @@ class IsoCalibration(IsoGain):
         if row is None:
             return None
         gain = self.gain_dn_per_e or 1.0
-        return replace(row, iso=None, gain_dn_per_e=gain).parameters(None, None, self.quantisation_step_dn)
+        return replace(row, iso=None, gain_dn_per_e=gain).parameters(None, self.quantisation_step_dn)
 
     @property
     def profile_row(self) -> ProfileRow | None:
@@ -305,8 +301,6 @@ class IsoCalibration(IsoGain):
             "defects": self.pattern.defects,
             "reproduction": None if self.reproduction is None else self.reproduction.as_dict(),
         }
-        if self.structure is not None:
-            found["structure"] = asdict(self.structure)
         return {name: without_infinities(value) for name, value in found.items()}
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.calibration.acceptance.reproduction import compared_piece, reproduction
 from eldata.calibration.audit.bias_checks import bias_findings, read_noise_in_steps
 from eldata.calibration.audit.bias_sums import BiasAudit, BiasSeen, BiasStatistics, code_step, missing_codes
 from eldata.calibration.audit.flat_checks import edge_findings, flat_findings, saturation_findings
@@ -27,8 +26,6 @@ from eldata.calibration.audit.frames import (
     unequal_pair,
     uneven_light,
 )
-from eldata.calibration.audit.structure import ResponsePattern, measured_structure
-from eldata.calibration.audit.telegraph import TelegraphGroups
 from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.core.findings import TRANSFER, with_accepted
@@ -36,6 +33,7 @@ from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
 from eldata.calibration.core.single_frame import FlatFrames, power_spectrum, single_frame_plot, spatial_photon_transfer
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
 from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
+from eldata.calibration.reproduction import compared_piece, reproduction
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
 from eldata.raw.sensor_facts import lossy_compression
@@ -59,7 +57,6 @@ def calibrate_iso(
     workers: Workers = IN_THIS_PROCESS,
     *,
     done: Callable[[], object] = lambda: None,
-    structure: bool = False,
 ) -> IsoGain:
     """Measure what there are frames for at one ISO: the noise, or of flats alone K, from the recorded black level.
 
@@ -74,8 +71,6 @@ def calibrate_iso(
         the sums.
     done
         Called after each decoded frame; :func:`decodings` says how many there will be.
-    structure
-        Measure what the noise of pixels has in common, too.
 
     Raises
     ------
@@ -85,7 +80,7 @@ def calibrate_iso(
     """
     with _unusable(frames, chosen):
         reader = FrameReader(frames, workers, done)
-        return _calibrated(reader, chosen, structure) if chosen.bias or not chosen.pairs else _gain(reader, chosen)
+        return _calibrated(reader, chosen) if chosen.bias or not chosen.pairs else _gain(reader, chosen)
 
 
 def bias_pattern(
@@ -132,19 +127,17 @@ def _split(bias: Sequence[FrameRecord]) -> tuple[Sequence[FrameRecord], Sequence
     return (bias[:-1], bias[-1:]) if len(bias) >= HOLD_OUT_FROM else (bias, ())
 
 
-def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoCalibration:
+def _calibrated(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     recorded, estimated, held_out = _first_pass(reader, *_split(chosen.bias))
     sensor, is_clipped = reader.sensor, recorded.clips_at_black
     bias_sums, audit = BiasSums(recorded), BiasAudit(recorded)
-    jumping = TelegraphGroups(recorded) if structure and not is_clipped else None
-    sums = [bias_sums, audit, *(() if jumping is None else (jumping,))]
     spectrum, single, gaps, step = None, None, 0.0, 1
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, recorded), missing_codes(frame.mosaic, recorded.pattern)
             single = None if is_clipped else single_frame_plot(frame.mosaic, recorded)
             step = code_step(frame.mosaic, recorded.pattern)
-        in_threads(methodcaller("add", frame.mosaic), sums, reader.workers.jobs)
+        in_threads(methodcaller("add", frame.mosaic), (bias_sums, audit), reader.workers.jobs)
         del frame
     reader.refuse()
     if spectrum is None:
@@ -155,8 +148,8 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
         return bias_sums.figures(sensor.black_level_dn), audit.statistics()
 
     # The flats decode while the bias frames' figures are worked out.
-    work = (from_bias_frames, partial(_flats, reader, chosen, fixed, structure))
-    (found, seen), (of_flats, prnu) = in_threads(methodcaller("__call__"), work, reader.workers.jobs)
+    work = (from_bias_frames, partial(_flats, reader, chosen, fixed))
+    (found, seen), of_flats = in_threads(methodcaller("__call__"), work, reader.workers.jobs)
     dark = IsoCalibration(
         iso=float(chosen.iso),
         sensor=sensor,
@@ -181,10 +174,6 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
     of_audit = bias_findings(BiasSeen(seen, dark.bias, dark.rows, dark.read, step, gaps, is_clipped, gain))
     of_bias = with_accepted((*dark.findings, *of_audit), chosen.accept)
     whole = replace(dark, findings=(*of_bias, *of_flats.findings))
-    if structure:
-        jumps = None if jumping is None or found.residuals is None else (jumping, found.residuals)
-        in_common = measured_structure(dark.rows, of_bias, dark.read, jumps)
-        whole = replace(whole, structure=replace(in_common, prnu=prnu[0], prnu_error=prnu[1]))
     parameters = whole.in_steps.parameters
     if held_out is not None and parameters is not None:
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
@@ -198,7 +187,7 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames, structure: bool) -> IsoC
 
 
 def _gain(reader: FrameReader, chosen: IsoFrames) -> IsoGain:
-    found, _ = _flats(reader, chosen, None)
+    found = _flats(reader, chosen, None)
     alone = "there are no bias frames, so K is all that is known"
     return replace(found, remarks=(*reader.copies.remarks, alone, *found.remarks, *transfer_remarks(found)))
 
@@ -239,25 +228,23 @@ def _too_few(number: int, because: Sequence[str] = ()) -> DatasetError:
     )
 
 
-def _flats(
-    reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None, structure: bool = False
-) -> tuple[IsoGain, tuple[float | None, float]]:
-    """Read the flats, and return what they give and the PRNU with its error.
+def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -> IsoGain:
+    """Read the flats, and return what they give.
 
     Without bias frames, black is what the files record and no pixel is a defect.
     """
-    stated, no_prnu = chosen.stated_gain_dn_per_e, (None, math.nan)
+    stated = chosen.stated_gain_dn_per_e
 
     def found(remarks: Sequence[str], *findings: Finding, **more: Any) -> IsoGain:
         known: dict[str, Any] = {"iso": float(chosen.iso), "sensor": reader.sensor, "stated_gain_dn_per_e": stated}
         return IsoGain(**known, remarks=tuple(remarks), findings=findings, **more)
 
     if not chosen.pairs:
-        return found(() if stated is not None else (no_pairs(chosen),)), no_prnu
+        return found(() if stated is not None else (no_pairs(chosen),))
     pairs, singles = None, None
     used: list[PairLevels] = []
     remarks: list[str] = []
-    gaps, response = 0.0, None
+    gaps = 0.0
     for pair, first, second in _pairs(reader, chosen.pairs):
         if pairs is None or singles is None:
             sensor = first.sensor
@@ -265,7 +252,6 @@ def _flats(
             black, defects = (sensor.black_level_dn, None) if fixed is None else (fixed.level_dn, fixed.defects)
             pairs = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects)
             singles = FlatFrames(sensor.cfa, black, sensor.white_level_dn, defects=defects)
-            response = None if fixed is None or not structure else ResponsePattern(fixed, pairs.limit_dn)
         levels = PairLevels.of(pair, first, second)
         unequal = unequal_pair(levels)
         if unequal is not None:
@@ -275,27 +261,23 @@ def _flats(
             pairs.add(first.mosaic, second.mosaic)
             singles.add(first.mosaic)
             singles.add(second.mosaic)
-            if response is not None:
-                response.add(first.mosaic, second.mosaic)
             gaps = max(gaps, missing_codes(first.mosaic, pairs.pattern))
         del first, second  # before the next ones are decoded
     reader.refuse()
     said = (*remarks, *flat_remarks(chosen, gaps))
     if pairs is None or singles is None or not pairs.frames:
-        return found(said, _no_line("no pair of flats is usable")), no_prnu
+        return found(said, _no_line("no pair of flats is usable"))
     try:
         transfer = photon_transfer(pairs)
     except DatasetError as error:
         no_line = _no_line(f"{error}; pairs used: {', '.join(map(str, used))}")
-        return found(said, *saturation_findings(pairs.saturation, pairs.left_out), no_line), no_prnu
+        return found(said, *saturation_findings(pairs.saturation, pairs.left_out), no_line)
     edges, spatial = tuple(edge_findings(transfer)), None
     if not edges:
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(singles)
     findings = with_accepted((*uneven_light(used), *edges, *flat_findings(transfer)), chosen.accept)
-    # Edges stay from frame to frame as the pixels' response does.
-    prnu = no_prnu if response is None or edges else response.prnu()
-    return found(said, *findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames), prnu
+    return found(said, *findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
 
 
 def _no_line(why: str) -> Finding:

@@ -223,7 +223,6 @@ class Calibration:
             ("", self.table()),
             ("K alone, from flats without bias frames\n", self.gain_table()),
             ("colour bias over the recorded black level [DN]\n", self.bias_table()),
-            ("structure of the noise, for components C, W, T and F\n", self.structure_table()),
             ("", fits),
             ("a bias frame kept out, against simulated ones\n", self.reproduction_table()),
         )
@@ -274,13 +273,6 @@ class Calibration:
         ]
         return ("ISO", *(self.isos[0].channels if self.isos else ()), "DSNU"), rows
 
-    def structure_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Return header and rows of what the noise of pixels has in common, where it was asked for."""
-        from eldata.calibration.audit.structure import HEADER
-
-        rows = [(f"{one.iso:g}", *one.structure.cells()) for one in self.isos if one.structure is not None]
-        return ("ISO", *HEADER), rows
-
     def fit_table(self) -> list[tuple[str, ...]]:
         """Return the rows of the joint fits that could be made, those of each gain mode after another."""
         return [
@@ -298,7 +290,7 @@ class Calibration:
 
     def reproduction_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Return header and rows of how well the noise model reproduces the frames that were kept out."""
-        from eldata.calibration.acceptance.reproduction import HEADINGS
+        from eldata.calibration.reproduction import HEADINGS
 
         kept = [(one.iso, one.reproduction) for one in self.isos if one.reproduction is not None]
         return ("ISO", *HEADINGS), [(f"{iso:g}", *found.cells()) for iso, found in kept]

@@ -54,16 +54,6 @@ def add_options(parser: console.Parser) -> None:
         ),
     )
     parser.add_argument(
-        "--dark-current",
-        action="append",
-        default=[],
-        metavar="FOLDER",
-        help=(
-            "with --dark-shading: longer dark frames, laid out as the bias frames are, of one exposure time; may be "
-            "repeated with other times. The shading has dark current then, which grows with the exposure"
-        ),
-    )
-    parser.add_argument(
         "--gain",
         action="append",
         dest="gains",
@@ -96,14 +86,6 @@ def add_options(parser: console.Parser) -> None:
             "repeated. The remarks name the checks that can be accepted"
         ),
     )
-    parser.add_argument(
-        "--structure",
-        action="store_true",
-        help=(
-            "also measure what the noise of pixels has in common, for components C, W, T and F of the noise model: "
-            "column noise, bands, telegraph pixels, PRNU. The profile is then of schema 3"
-        ),
-    )
     console.add_shared(parser, run, "isos", "root", "workers", json=json_kind("camera isos gains", "camera problems"))
 
 
@@ -130,12 +112,9 @@ def run(arguments: console.Arguments) -> int:
     from eldata.calibration.audit.frames import FramesError
     from eldata.calibration.camera import calibrate, stated_gains
     from eldata.calibration.shading_fit import dark_shading
-    from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.noise.profile import CameraProfile
 
     frames = _frames(arguments)
-    if arguments.dark_current and not arguments.dark_shading:
-        raise ArgumentError("--dark-current is a part of the dark shading; give --dark-shading FILE, too")
     modes = _modes(arguments.modes)
     gains: dict[float, float] = {}
     for profile in (name for name in arguments.gains if isinstance(name, str)):
@@ -143,13 +122,11 @@ def run(arguments: console.Arguments) -> int:
     gains |= dict(stated for stated in arguments.gains if not isinstance(stated, str))
     try:
         with console.chosen_workers(arguments) as workers:
-            options = {"modes": modes, "structure": arguments.structure, "workers": workers}
-            found = calibrate(frames, gains=gains, accept=arguments.accept, **options)
+            found = calibrate(frames, gains=gains, modes=modes, accept=arguments.accept, workers=workers)
             shading, no_shading = None, ""
             try:
                 if arguments.dark_shading:
-                    longer = [CalibrationFrames(folder, isos=arguments.isos) for folder in arguments.dark_current]
-                    shading = dark_shading(frames, found, modes=modes, longer=longer, workers=workers)
+                    shading = dark_shading(frames, found, modes=modes, workers=workers)
             except DatasetError as error:  # the calibration is not lost for it
                 no_shading = str(error)
     except FramesError as error:
@@ -185,8 +162,6 @@ def run(arguments: console.Arguments) -> int:
         listed, hot = _listed(one.iso for one in shading.isos), int(shading.hot.sum())
         print(f"\ndark shading: {arguments.dark_shading}; ISO {listed}; {counted(hot, 'hot pixel')} left as measured")
         print(f"    {shading.digest}")
-        if shading.current is not None:
-            print(f"    dark current from frames of {_listed(shading.current.exposure_s)} s; a frame's own time counts")
         for note in shading.notes:
             print(f"    {note}")
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _COMMANDS = (
     *("demo", "info", "download", "manifest", "verify", "lock"),
     *("baseline", "predict", "protocols", "evaluate", "compare", "reproduce"),
-    *("calibrate", "synthesize", "profile", "noise"),
+    *("calibrate", "synthesize", "profile"),
     *("pack", "shard", "export", "completion"),
 )
 

@@ -14,19 +14,17 @@ from eldata.reports.calibration_iso import (
     read_noise_plots,
     reproduced_pictures,
     reproduced_plots,
-    row_bands_plot,
     rows_plot,
     shading_pictures,
     spectrum_picture,
     transfer_plot,
 )
-from eldata.reports.calibration_joint import joint_plots, structure_numbers
+from eldata.reports.calibration_joint import joint_plots
 from eldata.reports.html import digits, grouped, measured, rendered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.audit.structure import MeasuredStructure
     from eldata.calibration.core.findings import Effect, Figure, GivenFigure
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
     from eldata.calibration.results import Calibration
@@ -72,7 +70,6 @@ def _tables(calibration: Calibration) -> list[dict[str, Any]]:
         "figures": ("Figures, value ± standard error", *calibration.table()),
         "gains": ("K alone, from flats without bias frames", *calibration.gain_table()),
         "colour-bias": ("Colour bias over the recorded black level [DN]", *calibration.bias_table()),
-        "structure": ("What the noise of pixels has in common", *calibration.structure_table()),
         "fits": ("Lines of ln σ over ln K", _FIT_HEADER, calibration.fit_table()),
         "reproduction": ("A bias frame kept out, against simulated ones", *calibration.reproduction_table()),
     }
@@ -198,8 +195,7 @@ def _judged(one: IsoGain, figure: Figure, group: _Group) -> _Group:
 
 
 def _groups(one: IsoCalibration) -> tuple[_Group, ...]:
-    structure = () if one.structure is None else (_structure(one, one.structure),)
-    return _gain(one), _colour_bias(one), _rows(one), *structure, _read_noise(one), _reproduction(one), _pattern(one)
+    return _gain(one), _colour_bias(one), _rows(one), _read_noise(one), _reproduction(one), _pattern(one)
 
 
 def _by_channel(template: str, one: IsoGain, values: Sequence[str]) -> list[tuple[str, str]]:
@@ -254,12 +250,6 @@ def _rows(one: IsoCalibration) -> _Group:
     )
     plots = (rows_plot(one), line_spectrum_plot(one))
     return _judged(one, "row noise", _Group("Row noise", numbers, plots=plots, pictures=(spectrum_picture(one),)))
-
-
-def _structure(one: IsoCalibration, structure: MeasuredStructure) -> _Group:
-    spectrum = structure.row_spectrum
-    plots = () if spectrum is None else (row_bands_plot(one, structure, spectrum),)
-    return _Group("What pixels have in common", structure_numbers(structure, one.withheld), plots=plots)
 
 
 def _read_noise(one: IsoCalibration) -> _Group:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.acceptance.verdicts import LIMIT
 from eldata.plots.axes import (
     MARKERS,
     deviation_band,
@@ -17,7 +16,6 @@ from eldata.plots.axes import (
     evenly,
     legend_above,
     log_ticks,
-    plain_ticks,
     thinned,
 )
 from eldata.plots.gains import transfer_lines
@@ -31,24 +29,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from eldata.calibration.acceptance.reproduction import Reproduction
-    from eldata.calibration.audit.structure import MeasuredStructure
     from eldata.calibration.core.findings import GivenFigure
     from eldata.calibration.core.photon_transfer import PhotonTransfer
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
-    from eldata.noise.structure import RowSpectrum
+    from eldata.calibration.reproduction import Reproduction
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 
 GAUSSIAN_LAMBDA = 0.14
 """The shape at which the Tukey-lambda distribution is nearest to the normal one."""
 
+_LIMIT = 4.0  # standard errors of a point's deviation from its line
 _SINGLE_FRAMES_SHOWN = 48
 _ROOM_ABOVE = 1.7
 _AROUND_MAXIMUM = 0.27  # of lambda
 _FRAMES_SHOWN = 32
 _SHADING_SHOWN = 72  # rows or columns
-_FREQUENCIES_LABELLED = (1e-4, 1e-3, 0.01, 0.1, 0.5)
 
 
 def estimated(figure: GivenFigure | None, unit: str = "") -> str:
@@ -83,7 +79,7 @@ def transfer_plot(one: IsoGain, transfer: PhotonTransfer) -> Plot:
         if spatial is not None:
             _draw_single_frames(main, spatial, theme)
             legend_above(main)
-        deviation_band(below, furthest, LIMIT, theme)
+        deviation_band(below, furthest, _LIMIT, theme)
         below.set_xlabel("signal [DN]")
 
     more = "" if spatial is None else plot_words("calibration")["transfer"]["single_frames"]
@@ -205,42 +201,6 @@ def _set_up_power(axes: Axes) -> None:
     low, high = low / 1.3, high * max(1.6, (high / low) ** 0.35)
     axes.set_ylim(low, high)
     log_ticks(axes.yaxis, max(1, round(math.log10(high / low))))
-
-
-def row_bands_plot(one: IsoCalibration, structure: MeasuredStructure, spectrum: RowSpectrum) -> Plot:
-    """Draw the bands and waves that W makes, over the spectrum of the row means that they come from."""
-    rows, columns = one.rows.rows, one.rows.columns
-    waves = "".join(f", a wave of {digits(1 / wave.frequency_per_row)} rows" for wave in spectrum.waves)
-    low, high = min(spectrum.power_dn2), max(spectrum.power_dn2)
-    powers = f"power {digits(high)} DN²" if low == high else f"powers from {digits(low)} to {digits(high)} DN²"
-    bands = len(spectrum.power_dn2)
-    alt = (
-        f"Spectrum of the row means at ISO {one.iso:g}, and what component W makes: {bands} band{'s'[: bands > 1]}, "
-        f"{powers}{waves}."
-    )
-
-    def draw(axes: Axes, theme: Theme) -> None:
-        of_pixels = one.rows.pixel_variance_dn2 / columns.deviations_dn.shape[1]
-        frequency, power = rows.smoothed_power_dn2(len(one.sensor.cfa))
-        axes.plot(frequency, power, "o", markersize=3, color=theme.found, label="row means")
-        edges = np.array(spectrum.edges_per_row)
-        made = of_pixels + np.array(spectrum.power_dn2)
-        axes.stairs(made, edges, baseline=None, color=theme.theory, linewidth=1.8, label="W and pixels")
-        middles = np.sqrt(edges[:-1] * edges[1:])
-        axes.errorbar(middles, made, yerr=structure.band_errors_dn2, fmt="none", color=theme.theory, capsize=3)
-        axes.axhline(of_pixels, color=theme.theory, linewidth=1, linestyle="--", label="pixels alone")
-        for number, wave in enumerate(spectrum.waves):
-            label = "_" if number else "wave"
-            axes.axvline(wave.frequency_per_row, color=theme.ink, linewidth=1.2, linestyle=":", label=label)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        plain_ticks(axes.xaxis, [at for at in _FREQUENCIES_LABELLED if edges[0] <= at])
-        bottom, top = axes.get_ylim()
-        log_ticks(axes.yaxis, max(1, round(math.log10(top / bottom))))
-        axes.set(xlabel="frequency [cycles per row]", ylabel="power [DN²]")
-        legend_above(axes)
-
-    return _plot("row-bands", one, alt, draw)
 
 
 # --- read noise ---------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Plots of a calibration over its ISOs: how the figures go together, and what the noise of pixels has in common."""
+"""Plots of a calibration over its ISOs: how the figures go together."""
 
 from __future__ import annotations
 
@@ -8,19 +8,17 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.audit.structure import COLUMN, DUTY, JUMP, PRNU, SHARE
 from eldata.plots.axes import MARKERS, bars, legend_above
 from eldata.plots.gains import bar, gain_over_iso, iso_axis, scale_over_gain
 from eldata.reports.calibration_iso import GAUSSIAN_LAMBDA
 from eldata.reports.figures import draw_plot
-from eldata.reports.html import digits, measured, plot_words
+from eldata.reports.html import digits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from matplotlib.axes import Axes
 
-    from eldata.calibration.audit.structure import MeasuredStructure, StructureFigure
     from eldata.calibration.core.findings import GivenFigure
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
     from eldata.calibration.results import Calibration, ScalePanel
@@ -51,7 +49,7 @@ def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
         more = _left_out(isos, "colour bias")
         found.append(_bias_plot(isos[0].channels, biases, more))
         found.append(_frames_plot([one for one in isos if one.colour_bias is not None], more))
-    return (*found, *_structure_plots(calibration))
+    return tuple(found)
 
 
 def _left_out(isos: Sequence[IsoGain], *figures: str) -> str:
@@ -186,100 +184,3 @@ def _frames_plot(isos: Sequence[IsoCalibration], more: str) -> Plot:
         legend_above(axes)
 
     return draw_plot("calibration", "frames", alt, draw, more=more)
-
-
-# --- what the noise of pixels has in common -----------------------------------------------------------------------
-
-_NONE, _MISSING = "none seen", "not measured"
-
-
-def structure_numbers(structure: MeasuredStructure, withheld: frozenset[str]) -> tuple[tuple[str, str], ...]:
-    """Return the figures of one ISO by name, with their errors; ``withheld``: which kinds of its figures are."""
-    of_rows = "withheld" if "row noise" in withheld else _MISSING
-    spectrum, jumping = structure.row_spectrum, structure.telegraph
-    numbers = [("C: σ column", _told(COLUMN, structure, of_rows))]
-    if spectrum is None:
-        numbers.append(("W: rows", of_rows))
-    else:
-        is_banded = len(spectrum.power_dn2) > 1 or bool(spectrum.waves)
-        numbers += [
-            ("W: rows", "banded" if is_banded else "independent of each other"),
-            ("σ of the rows by W", f"{digits(math.sqrt(spectrum.variance_dn2))} DN"),
-            *(
-                (f"Wave of {digits(1 / wave.frequency_per_row)} rows", measured(wave.amplitude_dn, error, "DN"))
-                for wave, error in zip(spectrum.waves, structure.wave_errors_dn, strict=True)
-            ),
-        ]
-    numbers.append(("T: telegraph pixels", _told(SHARE, structure)))
-    if jumping is not None and jumping.share:
-        numbers += [
-            ("They jump by", _told(JUMP, structure)),
-            ("Share of frames at the upper level", _told(DUTY, structure)),
-            ("λ of the others, less that of all", digits(jumping.tukey_lambda_shift, 2)),
-            ("σ TL of the others, over that of all", digits(jumping.sigma_tl_ratio)),
-        ]
-    numbers.append(("F: PRNU", _told(PRNU, structure)))
-    return tuple(numbers)
-
-
-def _told(figure: StructureFigure, structure: MeasuredStructure, missing: str = _MISSING) -> str:
-    found = figure.of(structure)
-    return missing if found is None else _or_none(*found, figure.unit)
-
-
-def _or_none(value: float, error: float, unit: str) -> str:
-    return measured(value, error, unit) if value else _NONE
-
-
-def _structure_plots(calibration: Calibration) -> list[Plot]:
-    """Draw what was found over the ISOs: telegraph pixels, and the two patterns that have one figure."""
-    known = [(one.iso, one.structure) for one in calibration.isos if one.structure is not None]
-    columns, shares, jumps, responses = (
-        [(iso, *found) for iso, one in known if (found := figure.of(one)) is not None]
-        for figure in (COLUMN, SHARE, JUMP, PRNU)
-    )
-    plots = []
-    if shares:
-        plots.append(_plot_two_over_isos("telegraph", (shares, jumps), (SHARE.page_heading, JUMP.page_heading)))
-    if columns or responses:
-        profile = calibration.made_profile
-        pooled = None if profile is None else next((one.prnu for one in profile.structure), None)
-        level, labels = None if pooled is None else 100 * pooled, (COLUMN.page_heading, PRNU.page_heading)
-        plots.append(_plot_two_over_isos("patterns", (columns, responses), labels, level))
-    return plots
-
-
-def _plot_two_over_isos(
-    kind: str, points: tuple[Sequence[Point], Sequence[Point]], labels: tuple[str, str], level: float | None = None
-) -> Plot:
-    """Draw two figures over the ISOs, one above the other, and a line at a level in the lower one."""
-    by_iso = [", ".join(f"{_or_none(value, error, '')} at ISO {iso:g}" for iso, value, error in of) for of in points]
-    found = "; ".join(f"{label}: {listed}" for label, listed in zip(labels, by_iso, strict=True) if listed)
-
-    def draw(main: Axes, below: Axes, theme: Theme) -> None:
-        for axes, of_one, label in zip((main, below), points, labels, strict=True):
-            _draw_bars(axes, of_one, theme)
-            axes.set_ylabel(label)
-        if level is not None:
-            below.axhline(level, color=theme.theory, label=f"in the profile, {digits(level)}")
-            below.legend(loc="best")
-
-    isos = sorted({iso for of_one in points for iso, _, _ in of_one})
-    alt = f"{plot_words('calibration')[kind]['title']}. {found}."
-    return _plot_by_iso(kind, isos, alt, draw, ratio=1, more="")
-
-
-def _draw_bars(axes: Axes, points: Sequence[Point], theme: Theme) -> None:
-    """Draw values with their errors; what is not told from nothing as rings at 0, which have none."""
-    seen = [point for point in points if point[1]]
-    none = [iso for iso, value, _ in points if not value]
-    if seen:
-        isos, values, errors = zip(*seen, strict=True)
-        axes.errorbar(isos, values, yerr=errors, fmt="o", color=theme.found, capsize=3)
-    if none:
-        axes.plot(none, [0.0] * len(none), "o", color=theme.found, markerfacecolor="none")
-    if points:
-        axes.set_ylim(0 if not none else None, None)
-        axes.margins(y=0.2)
-    else:
-        axes.set_yticks([])

@@ -163,14 +163,9 @@ class Frame:
         iso = float(self.exposure.iso)
         try:
             shading.measured(iso)
-            if shading.current is not None and self.exposure.exposure_s is None:
-                raise DatasetError(
-                    f"{self.name}: states no exposure time, with which the dark current of {shading.camera} grows"
-                )
         except ArgumentError as error:
             raise DatasetError(f"{self.name}: {error}") from error
-        exposure_s = None if self.exposure.exposure_s is None else float(self.exposure.exposure_s)
-        reads = partial(_less_shading, self, shading, iso, exposure_s, place or (0, 0))
+        reads = partial(_less_shading, self, shading, iso, place or (0, 0))
         return replace(self, mosaic=Pixels(self.shape, np.dtype(np.float32), reads))
 
     def without_pixels(self) -> Frame:
@@ -200,7 +195,6 @@ def _less_shading(
     frame: Frame,
     shading: DarkShading,
     iso: float,
-    exposure_s: float | None,
     place: tuple[int, int],
     rows: slice,
     columns: slice,
@@ -211,7 +205,7 @@ def _less_shading(
         slice(start + part.indices(side)[0], start + part.indices(side)[1])
         for start, part, side in zip(place, (rows, columns), frame.shape, strict=True)
     ]
-    shading.at(iso, *on_sensor, exposure_s=exposure_s, out=taken)
+    shading.at(iso, *on_sensor, out=taken)
     np.subtract(frame.read(rows, columns), taken, out=taken)
     return taken
 

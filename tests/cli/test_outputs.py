@@ -107,7 +107,6 @@ def foreign_files(folder: Path) -> dict[str, Path]:
 # Of these the option's own kind is the other's, too: a profile may be calibrated again.
 SAME_KIND = {
     ("eldata calibrate", "--output", "profile"),
-    ("eldata profile estimate", "--output", "profile"),
     ("eldata profile import", "--output", "profile"),
     ("capture manifest", "--output", "table"),  # which asks for --replace or --append
 }

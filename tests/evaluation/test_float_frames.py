@@ -15,7 +15,6 @@ import pytest
 import tifffile
 
 from eldata import SyntheticPairs, verify
-from eldata.calibration.one_photograph.estimate import estimate_profile
 from eldata.datasets import CalibrationFrames, CleanFrames, DarkFrames, PairDataset
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import EldataError
@@ -156,12 +155,11 @@ def bias_of(floats: OwnSet, folder: Path) -> Path:
         lambda floats, path: build_store(
             source_of_dataset("mine", root=floats.root, manifest=floats.manifest), path / "a.h5"
         ),
-        lambda floats, _: estimate_profile(floats.files / "s0" / "x50.dng"),
         lambda floats, path: synthesize(floats.files, path / "out", Recipe(CameraProfile.load("SonyA7S2"))),
         lambda floats, path: CalibrationFrames(bias_of(floats, path), "Mine")[0],
         lambda floats, path: DarkFrames(bias_of(floats, path), "Mine").crops(100.0, [0], (0, 0, 8, 8)),
     ],
-    ids=["store", "noise of one photograph", "synthesis", "calibration", "dark frames"],
+    ids=["store", "synthesis", "calibration", "dark frames"],
 )
 def test_what_needs_whole_dn_names_the_file(own: OwnSet, use: Callable[[OwnSet, Path], object], tmp_path: Path) -> None:
     floats = rewritten(own, tmp_path, "*/*.dng")

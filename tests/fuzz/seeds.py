@@ -426,9 +426,8 @@ def shards() -> list[Seed]:
 
 
 def shadings() -> list[Seed]:
-    """The files of a dark shading of two gain modes: by itself, of a named model, and with dark current, schema 3."""
+    """The files of a dark shading of two gain modes: by itself, and of a named model."""
     from eldata.noise import DarkShading, ShadingIso
-    from eldata.noise.shading_content import DarkCurrent
 
     generator = np.random.default_rng(6)
     levels: dict[str, Any] = {"level_error_dn": (1.5, 0.0, -0.5, 2.0), "standard_error_dn": (0.1,) * 4}
@@ -442,15 +441,8 @@ def shadings() -> list[Seed]:
         offset_dn=offset,
         hot=generator.random((12, 16)) < 0.1,
     )
-    current = DarkCurrent(
-        current_dn=generator.gamma(2, 1e-4, (12, 16)).astype(np.float32),
-        error_dn=1e-5,
-        bias_exposure_s=(0.01, 0.01),
-        exposure_s=(10, 30),
-    )
     files = {
         "shading.npz": shading,
         "shading-model.npz": replace(shading, model="Maker 1"),
-        "shading-current.npz": replace(shading, model="Maker 1", current=current),
     }
     return [Seed(name, "shading", _made(one.save, "a.npz")) for name, one in files.items()]

@@ -14,7 +14,6 @@ import numpy as np
 
 from eldata.calibration.audit.bias_sums import GAPS, BiasSeen, Ripple
 from eldata.calibration.audit.neighbours import OUTLIERS
-from eldata.calibration.audit.row_waves import row_waves
 from eldata.calibration.core.findings import (
     CHANCE,
     COARSE,
@@ -57,7 +56,7 @@ _FAINT_RIPPLE = 1e-3  # of sizes: the sum of sizes of a pixel then tells nothing
 
 def bias_findings(seen: BiasSeen) -> tuple[Finding, ...]:
     """Return what the bias frames' noise says against what the estimates take for granted."""
-    checks = (noisy_levels, correlated, filtered_outliers, coarse_values, row_waves)
+    checks = (noisy_levels, correlated, filtered_outliers, coarse_values)
     return tuple(finding for check in checks for finding in check(seen))
 
 

@@ -15,7 +15,7 @@ from benchmarks.data import SIZE
 from benchmarks.harness import Row, in_turn
 from eldata.datasets import DarkFrames
 from eldata.demo.scenes import scene_radiance
-from eldata.noise import CameraProfile, NoiseModel, NoiseStructure, RowSpectrum, TelegraphPixels
+from eldata.noise import CameraProfile, NoiseModel
 from eldata.raw import bayer_cfa, write_dng
 from eldata.records import Exposure, Sensor
 from eldata.sources.store import build_store, source_of_folder
@@ -30,10 +30,6 @@ if TYPE_CHECKING:
 _DRAWS = 8  # parameter draws a timed call: K is log-uniform, and the time of plain Poisson depends on it
 _PATCH = (4, 512, 512)
 _BATCH = 32
-_WITH_STRUCTURE = tuple(f"P*+G*+B+{rows}+U" for rows in ("R+C", "W", "R+T", "R+F", "W+C+T+F"))
-_STRUCTURE = NoiseStructure(
-    1.0, None, 0.4, RowSpectrum((0.0002, 0.01, 0.1, 0.5), (9.0, 2.0, 1.0)), TelegraphPixels(0.002, 12.0), 0.01
-)
 _DARK_ISO, _DARK_FRAMES = 1600, 3
 
 
@@ -62,7 +58,6 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
     with_frames = NoiseModel("P*+D", dark_frames=DarkFrames(store))
     with_kept = NoiseModel("P*+D", dark_frames=DarkFrames(store, keep=_DARK_FRAMES))
     out = np.empty_like(clean)
-    structured = [replace(p, structure=_STRUCTURE) for p in drawn]
 
     def every(work: Callable[..., object], image: object, source: object) -> Callable[[], None]:
         def call() -> None:
@@ -78,15 +73,6 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
         of_iso = replace(p, iso=_DARK_ISO)
         its(image, parameters=of_iso, ratio=ratio, range_dn=plain_noise.RANGE_DN, generator=source, threads=1)  # type: ignore[type-var,arg-type] # arrays and tensors alike
 
-    def with_structure(spec: str) -> Callable[[], None]:
-        its = NoiseModel(spec)
-
-        def call() -> None:
-            for p, ratio in zip(structured, ratios, strict=True):
-                its(clean, parameters=p, ratio=ratio, range_dn=plain_noise.RANGE_DN, generator=generator, threads=1)
-
-        return call
-
     ways = {
         "scipy's tukeylambda.rvs": every(plain_noise.with_scipy, clean, generator),
         "plain numpy": every(plain_noise.with_numpy, clean, generator),
@@ -95,7 +81,6 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
         "eldata, one thread": every(partial(eldata, threads=1), clean, generator),
         "eldata, P*+D from a store, one thread": every(partial(dark, with_frames), clean, generator),
         "eldata, P*+D, frames of the store kept, one thread": every(partial(dark, with_kept), clean, generator),
-        **{f"eldata, {spec}, one thread": with_structure(spec) for spec in _WITH_STRUCTURE},
         "numpy uniforms, float32": lambda: [generator.random(out=out, dtype=np.float32) for _ in range(_DRAWS)],
         "copy of the patch": lambda: [out.__setitem__(slice(None), clean) for _ in range(_DRAWS)],
     }
@@ -111,7 +96,6 @@ def run(files: Files, rounds: int, cores: int) -> list[Row]:
         timings.faster(
             "P*+D, kept", "eldata, P*+D, frames of the store kept, one thread", "eldata, one thread", at_least=1.0
         ),
-        *(timings.cost(spec, f"eldata, {spec}, one thread", "eldata, one thread") for spec in _WITH_STRUCTURE),
         timings.cost(case, "eldata, one thread", "numpy uniforms, float32"),
         timings.cost(case, "eldata, one thread", "copy of the patch"),
     ]

@@ -1,16 +1,16 @@
-"""A dark shading taken off inputs, and added as noise, against the same without it."""
+"""A dark shading taken off inputs, against the same without it."""
 
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from benchmarks.data import SIZE
 from benchmarks.harness import Row, in_turn
 from eldata.datasets.crops import Crop
-from eldata.noise import CameraProfile, DarkShading, NoiseModel, ShadingIso
+from eldata.noise import DarkShading, ShadingIso
 from eldata.raw import bayer_cfa
 from eldata.records import Exposure, Sensor
 from eldata.sources.frames import Frame
@@ -54,15 +54,6 @@ def run(_files: Files, rounds: int, _cores: int) -> list[Row]:
 
         return work
 
-    profile = CameraProfile.load("SonyA7S2")
-    parameters = profile.sample(generator, iso=_ISO)
-    models = {"without": NoiseModel("P*+G*+R+U"), "with": NoiseModel("P*+G*+R+U+S", dark_shading=shading)}
-
-    def noisy(name: str) -> Callable[[], object]:
-        options: dict[str, Any] = {"parameters": parameters, "ratio": 100.0, "range_dn": 15871.0, "threads": 1}
-        place = (100, 200) if name == "with" else None
-        return lambda: models[name](patch, generator=generator, place=place, **options)
-
     timings = in_turn(
         rounds,
         {
@@ -70,12 +61,9 @@ def run(_files: Files, rounds: int, _cores: int) -> list[Row]:
             "crops less it": cropped(corrected),
             "whole as it is": lambda: whole.fill(plain, all_of_it, gain=100.0),
             "whole less it": lambda: whole.fill(corrected, all_of_it, gain=100.0),
-            "P*+G*+R+U": noisy("without"),
-            "P*+G*+R+U+S": noisy("with"),
         },
     )
     return [
         timings.cost(f"{_CROPS} crops of {_SIDE}, turned", "crops less it", "crops as they are"),
         timings.cost("a whole frame of 12 MP", "whole less it", "whole as it is"),
-        timings.cost(f"noise on a crop of {_SIDE}", "P*+G*+R+U+S", "P*+G*+R+U"),
     ]

@@ -78,7 +78,7 @@ def noise_of_parameters(parameters: NoiseParameters, *, ratio: float, range_dn: 
 
 
 def noise_of_image(image: Values) -> SignalNoise:
-    """Estimate it from a frame itself (:func:`eldata.calibration.one_photograph.noise_line`), without row noise.
+    """Estimate it from a frame itself (:func:`eldata.baselines.noise_line.noise_line`), without row noise.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def noise_of_image(image: Values) -> SignalNoise:
     DatasetError
         If the frame does not tell its noise: too small, textured all over, smoothed, or without noise.
     """
-    from eldata.calibration.one_photograph.noise_line import noise_line
+    from eldata.baselines.noise_line import noise_line
 
     found = noise_line(image)
     # A line fitted to bright parts alone may cross 0 before black.

@@ -243,7 +243,7 @@ def denoise(
         Of a Bayer camera, as :func:`eldata.raw.read_raw` returns it.
     profile
         Of its camera; what it says of the frame's ISO is what the network is told, and the colour bias is taken off.
-        ``None``: the noise is estimated from the frame, as ``eldata profile estimate`` does.
+        ``None``: the noise is estimated from the frame.
     ratio
         What it is amplified by, above 0.
     levels

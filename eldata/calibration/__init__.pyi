@@ -1,5 +1,3 @@
-from .acceptance.comparison import check_noise as check_noise
-from .acceptance.results import Acceptance as Acceptance
 from .camera import calibrate as calibrate
 from .core._residual_fit import ResidualHistogram as ResidualHistogram
 from .core.bias_figures import BiasSums as BiasSums
@@ -28,10 +26,6 @@ from .core.single_frame import spatial_photon_transfer as spatial_photon_transfe
 from .frames import FramesError as FramesError
 from .iso_results import IsoCalibration as IsoCalibration
 from .joint import fit_log_log as fit_log_log
-from .one_photograph.estimate import ImageEstimate as ImageEstimate
-from .one_photograph.estimate import estimate_profile as estimate_profile
-from .one_photograph.noise_line import NoiseLine as NoiseLine
-from .one_photograph.noise_line import noise_line as noise_line
 from .reproduction import Reproduction as Reproduction
 from .reproduction import reproduction as reproduction
 from .results import Calibration as Calibration

@@ -265,7 +265,7 @@ class IsoCalibration(IsoGain):
         if row is None:
             return None
         gain = self.gain_dn_per_e or 1.0
-        return replace(row, iso=None, gain_dn_per_e=gain).parameters(None, None, self.quantisation_step_dn)
+        return replace(row, iso=None, gain_dn_per_e=gain).parameters(None, self.quantisation_step_dn)
 
     @property
     def profile_row(self) -> ProfileRow | None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from tqdm import tqdm
@@ -13,16 +13,14 @@ from eldata import __version__
 from eldata.base.numbers import counted
 from eldata.base.workers import Workers
 from eldata.calibration.core._frames import sites
-from eldata.calibration.frames import FramesError, sorted_frames
+from eldata.calibration.frames import sorted_frames
 from eldata.calibration.one_iso import bias_pattern
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.dark_shading import DarkShading
-from eldata.noise.shading_content import DarkCurrent, ShadingIso
+from eldata.noise.shading_content import ShadingIso
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Iterator, Sequence
 
     from eldata.base.workers import AnyWorkers
     from eldata.calibration.core._frames import Counts, Mask, Plane, Values
@@ -30,7 +28,6 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
     from eldata.datasets.calibration_frames import CalibrationFrames
-    from eldata.errors import EldataError
 
 _REACH = 2  # periods of the CFA around a hot pixel, whose sound pixels stand for it
 _ROWS = 64  # at a time
@@ -63,37 +60,6 @@ class _Lines:
         return of_slope, weight / self.weight - self.middle * of_slope
 
 
-@dataclass(slots=True, eq=False)
-class _Currents:
-    """Dark current: one slope over ISO x time in all pixels, through the mean frames of each ISO at several times.
-
-    What the frames of an ISO have in common is that ISO's own (its line, its black level error), so only what they
-    differ by tells the current: weighted least squares with a level for each ISO. Each mean frame moves two values a
-    pixel by numbers that are the same for all, as in :class:`_Lines`.
-    """
-
-    moment: Plane  # sum of weight x ISO x (time less the mean time) x value
-    lever: float = 0.0  # the same with ISO x time in place of the value: c = moment / lever
-    times: set[float] = field(default_factory=set)
-    iso: float = math.nan  # at hand
-    mean: Plane | None = None  # of it
-    weight: float = 0.0
-    middle: float = 0.0
-
-    def add(self, iso: float, time: float, weight: float, over_black: Iterable[tuple[slice, NDArray[Any]]]) -> None:
-        """Take a mean frame into account, of the ISO at hand or a further one; it comes as parts."""
-        if self.mean is None or iso != self.iso:
-            self.iso, self.mean, self.weight, self.middle = iso, np.zeros_like(self.moment), 0.0, 0.0
-        self.weight += weight
-        before = time - self.middle
-        self.middle += weight / self.weight * before
-        self.lever += weight * iso**2 * before * (time - self.middle)
-        for rows, values in over_black:
-            off = values - self.mean[rows]
-            self.mean[rows] += weight / self.weight * off
-            self.moment[rows] += weight * iso * before * (1 - weight / self.weight) * off
-
-
 class ShadingFit:
     """Fits ``k ISO + b + BLE[ISO]`` to the mean frames of one ISO after another.
 
@@ -116,9 +82,6 @@ class ShadingFit:
         self._isos: list[ShadingIso] = []
         self._pattern: Counts | None = None
         self._hot: Mask | None = None
-        self._times: dict[float, float | None] = {}
-        self._latest: tuple[FixedPattern, Sequence[float]] | None = None
-        self._currents: _Currents | None = None
 
     def add(
         self,
@@ -126,7 +89,6 @@ class ShadingFit:
         fixed: FixedPattern,
         black_level_dn: Sequence[float],
         standard_error_dn: Sequence[float],
-        exposure_s: float | None = None,
     ) -> None:
         """Add an ISO.
 
@@ -140,8 +102,6 @@ class ShadingFit:
             As recorded, per CFA channel.
         standard_error_dn
             Of the channels' mean levels, from frame to frame.
-        exposure_s
-            Of the frames; dark current needs it.
 
         Raises
         ------
@@ -150,7 +110,14 @@ class ShadingFit:
         """
         if any(one.iso == iso for one in self._isos):
             raise ArgumentError(f"ISO {iso:g} was added before; add all frames of an ISO together")
-        hot = self._with_hot(fixed, iso, "frames", "those before", ArgumentError)
+        if self._pattern is None or self._hot is None:
+            self._pattern, self._hot = fixed.pattern, np.zeros_like(fixed.defects)
+        if fixed.defects.shape != self._hot.shape or not np.array_equal(fixed.pattern, self._pattern):
+            raise ArgumentError(
+                f"ISO {iso:g}: the frames have {fixed.defects.shape} pixels, those before {self._hot.shape}, or they "
+                "differ in their CFA; the frames of a dark shading are of one body and one raw format"
+            )
+        self._hot |= fixed.defects
         variance = max(float(np.mean(fixed.temporal_variance_dn2)), _LEAST_VARIANCE_DN2)
         one = ShadingIso(
             iso=iso,
@@ -161,10 +128,8 @@ class ShadingFit:
             standard_error_dn=tuple(map(float, standard_error_dn)),
         )
         self._isos.append(one)
-        self._times[iso] = exposure_s
-        self._latest = fixed, tuple(black_level_dn)
         if one.mode not in self._lines:
-            self._lines[one.mode] = _Lines(*np.zeros((2, *hot.shape), np.float32))
+            self._lines[one.mode] = _Lines(*np.zeros((2, *self._hot.shape), np.float32))
         lines = self._lines[one.mode]
         of_slope, of_offset = lines.gains(iso, one.weight)
         for rows, values in _over_black(fixed, black_level_dn):
@@ -172,78 +137,6 @@ class ShadingFit:
             off = values - (slope * iso + offset)
             slope += of_slope * off
             offset += of_offset * off
-
-    def _with_hot(self, fixed: FixedPattern, iso: float, these: str, others: str, error: type[EldataError]) -> Mask:
-        """Return the hot pixels with those of further frames, if they are of the same format."""
-        if self._pattern is None or self._hot is None:
-            self._pattern, self._hot = fixed.pattern, np.zeros_like(fixed.defects)
-        if fixed.defects.shape != self._hot.shape or not np.array_equal(fixed.pattern, self._pattern):
-            raise error(
-                f"ISO {iso:g}: the {these} have {fixed.defects.shape} pixels, {others} {self._hot.shape}, or they "
-                "differ in their CFA; the frames of a dark shading are of one body and one raw format"
-            )
-        self._hot |= fixed.defects
-        return self._hot
-
-    def add_longer(self, fixed: FixedPattern, black_level_dn: Sequence[float], exposure_s: float) -> None:
-        """Add dark frames of a longer exposure, of the ISO that was added last: they tell the dark current.
-
-        Raises
-        ------
-        ArgumentError
-            If no ISO was added.
-        DatasetError
-            If the frames are not longer than the bias frames, or have another size or CFA.
-        """
-        if self._latest is None:
-            raise ArgumentError("add the bias frames of the ISO first")
-        iso, bias_s = self._isos[-1].iso, self._times[self._isos[-1].iso]
-        if bias_s is None or not exposure_s > bias_s:
-            found = "unknown" if bias_s is None else f"{bias_s:g} s"
-            raise DatasetError(
-                f"ISO {iso:g}: dark current takes longer dark frames than the bias frames; these have {exposure_s:g} "
-                f"s, and the time of the bias frames is {found}"
-            )
-        hot = self._with_hot(fixed, iso, "longer frames", "the bias frames", DatasetError)
-        if self._currents is None:
-            self._currents = _Currents(np.zeros(hot.shape, np.float32))
-        if self._currents.iso != iso:
-            self._currents.add(iso, bias_s, self._isos[-1].weight, _over_black(*self._latest))
-        self._currents.times.add(exposure_s)
-        variance = max(float(np.mean(fixed.temporal_variance_dn2)), _LEAST_VARIANCE_DN2)
-        self._currents.add(iso, exposure_s, fixed.frames / variance, _over_black(fixed, black_level_dn))
-
-    def _current(self, isos: Sequence[ShadingIso], notes: list[str]) -> DarkCurrent | None:
-        """Return the dark current, unless it takes off less than its own noise adds; then the notes say so."""
-        found, self._currents = self._currents, None
-        if found is None or self._hot is None or self._pattern is None:
-            return None
-        times = [(one.iso, self._times[one.iso]) for one in isos]
-        unknown = [iso for iso, time in times if time is None]
-        if unknown:
-            notes.append(f"dark current was left out: the time of the bias frames of ISO {unknown[0]:g} is unknown")
-            return None
-        current = found.moment
-        current /= np.float32(found.lever)
-        error, sound = found.lever**-0.5, ~self._hot
-        # What is measured in a pixel is c and noise, of mean squares v and error^2. To take it off leaves error^2, not
-        # to take it off v: so it is taken off if v is the greater, which is if the mean square of what is measured is
-        # above 2 error^2. Without dark current that is error^2, to sqrt(2 / pixels) of it.
-        square = float(np.mean(np.square(current[sound], dtype=np.float64))) if sound.any() else 0.0
-        if not square > 2 * error**2:
-            slowest, longest = isos[0].iso, max(found.times)
-            notes.append(
-                f"dark current was left out: at {longest:g} s noise leaves {error * slowest * longest:.2g} DN of it in "
-                f"a pixel at ISO {slowest:g}, as much as there is or more; take more frames, or longer ones"
-            )
-            return None
-        _calm(current, self._hot, self._pattern)
-        return DarkCurrent(
-            current_dn=current,
-            error_dn=error,
-            bias_exposure_s=tuple(time for _, time in times if time is not None),
-            exposure_s=tuple(sorted(found.times)),
-        )
 
     def shading(self, camera: str, source: str, notes: Sequence[str] = (), model: str = "") -> DarkShading:
         """Return the dark shading; nothing can be added then.
@@ -267,19 +160,16 @@ class ShadingFit:
         slope, offset = (
             values[0][None] if len(values) == 1 else np.stack(values) for values in zip(*fields, strict=True)
         )
-        cfa, said = tuple(tuple(map(int, row)) for row in self._pattern), list(notes)
-        current = self._current(isos, said)
         return DarkShading(
             camera=camera,
             source=source,
-            cfa=cfa,
+            cfa=tuple(tuple(map(int, row)) for row in self._pattern),
             isos=tuple(isos),
             slope_dn=slope,
             offset_dn=offset,
             hot=self._hot,
-            notes=tuple(said),
+            notes=tuple(notes),
             model=model,
-            current=current,
         )
 
 
@@ -332,7 +222,6 @@ def dark_shading(
     found: Calibration,
     *,
     modes: Sequence[float] | None = None,
-    longer: Sequence[CalibrationFrames] = (),
     workers: AnyWorkers = 1,
 ) -> DarkShading:
     """Fit the dark shading of a camera body to its bias frames, each decoded once.
@@ -346,9 +235,6 @@ def dark_shading(
         withheld, are left out here too, also where somebody has accepted the level.
     modes
         The first ISO of each gain mode of the camera but the lowest; by default as ``found`` has them.
-    longer
-        Dark frames of longer exposures, laid out as bias frames, those of each time by themselves: with them the
-        shading has dark current, if there are enough of them to tell it.
     workers
         Number of threads that decode. The result does not depend on it.
 
@@ -360,7 +246,7 @@ def dark_shading(
     Raises
     ------
     DatasetError
-        If no ISO is left, the frames are of several models of camera, or the longer ones are not longer.
+        If no ISO is left, or the frames are of several models of camera.
     FramesError
         If frames can no longer be read.
     ArgumentError
@@ -393,10 +279,7 @@ def dark_shading(
             usable.append(one)
     chosen = {float(one.iso): one for one in sorted_frames(frames, threads)}
     fit = ShadingFit(starts)
-    longer_ones = [
-        (others, {float(one.iso): one for one in sorted_frames(others, threads) if one.bias}) for others in longer
-    ]
-    used = isos = dark = 0
+    used = isos = 0
     models: dict[str, float] = {}
     total = sum(len(chosen[one.iso].bias) for one in usable)
     with tqdm(total=total, desc=f"dark shading {frames.camera}", unit="frame", disable=None, leave=False) as bar:
@@ -405,33 +288,12 @@ def dark_shading(
             if fixed.clips_at_black:
                 notes.append(f"ISO {one.iso:g} was left out: black is clipped, so the mean of a pixel is not its level")
                 continue
-            bias_s = chosen[one.iso].bias_exposure_s
-            fit.add(
-                one.iso,
-                fixed,
-                sensor.black_level_dn,
-                one.bias.standard_error_dn,
-                None if bias_s is None else float(bias_s),
-            )
+            fit.add(one.iso, fixed, sensor.black_level_dn, one.bias.standard_error_dn)
             models.setdefault(sensor.model, one.iso)
             used += fixed.frames
             isos += 1
-            for others, by_iso in longer_ones:
-                more = by_iso.get(one.iso)
-                if more is None or more.bias_exposure_s is None:
-                    continue
-                if more.problems:
-                    raise FramesError(more.problems)
-                sensor, fixed = bias_pattern(others, more, threads)
-                models.setdefault(sensor.model, one.iso)
-                fit.add_longer(fixed, sensor.black_level_dn, float(more.bias_exposure_s))
-                dark += fixed.frames
     if len(models) > 1:
         listed = ", ".join(f"those of ISO {iso:g} of a {model}" for model, iso in models.items())
         raise DatasetError(f"{frames.camera}: the bias frames are of several cameras, {listed}; a shading is of one")
     source = f"eldata {__version__} calibrate: {used} bias frames at {counted(isos, 'ISO')}"
-    if dark:
-        source += f", {dark} longer ones"
-    if longer and not dark:
-        notes.append("dark current was left out: the longer frames are of other ISOs")
     return fit.shading(found.camera, source, notes, next(iter(models), ""))

@@ -51,16 +51,6 @@ def add_options(parser: console.Parser) -> None:
         ),
     )
     parser.add_argument(
-        "--dark-current",
-        action="append",
-        default=[],
-        metavar="FOLDER",
-        help=(
-            "with --dark-shading: longer dark frames, laid out as the bias frames are, of one exposure time; may be "
-            "repeated with other times. The shading has dark current then, which grows with the exposure"
-        ),
-    )
-    parser.add_argument(
         "--gain",
         action="append",
         dest="gains",
@@ -119,12 +109,9 @@ def run(arguments: console.Arguments) -> int:
     from eldata.calibration.camera import calibrate, stated_gains
     from eldata.calibration.frames import FramesError
     from eldata.calibration.shading_fit import dark_shading
-    from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.noise.profile import CameraProfile
 
     frames = _frames(arguments)
-    if arguments.dark_current and not arguments.dark_shading:
-        raise ArgumentError("--dark-current is a part of the dark shading; give --dark-shading FILE, too")
     modes = _modes(arguments.modes)
     gains: dict[float, float] = {}
     for profile in (name for name in arguments.gains if isinstance(name, str)):
@@ -136,8 +123,7 @@ def run(arguments: console.Arguments) -> int:
             shading, no_shading = None, ""
             try:
                 if arguments.dark_shading:
-                    longer = [CalibrationFrames(folder, isos=arguments.isos) for folder in arguments.dark_current]
-                    shading = dark_shading(frames, found, modes=modes, longer=longer, workers=workers)
+                    shading = dark_shading(frames, found, modes=modes, workers=workers)
             except DatasetError as error:  # the calibration is not lost for it
                 no_shading = str(error)
     except FramesError as error:
@@ -173,8 +159,6 @@ def run(arguments: console.Arguments) -> int:
         listed, hot = _listed(one.iso for one in shading.isos), int(shading.hot.sum())
         print(f"\ndark shading: {arguments.dark_shading}; ISO {listed}; {counted(hot, 'hot pixel')} left as measured")
         print(f"    {shading.digest}")
-        if shading.current is not None:
-            print(f"    dark current from frames of {_listed(shading.current.exposure_s)} s; a frame's own time counts")
         for note in shading.notes:
             print(f"    {note}")
 

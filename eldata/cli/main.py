@@ -13,8 +13,7 @@ if TYPE_CHECKING:
 _COMMANDS = (
     *("demo", "info", "download", "manifest", "verify", "lock"),
     *("baseline", "predict", "protocols", "evaluate", "compare"),
-    *("calibrate", "synthesize", "profile", "noise"),
-    "pack",
+    *("calibrate", "synthesize", "profile", "pack"),
 )
 
 _FIRST = ("eldata demo", "eldata info eld", "eldata evaluate preds --dataset eld --root data")

@@ -1,6 +1,6 @@
-"""`eldata profile`: show a camera's noise profile and test the noise model with it.
+"""`eldata profile`: show a camera's noise profile.
 
-Camera profiles: list those that ship, show one and test the noise model, or estimate one from a photograph.
+Camera profiles: list those that ship, show one, or make one of published parameters.
 
     eldata profile list
     eldata profile show SonyA7S2
@@ -17,41 +17,13 @@ from eldata.base.outputs import add_output
 if TYPE_CHECKING:
     from eldata.noise.profile import CameraProfile
 
-_MODEL = "P*+G*+B+R+U"
-
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
     subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     show = console.add_command(subcommands, "show", run_show.__doc__)
     show.add_argument("camera", metavar="CAMERA", help="name of a shipped profile, or path of a JSON file")
-    where = show.add_mutually_exclusive_group()
-    where.add_argument("--iso", type=float, metavar="ISO", help="simulate at this ISO")
-    where.add_argument("--gain", type=float, metavar="K", help="simulate at this system gain, DN per photoelectron")
-    show.add_argument(
-        "--extrapolate", action="store_true", help="take --iso or --gain beyond the range of the calibration"
-    )
-    show.add_argument("--model", default=_MODEL, metavar="SPEC", help="components of the noise (default: %(default)s)")
-    show.add_argument(
-        "--seed",
-        type=console.whole_number(0),
-        default=0,
-        metavar="S",
-        help="seed of all randomness (default: %(default)s)",
-    )
-    add_output(show, "--html", help="write a page with plots to FILE")
     console.add_shared(show, run_show, json=True)
-    estimate = console.add_command(subcommands, "estimate", run_estimate.__doc__)
-    estimate.add_argument("image", metavar="IMAGE", help="a raw file as the camera wrote it")
-    add_output(estimate, "-o", "--output", help="write the camera profile to FILE (JSON)")
-    estimate.add_argument(
-        "--from",
-        dest="source",
-        choices=("auto", "tag", "pixels"),
-        default="auto",
-        help="take the file's NoiseProfile, or the pixels (default: the former where there is one)",
-    )
-    console.add_shared(estimate, run_estimate, json=True)
     importing = console.add_command(subcommands, "import", run_import.__doc__)
     importing.add_argument("file", metavar="FILE", help="the parameters, JSON")
     add_output(importing, "-o", "--output", help="write the camera profile to FILE (JSON)", required=True)
@@ -67,51 +39,17 @@ def add_options(parser: console.Parser) -> None:
 
 
 def run_show(arguments: console.Arguments) -> int:
-    """`eldata profile show`: show a profile; at an ISO, compare simulated frames with the theory.
+    """`eldata profile show`: show a profile.
 
-    Show what a profile knows of its camera. With any other option than CAMERA, draw parameters from it, simulate flats
-    and bias frames and compare them with the model's closed forms. With --iso or --gain, lambda and colour bias come
-    from the calibration row nearest in gain; otherwise all are drawn. Exit code 1 if a figure is off by more than 4
-    standard errors.
+    Show what a profile knows of its camera: its rows by ISO, and the lines of the noise over K.
 
         eldata profile show SonyA7S2
-        eldata profile show SonyA7S2 --iso 1600 --html sony.html
     """
     from eldata.noise.profile import CameraProfile
 
     profile = CameraProfile.load(arguments.camera)
-    facts = _facts(profile)
-    simulates = arguments.model != _MODEL or arguments.seed or arguments.extrapolate or arguments.html or arguments.json
-    if arguments.iso is None and arguments.gain is None and not simulates:
-        print("\n".join([*facts, "", *_rows(profile), "", "with --iso, such as --iso 1600: its noise, simulated"]))
-        return console.OK
-    from eldata.base.tables import text_table
-    from eldata.calibration.acceptance.theory import diagnose, sample_parameters
-    from eldata.calibration.acceptance.verdicts import parameter_rows, table_rows
-
-    parameters = sample_parameters(
-        profile,
-        arguments.seed,
-        iso=arguments.iso,
-        gain_dn_per_e=arguments.gain,
-        extrapolate=arguments.extrapolate,
-    )
-    diagnostics = diagnose(profile, parameters, spec=arguments.model, seed=arguments.seed)
-    lines = [*facts, "", f"parameters examined: model {diagnostics.spec}, seed {diagnostics.seed}", ""]
-    for symbol, value, unit in parameter_rows(parameters):
-        lines.append(f"  {symbol:<10}{value:>10} {'' if unit == '1' else unit}".rstrip())
-    header = ("check", "quantity", "unit", "expected", "found", "s.e.", "dev. [s.e.]", "verdict")
-    rows = table_rows(diagnostics.comparisons)
-    lines += ["", text_table(header, rows, left=(0, 1, 2, 7)), "", diagnostics.summary]
-
-    def write_page() -> None:
-        from eldata.base.files import write_text
-        from eldata.reports.noise_models import profile_page
-
-        write_text(arguments.html, profile_page(diagnostics))
-
-    console.show_and_write(arguments, lambda: "\n".join(lines), diagnostics.as_dict, arguments.html and write_page)
-    return console.PROBLEMS if diagnostics.off else console.OK
+    console.show_and_write(arguments, lambda: "\n".join([*_facts(profile), "", *_rows(profile)]), profile.as_dict)
+    return console.OK
 
 
 def _facts(profile: CameraProfile) -> list[str]:
@@ -170,33 +108,6 @@ def _rows(profile: CameraProfile) -> list[str]:
                 f"{fit.sigma:.3g}{where}"
             )
     return [table, "", *lines, "in DN and DN/e-"]
-
-
-def run_estimate(arguments: console.Arguments) -> int:
-    """`eldata profile estimate`: a profile from one raw photograph, without a calibration.
-
-    Estimate gain and read noise at one ISO from one raw photograph: from the NoiseProfile of a DNG that has one, held
-    against the pixels, else from how the variance of the photograph's smooth parts grows with their brightness. For
-    phones and unknown cameras; a calibration (eldata calibrate) knows more. Exit code 1 if the photograph does not tell
-    both figures, and no profile can be made.
-
-        eldata profile estimate IMG_0001.dng -o phone.json
-
-    What it can tell and what not: docs/calibration.md, One photograph.
-    """
-    from eldata.calibration.one_photograph.estimate import estimate_profile
-
-    found = estimate_profile(arguments.image, source=arguments.source)
-
-    def write_profile() -> None:
-        if found.profile is None:
-            print(f"\n{arguments.output} was not written")  # the text says why
-            return
-        found.profile.save(arguments.output)
-        print(f"\nprofile: {arguments.output}; look at it with eldata profile show {shlex.quote(arguments.output)}")
-
-    console.show_and_write(arguments, found.format_text, found.as_dict, arguments.output and write_profile)
-    return console.PROBLEMS if found.profile is None else console.OK
 
 
 def run_import(arguments: console.Arguments) -> int:

@@ -13,11 +13,10 @@ import argparse
 import shlex
 
 from eldata.base import console
-from eldata.cli.noise import add_components, check_components
 
 _OF_RECIPE = (
     *("ratio", "seed", "iso", "row", "extrapolate", "per_image", "clips", "split", "format"),
-    *("dark_frames", "dark_shading"),
+    "dark_frames",
 )
 
 
@@ -26,10 +25,16 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument("clean", metavar="CLEAN", nargs="+", help="folder of clean raw files, a manifest, or several")
     parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a new folder")
     parser.add_argument("--camera", metavar="NAME", required=True, help="a shipped profile (SonyA7S2) or a JSON file")
-    add_components(
-        parser,
-        dark_frames="real dark frames at --iso, of the camera that took CLEAN, each used once before any is used twice",
-        dark_shading="the dark shading at --iso of the camera body that took CLEAN",
+    parser.add_argument(
+        "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--dark-frames",
+        metavar="FOLDER|STORE",
+        help=(
+            "of component D, as in 'P*+D': real dark frames at --iso, of the camera that took CLEAN, each used once "
+            "before any is used twice; or eldata pack's store, or a manifest (.csv)"
+        ),
     )
     parser.add_argument(
         "--ratio", metavar="A:B", type=_ratio, default=(100.0, 300.0), help="low-light factors (default: 100:300)"
@@ -91,9 +96,17 @@ def run(arguments: console.Arguments) -> int:
     from pathlib import Path
 
     from eldata.datasets.synthetic.synthesis import Recipe, synthesize
+    from eldata.errors import ArgumentError
+    from eldata.noise.components import parse_components
     from eldata.noise.profile import CameraProfile
 
-    check_components(arguments.model, arguments.dark_frames, arguments.dark_shading)
+    has_dark, given = parse_components(arguments.model).dark, arguments.dark_frames
+    if has_dark and given is None:
+        raise ArgumentError(
+            f"--model {arguments.model!r}: component D takes real dark frames; give --dark-frames FOLDER|STORE"
+        )
+    if given is not None and not has_dark:
+        raise ArgumentError("--dark-frames is for component D; name it in --model, as in 'P*+D'")
     recipe = Recipe(CameraProfile.load(arguments.camera), arguments.model, **console.chosen(arguments, _OF_RECIPE))
     out = Path(arguments.output)
     with console.chosen_workers(arguments) as workers:

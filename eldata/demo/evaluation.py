@@ -15,7 +15,6 @@ from eldata.base.numbers import checked_whole, counted
 from eldata.baselines.classical import BASELINES
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.calibration.joint import fit_log_log
-from eldata.calibration.one_photograph.estimate import GAUSSIAN_SHAPE
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_title
 from eldata.demo.tree import make_tree, prepare_folder, verify_own
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from eldata.manifest.catalogue import Manifest
 
 INPUT = "amplified"
+_GAUSSIAN_SHAPE = 0.14  # lambda at which the Tukey-lambda distribution is nearest to the normal one
 
 # Of the contact sheet, in pixels, and its colours; the middle of each picture is shown twice as large.
 _MARGIN = 16
@@ -147,11 +147,11 @@ def known_profile(camera: SimulatedCamera, isos: Sequence[int]) -> CameraProfile
         red, green, blue, second_green = (gain * bias for bias in camera.colour_bias_e)
         rows.append(
             ProfileRow(
-                tukey_lambda=GAUSSIAN_SHAPE,
+                tukey_lambda=_GAUSSIAN_SHAPE,
                 colour_bias_dn=(red, green, blue, second_green),
                 iso=float(iso),
                 gain_dn_per_e=gain,
-                sigma_tl_dn=read / math.sqrt(tukey_lambda_variance(GAUSSIAN_SHAPE)),
+                sigma_tl_dn=read / math.sqrt(tukey_lambda_variance(_GAUSSIAN_SHAPE)),
                 sigma_gauss_dn=read,
                 sigma_row_dn=gain * camera.sigma_row_e,
             )

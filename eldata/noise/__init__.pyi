@@ -1,3 +1,6 @@
+from .components import PAPER_MODELS as PAPER_MODELS
+from .components import Components as Components
+from .components import parse_components as parse_components
 from .dark_shading import DarkShading as DarkShading
 from .exposures import Adc as Adc
 from .gain_modes import GainMode as GainMode
@@ -9,13 +12,6 @@ from .parameters import tukey_lambda_variance as tukey_lambda_variance
 from .profile import CameraProfile as CameraProfile
 from .published import read_published as read_published
 from .shading_content import ShadingIso as ShadingIso
-from .structure import PAPER_MODELS as PAPER_MODELS
-from .structure import Components as Components
-from .structure import NoiseStructure as NoiseStructure
-from .structure import RowSpectrum as RowSpectrum
-from .structure import RowWave as RowWave
-from .structure import TelegraphPixels as TelegraphPixels
-from .structure import parse_components as parse_components
 from .virtual import LED_RANGES as LED_RANGES
 from .virtual import CameraRanges as CameraRanges
 from .virtual import FitRanges as FitRanges

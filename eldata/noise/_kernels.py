@@ -66,10 +66,9 @@ Draw = namedtuple(  # noqa: PYI024 - numba compiles this kind
         "quantisation",  # NONE, UNIFORM, ADC or DITHERED_ADC
         "figures",  # (N, C) of FIGURES
         "power",  # (N, POWER_TERMS) float32: each image's polynomial for (1 - v)^lambda
-        "dark",  # (N, C, h, w) uint16: dark frames, DN; of no pixels where there are none, as the next two
+        "dark",  # (N, C, h, w) uint16: dark frames, DN; of no pixels where there are none, as the next
         "taken",  # (N, C, h, w) float32: what is taken off, before the rest is scaled
         "dark_scale",  # (N,) float32
-        "added",  # (N, C, h, w) float32: what is added in the end, DN
         "tables",  # of Poisson draws
         "under",  # the mosaic's rows under packed ones (PackedRows)
         "keys",  # (N,) uint64: each image's key
@@ -123,12 +122,6 @@ def _add_frame(offset: NDArray[np.float32], dn: NDArray[np.uint16]) -> None:
 def _take_shading(offset: NDArray[np.float32], shading: NDArray[np.float32], scale: Any) -> None:
     for j in range(offset.size):
         offset[j] = (offset[j] - shading[j]) * scale
-
-
-@kernel
-def _add_plane(offset: NDArray[np.float32], dn: NDArray[np.float32]) -> None:
-    for j in range(offset.size):
-        offset[j] += dn[j]
 
 
 @kernel
@@ -192,7 +185,7 @@ def _add_noise_rows(
     # Taken out of the record once: each look into it counts references, which costs as much as many pixels.
     shot, read, quantisation = draw.shot, draw.read, draw.quantisation
     figures, power, under = draw.figures[image, channel], draw.power[image], draw.under.table[channel]
-    dark, taken, added = draw.dark[image, channel], draw.taken[image, channel], draw.added[image, channel]
+    dark, taken = draw.dark[image, channel], draw.taken[image, channel]
     dark_scale, period, (coarse_table, fine_table) = draw.dark_scale[image], draw.under.period, draw.tables
     dithers = quantisation in (UNIFORM, DITHERED_ADC)
     key, number = draw.keys[image], draw.places[image]
@@ -255,8 +248,6 @@ def _add_noise_rows(
                     _add_frame(of_row, dark[here, start : start + width])
                 if taken.size > 0:
                     _take_shading(of_row, taken[here, start : start + width], dark_scale)
-                if added.size > 0:
-                    _add_plane(of_row, added[here, start : start + width])
 
             if read == NONE:
                 _compose_noiseless(value, figures.gain, offset)
@@ -293,3 +284,18 @@ def add_noise(
     for plane in range(first, last):
         image, channel = plane // channels, plane % channels
         _add_noise_rows(clean[image, channel], out[image, channel], draw, image, channel, first_row, last_row)
+
+
+@kernel
+def fill_line(
+    slope: NDArray[np.float32],
+    offset: NDArray[np.float32],
+    iso: np.float32,
+    levels: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Write ``slope * iso + offset + level``, a dark shading; ``levels`` (period, W) are of one period of the CFA."""
+    for y in range(out.shape[0]):
+        k, b, level, row = slope[y], offset[y], levels[y % levels.shape[0]], out[y]
+        for x in range(out.shape[1]):
+            row[x] = k[x] * iso + b[x] + level[x]

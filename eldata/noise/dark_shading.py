@@ -2,14 +2,12 @@
 
 ``DS(ISO) = k ISO + b + BLE[ISO]`` in DN over the recorded black level, after PMN [1]_: slope k and offset b of each
 pixel, and a black level error of each CFA channel at each ISO. Where a camera switches its conversion gain, each mode
-has a k and a b of its own. With frames at longer times there is ``+ c ISO (t - t0)``, dark current, t0 being the time
-of the bias frames (:class:`~eldata.noise.shading_content.DarkCurrent`).
+has a k and a b of its own.
 
 The file
 --------
 An .npz archive, not compressed, that numpy reads: ``slope_dn`` and ``offset_dn``, float32 (modes, H, W); ``hot``,
-boolean (H, W); ``current_dn``, float32 (H, W), where there is dark current; and ``about``, the bytes of a JSON object
-with the rest, and the digest of it all.
+boolean (H, W); and ``about``, the bytes of a JSON object with the rest, and the digest of it all.
 
 References
 ----------
@@ -29,16 +27,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.files import atomic_write, json_text
-from eldata.base.numbers import checked_number
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, DatasetError, ShadingError
 from eldata.noise.shading_content import (
     ADVICE,
     FIELDS,
     SCHEMA,
-    SCHEMA_WITH_CURRENT,
     SCHEMA_WITH_MODEL,
-    DarkCurrent,
     ShadingIso,
     read_content,
 )
@@ -71,8 +66,6 @@ class DarkShading:
         What a user should know, such as which ISOs were left out.
     model
         The camera's model, as the bias frames state it; empty: none was stated.
-    current
-        Dark current; ``None``: it is not known, and the shading is that of any time.
     digest
         ``sha256:<hex>`` of all of these.
 
@@ -91,7 +84,6 @@ class DarkShading:
     hot: NDArray[np.bool_] = field(repr=False)
     notes: tuple[str, ...] = ()
     model: str = ""
-    current: DarkCurrent | None = field(default=None, repr=False)
     digest: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -114,20 +106,11 @@ class DarkShading:
                 raise ArgumentError(f"{name} is float32 {expected}; found {values.dtype} {values.shape}")
             if not all(np.isfinite(row).all() for row in _rows(values)):
                 raise ArgumentError(f"{name} holds values that are not finite")
-        if self.current is not None:
-            found = self.current.current_dn
-            if found.dtype != np.float32 or found.shape != self.hot.shape or not np.isfinite(found).all():
-                raise ArgumentError(
-                    f"current_dn is finite float32 {self.hot.shape}; found {found.dtype} {found.shape}, or not finite"
-                )
-            if len(self.current.bias_exposure_s) != len(self.isos):
-                raise ArgumentError(f"bias_exposure_s: expected {len(self.isos)} times, one per ISO")
         object.__setattr__(self, "digest", self._digest())
 
     def _digest(self) -> str:
         found = hashlib.sha256(json_text(self._about(), indent=None).encode())
-        current = [] if self.current is None else [self.current.current_dn]
-        for values in (self.slope_dn, self.offset_dn, self.hot, *current):
+        for values in (self.slope_dn, self.offset_dn, self.hot):
             for row in _rows(values):
                 found.update(row.astype(row.dtype.newbyteorder("<"), copy=False).tobytes())
         return f"sha256:{found.hexdigest()}"
@@ -135,9 +118,9 @@ class DarkShading:
     def _about(self) -> dict[str, Any]:
         modes, height, width = self.slope_dn.shape
         return {
-            "schema": SCHEMA_WITH_CURRENT if self.current else SCHEMA_WITH_MODEL if self.model else SCHEMA,
+            "schema": SCHEMA_WITH_MODEL if self.model else SCHEMA,
             "camera": self.camera,
-            **({"model": self.model} if self.model or self.current else {}),
+            **({"model": self.model} if self.model else {}),
             "source": self.source,
             "cfa": [list(row) for row in self.cfa],
             "modes": modes,
@@ -145,7 +128,6 @@ class DarkShading:
             "width": width,
             "isos": [asdict(one) for one in self.isos],
             "notes": list(self.notes),
-            **({} if self.current is None else {"current": self.current.about()}),
         }
 
     def summary(self) -> dict[str, Any]:
@@ -156,7 +138,6 @@ class DarkShading:
             "modes": len(self.slope_dn),
             "hot": int(self.hot.sum()),
             "notes": list(self.notes),
-            **({} if self.current is None else {"current": self.current.about()}),
         }
 
     # --- what it says ---------------------------------------------------------------------------------------------
@@ -184,7 +165,6 @@ class DarkShading:
         rows: slice = slice(None),
         columns: slice = slice(None),
         *,
-        exposure_s: float | None = None,
         out: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
         """Return the shading of a part of the mosaic, (h, w) float32, in DN over the recorded black level.
@@ -195,50 +175,31 @@ class DarkShading:
             One of the measured ISOs.
         rows, columns
             Which part; the whole by default. Steps are not for mosaics.
-        exposure_s
-            Exposure time of the frame, which dark current needs; where there is none, it does not matter.
         out
             Where to write it, (h, w) float32; by default into new memory.
 
         Raises
         ------
         ArgumentError
-            If the ISO was not measured, or there is dark current and no exposure time.
+            If the ISO was not measured.
 
         Examples
         --------
         >>> shading = DarkShading.load("mycamera.npz")  # doctest: +SKIP
         >>> corrected = frame.mosaic - shading.at(float(frame.exposure.iso))  # doctest: +SKIP
         """
-        from eldata.noise._structure_kernels import fill_line
+        from eldata.noise._kernels import fill_line
 
-        one, lasts = self.measured(iso), self._lasts(iso, exposure_s)
+        one = self.measured(iso)
         slope, offset = (values[one.mode, rows, columns] for values in (self.slope_dn, self.offset_dn))
         top, left = (part.indices(side)[0] for part, side in zip((rows, columns), self.hot.shape, strict=True))
         period, part = len(self.cfa), np.empty(slope.shape, np.float32) if out is None else out
         down, right = top + np.arange(period), left + np.arange(slope.shape[1])
         channels = np.asarray(self.cfa)[down[:, None] % period, right % period]
         fill_line(slope, offset, np.float32(iso), np.asarray(one.level_error_dn, np.float32)[channels], part)
-        if self.current is not None:
-            part += self.current.current_dn[rows, columns] * np.float32(iso * lasts)
         return part
 
-    def _lasts(self, iso: float, exposure_s: float | None) -> float:
-        """Return how much longer than the bias frames a frame is exposed, in s."""
-        if self.current is None:
-            return 0.0
-        if exposure_s is None:
-            raise ArgumentError(
-                f"the dark shading of {self.camera} has dark current, which grows with the exposure time; give it "
-                "(exposure_s=...)"
-            )
-        checked_number("exposure_s", exposure_s, above=0)
-        place = [one.iso for one in self.isos].index(iso)
-        return exposure_s - self.current.bias_exposure_s[place]
-
-    def packed(
-        self, iso: float, region: tuple[int, int, int, int] | None = None, *, exposure_s: float | None = None
-    ) -> NDArray[np.float32]:
+    def packed(self, iso: float, region: tuple[int, int, int, int] | None = None) -> NDArray[np.float32]:
         """Return the shading of a part of packed data, (C, h, w) float32, in DN over the recorded black level.
 
         Parameters
@@ -247,8 +208,6 @@ class DarkShading:
             One of the measured ISOs.
         region
             (top, left, height, width) in packed pixels, even for X-Trans; by default all that packing keeps.
-        exposure_s
-            As in :meth:`at`.
 
         Raises
         ------
@@ -269,7 +228,7 @@ class DarkShading:
             for start, first, side in ((area.top, top, height), (area.left, left, width))
             for scale in (sites.scale,)
         )
-        return pack(self.at(iso, rows, columns, exposure_s=exposure_s), cfa_from(self.cfa, area.top, area.left))
+        return pack(self.at(iso, rows, columns), cfa_from(self.cfa, area.top, area.left))
 
     def check_sensor(
         self, name: str, shape: tuple[int, int], cfa: CfaRows, model: str = "", place: tuple[int, int] | None = None
@@ -310,9 +269,7 @@ class DarkShading:
             )
 
     def error_dn(self, iso: float) -> float:
-        """Return the standard error that noise leaves in a pixel of the shading at an ISO, DN, without dark current.
-
-        That adds ``ISO (t - t0) current.error_dn`` in the square.
+        """Return the standard error that noise leaves in a pixel of the shading at an ISO, DN.
 
         Raises
         ------
@@ -359,7 +316,6 @@ class DarkShading:
                 slope_dn=self.slope_dn.astype("<f4", copy=False),
                 offset_dn=self.offset_dn.astype("<f4", copy=False),
                 hot=self.hot,
-                **({} if self.current is None else {"current_dn": self.current.current_dn.astype("<f4", copy=False)}),
             )
 
     @classmethod

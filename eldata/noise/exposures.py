@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -12,19 +12,14 @@ import numpy as np
 from eldata.base.arguments import is_tensor
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
-from eldata.noise.mosaic import channel_bias_dn, first_place, pack_whole, whole_shape
+from eldata.noise.mosaic import channel_bias_dn
 from eldata.noise.parameters import tukey_lambda_variance
-from eldata.noise.structure import known_structure
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.noise.dark_shading import DarkShading
+    from eldata.noise.components import Components
     from eldata.noise.parameters import NoiseParameters
-    from eldata.noise.structure import Components, NoiseStructure
-
-
-_LOWEST_SHAPE = -0.49  # lambda, whose variance ends at -1/2
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +77,11 @@ class Exposures:
 
     With I = clean range / (ratio K) photoelectrons::
 
-        D = K Poisson(I r) + read noise + bias + row noise + columns + telegraph + dark frame + dark shading
-            + U(-q/2, q/2),
+        D = K Poisson(I) + read noise + bias + row noise + dark frame + U(-q/2, q/2),
         out = D ratio / range
 
-    each term if its component is there, as is r, the pixel's response. An ``adc`` rounds D + black to a multiple of q,
-    and this to an integer from 0 to white, and takes black off again; ``limits`` bound the output.
+    each term if its component is there. An ``adc`` rounds D + black to a multiple of q, and this to an integer from 0
+    to white, and takes black off again; ``limits`` bound the output.
 
     Attributes
     ----------
@@ -105,14 +99,6 @@ class Exposures:
         Crops of dark frames; ``None``: the component is off.
     dithers
         Whether they are dithered: by U(-q/2, q/2), before any rounding.
-    shading_dn
-        (N, C, h, w) float32, or (1, C, h, w) for all images alike: the dark shading of component S, DN; ``None``: it is
-        off.
-    structure
-        Of each image, the figures of C, W, T and F; empty without these components. With C or T the read noise above
-        is that which a pixel has for itself.
-    sensor_seed, place
-        Which sensor it is, and the row and column of the first packed pixel on it.
     """
 
     components: Components
@@ -128,10 +114,6 @@ class Exposures:
     limits: tuple[float, float] = (-math.inf, math.inf)
     dark: DarkCrops | None = None
     dithers: bool = False
-    shading_dn: NDArray[np.float32] | None = None
-    structure: tuple[NoiseStructure, ...] = ()
-    sensor_seed: int = 0
-    place: tuple[int, int] = (0, 0)
 
     @classmethod
     def of(
@@ -154,9 +136,6 @@ class Exposures:
         bias = [channel_bias_dn(p, channels) if components.colour_bias else (0.0,) * channels for p in drawn]
         if dark is not None:
             bias = np.negative(dark.black_level_dn).tolist()
-        structure = tuple(known_structure(components, p.structure) for p in drawn) if components.structured else ()
-        if components.column or components.telegraph:
-            drawn = [pixels_own(components, p) for p in drawn]
         return cls(
             components=components,
             range_dn=range_dn if isinstance(range_dn, float) else array(list(range_dn)),
@@ -170,7 +149,6 @@ class Exposures:
             step_dn=array([p.quantisation_step_dn for p in drawn]),
             bias_dn=np.array(bias, dtype=np.float64).reshape(len(drawn), channels),
             dark=dark,
-            structure=structure,
             **others,
         )
 
@@ -180,36 +158,6 @@ def read_variance_dn2(components: Components, parameters: NoiseParameters) -> fl
     if components.read == "tukey-lambda":
         return parameters.sigma_tl_dn**2 * tukey_lambda_variance(parameters.tukey_lambda)
     return parameters.sigma_gauss_dn**2 if components.read == "gaussian" else 0.0
-
-
-def structured_variance_dn2(components: Components, parameters: NoiseParameters) -> float:
-    """Return what columns and telegraph pixels add to the variance over pixels and frames, DN^2."""
-    if not components.structured:
-        return 0.0
-    found = known_structure(components, parameters.structure)
-    of_columns = (found.sigma_column_dn or 0.0) ** 2 if components.column else 0.0
-    jumping = found.telegraph.variance_dn2 if components.telegraph and found.telegraph is not None else 0.0
-    return of_columns + jumping
-
-
-def pixels_own(components: Components, parameters: NoiseParameters) -> NoiseParameters:
-    """Return the parameters with the read noise that a pixel has for itself, where a model has C or T.
-
-    Measured read noise is that of all pixels, with all that they do: what a component makes of it must not be in it
-    twice.
-    """
-    if not (components.column or components.telegraph):
-        return parameters
-    found = known_structure(components, parameters.structure)
-    shape, scale, gauss = parameters.tukey_lambda, parameters.sigma_tl_dn, parameters.sigma_gauss_dn
-    if components.telegraph and found.telegraph is not None:
-        shape = min(max(shape + found.telegraph.tukey_lambda_shift, _LOWEST_SHAPE), 2.0)
-        scale, gauss = scale * found.telegraph.sigma_tl_ratio, gauss * found.telegraph.sigma_gauss_ratio
-    if components.column:
-        of_columns = (found.sigma_column_dn or 0.0) ** 2
-        scale = math.sqrt(max(scale**2 - of_columns / tukey_lambda_variance(shape), 0.0))
-        gauss = math.sqrt(max(gauss**2 - of_columns, 0.0))
-    return replace(parameters, tukey_lambda=shape, sigma_tl_dn=scale, sigma_gauss_dn=gauss)
 
 
 # --- what a call gives, one of each per image ----------------------------------------------------------------------
@@ -283,36 +231,3 @@ def drawn_dark(
     fields = [[getattr(one, name) for one in each] for name in DarkCrops.__slots__]
     joined: list[Any] = [None if of_each[0] is None else np.concatenate(of_each) for of_each in fields]
     return DarkCrops(*joined)
-
-
-def shading_of_each(
-    shading: DarkShading,
-    drawn: Sequence[NoiseParameters],
-    packed: tuple[int, int, int],
-    place: tuple[int, int],
-    times: Sequence[float | None],
-) -> NDArray[np.float32]:
-    """Return the dark shading of the ISO and time of each image (N, C, h, w), or once if all have one.
-
-    Raises
-    ------
-    ArgumentError
-        If a draw states no ISO, or the shading is of other channels than ``packed`` (C, h, w).
-    """
-    isos = [one.iso for one in drawn if one.iso is not None]
-    if len(isos) < len(drawn):
-        raise ArgumentError(
-            "component S adds the dark shading of the parameters' ISO, and they do not state it; draw them at one, "
-            "as profile.sample(generator, iso=800) does"
-        )
-    each = list(zip(isos, [None] * len(isos) if shading.current is None else times, strict=True))
-    is_whole = packed == whole_shape(shading.hot.shape, shading.cfa) and place == first_place(shading.cfa)
-    if is_whole:  # as on_mosaic packs
-        of_one = {one: pack_whole(shading.at(one[0], exposure_s=one[1]), shading.cfa) for one in set(each)}
-    else:
-        region = (*place, *packed[1:])
-        of_one = {one: shading.packed(one[0], region, exposure_s=one[1]) for one in set(each)}
-    found = of_one[each[0]][None] if len(of_one) == 1 else np.stack([of_one[one] for one in each])
-    if found.shape[1:] != packed:
-        raise ArgumentError(f"the dark shading of {shading.camera} has {found.shape[1]} channels, not {packed[0]}")
-    return found

@@ -16,12 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.errors import ProfileError, did_you_mean
 from eldata.noise.parameters import NoiseParameters, shape_problem
-from eldata.noise.structure import read_structure
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
-
-    from eldata.noise.structure import NoiseStructure
 
 
 Sigma = Literal["TL", "G", "row"]
@@ -119,17 +116,13 @@ class ProfileRow:
         """Return the fields as plain types, without frames where none is known."""
         return {name: value for name, value in asdict(self).items() if value or name != "frame_bias_dn"}
 
-    def parameters(
-        self, range_dn: float | None, structure: NoiseStructure | None, step_dn: float = 1.0
-    ) -> NoiseParameters | None:
+    def parameters(self, range_dn: float | None, step_dn: float = 1.0) -> NoiseParameters | None:
         """Return the figures as a draw, ``None`` unless K and all scales are known."""
         gain, scale, gauss, rows = self.gain_dn_per_e, self.sigma_tl_dn, self.sigma_gauss_dn, self.sigma_row_dn
-        if rows is None and structure is not None and structure.row_spectrum is not None:
-            rows = math.sqrt(structure.row_spectrum.variance_dn2)  # withheld for nothing but the bands
         if gain is None or scale is None or gauss is None or rows is None:
             return None
         figures = gain, self.tukey_lambda, scale, gauss, rows, self.colour_bias_dn
-        return NoiseParameters(*figures, range_dn, self.iso, structure, step_dn)
+        return NoiseParameters(*figures, range_dn, self.iso, step_dn)
 
 
 def modes_problem(
@@ -250,7 +243,6 @@ def share_a_mode(modes: Sequence[GainMode], *gains: float) -> bool:
 
 _SCHEMA = 1
 _SCHEMA_WITH_MODES = 2
-_SCHEMA_WITH_STRUCTURE = 3  # with modes or without
 OF_ONE_MODE = ("tukey_lambda_fit", "gauss_fit", "row_fit")  # fields that a profile with modes leaves to them
 _FRAMES = "a list of four numbers (R, G1, B, G2) for each bias frame"
 _MEAN_DN = 0.001  # by rounding of either
@@ -288,9 +280,9 @@ def profile_path(name: str | Path) -> Path:
     return _FOLDER / f"{name}.json"
 
 
-def schema_of(modes: Collection[GainMode], structure: Collection[NoiseStructure]) -> int:
+def schema_of(modes: Collection[GainMode]) -> int:
     """Return the schema of a profile's file, the lowest that has room for it."""
-    return _SCHEMA_WITH_STRUCTURE if structure else _SCHEMA_WITH_MODES if modes else _SCHEMA
+    return _SCHEMA_WITH_MODES if modes else _SCHEMA
 
 
 def read_profile(path: Path, known: Collection[str]) -> dict[str, Any]:
@@ -302,10 +294,9 @@ def read_profile(path: Path, known: Collection[str]) -> dict[str, Any]:
         If it is malformed, or has a field that is not ``known``; the message names file, field, expected and found.
     """
     top = TextFile(path, ProfileError).json()
-    schema = top.schema(_SCHEMA, also=(_SCHEMA_WITH_MODES, _SCHEMA_WITH_STRUCTURE))
-    has_structure = schema == _SCHEMA_WITH_STRUCTURE
-    has_modes = schema == _SCHEMA_WITH_MODES or (has_structure and "modes" in top.data)
-    absent = (*(OF_ONE_MODE if has_modes else ("modes",)), *(() if has_structure else ("structure",)))
+    schema = top.schema(_SCHEMA, also=(_SCHEMA_WITH_MODES,))
+    has_modes = schema == _SCHEMA_WITH_MODES
+    absent = OF_ONE_MODE if has_modes else ("modes",)
     top.only(("schema", *(name for name in known if name not in absent)))
     lines = (None, None, None) if has_modes else _lines(top)
     return {
@@ -323,7 +314,6 @@ def read_profile(path: Path, known: Collection[str]) -> dict[str, Any]:
         "modes": tuple(map(_mode, top.objects("modes", fewest=2, expected="a list of two modes or more")))
         if has_modes
         else (),
-        "structure": tuple(map(read_structure, top.objects("structure", fewest=1))) if has_structure else (),
         "accepted": top.texts("accepted", missing_ok=True, empty=True),
         "quantisation_step_dn": top.optional("quantisation_step_dn", top.number, 1.0, above=0),
     }

@@ -25,7 +25,7 @@ import numpy as np
 
 from eldata.base.numbers import checked_number, checked_whole
 from eldata.errors import ArgumentError, check_choice
-from eldata.noise.dark_shading import DarkShading
+from eldata.noise.components import Components, parse_components
 from eldata.noise.exposures import (
     Adc,
     DarkCrops,
@@ -35,19 +35,14 @@ from eldata.noise.exposures import (
     common_range_dn,
     drawn_dark,
     one_each,
-    pixels_own,
     read_variance_dn2,
-    shading_of_each,
-    structured_variance_dn2,
 )
-from eldata.noise.mosaic import first_place, pack_whole, packed_rows, region_anywhere, unpack_whole, whole_shape
+from eldata.noise.mosaic import pack_whole, packed_rows, unpack_whole
 from eldata.noise.parameters import Generator, NoiseParameters, key_from
-from eldata.noise.structure import Components, known_structure, parse_components
 from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     import torch
     from numpy.typing import NDArray
@@ -57,11 +52,9 @@ if TYPE_CHECKING:
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
 
-_FIRST, _SIDES = -2, 1 << 20  # of places on a sensor
-
 
 class NoiseModel:
-    """The noise model with the components of a spec (:mod:`eldata.noise.structure`).
+    """The noise model with the components of a spec (:mod:`eldata.noise.components`).
 
     Parameters
     ----------
@@ -75,19 +68,12 @@ class NoiseModel:
         Round to whole DN (the parameters' step) and saturate as a converter does, in place of component U.
     dark_frames
         The frames of component D: :class:`eldata.datasets.DarkFrames`.
-    dark_shading
-        The dark shading of component S (:class:`~eldata.noise.dark_shading.DarkShading`), or its file.
-    sensor_seed
-        Of components F and T: which specimen of a sensor it is. One seed has the same response and the same telegraph
-        pixels at the same places of the sensor, whatever is drawn and on whatever device.
 
     Raises
     ------
     ArgumentError
-        If the spec or the clip is unknown, ``adc`` is not an :class:`Adc`, the spec has U and there is one too, D
-        without dark frames or S without a dark shading, or these without D and S.
-    ShadingError
-        If the file of the dark shading cannot be read.
+        If the spec or the clip is unknown, ``adc`` is not an :class:`Adc`, the spec has U and there is one too, or D
+        without dark frames, or these without D.
 
     Examples
     --------
@@ -108,8 +94,6 @@ class NoiseModel:
         clip: Clip | None = None,
         adc: Adc | None = None,
         dark_frames: DarkSource | None = None,
-        dark_shading: DarkShading | Path | str | None = None,
-        sensor_seed: int = 0,
     ) -> None:
         self.components: Components = parse_components(spec)
         if clip is not None:
@@ -135,20 +119,10 @@ class NoiseModel:
         self.clip: Clip | None = clip
         self.adc = adc
         self.dark_frames = dark_frames
-        if self.components.shading != (dark_shading is not None):
-            raise ArgumentError(
-                f"noise model {spec!r}: S adds a dark shading; give dark_shading=, its file or a DarkShading"
-                if dark_shading is None
-                else f"noise model {spec!r} takes no dark shading: it has no component S, as 'P*+G*+R+U+S' has"
-            )
-        self.dark_shading = None if dark_shading is None else DarkShading.of(dark_shading)
-        self.sensor_seed = checked_whole("sensor_seed", sensor_seed, at_least=0, bits=64)
 
     def __repr__(self) -> str:
-        names = ("clip", "adc", "dark_frames", *(("sensor_seed",) if self.sensor_seed else ()))
+        names = ("clip", "adc", "dark_frames")
         options = [f", {name}={value!r}" for name in names if (value := getattr(self, name)) is not None]
-        if self.dark_shading is not None:
-            options.append(f", dark_shading={self.dark_shading.digest[:15]}")
         return f"NoiseModel({self.components.spec!r}{''.join(options)})"
 
     def with_clip(self, clip: Clip) -> NoiseModel:
@@ -174,8 +148,6 @@ class NoiseModel:
         range_dn: float | Sequence[float] | None = None,
         threads: int | None = None,
         dark: DarkCrops | None = None,
-        place: tuple[int, int] | None = None,
-        exposure_s: float | Sequence[float] | None = None,
         out: NDArray[np.float32] | None = None,
     ) -> Image:
         """Return a noisy exposure of clean packed data.
@@ -202,13 +174,6 @@ class NoiseModel:
             With component D: crops of dark frames that somebody drew, one for each image, of its shape. By default they
             are drawn here, of the parameters' ISO; images that have one draw of parameters together, a clip, get
             different frames, from one place of them.
-        place
-            With components S, T and F: where on the sensor the data begins, (top, left) in packed pixels from the first
-            one that packing keeps. By default whole frames begin at the first; with S parts begin at a place that is
-            drawn here, the same for all images, and without it at the first.
-        exposure_s
-            With component S whose dark shading has dark current: the exposure time of the noisy exposure, one or one
-            for each image.
         out
             Of an array: where to write, C-contiguous float32 of its shape, and not its memory. The pages of a new array
             cost as much as a sixth of the noise.
@@ -236,8 +201,7 @@ class NoiseModel:
         given = [common_range_dn(drawn)] if range_dn is None else one_each(range_dn, max(images, 1), "range_dn")
         ranges = [checked_number("range_dn", value, above=0) for value in given]
         several = list(generator) if isinstance(generator, (list, tuple)) else [generator]
-        # Frames, or a place on the sensor, are drawn here once for all images.
-        draws = (dark is None and self.dark_frames is not None) or (place is None and self.dark_shading is not None)
+        draws = dark is None and self.dark_frames is not None  # frames are drawn here once for all images
         if len(several) != 1 and (not several or images % len(several) or draws):
             raise ArgumentError(
                 f"expected one generator, or several, each for as many of {images} images; found {len(several)}"
@@ -250,11 +214,6 @@ class NoiseModel:
         elif self.dark_frames is not None and images:
             source = np.random.default_rng(key_from(several[0]))
             dark = drawn_dark(self.dark_frames, drawn, isinstance(parameters, NoiseParameters), packed, source)
-        place = self._place(packed, place, several[0])
-        times = [None] * images if exposure_s is None else one_each(exposure_s, images, "exposure_s")
-        shading_dn = None
-        if self.dark_shading is not None and drawn:
-            shading_dn = shading_of_each(self.dark_shading, drawn, packed, place, times)
         exposures = Exposures.of(
             self.components,
             drawn,
@@ -265,9 +224,6 @@ class NoiseModel:
             limits=CLIP_RANGES[self.clip or "none"],
             dark=dark,
             dithers=self.dark_frames is not None and self.dark_frames.dither,
-            shading_dn=shading_dn,
-            sensor_seed=self.sensor_seed,
-            place=place,
         )
         if out is not None:
             _check_out(out, clean)
@@ -276,23 +232,6 @@ class NoiseModel:
             return drawn_in_numpy if out is not None else drawn_in_numpy.astype(clean.dtype, copy=False)
         noisy: Image = _in_torch(clean, exposures, several, threads)
         return noisy
-
-    def _place(
-        self, packed: tuple[int, int, int], place: tuple[int, int] | None, generator: Generator
-    ) -> tuple[int, int]:
-        """Return where the data begins on the sensor."""
-        if place is not None:
-            if not self.components.placed:
-                raise ArgumentError(f"place= is for models with component S, T or F; this is {self!r}")
-            return _checked_place(place)
-        shading = self.dark_shading
-        if shading is None:
-            return 0, 0
-        if packed == whole_shape(shading.hot.shape, shading.cfa):
-            return first_place(shading.cfa)
-        source = np.random.default_rng(key_from(generator))
-        top, left, _, _ = region_anywhere("a dark shading gives", shading.hot.shape, shading.cfa, packed, source)
-        return top, left
 
     def _check_dark(self, dark: Any, images: int, packed: tuple[int, int, int]) -> None:
         if self.dark_frames is None:
@@ -311,7 +250,6 @@ class NoiseModel:
         generator: Generator,
         range_dn: float | None = None,
         threads: int | None = None,
-        exposure_s: float | Sequence[float] | None = None,
     ) -> Image:
         """Return a noisy exposure of clean mosaics (..., H, W), normalised, of any size and CFA phase.
 
@@ -331,8 +269,6 @@ class NoiseModel:
             range_dn=range_dn,
             generator=generator,
             threads=threads,
-            exposure_s=exposure_s,
-            place=first_place(cfa) if self.components.placed and self.dark_shading is None else None,
         )
         return unpack_whole(noisy, cfa, (clean.shape[-2], clean.shape[-1]))
 
@@ -342,7 +278,7 @@ class NoiseModel:
         Raises
         ------
         ArgumentError
-            If the model has dark frames, whose mean is their own, or a dark shading.
+            If the model has dark frames, whose mean is their own.
         """
         self._check_closed()
         bias = parameters.colour_bias_dn[channel] if self.components.colour_bias else 0.0
@@ -351,33 +287,26 @@ class NoiseModel:
     def expected_variance_dn2(self, signal_e: float, parameters: NoiseParameters) -> float:
         """Return the closed-form variance of D over pixels and rows, in DN^2 (without saturation).
 
-        ``K (K I) + sigma_TL^2 Var(TL) + sigma_row^2 + q^2/12``, each term if its component is there; F adds ``(prnu K
-        I)^2``, W has its own rows, and C and T add what the read noise has less with them. For an ``adc`` q^2/12
-        is an approximation, good where the other noise is above half a step q.
+        ``K (K I) + sigma_TL^2 Var(TL) + sigma_row^2 + q^2/12``, each term if its component is there. For an ``adc``
+        q^2/12 is an approximation, good where the other noise is above half a step q.
 
         Raises
         ------
         ArgumentError
-            If the model has dark frames, whose variance is their own, or a dark shading.
+            If the model has dark frames, whose variance is their own.
         """
         self._check_closed()
         parts = self.components
         gain = parameters.gain_dn_per_e
         shot = gain * gain * signal_e if parts.shot != "none" else 0.0
-        read = read_variance_dn2(parts, pixels_own(parts, parameters)) + structured_variance_dn2(parts, parameters)
+        read = read_variance_dn2(parts, parameters)
         row = parameters.sigma_row_dn**2 if parts.row else 0.0
-        if parts.structured:
-            found = known_structure(parts, parameters.structure)
-            row += found.row_spectrum.variance_dn2 if parts.banding and found.row_spectrum is not None else 0.0
-            shot += (found.prnu * gain * signal_e) ** 2 if parts.prnu and found.prnu is not None else 0.0
         quantisation = parameters.quantisation_step_dn**2 / 12 if parts.quantisation or self.adc is not None else 0.0
         return shot + read + row + quantisation
 
     def _check_closed(self) -> None:
         if self.components.dark:
             raise ArgumentError(f"noise model {self.components.spec!r}: there is no closed form for real dark frames")
-        if self.components.shading:
-            raise ArgumentError(f"noise model {self.components.spec!r}: the dark shading differs from pixel to pixel")
 
 
 def _in_numpy(
@@ -421,11 +350,3 @@ def _check_out(out: Any, clean: Any) -> None:
             f"out must be a writeable C-contiguous float32 array of shape {clean.shape} with memory of its own; found "
             f"{found}"
         )
-
-
-def _checked_place(place: Any) -> tuple[int, int]:
-    """Return a place on the sensor; packing by periods may begin one before it."""
-    is_pair = isinstance(place, (tuple, list)) and len(place) == 2
-    if not is_pair or not all(isinstance(side, (int, np.integer)) and _FIRST <= side < _SIDES for side in place):
-        raise ArgumentError(f"place is the row and column of a packed pixel, whole numbers from 0 on; found {place!r}")
-    return int(place[0]), int(place[1])

@@ -1,4 +1,4 @@
-"""The mosaic under packed data: its rows and columns, places on the sensor, and packing that loses no pixel.
+"""The mosaic under packed data: its rows, places on the sensor, and packing that loses no pixel.
 
 :func:`eldata.raw.cfa.pack` crops what does not fill a period. Here the mosaic is extended instead, and cropped again on
 the way back: noise is wanted on every pixel.
@@ -33,13 +33,10 @@ class PackedRows(NamedTuple):
         (C, s, s) int64: packed entry (c, y, x) lies in mosaic row ``(y // s) * period + table[c, y % s, x % s]``.
     period
         Mosaic rows per s packed rows.
-    across
-        (C, s, s) int64: the same of mosaic columns, ``(x // s) * period + across[c, y % s, x % s]``.
     """
 
     table: NDArray[np.int64]
     period: int
-    across: NDArray[np.int64]
 
     @property
     def sub(self) -> int:
@@ -62,10 +59,10 @@ def packed_rows(channels: int) -> PackedRows:
     sites = packed_layouts().get(channels)
     if sites is None:
         raise ArgumentError(f"packed data has {packed_forms()} channels; found {channels}")
-    table, across = np.empty((2, channels, sites.sub, sites.sub), dtype=np.int64)
-    for row, column, channel, y, x in sites.table:
-        table[channel, y, x], across[channel, y, x] = row, column
-    return PackedRows(table, sites.period, across)
+    table = np.empty((channels, sites.sub, sites.sub), dtype=np.int64)
+    for row, _, channel, y, x in sites.table:
+        table[channel, y, x] = row
+    return PackedRows(table, sites.period)
 
 
 def channel_bias_dn(parameters: NoiseParameters, channels: int) -> tuple[float, ...]:
@@ -91,7 +88,9 @@ def pack_whole(mosaic: Image, cfa: Cfa) -> Image:
         raise ArgumentError(f"expected mosaics (..., H, W); found shape {tuple(mosaic.shape)}")
     sites = packing_sites(cfa)
     top, left = -sites.top % sites.period, -sites.left % sites.period
-    _, height, width = (side // sites.sub for side in whole_shape((mosaic.shape[-2], mosaic.shape[-1]), cfa))
+    height, width = (
+        -(-(first + side) // sites.period) for first, side in ((top, mosaic.shape[-2]), (left, mosaic.shape[-1]))
+    )
     leading: tuple[int, ...] = tuple(mosaic.shape[:-2])
     whole: Image = _zeros(mosaic, (*leading, height * sites.period, width * sites.period))
     whole[..., top : top + mosaic.shape[-2], left : left + mosaic.shape[-1]] = mosaic
@@ -99,25 +98,6 @@ def pack_whole(mosaic: Image, cfa: Cfa) -> Image:
     for in_mosaic, in_packed in sites.slices:
         packed[in_packed] = whole[in_mosaic]
     return packed
-
-
-def whole_shape(shape: tuple[int, int], cfa: Cfa) -> tuple[int, int, int]:
-    """Return the shape (C, h, w) that :func:`pack_whole` gives mosaics of ``shape`` (H, W)."""
-    sites = packing_sites(cfa)
-    height, width = (
-        -(-(-first % sites.period + side) // sites.period) * sites.sub
-        for first, side in zip((sites.top, sites.left), shape, strict=True)
-    )
-    return sites.channels, height, width
-
-
-def first_place(cfa: Cfa) -> tuple[int, int]:
-    """Return where what :func:`pack_whole` makes begins, (top, left), counted from the first pixel that packing keeps.
-
-    What packing drops at the top and at the left lies in a period before it.
-    """
-    sites = packing_sites(cfa)
-    return -sites.sub if sites.top else 0, -sites.sub if sites.left else 0
 
 
 def region_anywhere(

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from eldata.noise.compiled import offsets_dn, with_response
 from eldata.noise.mosaic import packed_rows
 from eldata.noise.parameters import key_from
 
@@ -31,9 +30,6 @@ def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch
         values = torch.as_tensor(array, dtype=torch.float32, device=device)
         return values[(...,) + (None,) * (4 - values.ndim)]
 
-    if components.prnu:
-        response = with_response(np.ones(tuple(clean.shape), np.float32), exposures)
-        clean = clean * torch.from_numpy(response).to(device)
     gain, range_dn = per_image(exposures.gain_dn_per_e), exposures.range_dn
     scale = (range_dn if isinstance(range_dn, float) else per_image(range_dn)) / per_image(exposures.ratio)
     # DN above black: K I. An infinite clean value stays the largest number, which the clip then takes.
@@ -56,13 +52,6 @@ def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch
         dn = dn + _row_noise(clean.shape, per_image(exposures.sigma_row_dn), generator)
     if exposures.dark is not None:
         dn = dn + _dark_frames(exposures.dark, per_image)
-    if exposures.shading_dn is not None:
-        dn = dn + per_image(exposures.shading_dn)
-    if components.column or components.banding or components.telegraph:
-        images, channels, height, width = clean.shape
-        keys, places = np.full(images, key_from(generator), np.uint64), np.arange(images, dtype=np.uint64)
-        added = offsets_dn((images, channels, height, width), exposures, keys, places)
-        dn = dn + torch.from_numpy(added).to(device)
     if components.quantisation or exposures.dithers:
         dn = dn + (torch.rand(clean.shape, generator=generator, device=device) - 0.5) * per_image(exposures.step_dn)
     if adc is not None:

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from eldata.noise.structure import NoiseStructure
-
 Generator: TypeAlias = "np.random.Generator | torch.Generator"
 
 # The Tukey-lambda family has finite variance for lambda > -1/2 only; beyond 2 its shape repeats.
@@ -53,13 +51,10 @@ class NoiseParameters:
         model takes if it is not told another. Not a parameter of the noise: draws that differ in it alone are equal.
     iso
         The ISO that they are of, where one was given or drawn: that of the dark frames of component D. Nor is it one.
-    structure
-        Figures of components C, W, T and F, where the profile has any. They are of the camera at the gain that is
-        nearest, and not drawn: nor do draws differ in them.
     quantisation_step_dn
         The step q by which the camera's values go, DN, above 0 (section 3.1.3 of the paper): component U is uniform
         from -q / 2 to q / 2, and a converter rounds to it. 1 unless files hold fewer values than they have room for. It
-        is of the camera too: draws do not differ in it.
+        is of the camera, and not drawn: draws do not differ in it.
 
     Raises
     ------
@@ -87,7 +82,6 @@ class NoiseParameters:
     colour_bias_dn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     range_dn: float | None = field(default=None, compare=False)
     iso: float | None = field(default=None, compare=False)
-    structure: NoiseStructure | None = field(default=None, compare=False, repr=False)
     quantisation_step_dn: float = field(default=1.0, compare=False)
 
     def __post_init__(self) -> None:

@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from eldata.noise.structure import NoiseStructure
     from eldata.plots.axes import Theme
 
 RowChoice = Literal["any", "nearest-gain", "measured"]
@@ -79,8 +78,6 @@ class CameraProfile:
     modes
         Two or more where the camera switches its conversion gain, ascending, each with a range and fits of its own.
         Between their ranges nothing is known. Empty: the camera has one, whose range and fits are the profile's.
-    structure
-        Figures of components C, W, T and F by ISO; empty if they were not measured.
     accepted
         Figures that a check of the calibration would withhold and somebody has accepted, with check and ISOs.
     quantisation_step_dn
@@ -113,7 +110,6 @@ class CameraProfile:
     white_level_dn: float | None = None
     notes: tuple[str, ...] = ()
     modes: tuple[GainMode, ...] = ()
-    structure: tuple[NoiseStructure, ...] = ()
     accepted: tuple[str, ...] = ()
     quantisation_step_dn: float = 1.0
 
@@ -155,11 +151,11 @@ class CameraProfile:
 
     def save(self, path: Path | str) -> None:
         """Write the profile as JSON, whole or not at all."""
-        write_json(path, {"schema": schema_of(self.modes, self.structure)} | self.as_dict(), indent=1)
+        write_json(path, {"schema": schema_of(self.modes)} | self.as_dict(), indent=1)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the profile as its file holds it, as plain types: with modes, or with fits of its own."""
-        usual = {"structure": (), "accepted": (), "quantisation_step_dn": 1}
+        usual = {"accepted": (), "quantisation_step_dn": 1}
         left_out = {*(OF_ONE_MODE if self.modes else ("modes",)), *(n for n in usual if getattr(self, n) == usual[n])}
         found = {name: value for name, value in asdict(self).items() if name not in left_out}
         return found | {"rows": tuple(row.as_dict() for row in self.rows)}
@@ -319,8 +315,6 @@ class CameraProfile:
     def measured(self, iso: float) -> NoiseParameters:
         """Return the figures that were measured at an ISO, without the spread of the fits; the first of several.
 
-        Where sigma_row is withheld, for rows that are not white, it is the standard deviation of their spectrum.
-
         Raises
         ------
         ArgumentError
@@ -328,8 +322,7 @@ class CameraProfile:
         """
         complete: dict[float, NoiseParameters] = {}
         for row in self.rows:
-            structure = None if row.gain_dn_per_e is None else self._structure_at(row.gain_dn_per_e)
-            found = row.parameters(self.range_dn, structure, self.quantisation_step_dn)
+            found = row.parameters(self.range_dn, self.quantisation_step_dn)
             if row.iso is not None and found is not None:
                 complete.setdefault(row.iso, found)
         if iso in complete:
@@ -415,13 +408,8 @@ class CameraProfile:
             colour_bias_dn=chosen.bias_at_share(place % 1),
             range_dn=self.range_dn,
             iso=iso,
-            structure=self._structure_at(gain),
             quantisation_step_dn=self.quantisation_step_dn,
         )
-
-    def _structure_at(self, gain: float) -> NoiseStructure | None:
-        """Return the figures of C, W, T and F at the gain nearest to one, if there are any."""
-        return min(self.structure, key=lambda one: abs(math.log(one.gain_dn_per_e / gain)), default=None)
 
 
 _ASKED_FOR = "one profile with --profile-of-another-camera (profile_of_another_camera=True)"

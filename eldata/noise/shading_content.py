@@ -17,14 +17,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from eldata.base.pixels import NpyHeader, NpzArchive
     from eldata.raw.cfa import CfaRows
 
 SCHEMA = 1
 SCHEMA_WITH_MODEL = 2
-SCHEMA_WITH_CURRENT = 3  # and a model, which may be empty
 FIELDS = ("slope_dn", "offset_dn")
 ADVICE = "write it again with eldata calibrate --dark-shading"
 
@@ -72,45 +69,6 @@ class ShadingIso:
         return self.frames / self.sigma_dn**2
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DarkCurrent:
-    """Dark current: what a pixel gathers by itself, in electrons a second, as DN.
-
-    ``e(ISO) = c ISO`` DN/s: electrons come at a rate that knows nothing of the ISO, and K, which makes DN of them, is
-    proportional to it. So one c a pixel holds at every ISO and in every gain mode. It grows with the sensor's
-    temperature: it is that of frames as warm as those that it is from.
-
-    Attributes
-    ----------
-    current_dn
-        c [DN/s per unit of ISO], (H, W) float32. Where a pixel is hot, that of its neighbours.
-    error_dn
-        Standard error that noise leaves in it.
-    bias_exposure_s
-        Exposure time of the bias frames that the lines over ISO are from, one per ISO: they hold the current of it.
-    exposure_s
-        Times of the longer dark frames, ascending.
-    """
-
-    current_dn: NDArray[np.float32]
-    error_dn: float
-    bias_exposure_s: tuple[float, ...]
-    exposure_s: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "error_dn", float(self.error_dn))  # as a file gives them back: they are in the digest
-        for name in ("bias_exposure_s", "exposure_s"):
-            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
-
-    def about(self) -> dict[str, Any]:
-        """Return all but the pixels, as plain types."""
-        return {
-            "error_dn": self.error_dn,
-            "bias_exposure_s": list(self.bias_exposure_s),
-            "exposure_s": list(self.exposure_s),
-        }
-
-
 def read_content(path: Path) -> tuple[dict[str, Any], str]:
     """Return what a file holds, as the arguments of :class:`~eldata.noise.dark_shading.DarkShading`, and its digest.
 
@@ -134,9 +92,9 @@ def read_content(path: Path) -> tuple[dict[str, Any], str]:
 def _read(path: Path, archive: NpzArchive) -> tuple[dict[str, Any], str]:
     about = archive.read("about", _like("about", "uint8", None)).tobytes()
     top = TextFile(path, ShadingError, ADVICE, content=about).json()
-    schema = top.schema(SCHEMA, also=(SCHEMA_WITH_MODEL, SCHEMA_WITH_CURRENT))
+    schema = top.schema(SCHEMA, also=(SCHEMA_WITH_MODEL,))
     known = ["schema", "camera", "source", "cfa", "modes", "height", "width", "isos", "notes", "digest"]
-    known += ["model"] * (schema != SCHEMA) + ["current"] * (schema == SCHEMA_WITH_CURRENT)
+    known += ["model"] * (schema == SCHEMA_WITH_MODEL)
     top.only(known)
     modes = top.whole("modes", at_least=1, at_most=_MOST_MODES)
     height, width = (top.whole(name, at_least=2, at_most=_LONGEST_SIDE) for name in ("height", "width"))
@@ -155,11 +113,8 @@ def _read(path: Path, archive: NpzArchive) -> tuple[dict[str, Any], str]:
         "isos": isos,
         "hot": hot,
         "notes": top.texts("notes", empty=True),
-        "model": top.text("model", empty=schema == SCHEMA_WITH_CURRENT) if schema != SCHEMA else "",
+        "model": top.text("model") if schema == SCHEMA_WITH_MODEL else "",
     }
-    if schema == SCHEMA_WITH_CURRENT:
-        values = archive.read("current_dn", _like("current_dn", "float32", (height, width)))
-        content["current"] = _current(top.inside("current"), np.ascontiguousarray(values, dtype=np.float32))
     arrays = {name: np.ascontiguousarray(values, dtype=np.float32) for name, values in fields.items()}
     return content | arrays, top.text("digest")
 
@@ -183,15 +138,6 @@ def _cfa(top: Fields) -> CfaRows:
     except (ArgumentError, ValueError) as error:
         raise top.problem("cfa", str(error)) from error
     return rows
-
-
-def _current(one: Fields, values: NDArray[np.float32]) -> DarkCurrent:
-    one.only(["error_dn", "bias_exposure_s", "exposure_s"])
-    times = {
-        name: one.each(name, Fields.number, expected="a list of numbers", fewest=1, at_least=0)
-        for name in ("bias_exposure_s", "exposure_s")
-    }
-    return DarkCurrent(current_dn=values, error_dn=one.number("error_dn", above=0), **times)
 
 
 def _iso(one: Fields) -> ShadingIso:

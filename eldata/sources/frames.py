@@ -156,14 +156,9 @@ class Frame:
         iso = float(self.exposure.iso)
         try:
             shading.measured(iso)
-            if shading.current is not None and self.exposure.exposure_s is None:
-                raise DatasetError(
-                    f"{self.name}: states no exposure time, with which the dark current of {shading.camera} grows"
-                )
         except ArgumentError as error:
             raise DatasetError(f"{self.name}: {error}") from error
-        exposure_s = None if self.exposure.exposure_s is None else float(self.exposure.exposure_s)
-        reads = partial(_less_shading, self, shading, iso, exposure_s)
+        reads = partial(_less_shading, self, shading, iso)
         return replace(self, mosaic=Pixels(self.shape, np.dtype(np.float32), reads))
 
     def without_pixels(self) -> Frame:
@@ -185,13 +180,12 @@ def _less_shading(
     frame: Frame,
     shading: DarkShading,
     iso: float,
-    exposure_s: float | None,
     rows: slice,
     columns: slice,
 ) -> NDArray[np.float32]:
     """Return a part less the dark shading, which is worked out for it."""
     taken = scratch("less_shading", part_shape(frame.shape, rows, columns), np.dtype(np.float32))
-    shading.at(iso, rows, columns, exposure_s=exposure_s, out=taken)
+    shading.at(iso, rows, columns, out=taken)
     np.subtract(frame.read(rows, columns), taken, out=taken)
     return taken
 

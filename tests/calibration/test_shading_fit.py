@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,8 +10,6 @@ import pytest
 
 from eldata.calibration import BiasStack, Finding, ShadingFit, calibrate, dark_shading, fixed_pattern
 from eldata.errors import ArgumentError, DatasetError
-from eldata.raw import read_raw, write_dng
-from eldata.sources.frames import Frame
 from tests.calibration.trees import made_tree, rewritten
 
 if TYPE_CHECKING:
@@ -160,51 +157,6 @@ def test_what_is_left_of_the_noise(truth: Truth) -> None:
             assert left.var() / (truth.sigma(iso) ** 2 + 1 / 12) == pytest.approx(share, rel=0.065), iso
 
 
-def with_current(planted: float, seed: int) -> tuple[DarkShading, NDArray[np.float64]]:
-    """Bias frames and frames of 10 and 30 s at two ISOs; current of so many electrons a second; K = ISO / 800.
-
-    Each pixel has a current of its own, and its electrons arrive at random.
-    """
-    generator = np.random.default_rng(seed)
-    rate = planted * generator.gamma(2.0, 0.5, SHAPE)  # electrons a second
-    pattern = generator.normal(0, 1, SHAPE)
-    fit = ShadingFit()
-    for iso in (800, 3200):
-        gain = iso / 800
-
-        def frame(exposure_s: float, gain: float = gain) -> NDArray[np.uint16]:
-            electrons = generator.poisson(rate * exposure_s) + generator.normal(0, 2, SHAPE)
-            return np.rint(BLACK_DN + pattern + gain * electrons).astype(np.uint16)
-
-        fit.add(iso, pattern_of(frame(1 / 100) for _ in range(FRAMES)), BLACK, (0.1,) * 4, 1 / 100)
-        for exposure_s in (30.0, 10.0):  # in any order
-            fit.add_longer(pattern_of(frame(exposure_s) for _ in range(FRAMES)), BLACK, exposure_s)
-    return fit.shading("Simulated", "a test"), rate / 800
-
-
-def test_dark_current_comes_back_within_its_standard_errors() -> None:
-    """z of 12288 pixels: its mean to 1 / sqrt(n) = 0.009, its deviation to 0.0064; five of each, and rounding.
-
-    The shot noise of the current differs by pixel; the error has its mean square, so that of z is 1 over all pixels.
-    """
-    shading, true = with_current(0.08, 21)
-    assert shading.current is not None
-    assert shading.current.exposure_s == (10, 30)
-    z = ((shading.current.current_dn - true) / shading.current.error_dn)[~shading.hot]
-    assert abs(z.mean()) < 5 * 0.009
-    assert z.std() == pytest.approx(1.0, abs=0.06)
-    corrected = shading.at(3200, exposure_s=30) - shading.at(3200, exposure_s=0.01)
-    np.testing.assert_allclose(corrected, shading.current.current_dn * 3200 * 29.99, atol=1e-3)
-
-
-def test_dark_current_that_noise_hides_is_left_out() -> None:
-    shading, _ = with_current(0.0, 22)
-    assert shading.current is None
-    (note,) = shading.notes
-    assert note.startswith("dark current was left out: at 30 s noise leaves")
-    assert shading.at(800).shape == SHAPE
-
-
 def test_a_fit_refuses_what_does_not_go_together() -> None:
     generator = np.random.default_rng(3)
 
@@ -213,8 +165,6 @@ def test_a_fit_refuses_what_does_not_go_together() -> None:
         for shape in ((32, 32), (32, 36))
     )
     fit = ShadingFit()
-    with pytest.raises(ArgumentError, match="add the bias frames of the ISO first"):
-        fit.add_longer(small, BLACK, 1.0)
     with pytest.raises(DatasetError, match="Simulated: no ISO gives a dark shading: there are none"):
         fit.shading("Simulated", "a test")
     fit.add(100, small, BLACK, (0.1,) * 4)
@@ -222,8 +172,6 @@ def test_a_fit_refuses_what_does_not_go_together() -> None:
         fit.add(100, small, BLACK, (0.1,) * 4)
     with pytest.raises(ArgumentError, match="ISO 200: the frames have"):
         fit.add(200, other, BLACK, (0.1,) * 4)
-    with pytest.raises(DatasetError, match="and the time of the bias frames is unknown"):
-        fit.add_longer(small, BLACK, 1.0)
     alone = fit.shading("Simulated", "a test")
     assert not alone.slope_dn.any(), "one ISO has no slope"
     assert alone.error_dn(100) == pytest.approx(alone.isos[0].sigma_dn / 2)
@@ -259,33 +207,3 @@ def test_modes_and_isos_are_the_calibrations(tmp_path: Path) -> None:
     assert [one.iso for one in clipped.isos] == [100, 400]
     assert clipped.notes == ("ISO 1600 was left out: black is clipped, so the mean of a pixel is not its level",)
     assert clipped.source.endswith("8 bias frames at 2 ISOs")
-
-
-def test_longer_frames_are_of_their_own_folder(tmp_path: Path) -> None:
-    """Their time is the files' own; what they add to a pixel in 10 s comes back, by ISO."""
-    tree = made_tree(tmp_path / "bias", isos=(100, 400), bias_frames=4, flat_levels=2)
-    longer = tree.copy(tmp_path / "longer")
-    x = np.indices(read_raw(tree.files("bias", 100)[0]).mosaic.shape)[1]
-    added = 3 + x // 64  # DN at ISO 100, from left to right: no pixel is hot for it
-    for iso in (100, 400):
-        for path in longer.files("bias", iso):
-            raw = read_raw(path)
-            mosaic = raw.mosaic + (added * iso // 100).astype(np.uint16)
-            write_dng(path, mosaic, raw.sensor, replace(raw.exposure, exposure_s=Fraction(10)))
-    frames = tree.frames()
-    found = calibrate(frames)
-    alone, shading = dark_shading(frames, found), dark_shading(frames, found, longer=[longer.frames()])
-    assert shading.notes == ()
-    assert np.array_equal(shading.slope_dn, alone.slope_dn), "the lines are the bias frames' own"
-    assert shading.source.endswith("8 bias frames at 2 ISOs, 8 longer ones")
-    assert shading.current is not None
-    np.testing.assert_allclose(shading.current.current_dn[~shading.hot], (added / 1000)[~shading.hot], rtol=2e-3)
-    with pytest.raises(DatasetError, match=r"ISO 100: dark current takes longer dark frames than the bias frames"):
-        dark_shading(frames, found, longer=[frames])
-    raw = read_raw(path)
-    frame = Frame.of_raw(raw.mosaic, raw.sensor, "x.dng", raw.exposure)
-    assert np.array_equal(
-        frame.less(shading).read(slice(None), slice(None)), raw.mosaic - shading.at(400, exposure_s=10)
-    )
-    with pytest.raises(DatasetError, match=r"x.dng: states no exposure time, with which the dark current of"):
-        replace(frame, exposure=replace(raw.exposure, exposure_s=None)).less(shading)

@@ -377,6 +377,3 @@ def test_no_dark_shading_of_flats(eldata: Cli, tree: FrameTree, tmp_path: Path) 
     assert outcome.code == 1
     assert f"{tmp_path / 's.npz'} was not written: {CAMERA}: no ISO gives a dark shading: there are none" in outcome.out
     assert not (tmp_path / "s.npz").exists()
-    outcome = eldata("calibrate", tree.root, "--dark-current", tmp_path)
-    assert outcome.code == 2
-    assert "--dark-current is a part of the dark shading; give --dark-shading FILE, too" in outcome.err

@@ -19,9 +19,9 @@ from eldata.datasets.clean import CleanFrames
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import Adc, CameraProfile, DarkShading, NoiseModel, NoiseParameters, ShadingIso
 from eldata.noise.compiled import expose_compiled
+from eldata.noise.components import parse_components
 from eldata.noise.exposures import DarkCrops, Exposures
 from eldata.noise.on_device import expose_on_device
-from eldata.noise.structure import parse_components
 from eldata.raw import pack, read_raw, write_dng
 from eldata.records import Exposure
 from eldata.sources.store import build_store, source_of_folder

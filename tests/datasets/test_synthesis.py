@@ -25,13 +25,11 @@ from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
 from eldata.manifest import load_manifest, verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.noise.gain_modes import ProfileRow
-from eldata.noise.shading_content import DarkCurrent
 from eldata.raw import bayer_cfa, read_raw, write_dng
 from eldata.raw.cfa import XTRANS_CFA
 from eldata.raw.levels import pack_normalised
 from eldata.records import Exposure, Sensor, exact_fraction
 from eldata.sources.frames import Files
-from tests.planted_shading import shading_of
 from tests.raw.helpers import write_plain_dng
 
 BLACK, WHITE = 512.0, 16383.0
@@ -252,8 +250,8 @@ def test_npy_is_the_models_output(clean: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.load(out / "data" / "out" / frame["path"]), expected)
 
 
-def test_dark_frames_and_dark_shading(tmp_path: Path) -> None:
-    """A frame without light is the dark frame itself, or the shading; each dark frame comes once before any twice."""
+def test_dark_frames(tmp_path: Path) -> None:
+    """A frame without light is the dark frame itself; each dark frame comes once before any twice."""
     clean, dark = tmp_path / "clean", tmp_path / "Camera" / "bias" / "ISO1600"
     clean.mkdir()
     dark.mkdir(parents=True)
@@ -277,38 +275,10 @@ def test_dark_frames_and_dark_shading(tmp_path: Path) -> None:
         assert made.exposure.iso == 1600
     assert pickle.loads(pickle.dumps(recipe)) == recipe, "as it goes to workers"
 
-    shading = shading_of(of, (800, 1600))
-    shading.save(tmp_path / "s.npz")
-    recipe = Recipe(SONY, spec="P*+S", iso=1600, dark_shading=tmp_path / "s.npz")
-    synthesize(clean, tmp_path / "shaded", recipe)
-    for frame in recorded(tmp_path / "shaded"):
-        raw = read_raw(tmp_path / "shaded" / "data" / "shaded" / frame["path"])
-        assert np.array_equal(raw.mosaic, 512 + np.rint(shading.at(1600)))
-    current = DarkCurrent(
-        current_dn=np.full((32, 48), 0.25, np.float32), error_dn=1e-3, bias_exposure_s=(0.01, 0.01), exposure_s=(10,)
-    )
-    replace(shading, current=current).save(tmp_path / "t.npz")
-    synthesize(clean, tmp_path / "timed", replace(recipe, dark_shading=tmp_path / "t.npz"))
-    for frame in recorded(tmp_path / "timed"):
-        raw = read_raw(tmp_path / "timed" / "data" / "timed" / frame["path"])
-        seconds = 400 / (1600 * frame["ratio"])  # of the clean frame's light, less by the ratio
-        mean = (raw.mosaic - shading.at(1600)).mean() - 512
-        assert mean == pytest.approx(0.25 * 1600 * (seconds - 0.01), abs=0.5), "to the DNG's rounding"
-        assert abs(mean) > 2.5
-    facts = json.loads((tmp_path / "shaded" / "parameters.json").read_text())
-    assert facts["dark_shading"] == shading.digest
-
     with pytest.raises(ArgumentError, match="noise is made with dark frames of one ISO; choose it with --iso"):
         Recipe(SONY, spec="P*+D", dark_frames=tmp_path / "Camera")
     with pytest.raises(ArgumentError, match="no dark frames of ISO 800; there are 1600"):
         Recipe(SONY, spec="P*+D", iso=800, dark_frames=tmp_path / "Camera")
-    with pytest.raises(ArgumentError, match="was not measured at ISO 3200"):
-        replace(recipe, iso=3200)
-    write_flat(clean / "other.dng", 32, 64)
-    with pytest.raises(
-        DatasetError, match=r"other.dng: has 32 x 64 pixels .* the dark shading of Planted is of 32 x 48"
-    ):
-        synthesize(clean, tmp_path / "third", recipe)
 
 
 # K as it is measured, nearly in proportion to the ISO, with an extended ISO 50 of the same gain as 100.
@@ -324,25 +294,24 @@ CALIBRATED = replace(
 WANTED = (50, 100, 125, 320, 1600, 6400)
 
 
-# Regression: 1600 became 1599, 6400 became 6395 and 100 became 50, of which there is no dark shading.
-def test_the_iso_asked_for_is_the_iso_written_and_its_dark_shading_takes_the_frames(tmp_path: Path) -> None:
+# Regression: 1600 became 1599, 6400 became 6395 and 100 became 50.
+def test_the_iso_asked_for_is_the_iso_written(tmp_path: Path) -> None:
     clean, csv = tmp_path / "clean", "manifests/{0}.csv"
     clean.mkdir()
     write_flat(clean / "a.dng", 32, 48)
     CALIBRATED.save(tmp_path / "camera.json")
     for iso in WANTED:
-        shading_of(sensor(32, 48), (iso,)).save(tmp_path / "s.npz")
         out = tmp_path / f"iso{iso}"
-        noise = ["--camera", str(tmp_path / "camera.json"), "--model", "S", "--dark-shading", str(tmp_path / "s.npz")]
+        noise = ["--camera", str(tmp_path / "camera.json"), "--model", "B"]  # of which this camera has none
         assert main(["synthesize", str(clean), "-o", str(out), *noise, "--iso", str(iso), "--ratio", "100"]) == 0
         (row,) = (row for row in load_manifest(out / csv.format(out.name)).records if row.role == "noisy")
         assert row.iso == iso
         with (out / "data" / out.name / row.path).open("rb") as file:
             assert exifread.process_file(file)["EXIF ISOSpeedRatings"].values == [iso]
-        options: dict[str, Any] = {"levels": "metadata", "clip": "none", "dark_shading": tmp_path / "s.npz"}
+        options: dict[str, Any] = {"levels": "metadata", "clip": "none"}
         (pair,) = PairDataset(out / "data" / out.name, out / csv.format(out.name), **options)
         assert pair["iso"] == iso
-        # What it added it takes off: the clean light is left, to the DNG's rounding, which the ratio makes larger.
+        # The clean light is left, to the DNG's rounding, which the ratio makes larger.
         np.testing.assert_allclose(pair["input"].numpy(), LEVEL, atol=100 * 0.51 / RANGE)
 
 
@@ -365,19 +334,21 @@ def test_an_iso_that_a_dng_cannot_state(clean: Path, tmp_path: Path) -> None:
 
 
 def test_only_the_same_dark_noise_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clean, shading = tmp_path / "clean", shading_of(sensor(32, 48), (1600,))
+    clean, dark = tmp_path / "clean", tmp_path / "Camera" / "bias" / "ISO1600"
     clean.mkdir()
+    dark.mkdir(parents=True)
     write_flat(clean / "a.dng", 32, 48)
-    shading.save(tmp_path / "s.npz")
-    recipe = Recipe(SONY, spec="P*+S", iso=1600, dark_shading=tmp_path / "s.npz")
+    exposed = Exposure(Fraction(1600), Fraction(1, 8000))
+    write_dng(dark / "0.dng", np.full((32, 48), 512, np.uint16), sensor(32, 48), exposed)
+    recipe = Recipe(SONY, spec="P*+D", iso=1600, dark_frames=tmp_path / "Camera")
     with monkeypatch.context() as patched:
         patched.setattr(synthesis, "_write_tables", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             synthesize(clean, tmp_path / "out", recipe)
-    replace(shading, camera="Another").save(tmp_path / "s.npz")
-    with pytest.raises(ArgumentError, match="dark shading"):
+    write_dng(dark / "1.dng", np.full((32, 48), 512, np.uint16), sensor(32, 48), exposed)
+    with pytest.raises(ArgumentError, match="dark frames"):
         synthesize(clean, tmp_path / "out", recipe)
-    shading.save(tmp_path / "s.npz")
+    (dark / "1.dng").unlink()
     synthesize(clean, tmp_path / "out", recipe)
 
 

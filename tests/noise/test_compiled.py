@@ -17,8 +17,8 @@ from scipy import stats
 
 from eldata.noise import _random_kernels, _tables, compiled
 from eldata.noise.compiled import expose_compiled
+from eldata.noise.components import Components
 from eldata.noise.exposures import Adc, Exposures
-from eldata.noise.structure import Components
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,7 +13,6 @@ import torch
 
 from eldata.datasets import Arrays, CleanClips, CleanFrames, SyntheticClips, SyntheticPairs
 from eldata.errors import ArgumentError
-from eldata.examples.check_noise_model import Adapter
 from eldata.examples.train_denoiser import noise_of
 from eldata.noise import NoiseMaker, NoiseModel, NoiseParameters
 from eldata.noise.makers import check_noise_maker, made_exposure
@@ -42,6 +41,29 @@ class Scaled:
 
     def __repr__(self) -> str:
         return f"Scaled({self.by})"
+
+
+class Adapted:
+    """Calls a network of somebody else's, which draws from torch's own generator, as docs/noise.md shows."""
+
+    def __init__(self, network: torch.nn.Module) -> None:
+        self.network = network
+
+    def __call__(self, clean: Any, *, ratio: float, generator: np.random.Generator, **_: Any) -> Any:
+        with torch.inference_mode(), torch.random.fork_rng([]):
+            torch.manual_seed(int(generator.integers(2**63 - 1)))
+            image = torch.from_numpy(clean).reshape(-1, *clean.shape[-3:])
+            return (self.network(image / ratio) * ratio).reshape(clean.shape).numpy()
+
+
+class Network(torch.nn.Module):
+    """Stands for a flow, a GAN or a diffusion model: clean packed images (N, C, h, w) in, noisy ones out."""
+
+    def forward(self, clean: torch.Tensor) -> torch.Tensor:
+        return clean + 0.01 * torch.randn(clean.shape)
+
+
+MAKER = Adapted(Network())
 
 
 def pairs(model: Any, **options: Any) -> SyntheticPairs:
@@ -118,17 +140,9 @@ def test_what_is_not_an_exposure(result: Any, words: str) -> None:
         made_exposure(lambda *_, **__: result, CLEAN)
 
 
-def test_the_adapter_of_the_example_works() -> None:
-    """A network of somebody else's, which draws from torch's own generator."""
-
-    class Network(torch.nn.Module):
-        def forward(self, clean: torch.Tensor, variance: torch.Tensor) -> torch.Tensor:
-            assert variance.shape == clean.shape == (1, 4, 32, 32)
-            return clean + 0.01 * torch.randn(clean.shape)
-
-    maker = Adapter(Network())
+def test_a_network_of_somebody_elses() -> None:
     before = torch.random.get_rng_state()
-    items = [pairs(maker, ratio=1.0)[index]["input"] for index in (0, 1, 0)]
+    items = [pairs(MAKER, ratio=1.0)[index]["input"] for index in (0, 1, 0)]
     assert torch.equal(before, torch.random.get_rng_state())  # which the dataset's user may draw from, too
     assert torch.equal(items[0], items[2])
     assert not torch.equal(items[0], items[1])
@@ -137,7 +151,7 @@ def test_the_adapter_of_the_example_works() -> None:
 
 
 def test_the_example_trains_on_it(demo_tree: Path) -> None:
-    model = noise_of(Namespace(noise="eldata.examples.check_noise_model:model"))
+    model = noise_of(Namespace(noise="tests.noise.test_makers:MAKER"))
     references = CleanFrames(demo_tree / "data" / "ELD-demo" / "DemoAlpha" / "scene-1")
     found = SyntheticPairs(references, "SonyA7S2", model=model, crop=16)
     sample = found[0]

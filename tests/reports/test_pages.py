@@ -1,4 +1,4 @@
-"""The pages of calibrations, profiles and acceptance tests: complete, self-contained, safe, the same each time."""
+"""The pages of calibrations: complete, self-contained, safe, the same each time."""
 
 from __future__ import annotations
 
@@ -16,16 +16,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eldata.calibration.acceptance.results import Acceptance
-from eldata.calibration.acceptance.theory import diagnose, sample_parameters
-from eldata.noise import NoiseModel
 from eldata.plots.pictures import block_means, grey_png
 from eldata.reports.calibration import calibration_page
 from eldata.reports.html import digits, measured, prose, typeset
-from eldata.reports.noise_models import acceptance_page, plots, profile_page
 from tests.calibration.in_memory import read_of
-from tests.calibration.judged import Specimen, judged
-from tests.calibration.simulation import XTRANS, Camera
+from tests.calibration.simulation import XTRANS
 from tests.reports import calibrations
 from tests.reports.calibrations import camera_at
 from tests.reports.pages import HOSTILE, assert_self_contained, assert_well_formed, checked, seen_in_browser
@@ -34,10 +29,8 @@ from tests.waiting import PATIENCE_S
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from eldata.calibration.acceptance.verdicts import Diagnostics
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
-    from eldata.noise.profile import CameraProfile
 
 DRAWINGS, PICTURES = 9, 1 + 2 + 4  # of an ISO that has everything: spectrum, two frames, shading by channel
 
@@ -91,43 +84,7 @@ def xtrans() -> str:
     return calibration_page(calibrations.calibration([calibrations.measured(800.0, camera)]))
 
 
-@pytest.fixture(scope="module")
-def profile(diagnostics: Diagnostics) -> str:
-    return profile_page(diagnostics)
-
-
-@pytest.fixture(scope="module")
-def hostile_profile(sony: CameraProfile) -> str:
-    """A page with bad words in every text of the profile, without ISOs, and with most comparisons off."""
-    profile = replace(
-        sony,
-        camera=HOSTILE,
-        source=HOSTILE,
-        notes=(HOSTILE, "long" * 100),
-        iso_range=None,
-        black_level_dn=512.0,
-        white_level_dn=16383.0,
-        rows=tuple(replace(row, iso=None, gain_dn_per_e=None) for row in sony.rows),
-    )
-    return profile_page(
-        diagnose(profile, sample_parameters(profile, 3), simulated=sample_parameters(sony, 4), spec="P*+G+B+R+U")
-    )
-
-
-@pytest.fixture(scope="module")
-def accepted() -> Acceptance:
-    found = judged(NoiseModel("P+G"), Specimen(Camera(shape=(128, 192))), bias=4, flats=(2000.0,), pairs=16)
-    remarked = replace(found, remarks=(HOSTILE,))
-    return Acceptance(HOSTILE, "NoiseModel('P+G')", 0, 16, (remarked, replace(found, iso=200.0)))
-
-
-@pytest.fixture(scope="module")
-def acceptance(accepted: Acceptance) -> str:
-    return acceptance_page(accepted)
-
-
-CALIBRATIONS = ("page", "sparse", "xtrans")
-PAGES = (*CALIBRATIONS, "profile", "hostile_profile", "acceptance")
+PAGES = ("page", "sparse", "xtrans")
 EVERY = pytest.mark.parametrize("which", PAGES)
 
 
@@ -141,30 +98,20 @@ def test_well_formed_and_self_contained(which: str, request: pytest.FixtureReque
     assert "<script" not in request.getfixturevalue(which)
 
 
-@pytest.mark.parametrize(
-    ("which", "count"),
-    [("sparse", 4), ("hostile_profile", 4), ("acceptance", 3)],  # title, headings, remarks, notes
-)
-def test_hostile_text_stays_text(which: str, count: int, request: pytest.FixtureRequest) -> None:
-    page = request.getfixturevalue(which)
-    checker = checked(page)
-    assert checker.text.count(HOSTILE) == count
-    assert "<script" not in page
-    if which == "hostile_profile":
-        assert all(words in checker.text for words in ("Off: ", "not known", "512 DN"))
+def test_hostile_text_stays_text(sparse: str) -> None:
+    checker = checked(sparse)
+    assert checker.text.count(HOSTILE) == 4  # title, heading, remarks
+    assert "<script" not in sparse
     assert not any(HOSTILE in value for _, attributes in checker.elements for value in attributes.values())
 
 
-@pytest.mark.parametrize(("which", "count"), [("page", 7 + 3 * (DRAWINGS + PICTURES)), ("profile", 9)])
-def test_images_have_words_are_sound_and_drawn_for_both_themes(
-    which: str, count: int, request: pytest.FixtureRequest
-) -> None:
-    checker = checked(request.getfixturevalue(which))
+def test_images_have_words_are_sound_and_drawn_for_both_themes(page: str) -> None:
+    checker = checked(page)
     images, dark = checker.all("img"), iter(checker.all("source"))
-    assert len(images) == count == len({image["alt"] for image in images})
+    assert len(images) == 7 + 3 * (DRAWINGS + PICTURES) == len({image["alt"] for image in images})
     for image in images:
         assert len(image["alt"]) > 20
-        assert which == "profile" or any(letter.isdigit() for letter in image["alt"])
+        assert any(letter.isdigit() for letter in image["alt"])
         kind, _, data = image["src"].partition(",")
         content = base64.b64decode(data)
         sides = int(image["width"]), int(image["height"])
@@ -186,27 +133,18 @@ def test_images_have_words_are_sound_and_drawn_for_both_themes(
     assert next(dark, None) is None
 
 
-ANOTHER = {
-    "calibration": "from tests.reports.calibrations import calibration, camera_at, measured\n"
-    "from eldata.reports.calibration import calibration_page\n"
-    "page = calibration_page(calibration([measured(800.0, camera_at(800.0))]))\n",
-    "profile": "from eldata.noise.profile import CameraProfile\n"
-    "from eldata.calibration.acceptance.theory import diagnose, sample_parameters\n"
-    "from eldata.reports.noise_models import profile_page\n"
-    "profile = CameraProfile.load('SonyA7S2')\n"
-    "page = profile_page(diagnose(profile, sample_parameters(profile, 0)))\n"
-    "assert not {'torch', 'rawpy'} & set(sys.modules)\n",
-}
+ANOTHER = """
+import hashlib, sys
+from tests.reports.calibrations import calibration, camera_at, measured
+from eldata.reports.calibration import calibration_page
+page = calibration_page(calibration([measured(800.0, camera_at(800.0))]))
+print(hashlib.sha256(page.encode()).hexdigest(), 'matplotlib.pyplot' in sys.modules)
+"""
 
 
-@pytest.mark.parametrize("which", ANOTHER)
-def test_another_process_makes_the_same_page_without_pyplot(which: str, profile: str) -> None:
-    end = "print(hashlib.sha256(page.encode()).hexdigest(), 'matplotlib.pyplot' in sys.modules)"
-    code = f"import hashlib, sys\n{ANOTHER[which]}{end}"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
-    made = profile
-    if which == "calibration":
-        made = calibration_page(calibrations.calibration([calibrations.measured(800.0, camera_at(800.0))]))
+def test_another_process_makes_the_same_page_without_pyplot() -> None:
+    done = subprocess.run([sys.executable, "-c", ANOTHER], capture_output=True, text=True, timeout=PATIENCE_S)
+    made = calibration_page(calibrations.calibration([calibrations.measured(800.0, camera_at(800.0))]))
     assert done.stdout.split() == [hashlib.sha256(made.encode()).hexdigest(), "False"], done.stderr
 
 
@@ -286,49 +224,6 @@ def test_size(page: str) -> None:
     assert len(page) / 3 * 9 < 8.5e6
 
 
-# --- profiles ------------------------------------------------------------------------------------------------------
-
-
-def test_says_what_was_found(profile: str, diagnostics: Diagnostics) -> None:
-    text = checked(profile).text
-    assert "Noise of SonyA7S2" in text
-    assert "Ok: all 61 comparisons within 4 standard errors" in text
-    assert profile.count('<td class="verdict ok">ok</td>') == 61
-    assert "the published file names neither" in text
-    for plain in ("DN^2", "sigma", "lambda"):
-        assert plain not in text.replace("Tukey-lambda", "")
-
-
-def test_without_read_noise_there_is_no_plot_of_it_and_matplotlib_stays_as_it_was(sony: CameraProfile) -> None:
-    import matplotlib as mpl
-
-    before = dict(mpl.rcParams)
-    drawn = plots(diagnose(sony, sample_parameters(sony, 0), spec="P*"))
-    assert "read-noise" not in [plot.name for plot in drawn]
-    assert all(plot.light != plot.dark for plot in drawn)
-    assert dict(mpl.rcParams) == before
-
-
-def test_measured_rows_are_drawn(profile: str, diagnostics: Diagnostics) -> None:
-    """They change the plot of their own scale, and no other."""
-    sony = diagnostics.profile
-    measured = replace(sony, rows=tuple(replace(row, sigma_tl_dn=1.0) for row in sony.rows))
-    drawn = plots(replace(diagnostics, profile=measured))
-    changed = {plot.name for plot in drawn if base64.b64encode(plot.light).decode() not in profile}
-    assert changed == {"read-fit"}
-
-
-# --- acceptance tests ---------------------------------------------------------------------------------------------
-
-
-def test_the_page_of_an_acceptance_test(acceptance: str, accepted: Acceptance) -> None:
-    text = checked(acceptance).text
-    assert f"Off: {len(accepted.off)} of " in text
-    assert acceptance.count('<td class="verdict off">') == len(accepted.off)
-    assert text.count("4 bias frames and 2 flats held out, 128 x 192 pixels compared") == 2
-    assert acceptance == acceptance_page(accepted)
-
-
 # --- parts --------------------------------------------------------------------------------------------------------
 
 
@@ -365,17 +260,14 @@ def test_blocks_are_means() -> None:
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize(("which", "width"), [*((which, 390) for which in PAGES), ("page", 1280), ("profile", 1280)])
+@pytest.mark.parametrize(("which", "width"), [*((which, 390) for which in PAGES), ("page", 1280)])
 def test_in_a_browser(chromium: str, which: str, width: int, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     text = request.getfixturevalue(which).replace('<details class="iso">', '<details class="iso" open>')
     found = seen_in_browser(chromium, text, width, tmp_path)
     assert found["width"] == width
     assert found["scroll"] <= width
     assert found["wide"] == []
-    smallest = (130, 80) if which in CALIBRATIONS else (250, 200)
     for complete, natural, *shown in found["images"]:
         assert complete
         assert natural > 0
-        assert all(side > least for side, least in zip(shown, smallest, strict=True))
-    if which == "profile":
-        assert max(found["tables"]) <= 40  # hardly to be scrolled sideways; letters differ from system to system
+        assert all(side > least for side, least in zip(shown, (130, 80), strict=True))

@@ -227,20 +227,17 @@ class DarkFrames:
         """
         shape = (len(members), packing_sites(self._first[iso].cfa).channels, *region[2:])
         dn: NDArray[np.uint16] = new_arrays([Field("dark", shape, "<u2")])["dark"]
-        black, times = np.empty(shape[:2]), []
+        black = np.empty(shape[:2])
         for place, member in enumerate(members):
             frame = self._frames.frame(self._numbers[iso][member])
             self._check(frame, iso)
             crop = Crop.region(frame, region)
             pack(crop.cut(frame), crop.cfa, out=dn[place])
             black[place] = packed_black_level_dn(crop.cfa, frame.black_level_dn)
-            times.append(None if frame.exposure.exposure_s is None else float(frame.exposure.exposure_s))
         if self.shading is None or not members:
             return DarkCrops(dn, black)
-        if self.shading.current is None:
-            times = [None] * len(members)
-        at = {time: pack(self.shading.at(iso, *crop.slices, exposure_s=time), crop.cfa) for time in set(times)}
-        return DarkCrops(dn, black, np.stack([at[time] for time in times]), np.full(len(members), self._scale[iso]))
+        there = pack(self.shading.at(iso, *crop.slices), crop.cfa)
+        return DarkCrops(dn, black, np.stack([there] * len(members)), np.full(len(members), self._scale[iso]))
 
     def _anywhere(self, iso: float, shape: tuple[int, int, int], generator: np.random.Generator) -> Region:
         dark = self._first[iso]

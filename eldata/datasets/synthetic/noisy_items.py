@@ -17,7 +17,6 @@ from eldata.datasets.synthetic.draws import NoiseChoice, Turns, fewest_members
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.makers import check_noise_maker, made_exposure, maker_name
 from eldata.noise.model import NoiseModel
-from eldata.noise.structure import known_structure
 from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from eldata.datasets.crops import Crop
     from eldata.datasets.items import Crops, Part
     from eldata.datasets.synthetic.draws import Cameras, Isos, NoiseDraw
-    from eldata.noise.dark_shading import DarkShading
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.profile import RowChoice
     from eldata.raw.levels import Clip
@@ -67,18 +65,12 @@ class NoisyItems(CroppedItems[Sample]):
         self.clip, self.model = clip, _clipped(owner, NoiseModel() if model is None else model, clip)
         frames = self.model.dark_frames if isinstance(self.model, NoiseModel) else None
         self._dark = frames if isinstance(frames, DarkFrames) else None
-        self._shading = self.model.dark_shading if isinstance(self.model, NoiseModel) else None
         if self._dark is not None and iso is None:
             iso = self._dark.isos
-        if self._shading is not None and iso is None:
-            iso = tuple(one.iso for one in self._shading.isos)
         self.noise = NoiseChoice.of(profiles, ratio, iso, row, extrapolate)
-        if self._shading is not None:
-            _check_shading(owner, self._shading, self.noise)
         self.range_dn = None if range_dn is None else checked_number("range_dn", range_dn, above=0)
-        if self.range_dn is not None and (self._dark is not None or self._shading is not None):
-            raise ArgumentError(f"{owner}: dark frames and shadings are in the frames' own DN; leave range_dn out")
-        _check_structure(self.model, self.noise)
+        if self.range_dn is not None and self._dark is not None:
+            raise ArgumentError(f"{owner}: dark frames are in the frames' own DN; leave range_dn out")
         self._turns = None if self._dark is None else _turns(owner, self._dark, self.noise, self.seed, exposures)
         records = map(getattr(source, method), range(len(source)))
         self._lay_grid(records if method == "frame" else (clip.frame(0) for clip in records))
@@ -113,7 +105,7 @@ class NoisyItems(CroppedItems[Sample]):
     def _finish(self, items: Sequence[NoisyItem], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Add the noise: ours to all items at once, for the call alone costs as much as the noise of a small crop."""
         clean, noisy, model = arrays["target"], arrays["input"], self.model
-        if isinstance(model, NoiseModel) and self._dark is None and not model.components.placed:
+        if isinstance(model, NoiseModel) and self._dark is None:
             images = clean[0].size // math.prod(clean.shape[-3:])
             each = [item for item in items for _ in range(images)]
             model(
@@ -142,7 +134,7 @@ class NoisyItems(CroppedItems[Sample]):
         ]
 
     def _add_noise(self, item: NoisyItem, clean: NDArray[Any], noisy: NDArray[Any]) -> None:
-        """Add the noise of dark frames, of what has its place on the sensor, or of a model of the caller's own."""
+        """Add the noise of dark frames, or of a model of the caller's own."""
         model = self.model
         options: dict[str, Any] = {
             "parameters": item.draw.parameters,
@@ -151,8 +143,7 @@ class NoisyItems(CroppedItems[Sample]):
             "generator": item.generator,
         }
         if isinstance(model, NoiseModel):
-            draw = item.draw
-            options |= from_sensor(model, item.frame, item.crop, draw.iso, draw.dark, _exposure_s(item), item.generator)
+            options |= from_sensor(model, item.frame, item.crop, item.draw.iso, item.draw.dark, item.generator)
             model(clean, **options, threads=threads_here(), out=noisy)
         else:
             np.clip(made_exposure(model, clean, **options), *CLIP_RANGES[self.clip], out=noisy)
@@ -175,31 +166,15 @@ def from_sensor(
     crop: Crop,
     iso: float | None,
     dark: Sequence[int],
-    exposure_s: float | None,
     generator: np.random.Generator,
 ) -> dict[str, Any]:
     """Return what the noise of a crop has from the sensor that took it, as the model's arguments.
 
-    ``dark`` are the numbers of its dark frames, ``exposure_s`` is the time of the exposure with noise.
+    ``dark`` are the numbers of its dark frames.
     """
-    found: dict[str, Any] = {}
-    if isinstance(model.dark_frames, DarkFrames) and iso is not None:
-        found["dark"] = model.dark_frames.crops(iso, dark, model.dark_frames.region(iso, frame, crop, generator))
-    if model.dark_shading is not None:
-        name = "" if frame.sensor is None else frame.sensor.model
-        model.dark_shading.check_sensor(frame.name, frame.shape, frame.cfa, name)
-        found["exposure_s"] = exposure_s
-    if model.components.placed and frame.cfa:
-        found["place"] = crop.place(frame, "what stays in its place on a sensor is")
-    return found
-
-
-def _check_structure(model: NoiseMaker, choice: NoiseChoice) -> None:
-    """Refuse a model with components whose figures a profile lacks at one of its ISOs."""
-    if isinstance(model, NoiseModel):
-        for profile in choice.profiles:
-            for structure in profile.structure or (None,):
-                known_structure(model.components, structure)
+    if not isinstance(model.dark_frames, DarkFrames) or iso is None:
+        return {}
+    return {"dark": model.dark_frames.crops(iso, dark, model.dark_frames.region(iso, frame, crop, generator))}
 
 
 def _check_source(owner: str, source: Any, method: str) -> None:
@@ -210,23 +185,6 @@ def _check_source(owner: str, source: Any, method: str) -> None:
         f"{owner}: the source of clean data has len and {method}(index), as {known} of eldata.datasets have; found "
         f"{type(source).__name__}"
     )
-
-
-def _exposure_s(item: NoisyItem) -> float | None:
-    """Return the time of the exposure with noise: of the clean one's light, less by the ratio, at the drawn ISO."""
-    clean = item.frame.exposure
-    if clean.iso is None or clean.exposure_s is None or item.draw.iso is None:
-        return None
-    return float(clean.iso * clean.exposure_s) / (item.draw.iso * item.draw.ratio)
-
-
-def _check_shading(owner: str, shading: DarkShading, choice: NoiseChoice) -> None:
-    """Refuse cameras and ISOs that a dark shading is not of."""
-    if len(choice.profiles) > 1:
-        raise ArgumentError(f"{owner}: a dark shading is of one camera; give its profile alone")
-    for iso in choice.isos:
-        if iso is not None:
-            shading.measured(iso)
 
 
 def _turns(owner: str, dark: DarkFrames, choice: NoiseChoice, seed: int, exposures: int) -> Turns:

@@ -32,9 +32,8 @@ from eldata.datasets.synthetic.noisy_items import from_sensor
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
 from eldata.manifest.writing import save_manifest
-from eldata.noise.dark_shading import dark_shading_in
+from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
-from eldata.noise.structure import parse_components
 from eldata.raw.cfa import cfa_from, packed_area, packed_shape, packing_sites, unpack
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import pack_normalised, packed_black_level_dn
@@ -87,9 +86,6 @@ class Recipe:
     dark_frames
         Of component D: a folder or a store of the camera's bias frames (:class:`~eldata.datasets.DarkFrames`). Each is
         used once before any is used twice. They are of one ISO, so ``iso`` is needed, and K is exactly that ISO's.
-    dark_shading
-        Of component S: the file of the camera body's dark shading; ``iso`` is needed, too. Clean frames are of that
-        sensor, as with dark frames.
     """
 
     profile: CameraProfile
@@ -104,7 +100,6 @@ class Recipe:
     split: tuple[float, float] | None = None
     format: Format = "dng"
     dark_frames: Path | None = None
-    dark_shading: Path | None = None
 
     def __post_init__(self) -> None:
         low, high = self.ratio
@@ -121,11 +116,10 @@ class Recipe:
                 f"a DNG states its ISO as a whole number of 32 bits; found {self.iso:g}. Choose a whole one, or "
                 "format='npy' (--format npy)"
             )
-        for name, kind in (("dark_frames", "dark frames"), ("dark_shading", "the dark shading")):
-            if (path := getattr(self, name)) is not None:
-                object.__setattr__(self, name, Path(path).absolute())  # workers may stand elsewhere
-                if self.iso is None:
-                    raise ArgumentError(f"noise is made with {kind} of one ISO; choose it with --iso (iso=...)")
+        if self.dark_frames is not None:
+            object.__setattr__(self, "dark_frames", Path(self.dark_frames).absolute())  # workers may stand elsewhere
+            if self.iso is None:
+                raise ArgumentError("noise is made with dark frames of one ISO; choose it with --iso (iso=...)")
         self.model(self.dark())
 
     @property
@@ -146,11 +140,7 @@ class Recipe:
 
     def model(self, dark: DarkFrames | None) -> NoiseModel:
         """Return the noise model, with dark frames that are open."""
-        shading = None if self.dark_shading is None else dark_shading_in(self.dark_shading)
-        model = NoiseModel(self.written_spec, dark_frames=dark, dark_shading=shading)
-        if shading is not None and self.iso is not None:
-            shading.measured(self.iso)
-        return model
+        return NoiseModel(self.written_spec, dark_frames=dark)
 
 
 def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, workers: AnyWorkers = 1) -> Manifest:
@@ -232,14 +222,11 @@ def _begun(recipe: Recipe, sources: Sequence[CleanScene], dark: DarkFrames | Non
     """Return what decides the content of every file, as plain types."""
     options = asdict(recipe) | {"ratio": list(recipe.ratio), "profile": recipe.profile.camera}
     options["split"] = recipe.split and list(recipe.split)
-    for name in ("dark_frames", "dark_shading"):  # their content is compared, wherever it lies
-        del options[name]
+    del options["dark_frames"]  # their content is compared, wherever it lies
     if dark is not None and recipe.dark_frames is not None:
         names = dark.names(dark.isos[0])
         files = [path for path in map(Path, names) if path.is_file()] or [recipe.dark_frames]  # or a store of them
         options["digest_of_the_dark_frames"] = _digest([*names, *_stamps(files)])
-    if recipe.dark_shading is not None:
-        options["dark_shading"] = dark_shading_in(recipe.dark_shading).digest
     stated = [repr((file.facts, file.exposure)) for one in sources if isinstance(file := one.file, StatedFile)]
     return options | {
         "written_by": f"eldata {__version__}",
@@ -297,10 +284,6 @@ def _write_tables(
             if dark is not None:
                 drawn[-1]["dark_frame"] = dark.names(dark.isos[0])[_member(recipe, dark, source.number, copy)]
     roles = [record.role for record in records]
-    shading = None if recipe.dark_shading is None else dark_shading_in(recipe.dark_shading)
-    origins = [f"noise model {recipe.spec}, profile {recipe.profile.camera}: {recipe.profile.source}"]
-    if shading is not None:
-        origins.append(f"dark shading of {shading.camera}, {shading.digest}: {shading.source}")
     card = Card(
         name=name,
         title=f"Synthetic noise of {recipe.profile.camera} on {len(sources)} clean frames"
@@ -314,7 +297,7 @@ def _write_tables(
         cameras={recipe.profile.camera: CameraCard(tuple(sorted({clean.model for clean in clean_facts} - {""})))},
         counts={role: roles.count(role) for role in sorted(set(roles))},
         protocol="sequences" if recipe.clips else OWN_PROTOCOL,
-        sources=tuple(origins),
+        sources=(f"noise model {recipe.spec}, profile {recipe.profile.camera}: {recipe.profile.source}",),
     )
     parameters = {
         "model": recipe.spec,
@@ -323,7 +306,6 @@ def _write_tables(
         "seed": recipe.seed,
         "ratio": list(recipe.ratio),
         "format": recipe.format,
-        **({} if shading is None else {"dark_shading": shading.digest}),
         "frames": drawn,
     }
     write_json(out / "parameters.json", parameters, indent=1)
@@ -407,7 +389,7 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, begun: str, sour
     for copy, draw in waiting:
         ratio = float(draw.ratio)
         members = [] if dark is None else [_member(recipe, dark, source.number, copy)]
-        of_sensor = from_sensor(model, whole, area, recipe.iso, members, float(draw.exposure_s), draw.generator)
+        of_sensor = from_sensor(model, whole, area, recipe.iso, members, draw.generator)
         noisy = model(
             clean, parameters=draw.parameters, ratio=ratio, range_dn=range_dn, generator=draw.generator, **of_sensor
         )

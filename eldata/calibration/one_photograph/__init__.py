@@ -1,1 +1,0 @@
-"""A camera profile from one raw photograph."""

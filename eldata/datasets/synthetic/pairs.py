@@ -60,19 +60,18 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         The noise model: a :class:`~eldata.noise.model.NoiseModel`, by default (``None``) the full one, or a callable of
         your own (:class:`~eldata.noise.makers.NoiseMaker`). With real dark frames it is
         ``NoiseModel("P*+D", dark_frames=DarkFrames(...))``: each frame of an ISO is used once before any is used twice.
-        With a dark shading, ``NoiseModel("P*+G*+R+U+S", dark_shading=...)``, clean frames are of its sensor.
     clip
         Of the input, as in every dataset of pairs: give those that you test on the same. The target, which stands for
         light, lies in [0, 1] whatever it is.
     ratio
         Low-light factors: (lowest, highest), drawn uniformly, or one fixed number.
     iso
-        ``None``: K is drawn for each item, as in the paper; with dark frames or a dark shading, their ISOs, drawn
-        alike. One ISO; or several, as a sequence, which are drawn alike, or as a mapping to their weights.
+        ``None``: K is drawn for each item, as in the paper; with dark frames, their ISOs, drawn alike. One ISO; or
+        several, as a sequence, which are drawn alike, or as a mapping to their weights.
     range_dn
         White minus black level of the simulated camera, in DN, which the profile's figures are in. ``None`` is each
         clean frame's own: right for frames of that camera. Frames of fewer bits are as bright in photons with it, so
-        clean frames of several cameras need it. Dark frames and a dark shading take none.
+        clean frames of several cameras need it. Dark frames take none.
     row, extrapolate
         As in :meth:`eldata.noise.CameraProfile.sample`. By default each of several ISOs has its own row: as it was
         measured, where the profile has all figures of that ISO, else ``"nearest-gain"``; the repr says which. One ISO,

@@ -9,6 +9,7 @@ example (the Sony A7S II) to change for your own camera.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base.console import OK, add_shared, show_and_write
@@ -35,6 +36,8 @@ def run(arguments: argparse.Namespace) -> int:
     if (arguments.camera is None) == (arguments.example is None):
         raise ArgumentError("give either a camera description to check, or --example FILE to write one")
     if arguments.example is not None:
+        if Path(arguments.example).exists():  # somebody's camera, most likely
+            raise ArgumentError(f"--example {arguments.example}: is there already; give another name")
         EXAMPLE.save(arguments.example)
         camera = EXAMPLE
         text = f"{arguments.example}: the {EXAMPLE.name}'s; change it to your camera's, then: capture camera FILE"

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from eldata.records import Sensor
     from eldata.sources.frames import Frame
 
+__all__ = ["EldataPairs", "EldataReferences", "MissingBasicSRError", "eldata_psnr", "eldata_psnr_pt"]
+__all__ += ["eldata_ssim", "eldata_ssim_pt", "register"]
+
 LedLevels = Literal[FrameLevels, "metadata-per-channel"]
 
 # Keys of the yaml that say what a sample is, with their defaults: as in LED's yaml.

@@ -106,13 +106,13 @@ def test_mosaics_are_read_as_raws_are(kind: str, as_dng: Path, tmp_path: Path) -
         assert (raw["ratio"], raw["iso"], raw["exposure_s"]) == (mosaic["ratio"], mosaic["iso"], mosaic["exposure_s"])
 
 
-def test_mosaics_are_scored_packed_and_denoised_as_raws_are(as_dng: Path, tmp_path: Path) -> None:
+def test_mosaics_are_scored_packed_and_predicted_as_raws_are(as_dng: Path, tmp_path: Path) -> None:
     path = own_set(tmp_path, "npy", FACTS)
     expected_scores = scored(as_dng)
     assert scored(path) == expected_scores
     common = ["--manifest", str(path), "--root", str(tmp_path / "data"), "--jobs", "1"]
     predictions = str(tmp_path / "preds")
-    assert main(["baseline", "dct", *common, "-o", predictions]) == 0
+    assert main(["baseline", "input", *common, "-o", predictions]) == 0
     assert main(["evaluate", predictions, *common]) == 0
     assert main(["pack", "own", *common, "-o", str(tmp_path / "own.h5")]) == 0
 

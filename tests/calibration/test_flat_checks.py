@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 
 from eldata.calibration.audit.flat_checks import flat_findings
 from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
@@ -206,3 +207,18 @@ def test_what_withholds_k_names_the_level_and_the_pairs(tmp_path: Path) -> None:
     assert "saturate at 600 DN" in found.findings[0].text
     for path in tree.files("flat", 400):
         assert relative(tree, path) in found.findings[1].text
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(
+    ("make", "setting"), [(study.clean, study.Setting()), (study.unequal(0.08), study.QUIET)], ids=["clean", "unequal"]
+)
+def test_standard_errors_of_the_gain_cover_the_truth(
+    make: Callable[..., list[study.Pair]], setting: study.Setting
+) -> None:
+    """200 cameras of 25 kilopixels: the share within 1.96 errors has a standard error of 1.5 %; allowed are 4.5."""
+    setting = replace(setting, shape=(128, 192))
+    found = [study.outcome(setting, make(setting, np.random.default_rng((11, seed)))) for seed in range(200)]
+    scores = np.array([one.off / one.error for one in found])
+    assert abs(np.mean(np.abs(scores) < 1.96) - 0.95) < 4.5 * math.sqrt(0.95 * 0.05 / 200)
+    assert abs(scores.mean()) < 4.5 / math.sqrt(200)

@@ -118,7 +118,6 @@ ONE = f"{NEW} --scenes 1 --metered 4"
     "line, words",
     [
         ("camera", "give either a camera description to check, or --example FILE"),
-        ("camera --example cam.json", "--example cam.json: is there already. Give another name"),
         ("plan", "a new plan needs --camera FILE; capture camera --example"),
         ("plan nowhere.json", "nowhere.json: cannot be read"),
         ("plan cam.json", "cam.json, field name: is unknown; known are schema, camera, protocol"),

@@ -10,9 +10,7 @@ The recipe and where it comes from:
   after the other, since the difference of two equal frames is free of shading and fixed pattern (EMVA 1288). Six levels
   from a tenth to nine tenths of the range (docs/calibration.md: four to eight; EMVA 1288 asks for many more, to test
   linearity, where we want a slope).
-- Dark frames, if they are wanted: lens capped as for bias frames, at each ISO and time of the scenes' noisy frames, for
-  the dark current of a dark shading (docs/calibration.md). Four of each: a pixel's one slope comes from all of them.
-- A warm sensor: bias and dark frames once more after the shooting, since black and dark current follow the temperature.
+- A warm sensor: bias frames once more after the shooting, since black follows the temperature.
 - ISOs: full stops from the base ISO to the highest noisy one, since a camera with two conversion gains changes its
   noise at one of them.
 """
@@ -29,7 +27,7 @@ from capture.shots import Shot
 from capture.shutter import ExactNumber, as_exact
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from capture.camera import CameraDescription
     from capture.protocol import CaptureProtocol
@@ -38,7 +36,6 @@ if TYPE_CHECKING:
 BIAS_FRAMES: Final = 10
 LEAST_BIAS_FRAMES: Final = 4  # below, eldata calibrate refuses
 _MOST_FRAMES: Final = 999  # more is a slip of the keys, and would be planned until memory ends
-DARK_FRAMES: Final = 4
 WARM: Final = "warm"
 FRAMES_PER_LEVEL: Final = 2
 _NAME_STOPS: Final = 0.1  # by which an ISO's name may lie off a full stop: neighbours are a third of a stop apart
@@ -66,12 +63,8 @@ class CalibrationPlan:
         Bias frames of all ISOs, then, cap off, the flats of all ISOs by rising exposure.
     remarks
         What the plan had to leave out.
-    dark
-        ISO and marked time of the longer dark frames; they are the scenes' as they were when this was planned.
-    dark_frames
-        Number of dark frames of each.
     warm
-        Whether bias and dark frames are taken once more, with the sensor warm from the shooting.
+        Whether bias frames are taken once more, with the sensor warm from the shooting.
     """
 
     isos: tuple[int, ...]
@@ -80,17 +73,7 @@ class CalibrationPlan:
     flat_clips_at_s: Fraction
     shots: tuple[Shot, ...]
     remarks: tuple[str, ...] = ()
-    dark: tuple[DarkSetting, ...] = ()
-    dark_frames: int = DARK_FRAMES
     warm: bool = False
-
-
-DarkSetting = tuple[int, Fraction]
-
-
-def dark_settings(shots: Iterable[Shot]) -> tuple[DarkSetting, ...]:
-    """Return ISO and marked time of the noisy frames among some shots, each once, rising."""
-    return tuple(sorted({(shot.iso, shot.setting.nominal_s) for shot in shots if shot.role == "noisy"}))
 
 
 def default_isos(camera: CameraDescription, protocol: CaptureProtocol) -> tuple[int, ...]:
@@ -117,13 +100,9 @@ def plan_calibration(
     *,
     bias_frames: int = BIAS_FRAMES,
     flat_levels: tuple[Fraction, ...] = FLAT_LEVELS,
-    dark: tuple[DarkSetting, ...] = (),
-    dark_frames: int = DARK_FRAMES,
     warm: bool = False,
 ) -> CalibrationPlan:
-    """Return the calibration frames of a camera: bias frames, flats, dark frames, and those with a warm sensor.
-
-    Dark frames are longer than bias frames and of an ISO that has these; others of ``dark`` are left out.
+    """Return the calibration frames of a camera: bias frames, flats, and bias frames with a warm sensor.
 
     Raises
     ------
@@ -146,9 +125,8 @@ def plan_calibration(
             raise PlanError(f"{camera.name} has no ISO {iso}; it has {', '.join(map(str, camera.isos))}")
     if not isos or list(isos) != sorted(set(isos)):
         raise PlanError(f"calibration ISOs: expected one or more, rising; found {list(isos)}")
-    for what, count in (("bias frames per ISO", bias_frames), ("dark frames per ISO and time", dark_frames)):
-        if not LEAST_BIAS_FRAMES <= count <= _MOST_FRAMES:
-            raise PlanError(f"{what}: expected {LEAST_BIAS_FRAMES} to {_MOST_FRAMES}, found {count}")
+    if not LEAST_BIAS_FRAMES <= bias_frames <= _MOST_FRAMES:
+        raise PlanError(f"bias frames per ISO: expected {LEAST_BIAS_FRAMES} to {_MOST_FRAMES}, found {bias_frames}")
     if (
         not flat_levels
         or list(flat_levels) != sorted(set(flat_levels))
@@ -164,7 +142,7 @@ def plan_calibration(
     capped = [
         Shot(0, "bias", iso, camera.fastest.nominal_s, camera.fastest) for iso in isos for _ in range(bias_frames)
     ]
-    shots += _numbered(capped, shots)
+    shots += _numbered(capped, 1)
     for iso in isos:
         taken: list[Fraction] = []
         for level in flat_levels:
@@ -181,33 +159,13 @@ def plan_calibration(
             numbers = range(len(shots) + 1, len(shots) + 1 + FRAMES_PER_LEVEL)
             shots += [Shot(n, "flat", iso, target_s, setting, level=level) for n in numbers]
     # Behind the others, which so keep their numbers when these are added to a plan that is being shot.
-    longer = [shot for setting in dark for shot in _dark_shots(camera, setting, isos, dark_frames, remarks)]
-    shots += _numbered(longer, shots)
     if warm:
-        again = [replace(shot, series=f"{WARM}/{shot.series}".rstrip("/")) for shot in (*capped, *longer)]
-        shots += _numbered(again, shots)
-    values = (isos, bias_frames, flat_levels, flat_clips_at_s, tuple(shots), tuple(remarks))
-    return CalibrationPlan(*values, dark, dark_frames, warm)
+        shots += _numbered((replace(shot, series=WARM) for shot in capped), len(shots) + 1)
+    return CalibrationPlan(isos, bias_frames, flat_levels, flat_clips_at_s, tuple(shots), tuple(remarks), warm)
 
 
-def _numbered(shots: Iterable[Shot], before: Sequence[Shot]) -> list[Shot]:
-    return [replace(shot, number=number) for number, shot in enumerate(shots, len(before) + 1)]
-
-
-def _dark_shots(
-    camera: CameraDescription, dark: DarkSetting, isos: tuple[int, ...], count: int, remarks: list[str]
-) -> list[Shot]:
-    iso, seconds = dark
-    setting = camera.named(seconds)
-    if setting is None or iso not in camera.isos:
-        raise PlanError(f"dark frames: {camera.name} has no ISO {iso} at {seconds} s")
-    if iso not in isos:
-        remarks.append(f"ISO {iso}: no dark frames at {setting.dial} s, since no bias frames of this ISO are planned")
-        return []
-    if setting == camera.fastest:
-        return []  # the bias frames are of this time
-    series = f"dark-{setting.dial.removeprefix('bulb ').replace('/', '_')}s"
-    return [Shot(0, "bias", iso, seconds, setting, series=series)] * count
+def _numbered(shots: Iterable[Shot], first: int) -> list[Shot]:
+    return [replace(shot, number=number) for number, shot in enumerate(shots, first)]
 
 
 def _flat_setting(

@@ -77,8 +77,7 @@ class ChecklistRow:
         if self.shot.level is not None:
             words = f"flat {float(100 * self.shot.level):.0f} %"
         if self.shot.series:
-            longer = self.shot.series.rpartition("/")[2] != WARM
-            words = " ".join([*([WARM] if part_of(self.shot) == WARM else []), "dark" if longer else "bias"])
+            words = f"{self.shot.series} {words}"
         return words if self.count == 1 else f"{words}, {self.count} frames"
 
     def as_dict(self) -> dict[str, Any]:
@@ -98,7 +97,7 @@ def _together(shot: Shot) -> tuple[object, ...]:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationPart:
-    """Calibration frames of one kind: ``"bias"``, ``"flats"``, ``"dark"`` or ``"warm"``, with what to do before."""
+    """Calibration frames of one kind: ``"bias"``, ``"flats"`` or ``"warm"``, with what to do before."""
 
     kind: str
     title: str
@@ -109,16 +108,13 @@ class CalibrationPart:
 _TITLES: Final = {
     "bias": "Bias frames",
     "flats": "Flat-field frames",
-    "dark": "Dark frames of the scenes' times",
     WARM: "With the sensor warm, after the shooting",
 }
 
 
 def part_of(shot: Shot) -> str:
     """Return the kind of calibration frames that a shot belongs to."""
-    if shot.role == "flat":
-        return "flats"
-    return "bias" if not shot.series else WARM if shot.series.startswith(WARM) else "dark"
+    return "flats" if shot.role == "flat" else shot.series or "bias"
 
 
 def calibration_parts(plan: Plan) -> tuple[CalibrationPart, ...]:

@@ -17,7 +17,7 @@ from eldata.base.files import sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, load_card, title_of_set
-from eldata.manifest.pairs import LONGER_DARK, UNCERTAIN_ISO, WARM_SENSOR
+from eldata.manifest.pairs import UNCERTAIN_ISO, WARM_SENSOR
 from eldata.manifest.table import load_records
 from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.records import FrameRecord
@@ -61,8 +61,8 @@ class Dataset:
 def layout_path(plan: Plan, scene: str, shot: Shot, source: Path) -> str:
     """Return a shot's path in the dataset: ``<camera>/scene-1/IMG_0004.ARW``, ``<camera>/bias/ISO100/IMG_0001.ARW``.
 
-    Dark frames and those of a warm sensor are kept apart, in folders that ``eldata calibrate`` takes as they are:
-    ``<camera>/dark-0.5s/bias/ISO800/IMG_0133.ARW``.
+    Bias frames of a warm sensor are kept apart, in a folder that ``eldata calibrate`` takes as it is:
+    ``<camera>/warm/bias/ISO800/IMG_0133.ARW``.
     """
     place = "/".join(filter(None, (shot.series, shot.role, f"ISO{shot.iso}"))) if scene == CALIBRATION else scene
     return f"{plan.camera.name}/{place}/IMG_{shot.number:04d}{source.suffix}"
@@ -169,22 +169,17 @@ def _record(plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str,
         exposure_s=frame.exposure_s,
         ratio=None if shot.factor is None else Fraction(shot.factor),
         reference=reference,
-        flags=(*flags_of(shot.series), *_doubted(shot)),
+        flags=_flags(shot),
     )
 
 
-def _doubted(shot: Shot) -> tuple[str, ...]:
-    """Return the flag of a pair whose names of ISOs say another ratio than their measured speeds, known beforehand."""
+def _flags(shot: Shot) -> tuple[str, ...]:
+    """Return what is known beforehand: a warm sensor, and names of ISOs that say another ratio than measured speeds."""
+    if shot.series == WARM:
+        return (WARM_SENSOR,)
     if shot.true_iso is None or shot.named_ratio is None or shot.factor is None:
         return ()
     return (UNCERTAIN_ISO,) if abs(shot.named_ratio - shot.factor) > RATIO_TOLERANCE * shot.factor else ()
-
-
-def flags_of(series: str) -> tuple[str, ...]:
-    """Return the flags of calibration frames of a series: by them ``eldata calibrate`` leaves these rows to it."""
-    parts = series.split("/")
-    found = [WARM_SENSOR] if parts[0] == WARM else []
-    return tuple(found + ([LONGER_DARK] if parts[-1] not in ("", WARM) else []))
 
 
 def with_hashes(dataset: Dataset, workers: Workers = IN_THIS_PROCESS) -> Dataset:

@@ -11,7 +11,7 @@ import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.calibration import CalibrationPlan, DarkSetting, dark_settings, plan_calibration
+from capture.calibration import CalibrationPlan, plan_calibration
 from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
 from capture.capture_errors import PlanError, naming
 from capture.protocol import COUNTS, CaptureProtocol
@@ -89,14 +89,6 @@ class Plan:
         """How many scenes there are, in words."""
         return counted(len(self.scenes), "scene")
 
-    @property
-    def without_dark(self) -> tuple[DarkSetting, ...]:
-        """ISO and marked time of noisy frames that the plan's dark frames lack: of scenes that changed since."""
-        if self.calibration is None or not self.calibration.dark:
-            return ()
-        used = dark_settings(shot for scene in self.scenes for shot in scene.shots)
-        return tuple(one for one in used if one not in self.calibration.dark)
-
     def scene(self, name: str) -> ScenePlan:
         """Return a scene by its name.
 
@@ -111,7 +103,7 @@ class Plan:
         known = ", ".join(scene.name for scene in self.scenes) or "none"
         raise PlanError(f"the plan has no scene called {name!r}; it has {known}")
 
-    def add_scene(self, name: str, metered_s: Fraction, notes: Sequence[str] = ()) -> Plan:
+    def add_scene(self, name: str, metered_s: Fraction) -> Plan:
         """Return the plan with one more scene at its end.
 
         Raises
@@ -121,8 +113,7 @@ class Plan:
         ImpossibleShotError
             If one of its shots is beyond the camera.
         """
-        added = plan_scene(self.camera, self.protocol, name, metered_s, tuple(notes))
-        return replace(self, scenes=(*self.scenes, added))
+        return replace(self, scenes=(*self.scenes, plan_scene(self.camera, self.protocol, name, metered_s)))
 
     def remeter(self, name: str, metered_s: Fraction) -> Plan:
         """Return the plan with a scene's shots computed from another metered time; its notes stay.
@@ -288,13 +279,11 @@ def _shot_as_dict(shot: Shot) -> dict[str, Any]:
 
 
 def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
-    settings = [{"iso": iso, "nominal_s": str(seconds)} for iso, seconds in calibration.dark]
     return {
         "isos": list(calibration.isos),
         "bias_frames": calibration.bias_frames,
         "flat_levels": [str(level) for level in calibration.flat_levels],
         "flat_clips_at_s": str(calibration.flat_clips_at_s),
-        **({"dark": {"frames": calibration.dark_frames, "settings": settings}} if settings else {}),
         **({"warm": True} if calibration.warm else {}),
         "shots": [_shot_as_dict(shot) for shot in calibration.shots],
     }
@@ -321,13 +310,7 @@ def _scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol)
 
 
 def _calibration(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> CalibrationPlan:
-    fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "dark", "warm", "shots"))
-    more: dict[str, Any] = {"warm": fields.optional("warm", fields.flag, False)}
-    if "dark" in fields.data:
-        dark = fields.inside("dark")
-        dark.only(("frames", "settings"))
-        more["dark_frames"] = dark.whole("frames", at_least=1, at_most=_MOST_BIAS_FRAMES)
-        more["dark"] = tuple(_dark_setting(one) for one in dark.objects("settings"))
+    fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "warm", "shots"))
     calibration = plan_calibration(
         camera,
         protocol.base_iso,
@@ -335,15 +318,10 @@ def _calibration(fields: Fields, camera: CameraDescription, protocol: CapturePro
         fields.parsed("flat_clips_at_s", parse_seconds),
         bias_frames=fields.whole("bias_frames", at_least=1, at_most=_MOST_BIAS_FRAMES),
         flat_levels=fields.each("flat_levels", Fields.parsed, parse=parse_seconds),
-        **more,
+        warm=fields.optional("warm", fields.flag, False),
     )
     _check_shots(fields, calibration.shots)
     return calibration
-
-
-def _dark_setting(fields: Fields) -> DarkSetting:
-    fields.only(("iso", "nominal_s"))
-    return fields.whole("iso", at_least=1), fields.parsed("nominal_s", parse_seconds)
 
 
 def _check_shots(fields: Fields, shots: Sequence[Shot]) -> None:

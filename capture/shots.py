@@ -51,7 +51,7 @@ class Shot:
     true_iso
         The ISO's measured speed, where the camera's description states it.
     series
-        Of calibration frames beside the usual ones, the folder that keeps them apart: ``dark-0.5s``, ``warm``.
+        Of calibration frames beside the usual ones, the folder that keeps them apart: ``warm``.
     """
 
     number: int

@@ -8,11 +8,10 @@ from capture.check.calibration import check_bias, check_flats
 from capture.check.frames import Unit
 from capture.check.result import CheckedGroup, CheckReport
 from capture.check.scene import check_scene
-from capture.observed import exposure_text
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.catalogue import Manifest, load_manifest
-from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
+from eldata.manifest.pairs import WARM_SENSOR
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -85,10 +84,8 @@ def check_unit(unit: Unit) -> CheckedGroup:
 
 def _unit_name(record: FrameRecord) -> str:
     if record.role in ("bias", "flat"):
-        series = [one for one in (LONGER_DARK, WARM_SENSOR) if one in record.flags]
-        at = [exposure_text(record.exposure_s)] if LONGER_DARK in series and record.exposure_s is not None else []
         name = f"{record.camera} {record.role} ISO {'?' if record.iso is None else f'{float(record.iso):g}'}"
-        return " ".join([name, *series, *at])
+        return f"{name} {WARM_SENSOR}" if WARM_SENSOR in record.flags else name
     return f"{record.camera} {record.scene}".rstrip()
 
 

@@ -140,12 +140,6 @@ def _unshift(down: NDArray[np.float64], right: NDArray[np.float64], side: int) -
     return factors
 
 
-def _counted_twice(side: int, band: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return how often each frequency of a band counts: of a real image's spectrum only half is kept."""
-    _, fx = _frequencies(side)
-    return np.broadcast_to(np.where((fx == 0) | (fx == 0.5), 1.0, 2.0), band.shape)[band]
-
-
 def _shift_band(side: int) -> NDArray[np.bool_]:
     """Return the frequencies that a shift is told by."""
     fy, fx = _frequencies(side)
@@ -180,7 +174,7 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
     down = right = np.zeros(len(cross))
     wave_y, wave_x = (2 * np.pi * np.broadcast_to(axis, band.shape)[band] for axis in (fy, fx))
     # The half of the plane that a real transform stores counts twice but for its own mirror, the columns 0 and side/2.
-    twice = _counted_twice(side, band)
+    twice = np.broadcast_to(np.where((fx == 0) | (fx == 0.5), 1.0, 2.0), band.shape)[band]
     # One round: Im(C exp(2 pi i k d)) is about -Re(...) 2 pi k (d_true - d), linear in what is left of the shift.
     for _ in range(_ROUNDS):
         turned = (cross * _unshift(down, right, side))[:, band]

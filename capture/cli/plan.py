@@ -15,7 +15,6 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from capture.calibration import DARK_FRAMES
 from capture.checklist_content import rows as rows_of
 from capture.cli.values import (
     add_alike,
@@ -108,19 +107,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--bias-frames", type=whole_number(1), metavar="N", help="bias frames per ISO (default: 10)"
     )
     calibration.add_argument(
-        "--dark-frames",
-        type=whole_number(1),
-        nargs="?",
-        const=DARK_FRAMES,
-        metavar="N",
-        help=f"dark frames at each ISO and time of the noisy frames too, N of each (default: {DARK_FRAMES}), for the "
-        "dark current of eldata calibrate",
-    )
-    calibration.add_argument(
         "--warm",
         action="store_true",
         default=None,
-        help="bias and dark frames a second time, with the sensor warm from the shooting; the first come before it",
+        help="bias frames a second time, with the sensor warm from the shooting; the first come before it",
     )
     add_output(parser, "-o", "--output", help="the new plan's file; with PLAN: write the changes there")
     add_shared(parser, run, json=True)
@@ -162,11 +152,7 @@ def _new(arguments: argparse.Namespace) -> Plan:
         tuple(arguments.factors or chosen.low_light_factors),
         **given_counts(arguments),
     )
-    times = _metered(arguments)
-    if not times:
-        return make_plan(camera, protocol, {}, _calibration(camera, protocol, (), arguments))
-    plan = make_plan(camera, protocol, times)
-    return replace(plan, calibration=_calibration(camera, protocol, plan.shots, arguments))
+    return make_plan(camera, protocol, _metered(arguments), _calibration(camera, protocol, arguments))
 
 
 def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
@@ -193,16 +179,13 @@ def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
 
 
 def _calibration(
-    camera: CameraDescription,
-    protocol: CaptureProtocol,
-    shots: Sequence[tuple[str, Shot]],
-    arguments: argparse.Namespace,
+    camera: CameraDescription, protocol: CaptureProtocol, arguments: argparse.Namespace
 ) -> CalibrationPlan | None:
-    """Return the calibration frames that are asked for; ``shots`` are the scenes', whose times dark frames have."""
-    from capture.calibration import dark_settings, default_isos, plan_calibration
+    """Return the calibration frames that are asked for."""
+    from capture.calibration import default_isos, plan_calibration
 
     if not arguments.calibration:
-        for name in ("flat_clips_at", "calibration_isos", "bias_frames", "dark_frames", "warm"):
+        for name in ("flat_clips_at", "calibration_isos", "bias_frames", "warm"):
             if getattr(arguments, name) is not None:
                 raise ArgumentError(f"--{name.replace('_', '-')} goes with --calibration")
         return None
@@ -212,12 +195,9 @@ def _calibration(
             "and lengthen the exposure until the raw histogram touches its right end"
         )
     isos = tuple(sorted(arguments.calibration_isos)) if arguments.calibration_isos else default_isos(camera, protocol)
-    dark = () if arguments.dark_frames is None else dark_settings(shot for _, shot in shots)
-    if arguments.dark_frames is not None and not dark:
-        raise ArgumentError("--dark-frames: they have the noisy frames' times, and the plan has no scenes")
-    given = {name: getattr(arguments, name) for name in ("bias_frames", "dark_frames", "warm")}
+    given = {name: getattr(arguments, name) for name in ("bias_frames", "warm")}
     given = {name: value for name, value in given.items() if value is not None}
-    return plan_calibration(camera, protocol.base_iso, isos, arguments.flat_clips_at, dark=dark, **given)
+    return plan_calibration(camera, protocol.base_iso, isos, arguments.flat_clips_at, **given)
 
 
 def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
@@ -235,7 +215,7 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
             raise ArgumentError(f"--note: expected a scene and a text, such as scene-2=bookshelf; found {text!r}")
         plan = plan.add_note(name, note.strip())
     if arguments.plan is not None:
-        calibration = _calibration(plan.camera, plan.protocol, plan.shots, arguments)
+        calibration = _calibration(plan.camera, plan.protocol, arguments)
         plan = plan if calibration is None else replace(plan, calibration=calibration)
     return plan
 
@@ -262,16 +242,10 @@ def format_plan(plan: Plan) -> str:
     if plan.calibration is not None:
         shots, clips_at_s = plan.calibration.shots, plan.calibration.flat_clips_at_s
         title = f"calibration: the surface clips at {clips_at_s} s, ISO {protocol.base_iso}"
-        after = [f"calibration: {duration_of(shots)}", *plan.calibration.remarks, *_no_dark(plan)]
+        after = [f"calibration: {duration_of(shots)}", *plan.calibration.remarks]
         parts.append("\n".join([title, _calibration_table(shots), *after]))
     parts.append(f"the whole plan: {plan.duration}; composing, focusing and metering come on top")
     return "\n\n".join(parts)
-
-
-def _no_dark(plan: Plan) -> list[str]:
-    listed = ", ".join(f"ISO {iso} at {seconds} s" for iso, seconds in plan.without_dark)
-    text = f"no dark frames are planned for {listed}, which scenes have by now: plan them again with --calibration"
-    return [text] if listed else []
 
 
 def _table(shots: Sequence[Shot]) -> str:

@@ -15,7 +15,7 @@ from eldata.base.tables import block, frame_of, table
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError, did_you_mean
 from eldata.manifest.catalogue import FrameFiles, data_root, is_name, known_manifest, load_manifest
-from eldata.manifest.pairs import LONGER_DARK, WARM_SENSOR
+from eldata.manifest.pairs import WARM_SENSOR
 from eldata.manifest.patterns import expand
 from eldata.raw.files import RAW_EXTENSIONS, of_arrays
 from eldata.records import FrameRecord
@@ -70,8 +70,8 @@ class CalibrationFrames:
         The camera's name; may be left out if there is one alone.
     manifest
         A manifest's CSV file, or the name of a known set, whose rows of role ``bias`` and ``flat`` are taken in place
-        of what the folders hold; not those with the flag ``longer-dark`` or ``warm-sensor``, which are series of their
-        own: give their folder.
+        of what the folders hold; not those with the flag ``warm-sensor``, which are a series of their own: give
+        their folder.
     isos
         Only these ISOs.
 
@@ -113,7 +113,7 @@ class CalibrationFrames:
             found = tuple(
                 record
                 for record in expand(loaded.records, self.root)
-                if record.role in _ROLES and not {LONGER_DARK, WARM_SENSOR} & {*record.flags}
+                if record.role in _ROLES and WARM_SENSOR not in record.flags
             )
             self.camera = chosen_camera(camera, {record.camera for record in found}, str(loaded.path))
             stated = FrameFiles.of(self.root, loaded.card, found)

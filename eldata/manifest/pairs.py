@@ -25,8 +25,7 @@ Item = TypeVar("Item", "PairRecord", "FrameRecord")
 UNCERTAIN_ISO = "uncertain-iso"
 # Flag of a noisy frame whose ratio cannot follow from what files state: the manifest's is taken.
 NOMINAL_RATIO = "nominal-ratio"
-# Flags of bias frames that are longer than the others of their ISO, or of a sensor that was warm from shooting.
-LONGER_DARK = "longer-dark"
+# Flag of bias frames of a sensor that was warm from shooting.
 WARM_SENSOR = "warm-sensor"
 
 _OF_PAIRS = names_of(PairRecord)

@@ -273,7 +273,7 @@ def test_advice_on_flats_is_enough() -> None:
 
 def test_changes_leave_the_rest_alone() -> None:
     plan = plan_of("4", "1").add_note("scene-2", "books")
-    changed = plan.remeter("scene-2", Fraction(2)).add_scene("scene-7", Fraction(8), ["cups"])
+    changed = plan.remeter("scene-2", Fraction(2)).add_scene("scene-7", Fraction(8)).add_note("scene-7", "cups")
     assert changed.scenes[0] == plan.scenes[0]
     assert changed.scene("scene-2").notes == ("books",)
     assert changed.scene("scene-2").shots == plan_of("2").scenes[0].shots
@@ -311,7 +311,7 @@ def test_wrong_scenes() -> None:
 
 
 def test_plans_are_what_they_were_before_frames_were_repeated(tmp_path: Path) -> None:
-    """To the byte, as capture wrote them before plans had repeats, apertures, true ISOs and dark frames."""
+    """To the byte, as capture wrote them before plans had repeats, apertures, true ISOs and a warm sensor."""
     frames = plan_calibration(CAMERA, 100, (100, 800), Fraction(1, 4), bias_frames=4)
     for plan, digest in (
         (
@@ -333,8 +333,7 @@ def every_kind() -> Plan:
     speeds = tuple((iso, Fraction(iso) * Fraction(9, 10)) for iso in CAMERA.isos)
     camera = replace(CAMERA, true_isos=speeds)
     protocol = CaptureProtocol(100, (800,), (1, 10), repeats=2, references=3)
-    dark = ((800, Fraction(1, 2)), (800, Fraction(1, 20)))
-    frames = plan_calibration(camera, 100, (100, 800), Fraction(1, 2), bias_frames=4, dark=dark, warm=True)
+    frames = plan_calibration(camera, 100, (100, 800), Fraction(1, 2), bias_frames=4, warm=True)
     plan = make_plan(camera, protocol, {"scene-1": Fraction(4)}, frames).add_note("scene-1", "books, ünïcode")
     return plan.set_aperture("scene-1", Fraction("5.6"))
 

@@ -1,4 +1,4 @@
-"""Frames beside the usual ones, with real files: repeated ones, other apertures, dark frames, a warm sensor."""
+"""Frames beside the usual ones, with real files: repeated ones, other apertures, a warm sensor."""
 
 from __future__ import annotations
 
@@ -30,8 +30,6 @@ from tests.capture.test_whole_path import description
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from capture.shots import Shot
 
 LRID = CaptureProtocol(noisy_isos=(800,), low_light_factors=(10, 100), repeats=3, references=2)
 HALF = Fraction(1, 2)
@@ -186,51 +184,36 @@ def test_apertures_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFix
         assert "expected an f-number" in capsys.readouterr().err
 
 
-# --- dark frames and a warm sensor ------------------------------------------------------------------------------------
+# --- a warm sensor ----------------------------------------------------------------------------------------------------
 
 
 def with_series(plan: Plan) -> Plan:
-    dark = ((800, HALF), (800, Fraction(1, 20)), (1600, HALF))
-    frames = plan_calibration(
-        CAMERA, 100, (800,), Fraction(1), bias_frames=4, flat_levels=(HALF,), dark=dark, warm=True
-    )
+    frames = plan_calibration(CAMERA, 100, (800,), Fraction(1), bias_frames=4, flat_levels=(HALF,), warm=True)
     return replace(plan, calibration=frames)
 
 
-def test_dark_frames_and_a_warm_sensor(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each series is where eldata calibrate takes it from, and the usual frames are as if there were no other."""
+def test_bias_frames_of_a_warm_sensor(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
+    """They are where eldata calibrate takes them from, and the usual frames are as if there were no other."""
     plan = with_series(lrid("4"))
     assert plan.calibration is not None
-    assert plan.calibration.remarks == (
-        "ISO 1600: no dark frames at 0.5 s, since no bias frames of this ISO are planned",
-    )
     shots = plan.calibration.shots
-    assert [shot.number for shot in shots] == list(range(1, 4 + 2 + 8 + 12 + 1))
+    assert [shot.number for shot in shots] == list(range(1, 4 + 2 + 4 + 1))
     usual = plan_calibration(CAMERA, 100, (800,), Fraction(1), bias_frames=4, flat_levels=(HALF,)).shots
     assert shots[:6] == usual
-    # The cold frames before the scene, the warm ones after it, and the darks at the very end.
-    kinds: dict[str, list[Shot]] = {}
-    for shot in shots:
-        kinds.setdefault(shot.series.partition("-")[0], []).append(shot)
-    order = (kinds[""], plan.scenes[0].shots, kinds["warm"], kinds["warm/dark"], kinds["dark"])
+    assert {shot.series for shot in shots[6:]} == {"warm"}
+    order = (shots[:6], plan.scenes[0].shots, shots[6:])  # the cold frames before the scene, the warm ones after it
     shoot(nights.folder / "card", [one for some in order for one in as_planned(some)])
     assert nights.add(plan, nights.folder / "card", options=()) == 0
     output = capsys.readouterr().out
-    assert "bias frames of ISO 800 (warm/dark-0.5s)" in output
-    assert "36 of 36 shots have a file" in output
+    assert "bias frames of ISO 800 (warm)" in output
+    assert "20 of 20 shots have a file" in output
     assert nights.problems() == []
     folder = nights.data / CAMERA.name
-    for series, exposure_s, count in (
-        ("", Fraction(1, 8000), 4),
-        ("dark-0.5s", HALF, 4),
-        ("dark-1_20s", Fraction(1, 20), 4),
-        ("warm", Fraction(1, 8000), 4),
-        ("warm/dark-0.5s", HALF, 4),
-    ):
+    for series in ("", "warm"):
         frames = CalibrationFrames(folder / series)
         bias = frames.of("bias", 800)
-        assert len(bias) == count
-        assert {frames.read(record).exposure.exposure_s for record in bias} == {exposure_s}
+        assert len(bias) == 4
+        assert {frames.read(record).exposure.exposure_s for record in bias} == {Fraction(1, 8000)}
     rows = CalibrationFrames(nights.data, manifest=nights.csv).records
     assert [row.path for row in rows] == [
         row.path for row in load_manifest(nights.csv).records if row.role in ("bias", "flat") and not row.flags
@@ -238,17 +221,11 @@ def test_dark_frames_and_a_warm_sensor(nights: Nights, capsys: pytest.CaptureFix
     assert len(rows) == 6
     flags = {row.path.rpartition("/bias/")[0]: row.flags for row in load_manifest(nights.csv).records}
     assert flags[CAMERA.name] == ()
-    assert flags[f"{CAMERA.name}/dark-0.5s"] == ("longer-dark",)
     assert flags[f"{CAMERA.name}/warm"] == ("warm-sensor",)
-    assert flags[f"{CAMERA.name}/warm/dark-1_20s"] == ("warm-sensor", "longer-dark")
     manifest = load_manifest(nights.csv)
-    dark = replace(
-        manifest, records=tuple(row for row in manifest.records if row.role == "bias")
-    )  # flats are too small
-    names = [group.name for group in check(dark, nights.folder / "data").groups]
-    assert names.count("AcmeNocturne bias ISO 800") == 1
-    assert "AcmeNocturne bias ISO 800 longer-dark 0.5 s" in names
-    assert "AcmeNocturne bias ISO 800 longer-dark warm-sensor 1/20 s" in names
+    bias = tuple(row for row in manifest.records if row.role == "bias")  # flats are too small
+    names = [group.name for group in check(replace(manifest, records=bias), nights.folder / "data").groups]
+    assert names == ["AcmeNocturne bias ISO 800", "AcmeNocturne bias ISO 800 warm-sensor"]
 
 
 def test_cold_frames_on_one_card_and_warm_ones_on_another(
@@ -265,22 +242,21 @@ def test_cold_frames_on_one_card_and_warm_ones_on_another(
     assert nights.add(plan, nights.folder / "one", options=("--allow-gaps", "--yes")) == 0
     assert "bias frames of ISO 800, bias frames of ISO 800 (warm) have equal exposures" in capsys.readouterr().out
     assert nights.add(plan, nights.folder / "two", nights.folder / "one") == 0
-    assert "20 of 20 shots have a file" in capsys.readouterr().out
+    assert "4 of 4 shots have a file" in capsys.readouterr().out
     assert nights.problems() == []
     assert len(CalibrationFrames(nights.data / CAMERA.name / "warm").of("bias", 800)) == 4
     assert load_manifest(nights.csv).card.title == "1 scene and calibration frames taken with AcmeNocturne"
 
 
-def test_eldata_calibrate_tells_bias_frames_from_dark_frames(
+def test_eldata_calibrate_leaves_bias_frames_of_a_warm_sensor_alone(
     nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From the plan to a dark shading, of a sensor that gathers 32 DN in 4 s, more or less: not of those frames."""
+    """From the plan to a dark shading, of a sensor whose black is 32 DN higher, more or less, when it is warm."""
     camera = CAMERAS[0].with_size(256, 256)
     told = description(CAMERAS[0])
     planted = np.round(np.random.default_rng(7).gamma(2.0, 16.0, (256, 256)))
     levels = (Fraction(1, 5), Fraction(1, 2), Fraction(4, 5))
-    dark_at = ((800, Fraction(4)),)
-    frames = plan_calibration(told, 100, (100, 800), Fraction(1), bias_frames=4, flat_levels=levels, dark=dark_at)
+    frames = plan_calibration(told, 100, (100, 800), Fraction(1), bias_frames=4, flat_levels=levels, warm=True)
     plan = make_plan(told, LRID, {}, frames)
     card = nights.folder / "card"
     card.mkdir()
@@ -298,35 +274,19 @@ def test_eldata_calibrate_tells_bias_frames_from_dark_frames(
     dark = ["--dark-shading", str(shading)]
     assert eldata_main(["calibrate", str(nights.csv), "--root", str(nights.folder / "data"), *dark, "--jobs", "1"]) == 0
     output = capsys.readouterr().out
-    assert "8 bias and 12 flat frames at 2 ISOs" in output  # the dark ones are not among them
+    assert "8 bias and 12 flat frames at 2 ISOs" in output  # the warm ones are not among them
     found = DarkShading.load(shading)
     assert [(one.iso, one.frames) for one in found.isos] == [(100, 4), (800, 4)]
     assert float(found.at(800)[~found.hot].std()) < 5 < 20 < float(planted[~found.hot].std())
 
 
-def test_dark_frames_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_warm_sensor_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     CAMERA.save(tmp_path / "cam.json")
     file = tmp_path / "plan.json"
     new = ["plan", "--camera", str(tmp_path / "cam.json"), "-o", str(file), "--calibration", "--flat-clips-at", "1"]
-    scenes = ["--scenes", "1", "--metered", "4", "--isos", "800", "--factors", "1", "10"]
-    assert main([*new, *scenes, "--dark-frames", "--warm"]) == 0
+    assert main([*new, "--calibration-isos", "800", "--warm"]) == 0
+    assert "warm bias" in capsys.readouterr().out
     plan = Plan.load(file)
     assert plan.calibration is not None
-    assert plan.calibration.dark == ((800, Fraction(1, 20)), (800, HALF))
-    assert sum(shot.series == "dark-0.5s" for shot in plan.calibration.shots) == 4
-    capsys.readouterr()
-    # Metered again, the scene has a time that no dark frame has.
-    assert main(["plan", str(file), "--remeter", "scene-1=2"]) == 0
-    assert "no dark frames are planned for ISO 800 at 1/40 s, ISO 800 at 1/4 s" in capsys.readouterr().out
-    again = ["--calibration", "--flat-clips-at", "1", "--dark-frames", "5"]
-    assert main(["plan", str(file), *again]) == 0
-    output = capsys.readouterr().out
-    assert "no dark frames are planned" not in output
-    assert "dark-1_4s bias" in output
-    for wrong, words in (
-        (["--dark-frames"], "they have the noisy frames' times, and the plan has no scenes"),
-        ([*scenes, "--dark-frames", "3"], "dark frames per ISO and time: expected 4 to 999, found 3"),
-    ):
-        other = [str(tmp_path / "other.json") if part == str(file) else part for part in new]
-        assert main([*other, *wrong]) == 2
-        assert words in capsys.readouterr().err
+    assert plan.calibration.warm
+    assert sum(shot.series == "warm" for shot in plan.calibration.shots) == 10

@@ -139,7 +139,7 @@ CASES = {
     "evaluate-several": Case(
         "eldata", f"evaluate ../inputs/preds ../inputs/others {ELD} -o results --jobs {JOBS}", several_predictions
     ),
-    "baseline": Case("eldata", f"baseline gaussian {ELD} -o preds --jobs {JOBS}", demo_tree),
+    "baseline": Case("eldata", f"baseline input {ELD} -o preds --jobs {JOBS}", demo_tree),
     "predict": Case(
         "eldata", f"predict tests.baselines.test_predicting:halved {ELD} -o preds --tile 16 --overlap 0", demo_tree
     ),

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import pickle
 import re
 import shutil
-import signal
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from subprocess import PIPE
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,7 +31,6 @@ from eldata.evaluation.request import SETTINGS
 from eldata.noise.profile import CameraProfile
 from tests.onnx_file import onnx_network
 from tests.trees import tree_in
-from tests.waiting import PATIENCE_S, is_asleep, until
 
 if TYPE_CHECKING:
     from eldata.baselines.noisy_frames import NoisyFrame
@@ -255,60 +250,6 @@ def test_a_missing_extra_is_one_line_before_anything_is_written(
         assert (said.out, said.err.count("\n")) == ("", 1)
         assert f"pip install 'eldata[{extra}]'" in said.err
         assert not (tmp_path / "p").exists()
-
-
-# At its fourth call, of which two are of the fixed input, it waits in C for a lock that nobody will open.
-STUCK = """
-import ctypes, os
-calls = 0
-def network(image):
-    global calls
-    calls += 1
-    if calls == int(os.environ.get("STUCK_AT", "0")):
-        libc, lock = ctypes.CDLL(None), ctypes.create_string_buffer(256)
-        libc.pthread_mutex_lock(lock)
-        print("stuck", flush=True)
-        libc.pthread_mutex_lock(lock)
-    return 0.5 * image
-"""
-
-
-@pytest.mark.kill
-@pytest.mark.skipif(sys.platform != "linux", reason="a lock of zeros is one of glibc")
-def test_the_second_ctrl_c_ends_a_network_inside_a_call_into_c(
-    tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """And the same command goes on, in this process, to what an undisturbed one writes."""
-    (tmp_path / "mine.py").write_text(STUCK, encoding="utf-8")
-    command = ["predict", "mine:network", *of_set(tree), "--device", "cpu"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), str(tmp_path)])}
-    out, straight = tmp_path / "p", tmp_path / "straight"
-    program = [sys.executable, "-m", "eldata.cli.main", *command, "-o", str(out)]
-    with subprocess.Popen(program, env=environment | {"STUCK_AT": "4"}, stdout=PIPE, stderr=PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "stuck\n"
-            until(lambda: is_asleep(process.pid), "the second lock")
-            process.send_signal(signal.SIGINT)
-            with pytest.raises(subprocess.TimeoutExpired):
-                process.wait(1.5)  # longer than what counts as one event
-            process.send_signal(signal.SIGINT)
-            shown, said = process.communicate(timeout=PATIENCE_S)
-        finally:
-            process.kill()
-    assert (process.returncode, shown, said) == (130, "", "eldata: interrupted\n")
-    assert len(list(out.rglob("*.npy"))) == 1
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "mine", raising=False)
-    for folder in (out, straight):
-        assert main([*command, "-o", str(folder)]) == 0
-    monkeypatch.delitem(sys.modules, "mine")
-    first, second = (
-        {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-        for folder in (out, straight)
-    )
-    assert first == second
-    assert len(first) == 13
 
 
 def test_damaged_frames_are_listed_and_the_rest_is_predicted(

@@ -1,80 +1,18 @@
-"""What callers hand over: keywords typed once, objects that a person names, tensors, the script that runs."""
+"""What callers hand over: objects that a person names, tensors, the script that runs."""
 
 from __future__ import annotations
 
 import ast
 import importlib
-import inspect
 import sys
 import threading
 import tokenize
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-Function = TypeVar("Function", bound="Callable[..., Any]")
-
-
-def keywords(owner: str, given: Mapping[str, Any], *kinds: type) -> list[Any]:
-    """Return keyword arguments by kind: for each TypedDict a dictionary of those that it names.
-
-    Parameters
-    ----------
-    owner
-        Name of the function or class, for messages.
-    given
-        What it was called with.
-    kinds
-        TypedDicts whose fields are the known names.
-
-    Raises
-    ------
-    TypeError
-        If a name is unknown (the message lists the known ones).
-    """
-    known = [tuple(kind.__annotations__) for kind in kinds]
-    for name in given:
-        if not any(name in names for names in known):
-            every = ", ".join(name for names in known for name in names)
-            raise TypeError(f"{owner} got an unexpected keyword argument {name!r}; known are {every}")
-    return [{name: given[name] for name in names if name in given} for names in known]
-
-
-class _AsDocumented:
-    """In place of a default that only a function's documentation states."""
-
-    def __repr__(self) -> str:
-        return "..."
-
-
-def spell_keywords(kind: type) -> Callable[[Function], Function]:
-    """Return a decorator by which an editor and ``help()`` show each of a function's keyword arguments.
-
-    The function takes them as ``**options: Unpack[kind]``, a TypedDict; one that is left out has the default that its
-    documentation says, which the signature shows as ``...``.
-    """
-
-    def spell(function: Function) -> Function:
-        signature = inspect.signature(function)
-        *named, others = signature.parameters.values()
-        types = {name: getattr(of, "__forward_arg__", of) for name, of in kind.__annotations__.items()}
-        spelt = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_AsDocumented(), annotation=of)
-            for name, of in types.items()
-            if name not in signature.parameters
-        ]
-        if others.kind is not inspect.Parameter.VAR_KEYWORD:
-            raise TypeError(f"{function.__qualname__} takes no other keyword arguments")
-        function.__signature__ = signature.replace(parameters=[*named, *spelt])  # type: ignore[attr-defined]
-        return function
-
-    return spell
 
 
 def named_object(place: str) -> Any:

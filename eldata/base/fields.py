@@ -379,13 +379,11 @@ class Fields:
 
     # --- values -------------------------------------------------------------------------------------------------------
 
-    def text(self, name: str, *, empty: bool = False, longest: int | None = None, unseen: bool = False) -> str:
+    def text(self, name: str, *, empty: bool = False, unseen: bool = False) -> str:
         """Return a text; one that is blank only if ``empty``, with characters that do not show only if ``unseen``."""
         found = self.data.get(name, NOTHING)
         if not isinstance(found, str) or not (empty or found.strip()):
             raise self.wrong(name, "a text", found)
-        if longest is not None and len(found) > longest:
-            raise self.wrong(name, f"a text of at most {longest} characters", found)
         if not unseen and has_unseen(found, lines=True):
             raise self.wrong(name, "a text without control characters and others that do not show", found)
         return found

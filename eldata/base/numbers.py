@@ -231,8 +231,6 @@ class Figure:
         One line that says what it is.
     unit
         In plain letters, such as ``dB`` or ``DN/e-``; empty: it has none.
-    symbol
-        What pages and drawings call it, such as ``σ TL``. Default: the label.
     decimals
         Of a mean in a table; ``None``: as many as its standard error warrants.
     difference_decimals, single_decimals
@@ -249,7 +247,6 @@ class Figure:
     label: str
     meaning: str
     unit: str = ""
-    symbol: str = ""
     decimals: int | None = None
     difference_decimals: int | None = None
     single_decimals: int | None = None
@@ -258,28 +255,14 @@ class Figure:
     computed_by: str = ""
 
     def __post_init__(self) -> None:
-        for name, default in (
-            ("symbol", self.label),
-            ("difference_decimals", self.decimals),
-            ("single_decimals", self.decimals),
-        ):
-            if getattr(self, name) in ("", None):
-                object.__setattr__(self, name, default)
+        for name in ("difference_decimals", "single_decimals"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, self.decimals)
 
     @property
     def heading(self) -> str:
         """Its label with the unit, as the head of a column of text, Markdown and LaTeX: ``PSNR [dB]``."""
         return f"{self.label} [{self.unit}]" if self.unit else self.label
-
-    @property
-    def page_heading(self) -> str:
-        """Its symbol with the unit, as pages, notebooks and drawings have it: ``K [DN/e⁻]``."""
-        return f"{self.symbol} [{self.page_unit}]" if self.unit else self.symbol
-
-    @property
-    def page_unit(self) -> str:
-        """The unit as pages have it."""
-        return self.unit.replace("e-", "e\N{SUPERSCRIPT MINUS}")
 
     @property
     def sign(self) -> int:

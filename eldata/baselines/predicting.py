@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
 from eldata import __version__
-from eldata.base.arguments import spell_keywords
 from eldata.base.files import inside, remove_leftovers
 from eldata.base.numbers import counted
 from eldata.base.workers import Failed, require_files
@@ -22,7 +21,7 @@ from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.evaluation.layouts import stem_of
 from eldata.evaluation.planning import plan_scoring, require_pairs
 from eldata.evaluation.predictions import save_prediction
-from eldata.evaluation.request import SetOptions, make_request
+from eldata.evaluation.request import make_request
 from eldata.evaluation.scores import files_of, frames_of, place_of
 from eldata.manifest.card import CHANNELS
 from eldata.manifest.clips import clips_of, setting_name
@@ -37,7 +36,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.request import EvaluationOptions, Request
+    from eldata.base.workers import AnyWorkers
+    from eldata.evaluation.request import Request
     from eldata.evaluation.scores import Pair
     from eldata.manifest.catalogue import FrameFiles
     from eldata.manifest.clips import Clip
@@ -180,17 +180,13 @@ class PredictionReport:
         return "\n".join(lines)
 
 
-@spell_keywords(SetOptions)
 def write_predictions(
-    denoiser: Denoiser,
-    dataset: str,
-    out: Path | str,
-    *,
-    protocol: str | Path | ScoringProtocol | None = None,
-    clip: ClipRange | Literal["protocol"] | None = None,
-    dtype: PixelType = "float32",
-    **options: Unpack[SetOptions],
-) -> PredictionReport:
+    denoiser: Denoiser, dataset: str, out: Path | str, *, protocol: str | Path | ScoringProtocol | None = None,
+    clip: ClipRange | Literal["protocol"] | None = None, dtype: PixelType = "float32",
+    root: Path | str | None = None, manifest: Path | str | None = None, cameras: Collection[str] | None = None,
+    subset: str | None = None, ids: Collection[str] | None = None, exclude_flags: Collection[str] = (),
+    dark_shading: Path | str | None = None, workers: AnyWorkers = 1,
+) -> PredictionReport:  # fmt: skip
     """Predict each pair, or each frame of the clips, that a protocol scores, as :func:`eldata.evaluate` wants it.
 
     So is each frame of a subset without references, such as a benchmark's, which others score.
@@ -211,9 +207,8 @@ def write_predictions(
         is what the denoiser's settings state as ``clip``, else ``"none"``.
     dtype
         Of the files: ``"uint16"`` with 65535 = 1.0, clipped to [0, 1], takes half of the space.
-    **options
-        ``root``, ``manifest``, ``cameras``, ``subset``, ``ids``, ``exclude_flags``, ``dark_shading``, ``workers``: as
-        :func:`eldata.evaluate` has them. The dark shading is taken off the inputs here.
+    root, manifest, cameras, subset, ids, exclude_flags, dark_shading, workers
+        As :func:`eldata.evaluate` has them. The dark shading is taken off the inputs here.
 
     Raises
     ------
@@ -225,8 +220,10 @@ def write_predictions(
     DatasetError, ManifestError
         If the data set is not there or not what its manifest says.
     """
-    wanted: EvaluationOptions = {**options, "baseline": "input"}  # type: ignore[typeddict-item] # the others are left out
-    request = make_request(None, dataset, protocol, wanted)
+    request = make_request(
+        None, dataset, protocol, root=root, manifest=manifest, cameras=cameras, subset=subset, ids=ids,
+        exclude_flags=exclude_flags, baseline="input", dark_shading=dark_shading, workers=workers,
+    )  # fmt: skip
     chosen = request.protocol
     pairs = plan_scoring(request, unscored=True).pairs
     cameras = list(dict.fromkeys(pair.camera for pair in pairs))

@@ -16,7 +16,7 @@ from __future__ import annotations
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any
 
 from eldata.base import console
 from eldata.base.outputs import add_output
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from eldata.base.tables import Format
     from eldata.base.workers import Workers
     from eldata.evaluation.comparison import Comparison
-    from eldata.evaluation.request import EvaluationOptions
     from eldata.evaluation.results import EvaluationResult
 
 
@@ -123,7 +122,7 @@ def run(arguments: console.Arguments) -> int:
         return _run_several(arguments)
     predictions = next(iter(arguments.predictions), None)
     with console.chosen_workers(arguments) as workers:
-        request = make_request(predictions, arguments.dataset or "", arguments.protocol, _options(arguments, workers))
+        request = make_request(predictions, **_options(arguments, workers))
         result = perform(request)
 
         def write_page() -> None:
@@ -146,11 +145,13 @@ def run(arguments: console.Arguments) -> int:
     return console.OK if result.scored and not result.problems else console.PROBLEMS
 
 
-def _options(arguments: console.Arguments, workers: Workers) -> EvaluationOptions:
-    from eldata.evaluation.request import EvaluationOptions
-
-    names = EvaluationOptions.__annotations__.keys() - {"workers"}
-    return cast("EvaluationOptions", console.chosen(arguments, names) | {"workers": workers})
+def _options(arguments: console.Arguments, workers: Workers) -> dict[str, Any]:
+    """Return what is asked of the predictions, as keyword arguments."""
+    names = (
+        "protocol", "root", "manifest", "cameras", "subset", "ids", "exclude_flags",
+        "allow_missing", "baseline", "strict", "task", "dark_shading",
+    )  # fmt: skip
+    return console.chosen(arguments, names) | {"dataset": arguments.dataset or "", "workers": workers}
 
 
 def _run_several(arguments: console.Arguments) -> int:
@@ -177,9 +178,7 @@ def _run_several(arguments: console.Arguments) -> int:
     out = None if arguments.output is None else Path(arguments.output)
     with console.chosen_workers(arguments) as workers:
         options = _options(arguments, workers)
-        requests = [
-            make_request(folder, arguments.dataset or "", arguments.protocol, options) for folder in folders.values()
-        ]
+        requests = [make_request(folder, **options) for folder in folders.values()]
         if out is not None:
             results_folder(out, folders)
         methods = ScoredMethods.of(dict(zip(folders, perform_each(requests), strict=True)))

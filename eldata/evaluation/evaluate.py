@@ -5,16 +5,15 @@ from __future__ import annotations
 import platform
 from dataclasses import replace
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 from eldata import __version__
-from eldata.base.arguments import spell_keywords
 from eldata.errors import EldataError
 from eldata.evaluation.diagnosis import suspicions_of
 from eldata.evaluation.layouts import Expected, FoundPredictions, dataset_itself, find_predictions, misplaced
 from eldata.evaluation.planning import known_places, places_elsewhere, plan_scoring, require_pairs
 from eldata.evaluation.predictions import other_look
-from eldata.evaluation.request import SETTINGS, EvaluationOptions, Request, make_request, stated_shading
+from eldata.evaluation.request import SETTINGS, Request, make_request, stated_shading
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import EvaluationProblem, frames_of, place_of
 from eldata.evaluation.tasks import task_note
@@ -32,21 +31,22 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from eldata.base.workers import AnyWorkers
     from eldata.evaluation.planning import ScoringPlan
     from eldata.evaluation.request import Baseline
     from eldata.evaluation.scores import Pair, UnitScore
+    from eldata.evaluation.tasks import Task, TaskFunction
     from eldata.evaluation.units import PairScores
     from eldata.protocols.protocol import Protocol
 
 
-@spell_keywords(EvaluationOptions)
 def evaluate(
-    predictions: Path | str | None,
-    dataset: str = "eld",
-    *,
-    protocol: str | Path | Protocol | None = None,
-    **options: Unpack[EvaluationOptions],
-) -> EvaluationResult:
+    predictions: Path | str | None, dataset: str = "eld", *, protocol: str | Path | Protocol | None = None,
+    root: Path | str | None = None, manifest: Path | str | None = None, cameras: Collection[str] | None = None,
+    subset: str | None = None, ids: Collection[str] | None = None, exclude_flags: Collection[str] = (),
+    allow_missing: bool = False, baseline: Baseline | None = None, strict: bool = False,
+    task: Task | TaskFunction | str | None = None, dark_shading: Path | str | None = None, workers: AnyWorkers = 1,
+) -> EvaluationResult:  # fmt: skip
     """Score a folder of predictions, of images or of clips, under a named protocol.
 
     Before anything is scored, the raw files of the pairs are checked as ``eldata verify --level metadata`` does: a
@@ -125,24 +125,20 @@ def evaluate(
     >>> result.frame.groupby("camera")["ssim"].mean().round(2).to_dict()
     {'DemoAlpha': 0.63, 'DemoBeta': 0.5}
     """
-    return perform(make_request(predictions, dataset, protocol, options))
+    request = make_request(
+        predictions, dataset, protocol, root=root, manifest=manifest,
+        cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
+        baseline=baseline, strict=strict, task=task, dark_shading=dark_shading, workers=workers,
+    )  # fmt: skip
+    return perform(request)
 
 
 def scored_pairs(
-    predictions: Path | str | None,
-    dataset: str = "eld",
-    *,
-    protocol: str | Path | Protocol | None = None,
-    root: Path | str | None = None,
-    manifest: Path | str | None = None,
-    cameras: Collection[str] | None = None,
-    subset: str | None = None,
-    ids: Collection[str] | None = None,
-    exclude_flags: Collection[str] = (),
-    allow_missing: bool = False,
-    baseline: Baseline | None = None,
-    dark_shading: Path | str | None = None,
-) -> Iterator[tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]], Pair]]:
+    predictions: Path | str | None, dataset: str = "eld", *, protocol: str | Path | Protocol | None = None,
+    root: Path | str | None = None, manifest: Path | str | None = None, cameras: Collection[str] | None = None,
+    subset: str | None = None, ids: Collection[str] | None = None, exclude_flags: Collection[str] = (),
+    allow_missing: bool = False, baseline: Baseline | None = None, dark_shading: Path | str | None = None,
+) -> Iterator[tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]], Pair]]:  # fmt: skip
     """Yield prediction, reference and record of each pair, for whatever else is to be measured of what is scored.
 
     The images are those that :func:`evaluate` takes the score of, treated as the protocol has it: the scored region,
@@ -185,18 +181,11 @@ def scored_pairs(
     >>> round(float(np.abs(prediction - reference).mean()), 3)
     0.012
     """
-    options: EvaluationOptions = {
-        "root": root,
-        "manifest": manifest,
-        "cameras": cameras,
-        "subset": subset,
-        "ids": ids,
-        "exclude_flags": exclude_flags,
-        "allow_missing": allow_missing,
-        "baseline": baseline,
-        "dark_shading": dark_shading,
-    }
-    request = make_request(predictions, dataset, protocol, options)
+    request = make_request(
+        predictions, dataset, protocol, root=root, manifest=manifest,
+        cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
+        baseline=baseline, dark_shading=dark_shading,
+    )  # fmt: skip
     plan = plan_scoring(request)
     found = _found(request, plan)
     if found.problems and not (allow_missing and found.files):

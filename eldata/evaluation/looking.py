@@ -16,7 +16,7 @@ from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, Scori
 from eldata.evaluation.layouts import find_predictions
 from eldata.evaluation.originals import Originals
 from eldata.evaluation.planning import plan_scoring, require_folder
-from eldata.evaluation.request import EvaluationOptions, make_request
+from eldata.evaluation.request import make_request
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import FrameScore, cameras_in_order, natural, place_of, reference_of
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
@@ -348,18 +348,6 @@ def _check_known(result: EvaluationResult, manifest: Path | str | None) -> None:
         )
 
 
-def _asked(result: EvaluationResult) -> tuple[Protocol, EvaluationOptions]:
-    """Return the protocol and the choice of pairs of a result that was read back."""
-    chosen = result.provenance.get("cameras", "all")
-    options: EvaluationOptions = {"cameras": None if chosen == "all" else chosen}
-    ids = result.provenance.get("ids")
-    if ids is not None:
-        options["ids"] = ids
-    else:
-        options["subset"] = result.provenance.get("subset")
-    return protocol_of(result), options
-
-
 def units_again(
     result: EvaluationResult, *, manifest: Path | None = None, root: Path | None = None
 ) -> tuple[FrameFiles, dict[str, Pair]]:
@@ -382,10 +370,19 @@ def units_again(
         If it is malformed, or the dataset is not there.
     """
     _check_known(result, manifest)
-    protocol, options = _asked(result)
-    options |= {"root": root, "manifest": manifest}
+    cameras, ids = result.provenance.get("cameras", "all"), result.provenance.get("ids")
     # Which pairs there are does not depend on what was taken off their inputs.
-    request = make_request(Path(), result.dataset, replace(protocol, dark_shading=NO_SHADING), options)
+    protocol = replace(protocol_of(result), dark_shading=NO_SHADING)
+    request = make_request(
+        Path(),
+        result.dataset,
+        protocol,
+        root=root,
+        manifest=manifest,
+        cameras=None if cameras == "all" else cameras,
+        subset=result.provenance.get("subset") if ids is None else None,
+        ids=ids,
+    )
     stated = result.provenance["manifest_sha256"]
     if request.manifest.digest != stated:
         raise ArgumentError(

@@ -5,11 +5,10 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import TYPE_CHECKING, Literal
 
-from eldata.base.arguments import keywords
 from eldata.base.fields import TextFile
-from eldata.base.workers import IN_THIS_PROCESS, AnyWorkers, Workers
+from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.tasks import Task
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest, shipped_names
@@ -22,6 +21,7 @@ from eldata.protocols.words import FIELDS, in_words
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from eldata.base.workers import AnyWorkers
     from eldata.evaluation.scores import Pair
     from eldata.evaluation.tasks import TaskFunction
     from eldata.protocols.protocol import Protocol
@@ -36,28 +36,6 @@ SETTINGS = "predictions.json"
 
 # How long scoring a pair takes, for itself and for each byte of its input; and what two workers take to start.
 _PAIR_S, _BYTE_S, _WORTH_S = 3e-3, 20e-9, 1.3
-
-
-class SetOptions(TypedDict, total=False):
-    """Keyword arguments of what reads a set as :func:`eldata.evaluate` does, which says what they mean."""
-
-    root: Path | str | None
-    manifest: Path | str | None
-    cameras: Collection[str] | None
-    subset: str | None
-    ids: Collection[str] | None
-    exclude_flags: Collection[str]
-    dark_shading: Path | str | None
-    workers: AnyWorkers
-
-
-class EvaluationOptions(SetOptions, total=False):
-    """Keyword arguments of :func:`eldata.evaluate`, which says what they mean."""
-
-    allow_missing: bool
-    baseline: Baseline | None
-    strict: bool
-    task: Task | TaskFunction | str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,33 +99,36 @@ class Request:
 
 
 def make_request(
-    predictions: Path | str | None, dataset: str, protocol: str | Path | Protocol | None, options: EvaluationOptions
-) -> Request:
+    predictions: Path | str | None, dataset: str, protocol: str | Path | Protocol | None, *,
+    root: Path | str | None = None, manifest: Path | str | None = None, cameras: Collection[str] | None = None,
+    subset: str | None = None, ids: Collection[str] | None = None, exclude_flags: Collection[str] = (),
+    allow_missing: bool = False, baseline: Baseline | None = None, strict: bool = False,
+    task: Task | TaskFunction | str | None = None, dark_shading: Path | str | None = None, workers: AnyWorkers = 1,
+) -> Request:  # fmt: skip
     """Return a request; everything that can be told without the dataset's files is checked.
+
+    The arguments are those of :func:`eldata.evaluate`.
 
     Raises
     ------
     ManifestError, ArgumentError
-        If the manifest is malformed, a name or an option is unknown, or options do not go together.
+        If the manifest is malformed, a name is unknown, or options do not go together.
     """
-    keywords("evaluate", options, EvaluationOptions)
-    path, baseline = options.get("manifest"), options.get("baseline")
-    task, shading = options.get("task"), options.get("dark_shading")
-    manifest = known_manifest(dataset) if path is None else load_manifest(path)
+    known = known_manifest(dataset) if manifest is None else load_manifest(manifest)
     request = Request(
-        manifest=manifest,
-        folder=manifest.folder(options.get("root")),
+        manifest=known,
+        folder=known.folder(root),
         predictions=None if predictions is None else Path(predictions),
-        protocol=_of_inputs(_protocol(protocol, manifest), shading),
-        cameras=options.get("cameras"),
-        subset=options.get("subset"),
-        ids=options.get("ids"),
-        exclude_flags=options.get("exclude_flags", ()),
-        allow_missing=options.get("allow_missing", False),
-        strict=options.get("strict", False),
+        protocol=_of_inputs(_protocol(protocol, known), dark_shading),
+        cameras=cameras,
+        subset=subset,
+        ids=ids,
+        exclude_flags=exclude_flags,
+        allow_missing=allow_missing,
+        strict=strict,
         task=None if task is None else Task.of(task),
-        dark_shading=None if shading is None else Path(shading).absolute(),
-        workers=Workers.of(options.get("workers", 1)),
+        dark_shading=None if dark_shading is None else Path(dark_shading).absolute(),
+        workers=Workers.of(workers),
     )
     if baseline not in (None, "input"):
         raise ArgumentError(f"baseline must be 'input'; found {baseline!r}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from dataclasses import MISSING, asdict, dataclass, fields
 from fnmatch import fnmatchcase
@@ -40,12 +39,6 @@ CHANNELS = {
 CFA_WORDS = tuple(CHANNELS)
 
 _UNSTATED = {"", "not stated", "none stated", "unknown"}
-# Of the families under which data are published; all of them let whoever has the data pass them on unchanged.
-_SPDX = re.compile(
-    r"CC0-1\.0|CC-BY(-NC)?(-SA|-ND)?-[1-4]\.[05]|CDLA-(Permissive-[12]|Sharing-1)\.0|O(DbL|DC-By)-1\.0|PDDL-1\.0|MIT|"
-    r"Apache-2\.0|BSD-[23]-Clause|[AL]?GPL-[23]\.[01]-(only|or-later)|MPL-2\.0|LicenseRef-[A-Za-z0-9.-]+",
-    re.ASCII,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,11 +209,6 @@ class Card:
     levels: str = ""
     scored: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
-
-    @property
-    def spdx(self) -> str:
-        """The licence's SPDX name, ``LicenseRef-...`` for one's own; empty if the card has other words, or none."""
-        return self.licence.strip() if _SPDX.fullmatch(self.licence.strip()) else ""
 
 
 def stated(text: str) -> str:

@@ -230,9 +230,7 @@ class DarkShading:
         )
         return pack(self.at(iso, rows, columns), cfa_from(self.cfa, area.top, area.left))
 
-    def check_sensor(
-        self, name: str, shape: tuple[int, int], cfa: CfaRows, model: str = "", place: tuple[int, int] | None = None
-    ) -> None:
+    def check_sensor(self, name: str, shape: tuple[int, int], cfa: CfaRows, model: str = "") -> None:
         """Refuse a frame of another sensor.
 
         Parameters
@@ -243,8 +241,6 @@ class DarkShading:
             Its size and CFA.
         model
             The camera's model, as its file states it. Another body of this model cannot be told.
-        place
-            Of a part of a frame: its first row and column on the sensor.
 
         Raises
         ------
@@ -257,11 +253,7 @@ class DarkShading:
                 "one body"
             )
         height, width = self.hot.shape
-        fits = shape == (height, width) and cfa == self.cfa
-        if place is not None:
-            inside = place[0] + shape[0] <= height and place[1] + shape[1] <= width
-            fits = inside and cfa == cfa_from(self.cfa, *place)
-        if not fits:
+        if shape != (height, width) or cfa != self.cfa:
             raise DatasetError(
                 f"{name}: has {shape[0]} x {shape[1]} pixels of {f'the CFA {cfa}' if cfa else 'RGB'}, but the dark "
                 f"shading of {self.camera} is of {height} x {width} pixels, or another CFA, {self.cfa}; it belongs to "

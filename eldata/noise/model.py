@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -130,12 +129,6 @@ class NoiseModel:
         check_choice("clip", clip, CLIP_RANGES)
         changed = copy.copy(self)
         changed.clip = clip
-        return changed
-
-    def without_quantisation(self) -> NoiseModel:
-        """Return this model without component U, for values that are rounded afterwards."""
-        changed = copy.copy(self)
-        changed.components = replace(self.components, quantisation=False)
         return changed
 
     def __call__(

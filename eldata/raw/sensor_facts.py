@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.files import read_file
 from eldata.errors import ArgumentError, RawFileError, UnusableRawError
 from eldata.raw.colour import white_balance_of
 from eldata.raw.tiff import (
@@ -24,10 +23,8 @@ from eldata.raw.tiff import (
     BLACK_DELTAS,
     BLACK_LEVEL,
     MASKED_AREAS,
-    NOISE_PROFILE,
     OPCODE_LISTS,
     WHITE_LEVEL,
-    main_mosaics,
     read_directories,
 )
 from eldata.records import D65, exact_number
@@ -103,23 +100,6 @@ def dng_black_levels(path: Path, mosaic: Directory, raw: rawpy.RawPy, cfa: CfaRo
             path, "its BlackLevel differs between sites of one colour", "one level per channel is needed"
         )
     return tuple(exact_number(levels[channel].pop()) for channel in sorted(levels))
-
-
-def dng_noise_profile(path: Path) -> tuple[float, ...] | None:
-    """Return the numbers of a DNG's NoiseProfile as they stand; None if the file has none.
-
-    By the DNG specification (1.3 and later) S and O of the variance ``S x + O`` of linear values x, 0 at black and 1 at
-    white: one pair for all colour planes, or one for each in their order.
-
-    Raises
-    ------
-    RawFileError
-        If a directory of the file is damaged.
-    """
-    directories = read_file(read_directories, path, RawFileError)
-    places = (*main_mosaics(directories), *directories)  # beside the mosaic, or in IFD0
-    stated = (one.values[NOISE_PROFILE] for one in places if NOISE_PROFILE in one.values)
-    return next((tuple(map(float, numbers)) for numbers in stated), None)
 
 
 def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ...] | None:

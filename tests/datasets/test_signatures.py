@@ -75,13 +75,3 @@ SIGNATURES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
 def test_every_keyword_stands_there_with_its_default(shown: Callable[..., Any], defaults: dict[str, Any]) -> None:
     parameters = inspect.signature(shown).parameters
     assert {name: one.default for name, one in parameters.items()} == defaults
-
-
-def test_no_public_name_hides_keywords() -> None:
-    """But for ``open_dataset``, which takes those of any class, and protocols, which nobody calls."""
-    hiding = set()
-    for name in set(vars(datasets)["__all__"]) - {"CleanSource", "ClipSource"}:
-        shown = getattr(datasets, name)
-        parameters = inspect.signature(shown).parameters.values() if callable(shown) else ()
-        hiding |= {name for one in parameters if one.kind is one.VAR_KEYWORD}
-    assert hiding == {"open_dataset"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import zlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.evaluation import EvaluationResult
-    from eldata.evaluation.request import EvaluationOptions
     from eldata.protocols import Protocol
     from tests.evaluation.published_code import Score
 
@@ -66,9 +65,9 @@ class Tree:
         return Tree(folder)
 
 
-def scored_pairs(dataset: str, protocol: str | Protocol, **options: Unpack[EvaluationOptions]) -> list[PairRecord]:
+def scored_pairs(dataset: str, protocol: str | Protocol, **options: Any) -> list[PairRecord]:
     """The pairs that a protocol scores of a shipped set."""
-    request = make_request("predictions", dataset, protocol, options)
+    request = make_request("predictions", dataset, protocol, **options)
     return [pair for pair in plan_scoring(request).pairs if isinstance(pair, PairRecord)]
 
 

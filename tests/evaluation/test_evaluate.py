@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import json
 import math
 import re
@@ -8,16 +9,16 @@ import shutil
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 import pytest
 
 from eldata import __version__
 from eldata.base.files import sha256_of
+from eldata.baselines import write_predictions
 from eldata.errors import DatasetError
-from eldata.evaluation import EvaluationResult, evaluate
-from eldata.evaluation.request import EvaluationOptions
+from eldata.evaluation import EvaluationResult, evaluate, evaluate_methods, scored_pairs
 from eldata.evaluation.saved import saved_result
 from eldata.evaluation.scores import UnitScore
 from eldata.manifest.card import load_card, save_card
@@ -25,6 +26,9 @@ from eldata.protocols import PROTOCOLS
 from eldata.protocols.kinds import IMAGES
 from tests.evaluation import oracle
 from tests.evaluation.helpers import Tree, place
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 COLUMNS = ["path", "camera", "scene", "iso", "ratio", "psnr_db", "ssim", "rescale"]
 
@@ -167,10 +171,29 @@ def test_cameras(own: Tree, predictions: Path, result: EvaluationResult) -> None
     assert any(note.endswith("leaves their frames out: 6 predictions") for note in found.notes)  # of the other camera
 
 
+CHOICE: dict[str, Any] = dict.fromkeys(("protocol", "root", "manifest", "cameras", "subset", "ids", "dark_shading"))
+CHOICE["exclude_flags"] = ()
+SCORED: dict[str, Any] = CHOICE | {"dataset": "eld", "allow_missing": False}
+HOW: dict[str, Any] = SCORED | {"strict": False, "task": None, "workers": 1}
+SIGNATURES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
+    (evaluate, HOW | {"baseline": None}),
+    (evaluate_methods, HOW),
+    (scored_pairs, SCORED | {"baseline": None}),
+    (write_predictions, CHOICE | {"clip": None, "dtype": "float32", "workers": 1}),
+]
+
+
+@pytest.mark.parametrize(("shown", "defaults"), SIGNATURES, ids=lambda value: getattr(value, "__name__", None))
+def test_every_keyword_stands_there_with_its_default(shown: Callable[..., Any], defaults: dict[str, Any]) -> None:
+    parameters = inspect.signature(shown).parameters.values()
+    assert {one.name: one.default for one in parameters if one.default is not one.empty} == defaults
+    with pytest.raises(TypeError, match="got an unexpected keyword argument 'colour'"):
+        shown(colour=1)
+
+
 def test_help_names_every_keyword_with_its_default() -> None:
-    """Keywords come through a TypedDict, which ``help()`` does not show."""
     paragraphs = dict(re.findall(r"(?m)^    (\w+)\n((?:        .+\n)+)", evaluate.__doc__ or ""))
-    for name in EvaluationOptions.__annotations__:
+    for name in HOW.keys() - {"dataset"}:
         assert "Default: " in paragraphs[name], name
 
 

@@ -308,8 +308,8 @@ def test_an_error_of_our_own_is_raised_and_names_its_unit(own: OwnSet, preds: Pa
     broken = replace(PROTOCOLS["eld"], name="broken"), replace(PROTOCOLS["drv-rgb"], name="broken")
     for protocol in broken:
         object.__setattr__(protocol, "data_range", "1")  # as a mistake of ours might, past all checks
-    images = make_request(preds, "", None, {"manifest": own.manifest, "root": own.root, "allow_missing": True})
-    clips = make_request(None, "", None, {"manifest": drv.csv, "root": drv.root, "ids": ["0007"], "baseline": "input"})
+    images = make_request(preds, "", None, manifest=own.manifest, root=own.root, allow_missing=True)
+    clips = make_request(None, "", None, manifest=drv.csv, root=drv.root, ids=["0007"], baseline="input")
     for request, protocol, unit in zip((images, clips), broken, ("s0/clean.dng", "long/0007/"), strict=True):
         with pytest.raises(TypeError) as caught:
             perform(replace(request, protocol=protocol, workers=Workers(2)))

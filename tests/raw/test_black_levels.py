@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-import tifffile
 
 from eldata import evaluate
 from eldata.cli.main import main
 from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw import read_header, read_raw, write_dng
-from eldata.raw.sensor_facts import dng_noise_profile
 from eldata.records import exact_fraction
 from tests.raw.helpers import (
     BAYER,
@@ -145,19 +143,6 @@ def test_a_level_for_each_channel_is_exact(name: str, margins: tuple[int, int], 
 
 
 # --- which image --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("beside", [False, True])
-def test_the_noise_profile_is_that_of_the_image_or_of_the_file(beside: bool, tmp_path: Path) -> None:
-    """Of a proxy that has one too, the image's counts; IFD0 may state it for the whole file."""
-    path, images = tmp_path / "a.dng", ((64, 96), (128, 192))
-    with tifffile.TiffWriter(path) as writer:
-        for number, shape in enumerate(images):
-            tags: list[Tag] = [(33421, "H", 2, (2, 2), True), (33422, "B", 4, bytes((0, 1, 1, 2)), True)]
-            if number == 0 or beside:
-                tags.append((51041, "d", 2, (1.0 + number, 0.5), True))
-            writer.write(random_mosaic(*shape), photometric=32803, metadata=None, extratags=tags, subifds=1 - number)
-    assert dng_noise_profile(path) == ((2.0, 0.5) if beside else (1.0, 0.5))
 
 
 # --- masked pixels ------------------------------------------------------------------------------------------------

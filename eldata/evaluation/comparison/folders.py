@@ -5,42 +5,44 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING
 
-from eldata.base.arguments import spell_keywords
 from eldata.base.files import folder_problem, path_problem, remove_leftovers, write_json, write_problem
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import perform_each
-from eldata.evaluation.request import EvaluationOptions, make_request
+from eldata.evaluation.request import make_request
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
+    from eldata.base.workers import AnyWorkers
     from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.results import EvaluationResult
+    from eldata.evaluation.tasks import Task, TaskFunction
     from eldata.protocols.protocol import Protocol
 
 COMPARISON = "comparison"
 """What the files of the comparison are called, so that no method is."""
 
 
-@spell_keywords(EvaluationOptions)
 def evaluate_methods(
-    predictions: Mapping[str, Path | str] | Iterable[Path | str],
-    dataset: str = "eld",
-    *,
+    predictions: Mapping[str, Path | str] | Iterable[Path | str], dataset: str = "eld", *,
     protocol: str | Path | Protocol | None = None,
-    **options: Unpack[EvaluationOptions],
-) -> dict[str, EvaluationResult]:
+    root: Path | str | None = None, manifest: Path | str | None = None, cameras: Collection[str] | None = None,
+    subset: str | None = None, ids: Collection[str] | None = None, exclude_flags: Collection[str] = (),
+    allow_missing: bool = False, strict: bool = False,
+    task: Task | TaskFunction | str | None = None, dark_shading: Path | str | None = None, workers: AnyWorkers = 1,
+) -> dict[str, EvaluationResult]:  # fmt: skip
     """Score several folders of predictions in one pass over the dataset: each raw file is decoded once for all.
 
     Parameters
     ----------
     predictions
         The folder of each method by its name; or folders, whose own names are the methods'.
-    dataset, protocol, **options
-        As for :func:`eldata.evaluate`; there is no ``baseline``.
+    dataset, protocol, root, manifest, cameras, subset, ids, exclude_flags, allow_missing, strict, task, \
+    dark_shading, workers
+        As for :func:`eldata.evaluate`.
 
     Returns
     -------
@@ -71,8 +73,15 @@ def evaluate_methods(
         folders = named_folders([Path(folder) for folder in predictions.values()], list(predictions))
     else:
         folders = named_folders([Path(folder) for folder in predictions])
-    results = perform_each([make_request(folder, dataset, protocol, options) for folder in folders.values()])
-    return dict(zip(folders, results, strict=True))
+    requests = [
+        make_request(
+            folder, dataset, protocol, root=root, manifest=manifest,
+            cameras=cameras, subset=subset, ids=ids, exclude_flags=exclude_flags, allow_missing=allow_missing,
+            strict=strict, task=task, dark_shading=dark_shading, workers=workers,
+        )
+        for folder in folders.values()
+    ]  # fmt: skip
+    return dict(zip(folders, perform_each(requests), strict=True))
 
 
 def named_folders(folders: Sequence[Path], names: Sequence[str] = ()) -> dict[str, Path]:

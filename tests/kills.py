@@ -255,7 +255,11 @@ class Bench:
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         pid = os.fork()
         if not pid:
-            self._be(log, number, step)
+            try:
+                self._be(log, number, step)
+            finally:  # a Ctrl-C just before the work, or after it; whatever it was, a fork must not come back
+                signal.signal(signal.SIGINT, signal.SIG_DFL)
+                os.kill(os.getpid(), signal.SIGINT)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
         return pid
 

@@ -7,7 +7,6 @@ may be busy with something else: at a load of fifteen the start of one interpret
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -25,8 +24,3 @@ def until(condition: Callable[[], object], what: str = "what is waited for") -> 
             msg = f"{what} did not happen within {PATIENCE_S:g} s"
             raise TimeoutError(msg)
         time.sleep(0.01)
-
-
-def is_asleep(pid: int) -> bool:
-    """Whether the main thread of a process waits for something, on Linux."""
-    return Path(f"/proc/{pid}/task/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] == "S"

@@ -65,17 +65,6 @@ def corner_leak(peak_dn: float) -> Planted:
     return Planted(f"corner leak, {peak_dn:g} DN", _lit(light))
 
 
-def telegraph(share: float, sigmas: float) -> Planted:
-    """Pixels that jump between two levels around their mean, so many standard deviations of the read noise apart."""
-
-    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
-        jumping = generator.random(camera.shape) < share
-        step = sigmas * camera.noise.sigma_gauss_dn
-        return [frame + step * jumping * (generator.integers(0, 2, camera.shape) - 0.5) for frame in frames]
-
-    return Planted(f"telegraph pixels, {share:.2%} of {sigmas:g} sigma", fault)
-
-
 def jumping(share: float, sigmas: float, duty: float, sign: int = 1) -> Planted:
     """Pixels that are so many standard deviations of the read noise higher (or lower) in a share of the frames."""
 
@@ -134,23 +123,3 @@ def coarse(step: int) -> Planted:
         return [step * np.rint(frame / step) for frame in frames]
 
     return Planted(f"values in steps of {step} DN", fault)
-
-
-def drift(share: float) -> Planted:
-    """1/f in the rows' offsets, whose standard deviation is a share of sigma_row."""
-
-    def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
-        lines = camera.shape[0]
-        frequency = np.fft.rfftfreq(lines)
-        weight = np.zeros(frequency.size)
-        weight[1:] = frequency[1:] ** -0.5
-        result = []
-        for frame in frames:
-            rows = np.fft.irfft(weight * np.fft.rfft(generator.standard_normal(lines)), lines)
-            result.append(frame + (share * camera.sigma_row / rows.std() * rows)[:, None])
-        return result
-
-    return Planted(f"slow drift, {share:g} sigma_row", fault)
-
-
-NONE = Planted("none", lambda frames, _, __: frames)

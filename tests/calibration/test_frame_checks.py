@@ -251,10 +251,6 @@ def test_bias_frames(name: str, place: int, tree: FrameTree) -> None:
     assert_said(problems, *PIXELS[name][1:])
 
 
-def black_at(level: int) -> Callable[[NDArray[np.uint16]], NDArray[np.uint16]]:
-    return lambda mosaic: np.clip(mosaic.astype(np.int64) - 512 + level, 0, 65535).astype(np.uint16)
-
-
 def rewritten_1600(tree: FrameTree, **changes: Any) -> None:
     """Write the frames of ISO 1600 again."""
     for path in (*tree.files("bias", 1600), *tree.files("flat", 1600)):

@@ -41,9 +41,6 @@ class Whole:
         return cls(content, first, behind, frame.mosaic, frame.exposure)
 
 
-Harm = "Callable[[bytearray, Whole, np.random.Generator], None]"
-
-
 def _place(whole: Whole, size: int, generator: np.random.Generator, *, aligned: bool = False) -> slice:
     """Somewhere wholly inside the image data; where these are shorter, their second half."""
     size = min(size, (whole.behind - whole.first) // 2)

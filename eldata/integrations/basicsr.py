@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import torch
@@ -28,7 +28,7 @@ from eldata.raw.colour import camera_to_srgb
 from eldata.raw.levels import FrameLevels, packed_black_level_dn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
 __all__ = ["EldataPairs", "EldataReferences", "MissingBasicSRError", "eldata_psnr", "eldata_psnr_pt"]
 __all__ += ["eldata_ssim", "eldata_ssim_pt", "register"]
-
-LedLevels = Literal[FrameLevels, "metadata-per-channel"]
 
 # Keys of the yaml that say what a sample is, with their defaults: as in LED's yaml.
 _DEFAULTS: dict[str, Any] = dict.fromkeys(("dataroot", "data_pair_list", "crop_size", "amplification")) | {
@@ -97,14 +95,12 @@ class EldataPairs(Dataset[dict[str, Any]]):
         known = (*_DEFAULTS, *Choice.__annotations__)
         unknown = [name for name in opt if name not in (*known, *_READ_ELSEWHERE)]
         if unknown:
-            raise ArgumentError(
-                f"{unknown[0]}: {type(self).__name__} has no such key; known are {', '.join(known)}"
-                f"{did_you_mean(unknown[0], known)}"
-            )
+            hint = did_you_mean(unknown[0], known)
+            raise ArgumentError(f"{unknown[0]}: EldataPairs has no such key; known are {', '.join(known)}{hint}")
         self.opt = _DEFAULTS | dict(opt)
         check_choice("phase", self.opt["phase"], ("train", "val", "test"))
         check_choice("which_meta", self.opt["which_meta"], ("gt", "lq"))
-        check_choice("levels", self.opt["levels"], get_args(LedLevels))
+        check_choice("levels", self.opt["levels"], (*get_args(FrameLevels), "metadata-per-channel"))
         if self.opt["use_hflip"] != self.opt["use_rot"]:
             raise ArgumentError("use_hflip and use_rot must be the same: eldata draws all eight orientations, or none")
         self.is_training = self.opt["phase"] == "train"
@@ -112,9 +108,6 @@ class EldataPairs(Dataset[dict[str, Any]]):
 
     def __len__(self) -> int:
         return len(self.pairs)
-
-    def __iter__(self) -> Iterator[dict[str, Any]]:
-        return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         """Read an item: in training of a place that torch's random numbers draw, else the whole frame or its middle."""
@@ -303,9 +296,7 @@ def register(package: str = "basicsr") -> None:
             registries.METRIC_REGISTRY: (eldata_psnr, eldata_ssim, eldata_psnr_pt, eldata_ssim_pt),
         }
     except (ImportError, AttributeError) as error:
-        raise MissingBasicSRError(
-            f"{place} cannot be imported ({error}); install {package}, or run this in its repository's folder"
-        ) from error
+        raise MissingBasicSRError(f"{place} cannot be imported ({error}); is {package} installed?") from error
     for registry, entry in ((registry, entry) for registry, own in entries.items() for entry in own):
         if entry.__name__ not in registry:
             registry.register(entry)

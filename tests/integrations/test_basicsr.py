@@ -89,7 +89,7 @@ def test_samples_equal_leds_to_the_bit(kind: str, zero_clip: bool, tmp_path: Pat
     dataset = EldataPairs(options(VALIDATION) | where | {"zero_clip": zero_clip})
     assert len(dataset) == 18
     below = 0
-    for sample in dataset:
+    for sample in (dataset[index] for index in range(len(dataset))):
         lq, gt, ratio = led_pair(root, f"{sample['lq_path']} {sample['gt_path']}\n", zero_clip=zero_clip)
         assert torch.equal(sample["lq"], lq)
         assert torch.equal(sample["gt"], gt)
@@ -105,7 +105,7 @@ def test_references_equal_leds_clean_frames(crop: int | None, tmp_path: Path) ->
     where = {"data_pair_list": str(manifest.path), "dataroot": str(root), "crop_size": crop, "ratio_range": [100, 102]}
     dataset = EldataReferences(options(VALIDATION) | where)
     assert len(dataset) == 3
-    for sample in dataset:
+    for sample in (dataset[index] for index in range(len(dataset))):
         with rawpy.imread(str(root / sample["gt_path"])) as raw:
             black = np.array(raw.black_level_per_channel, "float32").reshape(4, 1, 1)
             white = np.array(raw.camera_white_level_per_channel, "float32").reshape(4, 1, 1)

@@ -46,7 +46,7 @@ lint: $(STAMP)  ## Style and types
 	$(BIN)/mypy
 	$(BIN)/mypy examples/*.py docs/conf.py docs/site/*.py
 
-test: lint  ## Style, types and every test that is quick, in about a quarter of an hour on two cores
+test: lint  ## Style, types and every test that is quick, in about ten minutes on two cores
 	$(PYTEST) -m 'not ($(RARE))'
 
 test-all: lint test-every  ## The same with long studies and tests of browser, Dask, kills and memory

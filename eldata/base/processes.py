@@ -86,6 +86,7 @@ class Processes(Executor):
     def _end(self) -> None:
         """End the processes, also in the middle of work, which unwinds; those that do not are killed."""
         processes: list[BaseProcess] = list((self._pool._processes or {}).values())  # noqa: SLF001 # public from Python 3.14 on
+        manager = getattr(self._pool, "_executor_manager_thread", None)
         self._pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.terminate()
@@ -96,6 +97,9 @@ class Processes(Executor):
         finally:
             for process in processes:
                 process.kill()
+            # It closes the pipe by which the interpreter's end wakes it, and must not do both at a time.
+            if manager is not None:
+                manager.join(_GRACE_S)
 
 
 @contextmanager

@@ -11,8 +11,8 @@ import numpy as np
 
 from eldata.base.memory import scratch
 from eldata.errors import ArgumentError, DatasetError
-from eldata.raw.cfa import PackedArea, cfa_from, pack, packed_area, packed_shape, packing_sites, with_rows
-from eldata.raw.levels import CLIP_RANGES, normalise, pack_normalised
+from eldata.raw.cfa import PackedArea, cfa_from, packed_area, packed_shape, packing_sites, with_rows
+from eldata.raw.levels import pack_normalised
 from eldata.sources.frames import RGB_WHITE
 
 if TYPE_CHECKING:
@@ -280,13 +280,10 @@ class Crop:
                 np.divide(self.turned(plane), np.float32(RGB_WHITE), out=target)
             return
         cut, black, white = self.cut(frame), self.levels(frame.black_level_dn), frame.white_level_dn
-        if cut.dtype in _TURNED:
-            corrected = cut.dtype == np.float32
-            pack_normalised(cut, self.cfa, black, white, clip=clip, gain=gain, corrected=corrected, out=out)
-            return
-        out[...] = normalise(pack(cut, self.cfa), self.cfa, black, white, clip=clip)
-        if gain != 1:
-            np.clip(out * np.float32(gain), *CLIP_RANGES[clip], out=out)
+        corrected = cut.dtype != np.uint16
+        if corrected:
+            cut = cut.astype(np.float32, copy=False)
+        pack_normalised(cut, self.cfa, black, white, clip=clip, gain=gain, corrected=corrected, out=out)
 
 
 class _Grid(NamedTuple):

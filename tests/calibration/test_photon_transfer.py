@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from eldata.calibration import FlatFrames, FlatPairs, photon_transfer, spatial_photon_transfer
+from eldata.calibration.core.photon_transfer import PhotonTransferLine
 from eldata.errors import ArgumentError, DatasetError
 from tests.calibration.chain import transferred
 from tests.calibration.simulation import BAYER, Body, Camera
@@ -118,3 +119,24 @@ def test_unusable_frames() -> None:
 def test_hot_pixels_that_are_not_masked_change_little() -> None:
     body = Body(Camera(shape=(512, 768), hot_share=5e-4), np.random.default_rng(5))
     assert transferred(body, [500, 3000, 6000, 9000]).gain_dn_per_e == pytest.approx(1, rel=0.01)
+
+
+@pytest.mark.parametrize(("deviations", "left_out"), [(3.27, 0.5), (4.3, 0.0)])
+def test_a_level_of_which_a_twentieth_saturates_is_left_out(deviations: float, left_out: float) -> None:
+    """A pixel of q = 5e-4 or 9e-6 saturates, so that 1 - (1 - q)^96 = 5 % or 0.1 % of the segments of two frames do."""
+    generator, flats = np.random.default_rng(11), FlatPairs(BAYER, BLACK, 16383)
+    brightest = flats.limit_dn - 512 - deviations * np.sqrt(15400)
+    for level in (2000, brightest):
+        first, second = (512 + generator.poisson(level, (2, 256, 384))).astype(np.uint16)
+        flats.add(first, second)
+    assert flats.left_out == pytest.approx(left_out, abs=0.03)
+
+
+def test_pooled_points_are_weighted_by_their_errors() -> None:
+    """Of two points whose errors are 1 and 2 the first counts four times as much."""
+    line = PhotonTransferLine(
+        1.0, 0.1, 0.0, 0.1, 1.0, np.array([10.0, 20.0]), np.array([10.0, 20.0]), np.array([1.0, 2.0])
+    )
+    signal, variance, error = line.pooled(1)
+    assert (signal[0], variance[0]) == (12.0, 12.0)
+    assert error[0] == pytest.approx(1.25**-0.5)

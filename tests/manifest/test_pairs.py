@@ -85,6 +85,15 @@ def test_a_combination_that_does_not_occur() -> None:
         select_pairs(RECORDS, cameras=[])
 
 
+def test_numbers_of_padded_scenes_and_either_of_two_flags() -> None:
+    records = [
+        FrameRecord(f"{scene}/2.ARW", "noisy", "a", scene, ratio=Fraction(100), reference=f"{scene}/1.ARW", flags=flags)
+        for scene, flags in (("0001", ("moved",)), ("0010", ("dim", "blurred")), ("0002", ()))
+    ]
+    assert [pair.scene for pair in select_pairs(records, scenes=[1, 10])] == ["0001", "0010"]
+    assert [pair.scene for pair in select_pairs(records, exclude_flags=["moved", "dim"])] == ["0002"]
+
+
 def test_rows_that_are_no_pairs_are_left_out() -> None:
     records = [
         FrameRecord("a/1.ARW", "reference", "a"),

@@ -25,7 +25,8 @@ Image = npt.NDArray[np.floating[Any]]
 def images(dtype: npt.DTypeLike = np.float64) -> tuple[Image, Image]:
     rng = np.random.default_rng(7)
     g = np.clip(np.linspace(-0.1, 1.3, 70) * np.linspace(0.2, 1, 40)[:, None] + 0.05 * rng.random((3, 40, 70)), None, 1)
-    p = 1.2 * g + rng.normal(0, 0.05, g.shape)
+    g[..., -4:] *= 1.1  # references above white, which count for the factor
+    p = 0.9 * g + rng.normal(0, 0.05, g.shape)  # a factor above 1, so that a clamp after it matters
     return p.astype(dtype), g.astype(dtype)
 
 

@@ -74,7 +74,7 @@ class PhotonTransferLine:
         """Return the points pooled to at most ``levels``: weighted means of neighbours, which stay on a line."""
         order = np.argsort(self.signal_dn, kind="stable")
         groups = np.array_split(order, min(levels, order.size))
-        weights = [self.variance_error_dn2[group] ** -1.0 for group in groups]
+        weights = [self.variance_error_dn2[group] ** -2.0 for group in groups]
         signal, variance = (
             np.array([np.average(values[group], weights=weight) for group, weight in zip(groups, weights, strict=True)])
             for values in (self.signal_dn, self.variance_dn2)

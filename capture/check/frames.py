@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -60,6 +60,15 @@ class ReducedFrame:
     cells: Cells
     luminance: NDArray[np.float32]
     empty_share: float
+
+    def cells_beside(self, reference: Sensor) -> Cells:
+        """Return the cells in a reference's DN: those that are as large a share of white, as a score takes both."""
+        from eldata.raw.levels import mean_levels, with_levels
+
+        levels = mean_levels(reference), mean_levels(with_levels(self.sensor, "metadata", reference))
+        of_reference, own = (white - black for black, white in levels)
+        scale = of_reference / own
+        return replace(self.cells, mean_dn=self.cells.mean_dn * np.float32(scale), range_dn=self.cells.range_dn * scale)
 
     @property
     def scale(self) -> int:

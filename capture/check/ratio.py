@@ -56,6 +56,8 @@ class RatioFit:
         Signal of the noisy frame over that of the reference, with its standard error.
     offset_dn
         Of each channel, DN.
+    offset
+        Their mean, with its standard error: what the frame's black is off its stated level.
     match
         Share of the variance of the scene in the noisy frame that the reference explains, noise left out: 1 for the
         same scene.
@@ -63,6 +65,7 @@ class RatioFit:
 
     slope: Estimate
     offset_dn: tuple[float, ...]
+    offset: Estimate
     match: Estimate
 
     @property
@@ -121,11 +124,14 @@ def fit_ratio(reference: Cells, noisy: Cells) -> RatioFit | None:
         sigma = _scatter(residual, level, usable)[level]
         distance = np.abs(residual) / sigma
         weight = np.where(usable, np.minimum(1, _HUBER / np.maximum(distance, 1e-9)) / sigma**2, 0)
-    score = (weight * about_x * residual).sum(axis=(0, 2))
-    rows = len(score)
-    information = float((weight * about_x**2).sum())
-    error = float(np.sqrt(rows / max(1, rows - 1) * np.sum(score**2))) / information
-    return RatioFit(Estimate(slope, error), tuple(map(float, offset)), _match(slope, x, residual, usable))
+    seen = weight.sum(axis=(1, 2)) > 0
+    total, mean_x = weight.sum(axis=(1, 2))[seen], (x - about_x)[seen, 0, 0]
+    of_slope = (weight * about_x * residual).sum(axis=(0, 2)) / float((weight * about_x**2).sum())
+    of_offset = ((weight * residual).sum(axis=2)[seen] / total[:, None] - mean_x[:, None] * of_slope).mean(axis=0)
+    rows = len(of_slope)
+    errors = (float(np.sqrt(rows / max(1, rows - 1) * np.sum(one**2))) for one in (of_slope, of_offset))
+    found = map(Estimate, (slope, float(offset[seen].mean())), errors)
+    return RatioFit(next(found), tuple(map(float, offset)), next(found), _match(slope, x, residual, usable))
 
 
 def changed_share(first: Cells, second: Cells, brightness: float, offset_dn: Sequence[float] | None = None) -> float:

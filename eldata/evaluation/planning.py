@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from eldata.evaluation.request import Request
-    from eldata.manifest.verify_report import Level
+    from eldata.manifest.verify_report import FileRemark, Level
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Protocol
     from eldata.records import FrameRecord
@@ -263,19 +263,25 @@ def require_folder(request: Request) -> None:
         )
 
 
-def require_pairs(request: Request, pairs: Iterable[Pair]) -> Originals:
-    """Return where the frames of these pairs come from; raise :class:`DatasetError` unless the manifest means them."""
+def require_pairs(request: Request, pairs: Iterable[Pair]) -> tuple[Originals, tuple[str, ...]]:
+    """Return where the frames of these pairs come from, and what there is to say of white levels that differ in them.
+
+    Raise :class:`DatasetError` unless the manifest means them.
+    """
     needed = {path for pair in pairs for path in files_of(pair)}
     rows = [row for row in request.manifest.records if row.role in ("noisy", "reference")]
     require_folder(request)
     listed = rows if request.kind is IMAGES else expand(rows, request.folder)
-    check_rows(request, [row for row in listed if row.path in needed], "metadata")
-    return Originals(request.files.absolute())
+    remarks = check_rows(request, [row for row in listed if row.path in needed], "metadata")
+    protocol = request.protocol
+    by_files = protocol.is_of_packed and protocol.levels == "metadata"
+    return Originals(request.files.absolute()), tuple(one.sentence() for one in remarks if by_files)
 
 
-def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> None:
-    """Raise :class:`DatasetError` unless the files of these rows are what the manifest says."""
-    problems, _, _ = check_files(request.manifest, request.folder, rows, level=level, workers=request.workers)
+def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> tuple[FileRemark, ...]:
+    """Raise :class:`DatasetError` unless these rows' files are what the manifest says; return what is said of pairs."""
+    problems, _, _, of_pairs = check_files(request.manifest, request.folder, rows, level=level, workers=request.workers)
     if problems:
         more = f" (and {len(problems) - 1} more: eldata verify --level metadata lists all)" if len(problems) > 1 else ""
         raise DatasetError(f"{request.folder}: the dataset is not what its manifest says: {problems[0]}{more}")
+    return of_pairs

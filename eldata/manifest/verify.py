@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
     from eldata.manifest.card import CameraCard
     from eldata.manifest.verify_report import FileRemark, Level, Problem
+    from eldata.raw.levels import MeanLevels
     from eldata.records import FrameRecord, RawHeader, Sensor
 
 # Shutters step by thirds of a stop (a factor of 1.26) and EXIF rounds them (1/13 for 1/12.5), so a true ratio may be
@@ -121,11 +122,11 @@ def _verify_dataset(
     needed = folder / tops.pop() if len(tops) == 1 else folder
     if not needed.is_dir():
         return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, ())
-    found, present, remarks = check_files(manifest, folder, records, level=level, workers=workers)
+    found, present, *remarks = check_files(manifest, folder, records, level=level, workers=workers)
     listed = expand(records, folder)
     hashed = sum(record.sha256 is not None for record in present) if level == "full" else 0
     counts = len(listed), len(present), hashed
-    return DatasetReport(manifest.name, folder, False, manifest.card.homepage, *counts, found, remarks)
+    return DatasetReport(manifest.name, folder, False, manifest.card.homepage, *counts, found, sum(remarks, ()))
 
 
 def check_files(
@@ -135,13 +136,17 @@ def check_files(
     *,
     level: Level,
     workers: Workers,
-) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...], tuple[FileRemark, ...]]:
-    """Check some of a manifest's files; return the problems, by path, the records whose files are there, remarks."""
+) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...], tuple[FileRemark, ...], tuple[FileRemark, ...]]:
+    """Check some of a manifest's files.
+
+    Return the problems, by path, the records whose files are there, remarks on files, and on pairs' white levels.
+    """
     listed = expand(records, folder)
     present, findings = _check_presence(manifest, folder, listed)
     findings += _check_unlisted(manifest, folder, listed)
     of_clips = pattern_findings(records, folder)
     remarks: tuple[FileRemark, ...] = ()
+    of_pairs: tuple[FileRemark, ...] = ()
     if level != "quick":
         files = FrameFiles.of(folder.absolute(), manifest.card, present)
         work = partial(check_file, files, manifest.card.cameras, level)
@@ -152,11 +157,12 @@ def check_files(
         findings += [finding for outcome in outcomes for finding in outcome.findings]
         product_of = {record.path: one.product for record, one in zip(present, outcomes, strict=True)}
         remarks = distinct((record.path, one.remarks) for record, one in zip(present, outcomes, strict=True))
+        of_pairs = white_remarks(present, [one.levels_dn for one in outcomes])
         findings += ratio_findings(present, product_of)
         of_clips += png_size_findings(folder, present)
         of_clips += exposure_findings(present, product_of, RATIO_TOLERANCE)
     findings = sorted([*findings, *of_clips], key=lambda finding: finding.path)
-    return tuple(finding.of(manifest.name) for finding in findings), tuple(present), remarks
+    return tuple(finding.of(manifest.name) for finding in findings), tuple(present), remarks, of_pairs
 
 
 # --- quick ----------------------------------------------------------------------------------------------------
@@ -243,11 +249,12 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
 
 
 class CheckedFile(NamedTuple):
-    """What is wrong with a file, its ISO times its exposure time, if it states both, and what is remarked of it."""
+    """What is wrong with a file, its ISO times its exposure time, if it states both, remarks on it, its levels."""
 
     findings: list[Problem]
     product: Fraction | None = None
     remarks: tuple[str, ...] = ()
+    levels_dn: MeanLevels | None = None
 
 
 # With a finding in one of these fields the whole file is wrong: its bytes are not checked further.
@@ -304,7 +311,7 @@ def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, dec
     except RawFileError as error:
         return CheckedFile([_unreadable(record, error)])
     findings, product = header_findings(header, record, models)
-    return CheckedFile([*findings, *_decoded_findings(record, decoded)], product, header.remarks)
+    return CheckedFile([*findings, *_decoded_findings(record, decoded)], product, header.remarks, header.levels_dn)
 
 
 def _stated_findings(file: StatedFile, record: FrameRecord, *, decode: bool) -> CheckedFile:
@@ -316,7 +323,7 @@ def _stated_findings(file: StatedFile, record: FrameRecord, *, decode: bool) -> 
         decoded = file.read().sensor if decode else None
     except RawFileError as error:
         return CheckedFile([_unreadable(record, error, "a mosaic as its card states it")])
-    return CheckedFile(_decoded_findings(record, decoded), product)
+    return CheckedFile(_decoded_findings(record, decoded), product, levels_dn=file.header.levels_dn)
 
 
 def header_findings(
@@ -370,6 +377,19 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[Problem]:
     except (OSError, NpyError) as error:
         found, good = str(error), False
     return [] if good else [row_fault(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
+
+
+def white_remarks(records: Sequence[FrameRecord], levels_dn: Sequence[MeanLevels | None]) -> tuple[FileRemark, ...]:
+    """Return what there is to say of noisy files whose white level is not their reference's, of each kind once."""
+    from eldata.raw.levels import white_remark
+
+    levels_of = {record.path: levels for record, levels in zip(records, levels_dn, strict=True)}
+    found = []
+    for record in records:
+        levels, reference = levels_of[record.path], levels_of.get(record.reference or "")
+        text = white_remark(levels, reference) if levels and reference else None
+        found.append((record.path, (text,) if text else ()))
+    return distinct(found)
 
 
 def ratio_findings(records: Sequence[FrameRecord], product_of: Mapping[str, Fraction | None]) -> list[Problem]:

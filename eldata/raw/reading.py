@@ -102,9 +102,20 @@ def _container(path: Path) -> RawContainer:
 
 
 def _stated_header(file: RawContainer) -> RawHeader:
-    with opened_raw(file.path, file.directories):  # LibRaw knows it
-        main = _main(file)
-        return file.header if main is None else replace(file.header, remarks=opcode_remarks(main))
+    with opened_raw(file.path, file.directories) as raw:  # LibRaw knows it
+        main, black = _main(file), raw.black_level_per_channel
+        levels_dn = sum(black) / len(black), _white_level(file, raw)
+        remarks = () if main is None else opcode_remarks(main)
+        return replace(file.header, remarks=remarks, levels_dn=levels_dn if levels_dn[1] > levels_dn[0] else None)
+
+
+def _has_proxy(file: RawContainer) -> bool:
+    return is_dng(file.directories) and sum(one.is_mosaic for one in file.directories) > 1
+
+
+def _white_level(file: RawContainer, raw: rawpy.RawPy) -> float:
+    main = _main(file)
+    return dng_white_level(main) if main is not None and _has_proxy(file) else float(raw.white_level)
 
 
 def _main(file: RawContainer) -> Directory | None:
@@ -176,11 +187,11 @@ def _frame(file: RawContainer) -> RawFrame:
             check_one_image(path)
         _unpack(file, raw)
         cfa, index_of = visible_cfa(path, raw, main)
-        black, white = tuple(float(raw.black_level_per_channel[index]) for index in index_of), float(raw.white_level)
+        black, white = tuple(float(raw.black_level_per_channel[index]) for index in index_of), _white_level(file, raw)
         if main is not None and is_dng(directories):
-            if sum(one.is_mosaic for one in directories) > 1:
+            if _has_proxy(file):
                 # What the image does not state, LibRaw takes from its proxy; by the specification black is 0.
-                black, white = (0.0,) * len(index_of), dng_white_level(main)
+                black = (0.0,) * len(index_of)
             stated = dng_black_levels(path, main, raw, cfa)
             black = black if stated is None else stated
             remarks += masked_remarks(main, raw.raw_image, black)

@@ -166,7 +166,10 @@ def check_pair(
     if remark is not None:
         group.remark(path, remark, "keep")
     cells = frame.cells_beside(reference.sensor)
-    fit = fit_ratio(reference.cells, cells)
+    exif_ratio = _exif_ratio(reference.header, frame.header)
+    nominal = record.ratio
+    expected = nominal or exif_ratio
+    fit = fit_ratio(reference.cells, cells, None if expected is None else float(expected))
     if fit is None:
         text = "too few pixels that are neither saturated nor clipped at black: its exposure ratio cannot be measured"
         group.remark(path, text)
@@ -174,9 +177,6 @@ def check_pair(
     against = file_name(named)
     if group.measure("match", path, fit.match.in_percent(), against=against).verdict == "shoot again":
         return  # with another scene there is no ratio
-    exif_ratio = _exif_ratio(reference.header, frame.header)
-    nominal = record.ratio
-    expected = nominal or exif_ratio
     if expected is not None or fit.ratio is not None:
         _measure_black(frame, reference, cells, fit, float(expected or 1 / fit.slope.value), group)
     if fit.ratio is None:
@@ -201,11 +201,13 @@ def _measure_black(
 ) -> None:
     """Measure what a noisy frame's black is off its stated level, as a share of white once it is amplified."""
     share = ratio / reference.cells.range_dn
-    off = Estimate(share * fit.offset.value, share * fit.offset.standard_error)
+    off = Estimate(share * fit.black.value, share * fit.black.standard_error)
     stated = mean_levels(frame.sensor)[0]
-    black = stated + fit.offset.value * frame.cells.range_dn / cells.range_dn
+    black = stated + fit.black.value * frame.cells.range_dn / cells.range_dn
     words = {"black": f"{black:.1f}".removesuffix(".0"), "stated": f"{stated:g}", "ratio": f"{ratio:.4g}"}
-    group.measure("offset", frame.record.path, off.in_percent(), **words)
+    kind = find_kind("offset")  # a camera's colour bias may come to its limit: beyond it is what surely is
+    kind = replace(kind, look=kind.look + 100 * SIGMAS * off.standard_error)
+    group.measure(kind, frame.record.path, off.in_percent(), **words)
 
 
 # --- ratios -------------------------------------------------------------------------------------------------------

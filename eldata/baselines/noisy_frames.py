@@ -130,7 +130,7 @@ class NoisyFrames:
         return NoisyFrame(image, ratio, range_dn, pair, path, iso or None, near, is_black)
 
     def _reference_of(self, frame: RawFrame, path: str) -> Sensor | None:
-        """Return the sensor of a frame's reference, decoded only where its levels may decide those of the frame."""
+        """Return the sensor of a frame's reference, decoded unless its header states the frame's white level."""
         reference = reference_of(self.pair, path)
         if not reference or self.protocol.levels != "metadata":
             return None

@@ -15,6 +15,7 @@ from eldata.manifest.card import find_subset
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
+from eldata.manifest.pair_checks import white_remarks
 from eldata.manifest.pairs import Choice, select_pairs, unpaired
 from eldata.manifest.patterns import expand, is_png
 from eldata.manifest.verify import check_files
@@ -27,9 +28,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from eldata.evaluation.request import Request
-    from eldata.manifest.verify_report import FileRemark, Level
+    from eldata.manifest.verify_report import Level
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Protocol
+    from eldata.raw.levels import MeanLevels
     from eldata.records import FrameRecord
 
 
@@ -272,16 +274,20 @@ def require_pairs(request: Request, pairs: Iterable[Pair]) -> tuple[Originals, t
     rows = [row for row in request.manifest.records if row.role in ("noisy", "reference")]
     require_folder(request)
     listed = rows if request.kind is IMAGES else expand(rows, request.folder)
-    remarks = check_rows(request, [row for row in listed if row.path in needed], "metadata")
-    protocol = request.protocol
-    by_files = protocol.is_of_packed and protocol.levels == "metadata"
-    return Originals(request.files.absolute()), tuple(one.sentence() for one in remarks if by_files)
+    chosen, files = [row for row in listed if row.path in needed], request.files.absolute()
+    levels_dn = check_rows(request, chosen, "metadata")
+    if not (request.protocol.is_of_packed and request.protocol.levels == "metadata"):
+        return Originals(files), ()
+    remarks = white_remarks(chosen, levels_dn, files, request.workers)
+    return Originals(files), tuple(remark.sentence() for remark in remarks)
 
 
-def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> tuple[FileRemark, ...]:
-    """Raise :class:`DatasetError` unless these rows' files are what the manifest says; return what is said of pairs."""
-    problems, _, _, of_pairs = check_files(request.manifest, request.folder, rows, level=level, workers=request.workers)
+def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> dict[str, MeanLevels | None]:
+    """Raise :class:`DatasetError` unless these rows' files are what the manifest says; return known levels by path."""
+    problems, _, _, levels_dn = check_files(
+        request.manifest, request.folder, rows, level=level, workers=request.workers
+    )
     if problems:
         more = f" (and {len(problems) - 1} more: eldata verify --level metadata lists all)" if len(problems) > 1 else ""
         raise DatasetError(f"{request.folder}: the dataset is not what its manifest says: {problems[0]}{more}")
-    return of_pairs
+    return levels_dn

@@ -16,7 +16,6 @@ full
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -32,25 +31,21 @@ from eldata.manifest.clip_checks import (
     png_size_findings,
     size_findings,
 )
-from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
+from eldata.manifest.pair_checks import RATIO_TOLERANCE, ratio_findings, white_remarks
 from eldata.manifest.patterns import expand, is_png, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.manifest.verify_report import LEVELS, DatasetReport, VerifyReport, distinct, row_fault
-from eldata.raw.files import raw_facts
+from eldata.raw.files import RAW_EXTENSIONS, raw_facts
 from eldata.raw.stated import StatedFile
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
+    from fractions import Fraction
 
     from eldata.manifest.card import CameraCard
     from eldata.manifest.verify_report import FileRemark, Level, Problem
     from eldata.raw.levels import MeanLevels
     from eldata.records import FrameRecord, RawHeader, Sensor
-
-# Shutters step by thirds of a stop (a factor of 1.26) and EXIF rounds them (1/13 for 1/12.5), so a true ratio may be
-# some percent off the nominal one: 213 for 200 occurs in the published set. Shifted numbering and swapped references
-# are off by a factor of two at least.
-RATIO_TOLERANCE = Fraction(1, 10)
 
 _AGAIN = "copy or download it again"
 _PACK_AGAIN = "copy or make it again"
@@ -122,11 +117,14 @@ def _verify_dataset(
     needed = folder / tops.pop() if len(tops) == 1 else folder
     if not needed.is_dir():
         return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, ())
-    found, present, *remarks = check_files(manifest, folder, records, level=level, workers=workers)
+    found, present, remarks, levels_dn = check_files(manifest, folder, records, level=level, workers=workers)
+    if level != "quick":
+        files = FrameFiles.of(folder.absolute(), manifest.card, present)
+        remarks += white_remarks(present, levels_dn, files, workers)
     listed = expand(records, folder)
     hashed = sum(record.sha256 is not None for record in present) if level == "full" else 0
     counts = len(listed), len(present), hashed
-    return DatasetReport(manifest.name, folder, False, manifest.card.homepage, *counts, found, sum(remarks, ()))
+    return DatasetReport(manifest.name, folder, False, manifest.card.homepage, *counts, found, remarks)
 
 
 def check_files(
@@ -136,17 +134,17 @@ def check_files(
     *,
     level: Level,
     workers: Workers,
-) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...], tuple[FileRemark, ...], tuple[FileRemark, ...]]:
-    """Check some of a manifest's files.
+) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...], tuple[FileRemark, ...], dict[str, MeanLevels | None]]:
+    """Check some of a manifest's files; return the problems, the records of files that are there, remarks, levels.
 
-    Return the problems, by path, the records whose files are there, remarks on files, and on pairs' white levels.
+    The problems are in the order of paths. Levels are known of some files, and of none at level ``quick``.
     """
     listed = expand(records, folder)
     present, findings = _check_presence(manifest, folder, listed)
     findings += _check_unlisted(manifest, folder, listed)
     of_clips = pattern_findings(records, folder)
     remarks: tuple[FileRemark, ...] = ()
-    of_pairs: tuple[FileRemark, ...] = ()
+    levels_dn: dict[str, MeanLevels | None] = {}
     if level != "quick":
         files = FrameFiles.of(folder.absolute(), manifest.card, present)
         work = partial(check_file, files, manifest.card.cameras, level)
@@ -157,12 +155,12 @@ def check_files(
         findings += [finding for outcome in outcomes for finding in outcome.findings]
         product_of = {record.path: one.product for record, one in zip(present, outcomes, strict=True)}
         remarks = distinct((record.path, one.remarks) for record, one in zip(present, outcomes, strict=True))
-        of_pairs = white_remarks(present, [one.levels_dn for one in outcomes])
+        levels_dn = {record.path: one.levels_dn for record, one in zip(present, outcomes, strict=True)}
         findings += ratio_findings(present, product_of)
         of_clips += png_size_findings(folder, present)
         of_clips += exposure_findings(present, product_of, RATIO_TOLERANCE)
     findings = sorted([*findings, *of_clips], key=lambda finding: finding.path)
-    return tuple(finding.of(manifest.name) for finding in findings), tuple(present), remarks, of_pairs
+    return tuple(finding.of(manifest.name) for finding in findings), tuple(present), remarks, levels_dn
 
 
 # --- quick ----------------------------------------------------------------------------------------------------
@@ -220,8 +218,6 @@ def _names(folder: Path) -> list[str]:
 
 def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[Problem]:
     """Name files of the listed kind that the manifest does not list, in the folders of these records."""
-    from eldata.raw.files import RAW_EXTENSIONS
-
     every = expand(manifest.records, folder)
     listed = {record.path for record in every}
     # There may be other pictures of the scene beside references (DRV), but not beside noisy PNG frames.
@@ -377,33 +373,3 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[Problem]:
     except (OSError, NpyError) as error:
         found, good = str(error), False
     return [] if good else [row_fault(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
-
-
-def white_remarks(records: Sequence[FrameRecord], levels_dn: Sequence[MeanLevels | None]) -> tuple[FileRemark, ...]:
-    """Return what there is to say of noisy files whose white level is not their reference's, of each kind once."""
-    from eldata.raw.levels import white_remark
-
-    levels_of = {record.path: levels for record, levels in zip(records, levels_dn, strict=True)}
-    found = []
-    for record in records:
-        levels, reference = levels_of[record.path], levels_of.get(record.reference or "")
-        text = white_remark(levels, reference) if levels and reference else None
-        found.append((record.path, (text,) if text else ()))
-    return distinct(found)
-
-
-def ratio_findings(records: Sequence[FrameRecord], product_of: Mapping[str, Fraction | None]) -> list[Problem]:
-    """Compare the ratios of pairs with their rows'; ``product_of``: ISO times exposure time of each file, by path."""
-    advice = "are both the frames that their names say? look for shifted numbering and swapped references"
-    findings = []
-    for record in records:
-        if record.reference is None or record.ratio is None or {UNCERTAIN_ISO, NOMINAL_RATIO} & {*record.flags}:
-            continue
-        reference, noisy = product_of.get(record.reference), product_of[record.path]
-        if reference is None or noisy is None:
-            continue  # reported already: missing, unreadable or without exposure
-        ratio = reference / noisy
-        if abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio:
-            expected = f"{number_text(record.ratio)} to {record.reference}"
-            findings.append(row_fault(record.path, "ratio", expected, f"{float(ratio):.6g}", advice))
-    return findings

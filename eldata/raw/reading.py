@@ -57,6 +57,7 @@ from eldata.raw.sensor_facts import (
     camera_matrix,
     channel_whites,
     dng_black_levels,
+    dng_mean_levels,
     dng_white_level,
     masked_remarks,
     opcode_remarks,
@@ -102,20 +103,12 @@ def _container(path: Path) -> RawContainer:
 
 
 def _stated_header(file: RawContainer) -> RawHeader:
-    with opened_raw(file.path, file.directories) as raw:  # LibRaw knows it
-        main, black = _main(file), raw.black_level_per_channel
-        levels_dn = sum(black) / len(black), _white_level(file, raw)
-        remarks = () if main is None else opcode_remarks(main)
-        return replace(file.header, remarks=remarks, levels_dn=levels_dn if levels_dn[1] > levels_dn[0] else None)
-
-
-def _has_proxy(file: RawContainer) -> bool:
-    return is_dng(file.directories) and sum(one.is_mosaic for one in file.directories) > 1
-
-
-def _white_level(file: RawContainer, raw: rawpy.RawPy) -> float:
-    main = _main(file)
-    return dng_white_level(main) if main is not None and _has_proxy(file) else float(raw.white_level)
+    with opened_raw(file.path, file.directories):  # LibRaw knows it
+        main = _main(file)
+        if main is None:
+            return file.header
+        levels_dn = dng_mean_levels(main) if is_dng(file.directories) else None  # LibRaw's cost decoding
+        return replace(file.header, remarks=opcode_remarks(main), levels_dn=levels_dn)
 
 
 def _main(file: RawContainer) -> Directory | None:
@@ -187,11 +180,11 @@ def _frame(file: RawContainer) -> RawFrame:
             check_one_image(path)
         _unpack(file, raw)
         cfa, index_of = visible_cfa(path, raw, main)
-        black, white = tuple(float(raw.black_level_per_channel[index]) for index in index_of), _white_level(file, raw)
+        black, white = tuple(float(raw.black_level_per_channel[index]) for index in index_of), float(raw.white_level)
         if main is not None and is_dng(directories):
-            if _has_proxy(file):
+            if sum(one.is_mosaic for one in directories) > 1:
                 # What the image does not state, LibRaw takes from its proxy; by the specification black is 0.
-                black = (0.0,) * len(index_of)
+                black, white = (0.0,) * len(index_of), dng_white_level(main)
             stated = dng_black_levels(path, main, raw, cfa)
             black = black if stated is None else stated
             remarks += masked_remarks(main, raw.raw_image, black)

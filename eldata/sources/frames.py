@@ -18,9 +18,9 @@ from eldata.base.memory import scratch
 from eldata.base.pixels import read_rgb16
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import FrameFiles
+from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.manifest.patterns import is_png
-from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
 from eldata.records import Exposure, RawHeader
 

@@ -62,12 +62,13 @@ class ReducedFrame:
     empty_share: float
 
     def cells_beside(self, reference: Sensor) -> Cells:
-        """Return the cells in a reference's DN: those that are as large a share of white, as a score takes both."""
-        from eldata.raw.levels import mean_levels, with_levels
+        """Return the cells in a reference's DN: as large a share of white, whatever the bits of either file."""
+        from eldata.raw.levels import differ_in_white, mean_levels
 
-        levels = mean_levels(reference), mean_levels(with_levels(self.sensor, "metadata", reference))
-        of_reference, own = (white - black for black, white in levels)
-        scale = of_reference / own
+        levels, of_reference = mean_levels(self.sensor), mean_levels(reference)
+        if levels[1] == of_reference[1] or differ_in_white(levels, of_reference):
+            return self.cells  # one DN scale, also where a file states a wrong black
+        scale = (of_reference[1] - of_reference[0]) / (levels[1] - levels[0])
         return replace(self.cells, mean_dn=self.cells.mean_dn * np.float32(scale), range_dn=self.cells.range_dn * scale)
 
     @property

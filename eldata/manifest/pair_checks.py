@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -55,26 +54,22 @@ def white_remarks(
     """
     from eldata.raw.levels import white_remark
 
-    noisy = [record for record in records if record.reference in levels_dn]
-    paired = {record.path for record in noisy} | {record.reference for record in noisy}
-    setting = {record.path: (record.camera, record.iso) for record in records if record.path in paired}
-    first = {setting[record.path]: record for record in reversed(records) if record.path in paired}
-    several = Counter(camera for camera, _ in first)
-    unknown = [one for one in first.values() if levels_dn[one.path] is None and several[one.camera] > 1]
+    rows = {record.path: record for record in records}
+    pairs = [(rows[record.reference], record) for record in records if record.reference in rows]
+    first = {(one.camera, one.iso): one for pair in reversed(pairs) for one in pair}
+    unknown = [one for one in first.values() if levels_dn[one.path] is None]
     unknown = [one for one in unknown if Path(one.path).suffix.lower() in RAW_EXTENSIONS]
     decoded = workers.attempt(partial(_decoded_levels, files), unknown, label="white levels")
-    of_setting = {
-        setting[one.path]: found
-        for one, found in zip(unknown, decoded, strict=True)
-        if not isinstance(found, Failed)  # found by those who decode it
+    found = {
+        (one.camera, one.iso): levels
+        for one, levels in zip(unknown, decoded, strict=True)
+        if not isinstance(levels, Failed)  # who scores it says why
     }
     said = []
-    for record in noisy:
-        levels, clean = (
-            levels_dn[path] or of_setting.get(setting[path]) for path in (record.path, record.reference or "")
-        )
-        text = white_remark(levels, clean) if levels and clean else None
-        said.append((record.path, (text,) if text else ()))
+    for pair in pairs:
+        clean, noisy = (levels_dn[one.path] or found.get((one.camera, one.iso)) for one in pair)
+        text = white_remark(noisy, clean) if noisy and clean else None
+        said.append((pair[1].path, (text,) if text else ()))
     return distinct(said)
 
 

@@ -72,9 +72,9 @@ def differ_in_white(levels: MeanLevels, reference: MeanLevels) -> bool:
     Not so of shares of white, nor where the ranges are a power of two apart, as of files of 12 bits beside 14.
     """
     (black, white), (reference_black, reference_white) = levels, reference
-    if white == reference_white or min(white, reference_white) <= 1:
-        return False
     ranges = white - black, reference_white - reference_black
+    if white == reference_white or min(white, reference_white) <= 1 or min(ranges) <= 0:  # which reading refuses
+        return False
     ratio = max(ranges) / min(ranges)
     power = 2.0 ** round(math.log2(ratio))
     return power == 1 or abs(ratio / power - 1) > _POWER_TOLERANCE

@@ -12,17 +12,21 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from capture.check import check
 from eldata import PackedStore, evaluate, verify
+from eldata.base.workers import Workers
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
 from eldata.datasets import PairDataset
 from eldata.datasets.clips import ClipWindows
 from eldata.evaluation import scored_pairs
+from eldata.manifest.catalogue import FrameFiles
 from eldata.manifest.own import sort_own_set
+from eldata.manifest.pair_checks import white_remarks
 from eldata.manifest.writing import save_manifest
 from eldata.protocols import PROTOCOLS
 from eldata.raw import pack, read_raw, write_dng
@@ -118,6 +122,20 @@ def test_which_white_levels_are_two_of_one_scale(noisy: MeanLevels, reference: M
     range_dn = (reference if differ else noisy)[1] - (reference if differ else noisy)[0]
     assert with_levels(ours, "metadata", theirs).white_level_dn == noisy[0] + range_dn
     assert with_levels(ours, "published", theirs) == with_levels(ours, "published")
+
+
+def test_of_files_that_state_no_levels_one_of_each_iso_is_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of CR2, NEF and ARW, whose white level only LibRaw tells, once it has decoded them."""
+    case = "white-by-iso"
+    records = sort_own_set(FIELD / case, case).records
+    noisy = [replace(records[1], path=path) for path in (NOISY, "hall/lost.CR2")]
+    decode = Mock(wraps=read_raw)
+    monkeypatch.setattr("eldata.raw.reading.read_raw", decode)
+    levels_dn = dict.fromkeys((records[0].path, NOISY, "hall/lost.CR2"))
+    (said,) = white_remarks([records[0], *noisy], levels_dn, FrameFiles(FIELD / case), Workers(1))
+    assert (said.path, said.files) == (NOISY, 2)
+    assert CASES[case][3] in said.text
+    assert sorted(call.args[0].name for call in decode.call_args_list) == ["IMG_0001.dng", "IMG_0002.dng"]
 
 
 def test_frames_of_a_clip_are_divided_as_their_reference_is(tmp_path: Path) -> None:

@@ -17,9 +17,9 @@ from eldata.base.files import sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, load_card, title_of_set
+from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.pairs import UNCERTAIN_ISO, WARM_SENSOR
 from eldata.manifest.table import load_records
-from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:

@@ -140,7 +140,8 @@ class RawHeader:
     """What a raw file says about itself, before its pixels are decoded.
 
     ``taken``: by the camera's clock, which knows no time zone, with a fraction of a second where the file has one.
-    ``remarks``: those of :class:`RawFrame` that take no pixels.
+    ``remarks``: those of :class:`RawFrame` that take no pixels. ``levels_dn``: mean black level and white level, where
+    the file has them in plain words, as a DNG.
     """
 
     path: Path
@@ -149,6 +150,7 @@ class RawHeader:
     exposure: Exposure
     taken: datetime | None = None
     remarks: tuple[str, ...] = ()
+    levels_dn: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

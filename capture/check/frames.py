@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -60,6 +60,16 @@ class ReducedFrame:
     cells: Cells
     luminance: NDArray[np.float32]
     empty_share: float
+
+    def cells_beside(self, reference: Sensor) -> Cells:
+        """Return the cells in a reference's DN: as large a share of white, whatever the bits of either file."""
+        from eldata.raw.levels import differ_in_white, mean_levels
+
+        levels, of_reference = mean_levels(self.sensor), mean_levels(reference)
+        if levels[1] == of_reference[1] or differ_in_white(levels, of_reference):
+            return self.cells  # one DN scale, also where a file states a wrong black
+        scale = (of_reference[1] - of_reference[0]) / (levels[1] - levels[0])
+        return replace(self.cells, mean_dn=self.cells.mean_dn * np.float32(scale), range_dn=self.cells.range_dn * scale)
 
     @property
     def scale(self) -> int:

@@ -26,7 +26,7 @@ from eldata.base.fields import TextFile
 from eldata.base.tables import with_error
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError
-from eldata.manifest.verify import RATIO_TOLERANCE
+from eldata.manifest.pair_checks import RATIO_TOLERANCE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -56,6 +56,10 @@ class RatioFit:
         Signal of the noisy frame over that of the reference, with its standard error.
     offset_dn
         Of each channel, DN.
+    black
+        What the frame's black is off its stated level, DN: the mean of the channels' offsets from the line, or from one
+        of the expected slope, whichever is nearer to 0. The first alone takes a frame that moved or is out of focus for
+        one of another black, the second one in another light.
     match
         Share of the variance of the scene in the noisy frame that the reference explains, noise left out: 1 for the
         same scene.
@@ -63,6 +67,7 @@ class RatioFit:
 
     slope: Estimate
     offset_dn: tuple[float, ...]
+    black: Estimate
     match: Estimate
 
     @property
@@ -107,8 +112,11 @@ def brightest_level(cells: Cells) -> float | None:
     return float(np.quantile(mean[cells.greens], 0.99)) / cells.range_dn
 
 
-def fit_ratio(reference: Cells, noisy: Cells) -> RatioFit | None:
-    """Fit the line; ``None`` if too little is well exposed, or the noisy frame's black is clipped."""
+def fit_ratio(reference: Cells, noisy: Cells, expected: float | None = None) -> RatioFit | None:
+    """Fit the line; ``None`` if too little is well exposed, or the noisy frame's black is clipped.
+
+    ``expected``: the exposure ratio that is stated.
+    """
     x, y, usable = _strips(reference, noisy)
     if int(usable.sum()) < _LEAST_STRIPS or noisy.zero_share > _ZERO_SHARE:
         return None
@@ -121,11 +129,22 @@ def fit_ratio(reference: Cells, noisy: Cells) -> RatioFit | None:
         sigma = _scatter(residual, level, usable)[level]
         distance = np.abs(residual) / sigma
         weight = np.where(usable, np.minimum(1, _HUBER / np.maximum(distance, 1e-9)) / sigma**2, 0)
-    score = (weight * about_x * residual).sum(axis=(0, 2))
-    rows = len(score)
-    information = float((weight * about_x**2).sum())
-    error = float(np.sqrt(rows / max(1, rows - 1) * np.sum(score**2))) / information
-    return RatioFit(Estimate(slope, error), tuple(map(float, offset)), _match(slope, x, residual, usable))
+    by_row = (weight * about_x * residual).sum(axis=(0, 2)) / float((weight * about_x**2).sum())
+    share = weight / np.maximum(weight.sum(axis=(1, 2), keepdims=True), 1e-300) / len(weight)
+    mean_x = float((share * x).sum())
+    black = _estimate(float(offset.mean()), (share * residual).sum(axis=(0, 2)) - mean_x * by_row)
+    if expected is not None:
+        left = share * (y - x / expected)
+        value = float(left.sum())
+        stated = _estimate(value, (left - share * value).sum(axis=(0, 2)))
+        black = min(black, stated, key=lambda one: abs(one.value)) if black.value * value > 0 else Estimate(0.0)
+    return RatioFit(_estimate(slope, by_row), tuple(map(float, offset)), black, _match(slope, x, residual, usable))
+
+
+def _estimate(value: float, by_row: Array) -> Estimate:
+    """Return an estimate with the error that its rows' shares in it, each a cluster, give."""
+    rows = len(by_row)
+    return Estimate(value, float(np.sqrt(rows / max(1, rows - 1) * np.sum(by_row**2))))
 
 
 def changed_share(first: Cells, second: Cells, brightness: float, offset_dn: Sequence[float] | None = None) -> float:

@@ -22,6 +22,7 @@ from eldata.base.files import write_text
 from eldata.base.tables import with_error
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError
+from eldata.manifest.verify_report import distinct
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -172,8 +173,11 @@ class CheckReport:
         """Return the report as text: what is not to be kept and why, what is :attr:`alike`, and how many are what."""
         told = {one for many in _alike(self.groups) for one in many}
         total = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
+        said = distinct(
+            (one.path, (one.text,)) for group in self.groups for one in group.remarks if one.verdict == "keep"
+        )
         groups = [group.format_text(told) for group in self.groups if group.verdict != "keep"]
-        return "\n".join([*groups, *self.alike, f"{self.dataset}: {total}"])
+        return "\n".join([*groups, *self.alike, *map(str, said), f"{self.dataset}: {total}"])
 
 
 # So many files that are off alike are one finding. What is alike: within 3 % of the nominal ratio, some times what the

@@ -21,14 +21,16 @@ from capture.observed import f_text, same_aperture
 from capture.shutter import ladder
 from eldata.errors import RawFileError
 from eldata.manifest.pairs import UNCERTAIN_ISO
+from eldata.raw.levels import mean_levels, white_remark
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from capture.check.cells import Cells
     from capture.check.measures import MeasureKind
+    from capture.check.ratio import RatioFit
     from capture.check.shift import Tiles
-    from eldata.records import Exposure, FrameRecord, RawHeader
+    from eldata.records import Exposure, FrameRecord, RawHeader, Sensor
 
 _INFINITE: Final = float("inf")
 _STEPS: Final = (Fraction(1, 3), Fraction(1, 2))
@@ -40,6 +42,7 @@ class SeenReference:
 
     cells: Cells
     header: RawHeader
+    sensor: Sensor
 
 
 def check_scene(unit: Unit) -> CheckedGroup:
@@ -60,7 +63,7 @@ def check_scene(unit: Unit) -> CheckedGroup:
             check_pair(frame, named, references, noisy, group)
             group.pictures.append(scene_picture(frame, float(frame.record.ratio or 1)))
             continue
-        references[path] = SeenReference(frame.cells, frame.header)
+        references[path] = SeenReference(frame.cells, frame.header, frame.sensor)
         group.measure("clipped", path, Estimate(frame.cells.clipped_share).in_percent())
         if first is None:
             first, tiles_of_first = frame, make_tiles(frame.luminance)
@@ -73,8 +76,8 @@ def check_scene(unit: Unit) -> CheckedGroup:
         else:
             if last is not None and not _well(group, last):
                 changes.append(change_picture(first, last))  # the last one always has one
-            _compare(first, tiles_of_first, frame, group)
-            last = frame
+            last = replace(frame, cells=frame.cells_beside(first.sensor))
+            _compare(first, tiles_of_first, last, group)
     if last is not None and first is not None:
         group.pictures[1:1] = [scene_picture(last, 1.0), *changes, change_picture(first, last)]
     if len(references) == 1 and first is not None:
@@ -159,7 +162,14 @@ def check_pair(
         text = f"its reference {file_name(named)} cannot be used" if named else "the scene has no reference"
         group.remark(path, text, "shoot again")
         return
-    fit = fit_ratio(reference.cells, frame.cells)
+    remark = white_remark(mean_levels(frame.sensor), mean_levels(reference.sensor))
+    if remark is not None:
+        group.remark(path, remark, "keep")
+    cells = frame.cells_beside(reference.sensor)
+    exif_ratio = _exif_ratio(reference.header, frame.header)
+    nominal = record.ratio
+    expected = nominal or exif_ratio
+    fit = fit_ratio(reference.cells, cells, None if expected is None else float(expected))
     if fit is None:
         text = "too few pixels that are neither saturated nor clipped at black: its exposure ratio cannot be measured"
         group.remark(path, text)
@@ -167,10 +177,9 @@ def check_pair(
     against = file_name(named)
     if group.measure("match", path, fit.match.in_percent(), against=against).verdict == "shoot again":
         return  # with another scene there is no ratio
-    exif_ratio = _exif_ratio(reference.header, frame.header)
-    nominal = record.ratio
+    if expected is not None or fit.ratio is not None:
+        _measure_black(frame, reference, cells, fit, float(expected or 1 / fit.slope.value), group)
     if fit.ratio is None:
-        expected = nominal or exif_ratio
         if expected is not None:
             scale = 100 * float(expected)
             signal = Estimate(scale * fit.slope.value, scale * fit.slope.standard_error)
@@ -182,9 +191,23 @@ def check_pair(
     if exif_ratio is not None:
         kind = _exif_kind(record, fit.ratio, exif_ratio, _given_ratio(reference.header.exposure, frame.header.exposure))
         group.measure(kind, path, fit.ratio, against=against, ratio=_number(exif_ratio))
-    changed = changed_share(reference.cells, frame.cells, fit.slope.value, fit.offset_dn)
+    changed = changed_share(reference.cells, cells, fit.slope.value, fit.offset_dn)
     # Without an error: only what exceeds eight of them is counted.
     group.measure("movement", path, Estimate(changed).in_percent(), against=f"to {against}")
+
+
+def _measure_black(
+    frame: ReducedFrame, reference: SeenReference, cells: Cells, fit: RatioFit, ratio: float, group: CheckedGroup
+) -> None:
+    """Measure what a noisy frame's black is off its stated level, as a share of white once it is amplified."""
+    share = ratio / reference.cells.range_dn
+    off = Estimate(share * fit.black.value, share * fit.black.standard_error)
+    stated = mean_levels(frame.sensor)[0]
+    black = stated + fit.black.value * frame.cells.range_dn / cells.range_dn
+    words = {"black": f"{black:.1f}".removesuffix(".0"), "stated": f"{stated:g}", "ratio": f"{ratio:.4g}"}
+    kind = find_kind("offset")  # a camera's colour bias may come to its limit: beyond it is what surely is
+    kind = replace(kind, look=kind.look + 100 * SIGMAS * off.standard_error)
+    group.measure(kind, frame.record.path, off.in_percent(), **words)
 
 
 # --- ratios -------------------------------------------------------------------------------------------------------

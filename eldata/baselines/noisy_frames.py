@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from eldata.noise.profile import CameraProfile
     from eldata.raw.levels import FrameLevels
-    from eldata.records import RawFrame
+    from eldata.records import RawFrame, Sensor
 
     Values = NDArray[np.floating[Any]]
     from collections.abc import Callable
@@ -119,14 +119,24 @@ class NoisyFrames:
         if ratio is None:
             ratio = float(exposure_ratio(read_header(self.dataset.at(reference_of(pair, path) or path)), frame))
         taken = less_shading(frame, dark_shading_in(self.dark_shading), path) if self.dark_shading else frame
-        image = normalised_frame(taken, self.protocol.levels, clip=self.clip_range, gain=ratio)
-        black, white = levels_dn(frame, self.protocol.levels)
+        levels, reference = self.protocol.levels, self._reference_of(frame, path)
+        image = normalised_frame(taken, levels, clip=self.clip_range, gain=ratio, reference=reference)
+        black, white = levels_dn(frame, levels, reference)
         iso = iso_of(pair) or float(frame.exposure.iso or 0)
         if self.protocol.input_space == "srgb":
             image = rendered_frame(image, frame, self.protocol.curve).astype(np.float32)
             return NoisyFrame(image, ratio, math.nan, pair, path, iso or None, near)
         range_dn, is_black = white[0] - float(np.mean(black)), self.dark_shading is not None
         return NoisyFrame(image, ratio, range_dn, pair, path, iso or None, near, is_black)
+
+    def _reference_of(self, frame: RawFrame, path: str) -> Sensor | None:
+        """Return the sensor of a frame's reference, decoded unless its header states the frame's white level."""
+        reference = reference_of(self.pair, path)
+        if not reference or self.protocol.levels != "metadata":
+            return None
+        file = self.dataset.at(reference)
+        stated = read_header(file).levels_dn
+        return None if stated is not None and stated[1] == frame.sensor.white_level_dn else read_raw(file).sensor
 
     def _window(self, path: str, length: int) -> Values:
         if self.clip is None:

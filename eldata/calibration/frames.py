@@ -12,8 +12,8 @@ from eldata.base.workers import IN_THIS_PROCESS, Workers, require_files
 from eldata.calibration.audit.frames import Copies, FrameFigures, odd_bias_frames, problem_of
 from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import DatasetError, EldataError, RawFileError, UnusableRawError
+from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.table import number_text
-from eldata.manifest.verify import RATIO_TOLERANCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

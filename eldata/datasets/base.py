@@ -233,8 +233,7 @@ class SourcePairs(CroppedItems[Sample]):
 
     def _noisy(self, record: PairRecord, target: Frame) -> Frame:
         """Open the noisy frame of a pair; ``target`` is its reference."""
-        del target
-        return self.source.frame(record.path).with_levels(self.levels)
+        return self.source.frame(record.path).with_levels(self.levels, target)
 
     def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is, as names and values."""

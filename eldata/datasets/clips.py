@@ -176,7 +176,7 @@ class ClipWindows(CroppedItems[ClipSample]):
         ratio = self._ratio(first, reference, clip.frames[0])
         for place, path in enumerate(clip.frames):
             reference = self._frame(clip.references[place]) if clip.references else reference
-            self._check_frame(self._input(path), path, reference or first, reference, first.name, ratio)
+            self._check_frame(self._input(path, reference), path, reference or first, reference, first.name, ratio)
 
     @property
     def _may_differ(self) -> bool:
@@ -222,7 +222,7 @@ class ClipWindows(CroppedItems[ClipSample]):
         if reference is not None:
             yield Part("target", reference, 0 if own else None, is_light=True)
             del reference
-        frame = self._corrected(first or self._frame(record.path))
+        frame = self._input(record.path, known, first)
         del first  # as all frames, gone once it was read
         ratio = self._ratio(frame, known, record.path)
         gain = math.nan if ratio is None else float(ratio)
@@ -237,7 +237,7 @@ class ClipWindows(CroppedItems[ClipSample]):
                 yield Part("target", reference, place, is_light=True)
                 del reference
             if place:
-                frame = self._input(path)
+                frame = self._input(path, known)
             if not self.reads_parts:  # else it was checked before
                 self._check_frame(frame, path, like, known, name, ratio)
             yield Part("input", frame, place, 1.0 if ratio is None else gain)
@@ -246,10 +246,9 @@ class ClipWindows(CroppedItems[ClipSample]):
     def _frame(self, path: str) -> Frame:
         return self.source.frame(path).with_levels(self.levels)
 
-    def _input(self, path: str) -> Frame:
-        return self._corrected(self._frame(path))
-
-    def _corrected(self, frame: Frame) -> Frame:
+    def _input(self, path: str, reference: Frame | None, opened: Frame | None = None) -> Frame:
+        """Return a frame of a clip as an input, beside its reference if there is one."""
+        frame = (opened or self.source.frame(path)).with_levels(self.levels, reference)
         return frame if self.dark_shading is None else frame.less(self.dark_shading)
 
     def _check_frame(

@@ -191,7 +191,7 @@ def scored_pairs(
     if found.problems and not (allow_missing and found.files):
         more = f" (and {len(found.problems) - 1} more: eldata evaluate lists all)" if len(found.problems) > 1 else ""
         raise EldataError(f"{found.problems[0]}{more}")
-    originals = require_pairs(request, plan.pairs)
+    originals, _ = require_pairs(request, plan.pairs)
     return compared_images(request, originals, Contender(plan.pairs, None if predictions is None else found.files))
 
 
@@ -219,7 +219,7 @@ def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
     with first.workers_for(plan.pairs).sharing() as workers:  # processes are started once, for checks and scores
         first = replace(first, workers=workers)
         found = [_found(request, plan) for request in requests]
-        originals = require_pairs(first, plan.pairs)
+        originals, of_whites = require_pairs(first, plan.pairs)
         contenders = [
             Contender(
                 plan.pairs if request.allow_missing or not one.problems else (),
@@ -228,7 +228,8 @@ def perform_each(requests: Sequence[Request]) -> list[EvaluationResult]:
             for request, one in zip(requests, found, strict=True)
         ]
         scored = score_contenders(first, originals, plan.pairs, contenders)
-    return [_result(request, plan, one, new) for request, one, new in zip(requests, found, scored, strict=True)]
+    results = [_result(request, plan, one, new) for request, one, new in zip(requests, found, scored, strict=True)]
+    return [replace(result, notes=(*result.notes, *of_whites)) for result in results]
 
 
 def _result(request: Request, plan: ScoringPlan, found: FoundPredictions, scored: PairScores) -> EvaluationResult:

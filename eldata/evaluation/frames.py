@@ -136,7 +136,11 @@ class NoisyInput:
         raw = read_once(partial(_read_noisy, job.originals, reference, path))
         corrected = read_once(lambda: _less_dark_shading(job, raw(), path))
         self._raw, self._rgb = raw, read_once(partial(job.originals.rgb, path))
-        self._normalised = cache(lambda levels, clip, gain: normalised_frame(corrected(), levels, clip=clip, gain=gain))
+        self._normalised = cache(
+            lambda levels, clip, gain: normalised_frame(
+                corrected(), levels, clip=clip, gain=gain, reference=reference.frame.sensor
+            )
+        )
 
     def amplified(self, protocol: Protocol) -> NDArray[Any]:
         """Return the amplified noisy input as a protocol has it, rendered where predictions are in sRGB."""
@@ -260,11 +264,11 @@ class ComparedFrame:
         """Return the values of a protocol's fields that would have given the same score, by the field."""
         if not protocol.is_of_packed:
             return {}
-        frames = [self.reference.frame, *([self._dng()] if self._is_dng else [])]
+        clean = self.reference.frame
         if self.file is not None:
-            return {"levels": _equal_levels(protocol, frames)}
+            return {"levels": _equal_levels(protocol, [clean, *([self._dng()] if self._is_dng else [])])}
         return {
-            "levels": _equal_levels(protocol, [*frames, self._noisy.frame]),
+            "levels": _equal_levels(protocol, [clean, self._noisy.frame], clean.sensor),
             "amplification": self._noisy.equal_ratios(protocol),
         }
 
@@ -352,12 +356,12 @@ class ComparedFrame:
         return as_compared(p, g, rules, factor)
 
 
-def _equal_levels(protocol: Protocol, frames: Sequence[RawFrame]) -> frozenset[str]:
+def _equal_levels(protocol: Protocol, frames: Sequence[RawFrame], reference: Sensor | None = None) -> frozenset[str]:
     """Return the choices of levels that normalise each of these frames as the protocol's does."""
     return frozenset(
         levels
         for levels in get_args(Levels)
-        if all(levels_dn(frame, levels) == levels_dn(frame, protocol.levels) for frame in frames)
+        if all(levels_dn(one, levels, reference) == levels_dn(one, protocol.levels, reference) for one in frames)
     )
 
 

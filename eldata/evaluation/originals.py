@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Clip, Levels
     from eldata.raw.stated import StatedFile
-    from eldata.records import RawFrame
+    from eldata.records import RawFrame, Sensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +88,9 @@ class Originals:
 # --- as protocols take them ----------------------------------------------------------------------------------------
 
 
-def normalised_frame(frame: RawFrame, levels: Levels, *, clip: Clip, gain: float = 1.0) -> NDArray[np.float32]:
+def normalised_frame(
+    frame: RawFrame, levels: Levels, *, clip: Clip, gain: float = 1.0, reference: Sensor | None = None
+) -> NDArray[np.float32]:
     """Return a frame packed, normalised with a protocol's levels, clipped, amplified and clipped again.
 
     Parameters
@@ -100,6 +102,8 @@ def normalised_frame(frame: RawFrame, levels: Levels, *, clip: Clip, gain: float
         where LibRaw states none for each channel.
     clip, gain
         As :func:`eldata.raw.levels.pack_normalised` has them.
+    reference
+        Of a noisy frame: its reference's sensor (:func:`eldata.raw.levels.with_levels`).
 
     Returns
     -------
@@ -112,7 +116,7 @@ def normalised_frame(frame: RawFrame, levels: Levels, *, clip: Clip, gain: float
         If the levels or the gain are invalid.
     """
     if levels != "metadata-per-channel":
-        return packed_frame(frame, levels=levels, clip=clip, gain=gain)
+        return packed_frame(frame, levels=levels, clip=clip, gain=gain, reference=reference)
     whites = frame.channel_white_levels_dn
     if whites is None or len(set(whites)) == 1:
         white = frame.sensor.white_level_dn if whites is None else whites[0]
@@ -145,11 +149,13 @@ def rendered_frame(packed: NDArray[np.floating[Any]], frame: RawFrame, response:
     return render_to_8_bits(packed, frame.sensor, response=response) / 255.0
 
 
-def levels_dn(frame: RawFrame, levels: Levels) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def levels_dn(
+    frame: RawFrame, levels: Levels, reference: Sensor | None = None
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the black and the white levels in DN, one per CFA channel, that :func:`normalised_frame` takes."""
     sensor = frame.sensor
     if levels != "metadata-per-channel":
-        sensor = with_levels(sensor, levels)
+        sensor = with_levels(sensor, levels, reference)
     white = (sensor.white_level_dn,) * len(sensor.black_level_dn)
     whites = frame.channel_white_levels_dn if levels == "metadata-per-channel" else None
     if whites is None or len(set(whites)) == 1:

@@ -15,6 +15,7 @@ from eldata.manifest.card import find_subset
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
+from eldata.manifest.pair_checks import white_remarks
 from eldata.manifest.pairs import Choice, select_pairs, unpaired
 from eldata.manifest.patterns import expand, is_png
 from eldata.manifest.verify import check_files
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from eldata.manifest.verify_report import Level
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Protocol
+    from eldata.raw.levels import MeanLevels
     from eldata.records import FrameRecord
 
 
@@ -263,19 +265,29 @@ def require_folder(request: Request) -> None:
         )
 
 
-def require_pairs(request: Request, pairs: Iterable[Pair]) -> Originals:
-    """Return where the frames of these pairs come from; raise :class:`DatasetError` unless the manifest means them."""
+def require_pairs(request: Request, pairs: Iterable[Pair]) -> tuple[Originals, tuple[str, ...]]:
+    """Return where the frames of these pairs come from, and what there is to say of white levels that differ in them.
+
+    Raise :class:`DatasetError` unless the manifest means them.
+    """
     needed = {path for pair in pairs for path in files_of(pair)}
     rows = [row for row in request.manifest.records if row.role in ("noisy", "reference")]
     require_folder(request)
     listed = rows if request.kind is IMAGES else expand(rows, request.folder)
-    check_rows(request, [row for row in listed if row.path in needed], "metadata")
-    return Originals(request.files.absolute())
+    chosen, files = [row for row in listed if row.path in needed], request.files.absolute()
+    levels_dn = check_rows(request, chosen, "metadata")
+    if not (request.protocol.is_of_packed and request.protocol.levels == "metadata"):
+        return Originals(files), ()
+    remarks = white_remarks(chosen, levels_dn, files, request.workers)
+    return Originals(files), tuple(remark.sentence() for remark in remarks)
 
 
-def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> None:
-    """Raise :class:`DatasetError` unless the files of these rows are what the manifest says."""
-    problems, _, _ = check_files(request.manifest, request.folder, rows, level=level, workers=request.workers)
+def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> dict[str, MeanLevels | None]:
+    """Raise :class:`DatasetError` unless these rows' files are what the manifest says; return known levels by path."""
+    problems, _, _, levels_dn = check_files(
+        request.manifest, request.folder, rows, level=level, workers=request.workers
+    )
     if problems:
         more = f" (and {len(problems) - 1} more: eldata verify --level metadata lists all)" if len(problems) > 1 else ""
         raise DatasetError(f"{request.folder}: the dataset is not what its manifest says: {problems[0]}{more}")
+    return levels_dn

@@ -147,8 +147,10 @@ class EldataPairs(Dataset[dict[str, Any]]):
         """Return a part of a frame in DN, (C, h, w), and black and white level of each packed channel, (C, 1, 1)."""
         if not crop.cfa or frame.sensor is None:
             raise ArgumentError(f"{frame.name}: is not a raw frame in DN, which LED's arithmetic begins with")
-        per_channel = self.opt["levels"] == "metadata-per-channel" and frame.channel_white_levels_dn
-        whites = per_channel or (frame.white_level_dn,) * len(frame.black_level_dn)
+        whites = (frame.white_level_dn,) * len(frame.black_level_dn)
+        if self.opt["levels"] == "metadata-per-channel":  # LED's, each file by its own
+            own = (frame.sensor.white_level_dn,) * len(whites)
+            whites = frame.channel_white_levels_dn or own
         levels = (packed_black_level_dn(crop.cfa, crop.levels(own)) for own in (frame.black_level_dn, whites))
         black, white = (level[:, None, None] for level in levels)
         return pack(crop.cut(frame), crop.cfa).astype(np.float32), black, white

@@ -18,7 +18,7 @@ from eldata.base.numbers import counted
 from eldata.base.workers import Failed, Workers
 from eldata.errors import ArgumentError, RawFileError
 from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, title_of_set
-from eldata.manifest.verify import RATIO_TOLERANCE
+from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.verify_report import Problem
 from eldata.raw.cfa import packing_sites
 from eldata.raw.files import raw_facts, raws_below

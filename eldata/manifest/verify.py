@@ -16,7 +16,6 @@ full
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -32,24 +31,21 @@ from eldata.manifest.clip_checks import (
     png_size_findings,
     size_findings,
 )
-from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
+from eldata.manifest.pair_checks import RATIO_TOLERANCE, ratio_findings, white_remarks
 from eldata.manifest.patterns import expand, is_png, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.manifest.verify_report import LEVELS, DatasetReport, VerifyReport, distinct, row_fault
-from eldata.raw.files import raw_facts
+from eldata.raw.files import RAW_EXTENSIONS, raw_facts
 from eldata.raw.stated import StatedFile
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
+    from fractions import Fraction
 
     from eldata.manifest.card import CameraCard
     from eldata.manifest.verify_report import FileRemark, Level, Problem
+    from eldata.raw.levels import MeanLevels
     from eldata.records import FrameRecord, RawHeader, Sensor
-
-# Shutters step by thirds of a stop (a factor of 1.26) and EXIF rounds them (1/13 for 1/12.5), so a true ratio may be
-# some percent off the nominal one: 213 for 200 occurs in the published set. Shifted numbering and swapped references
-# are off by a factor of two at least.
-RATIO_TOLERANCE = Fraction(1, 10)
 
 _AGAIN = "copy or download it again"
 _PACK_AGAIN = "copy or make it again"
@@ -121,7 +117,10 @@ def _verify_dataset(
     needed = folder / tops.pop() if len(tops) == 1 else folder
     if not needed.is_dir():
         return DatasetReport(manifest.name, needed, True, manifest.card.homepage, len(records), 0, 0, ())
-    found, present, remarks = check_files(manifest, folder, records, level=level, workers=workers)
+    found, present, remarks, levels_dn = check_files(manifest, folder, records, level=level, workers=workers)
+    if level != "quick":
+        files = FrameFiles.of(folder.absolute(), manifest.card, present)
+        remarks += white_remarks(present, levels_dn, files, workers)
     listed = expand(records, folder)
     hashed = sum(record.sha256 is not None for record in present) if level == "full" else 0
     counts = len(listed), len(present), hashed
@@ -135,13 +134,17 @@ def check_files(
     *,
     level: Level,
     workers: Workers,
-) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...], tuple[FileRemark, ...]]:
-    """Check some of a manifest's files; return the problems, by path, the records whose files are there, remarks."""
+) -> tuple[tuple[Problem, ...], tuple[FrameRecord, ...], tuple[FileRemark, ...], dict[str, MeanLevels | None]]:
+    """Check some of a manifest's files; return the problems, the records of files that are there, remarks, levels.
+
+    The problems are in the order of paths. Levels are known of some files, and of none at level ``quick``.
+    """
     listed = expand(records, folder)
     present, findings = _check_presence(manifest, folder, listed)
     findings += _check_unlisted(manifest, folder, listed)
     of_clips = pattern_findings(records, folder)
     remarks: tuple[FileRemark, ...] = ()
+    levels_dn: dict[str, MeanLevels | None] = {}
     if level != "quick":
         files = FrameFiles.of(folder.absolute(), manifest.card, present)
         work = partial(check_file, files, manifest.card.cameras, level)
@@ -152,11 +155,12 @@ def check_files(
         findings += [finding for outcome in outcomes for finding in outcome.findings]
         product_of = {record.path: one.product for record, one in zip(present, outcomes, strict=True)}
         remarks = distinct((record.path, one.remarks) for record, one in zip(present, outcomes, strict=True))
+        levels_dn = {record.path: one.levels_dn for record, one in zip(present, outcomes, strict=True)}
         findings += ratio_findings(present, product_of)
         of_clips += png_size_findings(folder, present)
         of_clips += exposure_findings(present, product_of, RATIO_TOLERANCE)
     findings = sorted([*findings, *of_clips], key=lambda finding: finding.path)
-    return tuple(finding.of(manifest.name) for finding in findings), tuple(present), remarks
+    return tuple(finding.of(manifest.name) for finding in findings), tuple(present), remarks, levels_dn
 
 
 # --- quick ----------------------------------------------------------------------------------------------------
@@ -214,8 +218,6 @@ def _names(folder: Path) -> list[str]:
 
 def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[Problem]:
     """Name files of the listed kind that the manifest does not list, in the folders of these records."""
-    from eldata.raw.files import RAW_EXTENSIONS
-
     every = expand(manifest.records, folder)
     listed = {record.path for record in every}
     # There may be other pictures of the scene beside references (DRV), but not beside noisy PNG frames.
@@ -243,11 +245,12 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
 
 
 class CheckedFile(NamedTuple):
-    """What is wrong with a file, its ISO times its exposure time, if it states both, and what is remarked of it."""
+    """What is wrong with a file, its ISO times its exposure time, if it states both, remarks on it, its levels."""
 
     findings: list[Problem]
     product: Fraction | None = None
     remarks: tuple[str, ...] = ()
+    levels_dn: MeanLevels | None = None
 
 
 # With a finding in one of these fields the whole file is wrong: its bytes are not checked further.
@@ -304,7 +307,7 @@ def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, dec
     except RawFileError as error:
         return CheckedFile([_unreadable(record, error)])
     findings, product = header_findings(header, record, models)
-    return CheckedFile([*findings, *_decoded_findings(record, decoded)], product, header.remarks)
+    return CheckedFile([*findings, *_decoded_findings(record, decoded)], product, header.remarks, header.levels_dn)
 
 
 def _stated_findings(file: StatedFile, record: FrameRecord, *, decode: bool) -> CheckedFile:
@@ -316,7 +319,7 @@ def _stated_findings(file: StatedFile, record: FrameRecord, *, decode: bool) -> 
         decoded = file.read().sensor if decode else None
     except RawFileError as error:
         return CheckedFile([_unreadable(record, error, "a mosaic as its card states it")])
-    return CheckedFile(_decoded_findings(record, decoded), product)
+    return CheckedFile(_decoded_findings(record, decoded), product, levels_dn=file.header.levels_dn)
 
 
 def header_findings(
@@ -370,20 +373,3 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[Problem]:
     except (OSError, NpyError) as error:
         found, good = str(error), False
     return [] if good else [row_fault(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]
-
-
-def ratio_findings(records: Sequence[FrameRecord], product_of: Mapping[str, Fraction | None]) -> list[Problem]:
-    """Compare the ratios of pairs with their rows'; ``product_of``: ISO times exposure time of each file, by path."""
-    advice = "are both the frames that their names say? look for shifted numbering and swapped references"
-    findings = []
-    for record in records:
-        if record.reference is None or record.ratio is None or {UNCERTAIN_ISO, NOMINAL_RATIO} & {*record.flags}:
-            continue
-        reference, noisy = product_of.get(record.reference), product_of[record.path]
-        if reference is None or noisy is None:
-            continue  # reported already: missing, unreadable or without exposure
-        ratio = reference / noisy
-        if abs(ratio - record.ratio) > RATIO_TOLERANCE * record.ratio:
-            expected = f"{number_text(record.ratio)} to {record.reference}"
-            findings.append(row_fault(record.path, "ratio", expected, f"{float(ratio):.6g}", advice))
-    return findings

@@ -58,8 +58,12 @@ class FileRemark:
     text: str
 
     def __str__(self) -> str:
+        return self.sentence("remark: ")
+
+    def sentence(self, kind: str = "") -> str:
+        """Return the remark as one line, the files first."""
         others = f" and {counted(self.files - 1, 'other')} alike" if self.files > 1 else ""
-        return in_line(f"{self.path}{others}: remark: {self.text}")
+        return in_line(f"{self.path}{others}: {kind}{self.text}")
 
 
 def distinct(remarks: Iterable[tuple[str, tuple[str, ...]]]) -> tuple[FileRemark, ...]:

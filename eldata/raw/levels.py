@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -52,12 +53,54 @@ CAMERA_LEVELS_DN: dict[str, tuple[float, float]] = {
 }
 
 
-def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
+# Ranges about a power of two apart are of files of so many bits more: 12 beside 14 are 3.5 to 4.6 times apart, by what
+# white level makers state. White levels of one DN scale differ by less than that, Canon's from ISO to ISO 1.15 times.
+_POWER_TOLERANCE = 1 / 6
+
+MeanLevels = tuple[float, float]
+"""Mean black level of the channels and white level of a file, DN."""
+
+
+def mean_levels(sensor: Sensor) -> MeanLevels:
+    """Return a sensor's mean black level and its white level, DN."""
+    return sum(sensor.black_level_dn) / len(sensor.black_level_dn), sensor.white_level_dn
+
+
+def differ_in_white(levels: MeanLevels, reference: MeanLevels) -> bool:
+    """Return whether two files of a pair state two white levels of one DN scale, as Canon's do from ISO to ISO.
+
+    Not so of shares of white, nor where the ranges are a power of two apart, as of files of 12 bits beside 14.
+    """
+    (black, white), (reference_black, reference_white) = levels, reference
+    ranges = white - black, reference_white - reference_black
+    if white == reference_white or min(white, reference_white) <= 1 or min(ranges) <= 0:  # which reading refuses
+        return False
+    ratio = max(ranges) / min(ranges)
+    power = 2.0 ** round(math.log2(ratio))
+    return power == 1 or abs(ratio / power - 1) > _POWER_TOLERANCE
+
+
+def white_remark(levels: MeanLevels, reference: MeanLevels) -> str | None:
+    """Return what there is to say of a noisy file whose white level is not its reference's; ``None`` if it is."""
+    if levels[1] == reference[1]:
+        return None
+    why, taken = "ranges a power of two apart", "each is divided by its own range"
+    if differ_in_white(levels, reference):
+        why, taken = "on one DN scale", "both are divided by the reference's range, each after its own black"
+    elif min(levels[1], reference[1]) <= 1:
+        why = "one of them of shares of white"
+    return (
+        f"its white level is {levels[1]:g}, that of its reference {reference[1]:g}, {why}: by the files' levels {taken}"
+    )
+
+
+def with_levels(sensor: Sensor, levels: FrameLevels, reference: Sensor | None = None) -> Sensor:
     """Return a sensor with the chosen black and white level.
 
-    ``"metadata"``: the file's own. ``"published"``: white is 16383, black is the file's, per CFA channel.
-    ``"sid-sony"`` (512 and 16383), ``"sid-fuji"`` (1024 and 16383) and ``"lrid"`` (64 and 1023): the constants of the
-    SID code and of PMN's for LRID, for comparison with numbers that were made with them.
+    ``"metadata"``: the file's own; beside a ``reference`` whose white level is another on the same DN scale
+    (:func:`differ_in_white`), white is where the range is the reference's. ``"published"``: white is 16383, black is
+    the file's, per CFA channel. ``"sid-sony"`` (512 and 16383), ``"sid-fuji"`` (1024 and 16383) and ``"lrid"`` (64 and
+    1023): the constants of the SID code and of PMN's for LRID, for comparison with numbers that were made with them.
 
     Raises
     ------
@@ -66,7 +109,10 @@ def with_levels(sensor: Sensor, levels: FrameLevels) -> Sensor:
     """
     check_choice("levels", levels, FRAME_LEVELS)
     if levels == "metadata":
-        return sensor
+        if reference is None or not differ_in_white(mean_levels(sensor), mean_levels(reference)):
+            return sensor
+        black, white = mean_levels(reference)
+        return replace(sensor, white_level_dn=mean_levels(sensor)[0] + (white - black))
     if levels == "published":
         return replace(sensor, white_level_dn=PUBLISHED_WHITE_LEVEL_DN)
     black, white = CAMERA_LEVELS_DN[levels]
@@ -94,8 +140,12 @@ def check_white_in_dn(name: str, sensor: Sensor, white_level_dn: float) -> None:
         check_in_dn(name, sensor, f'a white level of {white_level_dn:g} (not the file\'s own, "metadata")')
 
 
-def packed_frame(frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: float = 1.0) -> NDArray[np.float32]:
-    """Return a frame packed and normalised, (C, h, w) float32; arguments as of :func:`pack_normalised`.
+def packed_frame(
+    frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: float = 1.0, reference: Sensor | None = None
+) -> NDArray[np.float32]:
+    """Return a frame packed and normalised, (C, h, w) float32.
+
+    Arguments are those of :func:`pack_normalised`, and levels and reference as :func:`with_levels` has them.
 
     Raises
     ------
@@ -104,7 +154,7 @@ def packed_frame(frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: floa
     DatasetError
         If the white level is a constant and the file holds shares of white.
     """
-    sensor = with_levels(frame.sensor, levels)
+    sensor = with_levels(frame.sensor, levels, reference)
     check_white_in_dn(str(frame.path), frame.sensor, sensor.white_level_dn)
     black, white = sensor.black_level_dn, sensor.white_level_dn
     in_floats = frame.mosaic.dtype.kind == "f"

@@ -57,6 +57,7 @@ from eldata.raw.sensor_facts import (
     camera_matrix,
     channel_whites,
     dng_black_levels,
+    dng_mean_levels,
     dng_white_level,
     masked_remarks,
     opcode_remarks,
@@ -104,7 +105,10 @@ def _container(path: Path) -> RawContainer:
 def _stated_header(file: RawContainer) -> RawHeader:
     with opened_raw(file.path, file.directories):  # LibRaw knows it
         main = _main(file)
-        return file.header if main is None else replace(file.header, remarks=opcode_remarks(main))
+        if main is None:
+            return file.header
+        levels_dn = dng_mean_levels(main) if is_dng(file.directories) else None  # LibRaw's cost decoding
+        return replace(file.header, remarks=opcode_remarks(main), levels_dn=levels_dn)
 
 
 def _main(file: RawContainer) -> Directory | None:

@@ -68,6 +68,12 @@ def dng_white_level(mosaic: Directory) -> float:
     return exact_number(next(iter(mosaic.values.get(WHITE_LEVEL, ())), Fraction(largest)))
 
 
+def dng_mean_levels(mosaic: Directory) -> tuple[float, float]:
+    """Return the mean black level and the white level that a DNG states, DN."""
+    black = mosaic.values.get(BLACK_LEVEL) or (Fraction(0),)
+    return float(sum(black) / len(black)), dng_white_level(mosaic)
+
+
 def dng_black_levels(path: Path, mosaic: Directory, raw: rawpy.RawPy, cfa: CfaRows) -> tuple[float, ...] | None:
     """Return the black level of each channel of the visible area's CFA that a DNG states; None if it states none.
 

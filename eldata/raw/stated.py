@@ -71,7 +71,9 @@ class StatedFile:
     @property
     def header(self) -> RawHeader:
         """What a raw file's header would say."""
-        return RawHeader(self.path, "", "", self.exposure)
+        black = self.facts.black_level_dn
+        levels_dn = sum(black) / len(black), self.facts.white_level_dn
+        return RawHeader(self.path, "", "", self.exposure, levels_dn=levels_dn)
 
     def read(self) -> RawFrame:
         """Return the mosaic: uint16; float32 of floating-point numbers, rounded to it.

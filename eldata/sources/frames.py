@@ -18,9 +18,9 @@ from eldata.base.memory import scratch
 from eldata.base.pixels import read_rgb16
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import FrameFiles
+from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.manifest.patterns import is_png
-from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
 from eldata.records import Exposure, RawHeader
 
@@ -128,11 +128,14 @@ class Frame:
         make, model = ("", "") if self.sensor is None else (self.sensor.make, self.sensor.model)
         return RawHeader(Path(self.name), make, model, self.exposure)
 
-    def with_levels(self, levels: FrameLevels) -> Frame:
-        """Return the frame with the chosen levels (:func:`eldata.raw.levels.with_levels`); RGB and arrays as it is."""
+    def with_levels(self, levels: FrameLevels, reference: Frame | None = None) -> Frame:
+        """Return the frame with the chosen levels, beside its reference if it is the noisy one of a pair.
+
+        As :func:`eldata.raw.levels.with_levels` has them; RGB and arrays as they are.
+        """
         if self.sensor is None:
             return self
-        chosen = with_levels(self.sensor, levels)
+        chosen = with_levels(self.sensor, levels, None if reference is None else reference.sensor)
         check_white_in_dn(self.name, self.sensor, chosen.white_level_dn)
         return replace(self, black_level_dn=chosen.black_level_dn, white_level_dn=chosen.white_level_dn)
 

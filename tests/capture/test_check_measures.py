@@ -15,8 +15,9 @@ from capture.check.measures import Measure, MeasureKind
 from capture.check.ratio import brightness_ratios, fit_ratio
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
 from eldata.raw.cfa import XTRANS_CFA, bayer_cfa, pack
-from eldata.records import Sensor
-from tests.capture.simulated_scenes import ALPHA, BETA, radiance
+from eldata.records import Exposure, Sensor
+from tests.capture.planted_faults import lit, moved, picture
+from tests.capture.simulated_scenes import ALPHA, BETA, Shot, radiance
 from tests.shared import there
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from capture.check.shift import Shift, Tiles
     from eldata.demo.camera import SimulatedCamera
+    from tests.capture.planted_faults import Mishap
 
 SIZE = (384, 576)
 
@@ -187,17 +189,33 @@ def test_focus_falls_with_blur_and_noise_does_not_matter(sigma: float, least: fl
 
 @pytest.mark.study
 def test_the_ratio_is_within_its_standard_error() -> None:
-    off = []
+    off, of_black = [], []
     for camera, (iso, ratio) in product((ALPHA, BETA), ((800, 1), (800, 100), (3200, 10), (3200, 200))):
+        black_dn = camera.gain_dn_per_e(iso) * np.mean(camera.colour_bias_e)
         for index in range(5):
             light = radiance(1 + index % 4)
             reference = seen(light, 100 + index, camera=camera)
             fit = there(fit_ratio(reference, seen(light, index, iso=iso, ratio=ratio, camera=camera)))
             off.append((fit.slope.value * ratio - 1) / (fit.slope.standard_error * ratio))
+            of_black.append((fit.black.value - black_dn) / fit.black.standard_error)
             assert fit.match.value == pytest.approx(1, abs=max(0.001, 5 * fit.match.standard_error))
     # Of 40 values 68 % within one, 95 % within two; less four standard deviations of the shares.
-    assert 0.38 < np.mean(np.abs(off) < 1) < 0.98
-    assert np.mean(np.abs(off) < 2) > 0.82
+    for errors in (off, of_black):
+        assert 0.38 < np.mean(np.abs(errors) < 1) < 0.98
+        assert np.mean(np.abs(errors) < 2) > 0.82
+
+
+@pytest.mark.parametrize("added_dn", [0, 8])
+@pytest.mark.parametrize("mishap", [lit(0), lit(20), moved(3), lambda shot: shot.blurred(4)], ids=range(4))
+def test_what_moved_or_was_lit_otherwise_has_no_other_black(mishap: Mishap, added_dn: int) -> None:
+    """Bars and small print at ISO 1600 and x100, where 8 DN are 5 % of the range, and the colour bias is 0.3 %."""
+    light = picture(3, SIZE)
+    shot = mishap(Shot(light, 1600, Fraction(1), Exposure()))
+    mosaic = photographed(shot.radiance, 2, iso=1600, ratio=100) + np.uint16(added_dn)
+    reference = seen(light, 1)
+    black = there(fit_ratio(reference, cells_of(mosaic), 100)).black
+    value, error = (100 * one / reference.range_dn for one in (black.value, black.standard_error))
+    assert (value > 0.01 + 5 * error) == bool(added_dn)
 
 
 def test_black_that_is_off_and_hot_pixels_do_not_bend_the_ratio() -> None:

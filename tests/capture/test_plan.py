@@ -144,7 +144,7 @@ def test_ratios_far_off_are_said() -> None:
 
 
 def test_the_tolerance_is_that_of_verify() -> None:
-    assert RATIO_TOLERANCE == import_module("eldata.manifest.verify").RATIO_TOLERANCE
+    assert RATIO_TOLERANCE == import_module("eldata.manifest.pair_checks").RATIO_TOLERANCE
 
 
 def test_an_iso_that_the_camera_lacks_is_refused() -> None:

@@ -248,14 +248,15 @@ def _write(
 def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
     if place is not None:
         return
-    from eldata.raw.files import RAW_EXTENSIONS
+    from eldata.base.files import visible_below
+    from eldata.raw.files import is_raw
 
     listed = {row.target.resolve() for row in dataset.rows}
     beside = [
         path
         for folder in sorted({path.parent for path in listed})
-        for path in sorted(folder.iterdir())
-        if path.suffix.lower() in RAW_EXTENSIONS and path.resolve() not in listed
+        for path in visible_below(folder, deep=False)
+        if is_raw(path) and path.resolve() not in listed
     ]
     if beside:
         print(

@@ -67,6 +67,7 @@ def run(arguments: console.Arguments) -> int:
         "card": asdict(found.card),
         "frames": len(found.records),
         "problems": [asdict(problem) for problem in found.problems],
+        "left_out": dict(found.left_out),
     }
     console.show_and_write(arguments, lambda: _told(found, output, folder), lambda: data)
     return console.PROBLEMS if found.problems else console.OK

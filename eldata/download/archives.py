@@ -24,7 +24,7 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata.base.array_files import declared_array, read_array
-from eldata.base.files import file_problem, inside, path_problem
+from eldata.base.files import file_problem, inside, is_hidden, path_problem
 from eldata.base.visible import shown
 from eldata.errors import ArchiveError, DownloadError, EldataError
 
@@ -60,6 +60,8 @@ class Member:
 def read_members(path: Path) -> list[Member]:
     """Return an archive's files, if it is safe to unpack; its content, and not its name, says what it is.
 
+    Hidden files, such as those that macOS packs beside every file, are passed over.
+
     Raises
     ------
     ArchiveError
@@ -85,7 +87,7 @@ def read_members(path: Path) -> list[Member]:
             raise ArchiveError(path, f"members {both} would be one file where case does not count; {_BY_HAND}")
         names[key] = member.name
     _check_expansion(path, sum(member.size_bytes for member in members))
-    files = [member for member in members if not member.name.endswith("/")]
+    files = [member for member in members if not (member.name.endswith("/") or is_hidden(member.name))]
     if not files:
         raise ArchiveError(path, "holds no file")
     return files
@@ -98,7 +100,7 @@ def _read_format(path: Path) -> str:
         if head.startswith(mark):
             return form
     what = f"is not a zip or 7z archive, or blocks of MATLAB: it starts with {head!r}"
-    raise ArchiveError(path, f"{what}; if that is a web page, save the archive itself, of others {_BY_HAND}")
+    raise ArchiveError(path, f"{what}; {_BY_HAND}")
 
 
 def _check_expansion(path: Path, unpacked_bytes: int) -> None:

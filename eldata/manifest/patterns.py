@@ -16,7 +16,7 @@ from operator import attrgetter
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
-from eldata.base.files import inside
+from eldata.base.files import inside, visible_below
 from eldata.manifest.verify_report import Problem, row_fault
 
 if TYPE_CHECKING:
@@ -50,11 +50,9 @@ def matching(folder: Path, pattern: str) -> tuple[str, ...]:
     """
     place = PurePosixPath(pattern)
     parent = inside(folder, place.parent.as_posix())
-    if not parent.is_dir():
-        return ()
-    names = [path.name for path in parent.iterdir() if fnmatchcase(path.name, place.name) and path.is_file()]
-    visible = [name for name in names if not name.startswith(".")]
-    return tuple(str(place.with_name(name)) for name in sequence_of(visible).names)
+    files = visible_below(parent, deep=False)
+    names = [path.name for path in files if fnmatchcase(path.name, place.name) and path.is_file()]
+    return tuple(str(place.with_name(name)) for name in sequence_of(names).names)
 
 
 def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, ...]:

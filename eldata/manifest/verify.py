@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from eldata.base.files import inside, sha256_of
+from eldata.base.files import inside, sha256_of, visible_below
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ArgumentError, ManifestError, RawFileError, UnusableRawError, did_you_mean
 from eldata.manifest.catalogue import FrameFiles, Manifest, find_manifests
@@ -36,7 +36,7 @@ from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.manifest.patterns import expand, is_png, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.manifest.verify_report import LEVELS, DatasetReport, VerifyReport, distinct, row_fault
-from eldata.raw.files import raw_facts
+from eldata.raw.files import RAW_EXTENSIONS, raw_facts
 from eldata.raw.stated import StatedFile
 
 if TYPE_CHECKING:
@@ -195,7 +195,11 @@ def _check_presence(
 def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]) -> Problem:
     path = folder / top
     if top == lost[0].path:
-        like = [name for name in _names(path.parent) if name.casefold() == path.name.casefold()]
+        like = [
+            other.name
+            for other in visible_below(path.parent, deep=False)
+            if other.name.casefold() == path.name.casefold()
+        ]
         found, advice = "nothing", _AGAIN
         if path.is_dir():
             found, advice = "a folder", "move it away and copy the file"
@@ -208,14 +212,11 @@ def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]
     return row_fault(f"{top}/", "folder", f"{len(lost)} files", "no such folder", advice)
 
 
-def _names(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
-
-
 def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[Problem]:
-    """Name files of the listed kind that the manifest does not list, in the folders of these records."""
-    from eldata.raw.files import RAW_EXTENSIONS
+    """Name files of the listed kind that the manifest does not list, in the folders of these records.
 
+    Another form of a listed shot, such as the DNG made of a raw file, is no sign of other frames.
+    """
     every = expand(manifest.records, folder)
     listed = {record.path for record in every}
     # There may be other pictures of the scene beside references (DRV), but not beside noisy PNG frames.
@@ -223,20 +224,24 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
         Path(record.path).parent.as_posix() for record in every if record.role == "noisy" and is_png(record.path)
     }
     raw = {Path(path).parent.as_posix() for path in listed if Path(path).suffix.lower() in RAW_EXTENSIONS}
-    # A missing file whose name differs in case alone is reported as missing, with what to do.
-    respelled = {path.casefold() for path in listed if not (folder / path).exists()}
+    shots, spelled = {_shot(path) for path in listed}, {path.casefold(): path for path in listed}
     findings = []
     count_in = Counter(Path(path).parent.as_posix() for path in listed)
     for parent in sorted({Path(record.path).parent.as_posix() for record in records}):
         kinds = (RAW_EXTENSIONS if parent in raw else frozenset()) | ({".png"} if parent in pictured else frozenset())
-        raws = [name for name in _names(folder / parent) if Path(name).suffix.lower() in kinds]
-        for name in raws:
-            path = name if parent == "." else f"{parent}/{name}"
-            if path not in listed and path.casefold() not in respelled:
+        files = visible_below(folder / parent, deep=False)
+        raws = [path.relative_to(folder).as_posix() for path in files if path.suffix.lower() in kinds]
+        for path in raws:
+            like = spelled.get(path.casefold())  # if that is missing, so it is reported, with what to do
+            if path != like and (_shot(path) not in shots if like is None else (folder / like).exists()):
                 expected = f"the {count_in[parent]} listed raw files in this folder"
                 advice = "move it away, and make sure that the others were not renumbered"
                 findings.append(row_fault(path, "file", expected, f"{len(raws)} raw files, this one unlisted", advice))
     return findings
+
+
+def _shot(path: str) -> str:
+    return Path(path).with_suffix("").as_posix().casefold()
 
 
 # --- metadata and full ----------------------------------------------------------------------------------------

@@ -192,7 +192,7 @@ def test_what_is_no_mosaic_is_named(mosaic: NDArray[Any], word: str, tmp_path: P
         read_raw(StatedFile(tmp_path / "x.npy", FACTS))
 
 
-@pytest.mark.parametrize("size", [0, 2 * 48 * 64 - 1, 2 * 48 * 64 + 2, 48 * 64 * 10 // 8])
+@pytest.mark.parametrize("size", [1, 2 * 48 * 64 - 1, 2 * 48 * 64 + 2, 48 * 64 * 10 // 8])
 def test_numbers_without_a_header_of_another_size_are_named(size: int, tmp_path: Path) -> None:
     """As of packed ones."""
     (tmp_path / "x.raw").write_bytes(bytes(range(256)) * 25)

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import rawpy
 
-from eldata.datasets import CRVDDataset, ELDDataset, LRDDataset, LRIDDataset, SIDDataset, SIDDDataset
-from eldata.datasets.base import PairDataset
+from eldata.datasets import ELDDataset, PairDataset
 from eldata.demo.camera import CAMERAS
 from eldata.errors import DatasetError, ManifestError, RawFileError
 from eldata.manifest.own import sort_own_set
@@ -23,12 +22,9 @@ from tests.datasets.comparing import same_bits
 from tests.trees import ALPHA, Tree, frame, retake, scale_exposure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-    from eldata.datasets.clips import ClipWindows
 
 CAMERA_OF = {camera.name: camera for camera in CAMERAS}
 
@@ -203,15 +199,6 @@ def test_a_missing_camera_folder_says_what_to_choose(tree: Tree) -> None:
         demo(tree)[-1]
     assert "cameras=['DemoAlpha']" in str(raised.value)
     assert len(demo(tree, cameras=["DemoAlpha"])) == 6
-
-
-@pytest.mark.parametrize("make", [ELDDataset, SIDDataset, LRDDataset, LRIDDataset, SIDDDataset, CRVDDataset])
-def test_records_need_no_files(make: Callable[[Path], PairDataset | ClipWindows], tmp_path: Path) -> None:
-    """An item says what is missing, and where to get it; names of DRV's frames are not published."""
-    dataset = make(tmp_path / "none")
-    assert len(dataset) == len(dataset.records) == len(dataset.frame) > 100
-    with pytest.raises(DatasetError, match=r"none: there is no such folder; give .*where to get it: http"):
-        dataset[0]
 
 
 @pytest.mark.parametrize("place", ["eld-demo", "ELD-demo/ELD-demo", "archive/ELD-demo", "archive", "."])

@@ -87,8 +87,20 @@ def test_what_is_written_verifies_and_is_not_written_over(tmp_path: Path, capsys
     manifest = load_manifest(csv)
     assert verify([manifest], tmp_path, level="metadata").ok
     assert (manifest.card.title, manifest.card.protocol) == ("2 scenes taken with MODEL3", "raw")
+    written = {path: path.read_bytes() for path in (csv, csv.with_suffix(".json"))}
+    for ended in ((), (csv,), (csv.with_suffix(".json"),)):  # the same command again, and after one that was ended
+        for path in ended:
+            path.unlink()
+        assert main(command) == 0
+        assert {path: path.read_bytes() for path in written} == written
+    csv.with_suffix(".json").write_text(csv.with_suffix(".json").read_text().replace("not stated", "CC0", 1))
     assert main(command) == 2
-    assert str(csv) in capsys.readouterr().err
+    assert f"{csv.with_suffix('.json')} is there already, with other content" in capsys.readouterr().err
+    assert "CC0" in csv.with_suffix(".json").read_text()
+    shoot(tmp_path / "MINE" / "hall" / "more.dng", replace(NOISY, iso=Fraction(3200)))
+    assert main(command) == 2
+    assert f"{csv} is there already, with other content" in capsys.readouterr().err
+    assert csv.read_bytes() == written[csv]
 
 
 def test_what_cannot_be_known_is_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

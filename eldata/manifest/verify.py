@@ -33,7 +33,7 @@ from eldata.manifest.clip_checks import (
     size_findings,
 )
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
-from eldata.manifest.patterns import expand, is_png, pattern_findings
+from eldata.manifest.patterns import expand, find_elsewhere, is_png, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.manifest.verify_report import LEVELS, DatasetReport, VerifyReport, distinct, row_fault
 from eldata.raw.files import RAW_EXTENSIONS, raw_facts
@@ -188,11 +188,14 @@ def _check_presence(
             findings.append(row_fault(record.path, "size_bytes", expected, f"{size} bytes", _AGAIN))
         if size > 0:
             present.append(record)
-    findings += [_missing(manifest, folder, top, lost) for top, lost in missing.items()]
+    elsewhere = find_elsewhere(folder, (lost[0].path for top, lost in missing.items() if top != lost[0].path))
+    findings += [_missing(manifest, folder, top, lost, elsewhere) for top, lost in missing.items()]
     return present, findings
 
 
-def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]) -> Problem:
+def _missing(
+    manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord], elsewhere: Mapping[str, str]
+) -> Problem:
     path = folder / top
     if top == lost[0].path:
         like = [
@@ -206,6 +209,10 @@ def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]
         elif like:
             found, advice = f"only {like[0]}", f"rename it to {path.name}"
         return row_fault(top, "file", "a file", found, advice)
+    other = elsewhere.get(lost[0].path)
+    if other is not None:
+        found, advice = f"{lost[0].path} in another place, {other}", "move it, and the others, to where they are listed"
+        return row_fault(f"{top}/", "folder", f"{len(lost)} files", found, advice)
     advice = "unpack it there"
     if len(manifest.card.cameras) > 1 and len({record.camera for record in lost}) == 1:
         advice += f", or check the cameras you have with --camera (this is {lost[0].camera})"

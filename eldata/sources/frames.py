@@ -19,7 +19,7 @@ from eldata.base.pixels import read_rgb16
 from eldata.errors import ArgumentError, DatasetError, FileError
 from eldata.manifest.catalogue import FrameFiles, known_names
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
-from eldata.manifest.patterns import is_png
+from eldata.manifest.patterns import find_elsewhere, is_png
 from eldata.manifest.verify import RATIO_TOLERANCE
 from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
 from eldata.records import Exposure, RawHeader
@@ -247,7 +247,7 @@ class Files:
         FileError
             If it is missing or damaged.
         DatasetError
-            If the set's folder, or that of its camera, is missing.
+            If the set's folder, or that of its camera, is missing, or the file lies elsewhere in it.
         """
         from eldata.raw.reading import read_raw
 
@@ -263,10 +263,13 @@ class Files:
         return Frame.of_raw(raw.mosaic, raw.sensor, str(raw.path), raw.exposure, raw.channel_white_levels_dn)
 
     def _require_folders(self, folder: Path, card: Card, path: str) -> None:
-        """Raise if the set's folder is missing, or in it that of a path, with the cameras that are there."""
+        """Raise if the set's folder is missing, a file lies elsewhere in it, or the folder of its camera is missing."""
         camera_in = {row.path.partition("/")[0]: row.camera for row in self.records}
         if not folder.is_dir():
             raise no_folder(folder, card, camera_in)
+        if path in (elsewhere := {} if (folder / path).exists() else find_elsewhere(folder, [path])):
+            found = f"expected {path}, found it in another place, {elsewhere[path]}"
+            raise DatasetError(f"{folder}: {found}; move it, and the others, to where the manifest lists them")
         top, slash, _ = path.partition("/")
         if slash and not (folder / top).is_dir():
             present = [camera for name, camera in camera_in.items() if (folder / name).is_dir()]

@@ -62,7 +62,7 @@ def find_elsewhere(folder: Path, paths: Iterable[str]) -> dict[str, str]:
     Loaders and archives lay one set out differently, such as CRVD with a folder more, or less, for each kind of frame.
     """
     ends = {PurePosixPath(path).parts[-_END:]: path for path in paths}
-    places = (PurePosixPath(file.relative_to(folder)) for file in visible_below(folder))
+    places = (PurePosixPath(file.relative_to(folder)) for file in (visible_below(folder) if ends else ()))
     return {ends[place.parts[-_END:]]: str(place) for place in places if place.parts[-_END:] in ends}
 
 

@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from eldata.base.files import inside, sha256_of, visible_below
+from eldata.base.files import file_problem, inside, sha256_of, visible_below
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ArgumentError, ManifestError, RawFileError, UnusableRawError, did_you_mean
 from eldata.manifest.catalogue import FrameFiles, Manifest, find_manifests
@@ -371,6 +371,9 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[Problem]:
     """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
     from eldata.base.pixels import NpyError, read_npy_header
 
+    problem = file_problem(path)
+    if problem is not None:
+        return [row_fault(record.path, "content", "packed float32 (C, h, w)", problem, _PACK_AGAIN)]
     try:
         with path.open("rb") as file:
             header = read_npy_header(file)

@@ -130,8 +130,8 @@ def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Mat
         )
     if observed.copies:
         (path, original), *more = observed.copies
-        text = f"{path} is byte for byte {original}; not used again"
-        text += f", nor are {len(more)} other copies" if more else ""
+        text = f"{path} shows the shot of {original}; not used again"
+        text += f", nor are {len(more)} others alike" if more else ""
         remarks.append(MatchRemark("copies", text, path=path))
     frames, found = matcher.run()
     return Match(frames, (*remarks, *found))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -13,11 +12,11 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 from capture.capture_errors import MappingError
 from capture.shutter import STOPS_TOLERANCE
-from eldata.base.files import sha256_of
+from eldata.base.files import sha256_of, visible_below
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.errors import RawFileError
 from eldata.manifest.table import number_text
-from eldata.raw.files import RAW_EXTENSIONS
+from eldata.raw.files import ShotFacts, find_doubles, is_raw
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -64,7 +63,7 @@ class Observed:
     by_time
         Whether all files say when they were taken: if not, the order is that of the names.
     copies
-        Files that are byte for byte another one, and what that is: they are not among the frames.
+        Files that show the shot of another one, and what that is: they are not among the frames.
     order
         ``"numbers"``: the order is that of :meth:`numbered`, and the clock is not believed.
     """
@@ -160,15 +159,10 @@ def raw_files(given: Iterable[Path | str], extension: str, outside: Path | None 
     away = None if outside is None else outside.resolve()
     for name in map(Path, given):
         if name.is_dir():
-            paths = [
-                path
-                for path in sorted(name.rglob("*"))
-                if path.suffix.lower() == extension.lower()
-                and path.is_file()
-                and not any(part.startswith(".") for part in path.relative_to(name).parts)
-            ]
+            suffix = extension.lower()
+            paths = [path for path in visible_below(name) if path.suffix.lower() == suffix and path.is_file()]
         elif name.is_file():
-            paths = [name] if name.suffix.lower() in RAW_EXTENSIONS else []
+            paths = [name] if is_raw(name) else []
         else:
             raise MappingError(f"{name}: no such file or folder")
         for path in paths:
@@ -187,8 +181,8 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
 
     The order is that of DateTimeOriginal with its fraction of a second; frames of the same second that have no fraction
     are in the order of their names. If a file has no time, all are ordered by folder and name, as cameras number
-    them, or within one folder by the counter, which may have turned over. Of files that are byte for byte the same, as
-    on a backup card, the one that was given first counts.
+    them, or within one folder by the counter, which may have turned over. Of files that show one shot, such as copies
+    on a backup card, one counts (:func:`eldata.raw.files.find_doubles`).
 
     Parameters
     ----------
@@ -212,30 +206,16 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
             unusable.append(RawFileError(found.path, reason))
         else:
             frames.append(found)
-    copies = _copies(frames, workers)
-    gone = {path for path, _ in copies}
-    frames = [frame for frame in frames if frame.path not in gone]
+    facts = {frame.path: ShotFacts(frame.model, frame.iso, frame.exposure_s, frame.taken) for frame in frames}
+    doubles = find_doubles(facts, workers, across=True)
+    frames = [frame for frame in frames if frame.path not in doubles]
     by_time = all(frame.taken is not None for frame in frames)
     frames.sort(key=lambda frame: (frame.taken if by_time else None, _natural(frame.path)))
-    observed = Observed(tuple(frames), tuple(unusable), by_time, tuple(copies))
+    copies = tuple((path, str(other)) for path, other in doubles.items())
+    observed = Observed(tuple(frames), tuple(unusable), by_time, copies)
     if not by_time and len({frame.path.parent for frame in frames}) == 1 and observed.numbered is not None:
         return replace(observed, frames=observed.numbered.frames)  # the counter may have turned over in this folder
     return observed
-
-
-def _copies(frames: Sequence[ObservedFrame], workers: Workers) -> list[tuple[Path, str]]:
-    """Return the files that are byte for byte an earlier one, and that one's path."""
-    groups: dict[object, list[Path]] = defaultdict(list)
-    for frame in frames:
-        groups[_settings_and_size(frame), frame.taken, frame.model].append(frame.path)
-    alike = [path for paths in groups.values() if len(paths) > 1 for path in paths]
-    first: dict[str, Path] = {}
-    found = []
-    for path, digest in zip(alike, workers.run(sha256_of, alike, label="looking for copies"), strict=True):
-        original = first.setdefault(digest, path)
-        if original is not path:
-            found.append((path, str(original)))
-    return found
 
 
 def _observe(path: Path) -> ObservedFrame | RawFileError:

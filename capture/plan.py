@@ -104,7 +104,7 @@ class Plan:
         raise PlanError(f"the plan has no scene called {name!r}; it has {known}")
 
     def add_scene(self, name: str, metered_s: Fraction) -> Plan:
-        """Return the plan with one more scene at its end.
+        """Return the plan with one more scene at its end; as it is if it has that very scene.
 
         Raises
         ------
@@ -113,6 +113,8 @@ class Plan:
         ImpossibleShotError
             If one of its shots is beyond the camera.
         """
+        if any((scene.name, scene.metered_s) == (name, metered_s) for scene in self.scenes):
+            return self
         return replace(self, scenes=(*self.scenes, plan_scene(self.camera, self.protocol, name, metered_s)))
 
     def remeter(self, name: str, metered_s: Fraction) -> Plan:
@@ -140,7 +142,7 @@ class Plan:
         return self._with(replace(self.scene(name), aperture=aperture))
 
     def add_note(self, name: str, note: str) -> Plan:
-        """Return the plan with one more note on a scene.
+        """Return the plan with one more note on a scene, which has each once.
 
         Raises
         ------
@@ -148,7 +150,7 @@ class Plan:
             If the scene is unknown.
         """
         scene = self.scene(name)
-        return self._with(replace(scene, notes=(*scene.notes, note)))
+        return self._with(replace(scene, notes=tuple(dict.fromkeys((*scene.notes, note)))))
 
     def _with(self, changed: ScenePlan) -> Plan:
         return replace(self, scenes=tuple(changed if one.name == changed.name else one for one in self.scenes))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import shutil
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 import tifffile
 
+from eldata.base.files import atomic_write
 from eldata.demo.tree import make_tree
 from eldata.manifest.card import counts_of, save_card
 from eldata.manifest.catalogue import Manifest, load_manifest, shipped_manifest
@@ -20,8 +22,10 @@ from eldata.raw.reading import read_raw
 from eldata.records import Exposure, Sensor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Callable, Collection, Iterable, Iterator
     from pathlib import Path
+
+    import pytest
 
     from eldata.records import FrameRecord
 
@@ -179,3 +183,16 @@ def _exposure_of(record: FrameRecord, record_of: dict[str, FrameRecord]) -> Expo
         if "inexact-ratio" in record.flags:
             exposure_s *= Fraction(16, 15)
     return Exposure(iso, exposure_s, Fraction(8))
+
+
+def interrupt_manifest(patch: pytest.MonkeyPatch, suffix: str) -> None:
+    """Have the file of a manifest with this suffix meet Ctrl-C between its last byte and its renaming."""
+
+    @contextmanager
+    def write(path: Path) -> Iterator[IO[bytes]]:
+        with atomic_write(path) as file:
+            yield file
+            if path.suffix == suffix:
+                raise KeyboardInterrupt
+
+    patch.setattr("eldata.manifest.writing.atomic_write", write)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from capture.cli.values import add_only
 from capture.observed import ORDERS
 from eldata.base.console import OK, PROBLEMS, add_shared
-from eldata.base.files import encoded, write_json
+from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.outputs import add_output
 from eldata.base.visible import in_line
@@ -210,22 +210,16 @@ def _write(
 ) -> None:
     from capture.manifest import card_of, in_place, into_layout, with_hashes
     from capture.placing import check_free, copy, link, make_folders
-    from eldata.manifest.card import card_text
-    from eldata.manifest.writing import save_manifest
+    from eldata.manifest.writing import refuse_others, save_manifest
 
     place = arguments.copy_to or arguments.link_to
     dataset = in_place(plan, found) if place is None else into_layout(plan, found, Path(place).absolute(), begun)
-    card_path = output.with_suffix(".json")
-    if output.exists() and not arguments.replace and begun is None:
-        raise ArgumentError(f"{output} is there already: give another name, or --replace it")
     dataset = with_hashes(dataset, workers)
     records = dataset.records
     name, folder = output.stem, dataset.folder.name
     card = card_of(plan, name, folder, records) if begun is None else begun.joined(plan, records)
-    # The manifest comes last: this very card without one is what a killed run left.
-    free = arguments.replace or begun is not None or not card_path.exists()
-    if not free and card_path.read_bytes() != encoded(card_text(card)):
-        raise ArgumentError(f"{card_path} is there already: give another name, or --replace it")
+    if not arguments.replace and begun is None:
+        refuse_others(output, card, records, "--replace it")
     if place is not None:
         check_free(dataset.rows)
         make_folders(dataset.rows)
@@ -239,7 +233,7 @@ def _write(
         print(remark)
     new = f", {len(dataset.rows)} of them new" if begun is not None else ""
     print(f"manifest: {output}, {len(records)} files below {dataset.folder}{new}")
-    print(f"card: {card_path}; fill in its licence and homepage before you give the set to others")
+    print(f"card: {output.with_suffix('.json')}; fill in its licence and homepage before you give the set to others")
     where = f"{shlex.quote(str(output))} --root {shlex.quote(str(dataset.folder.parent))}"
     print(f"check it with: eldata verify {where} --level full")
     _warn_of_unlisted(dataset, place)
@@ -248,14 +242,15 @@ def _write(
 def _warn_of_unlisted(dataset: Dataset, place: str | None) -> None:
     if place is not None:
         return
-    from eldata.raw.files import RAW_EXTENSIONS
+    from eldata.base.files import visible_below
+    from eldata.raw.files import is_raw
 
     listed = {row.target.resolve() for row in dataset.rows}
     beside = [
         path
         for folder in sorted({path.parent for path in listed})
-        for path in sorted(folder.iterdir())
-        if path.suffix.lower() in RAW_EXTENSIONS and path.resolve() not in listed
+        for path in visible_below(folder, deep=False)
+        if is_raw(path) and path.resolve() not in listed
     ]
     if beside:
         print(

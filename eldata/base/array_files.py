@@ -97,10 +97,34 @@ def read_array(
         raise error(path, str(unfit)) from None
     except Exception as cause:  # six libraries, each with its own kinds
         # Its first line; libpng's may be memory that is not text.
+        _refuse_other_format(path, error)
         reason = in_line(str(cause).splitlines()[0][:_LONGEST_REASON]) if str(cause) else type(cause).__name__
         raise error(path, f"cannot be read as {path.suffix[1:]} ({reason}); {advice}") from cause
     check(Declared(array.shape, str(array.dtype.newbyteorder("="))))
     return array
+
+
+# First bytes, the extension that is read so, and what such a file is.
+_FORMATS = (
+    (b"\x93NUMPY", ".npy", "a NumPy array"),
+    (b"PK\x03\x04", ".npz", "a zip archive, as .npz is"),
+    (b"\x89HDF", ".h5", "HDF5 without MATLAB's header, as h5py writes it, whose sides are not MATLAB's"),
+    (b"MATLAB 7.3", ".mat", "MATLAB 7.3's, HDF5 whose sides MATLAB shows in reverse"),
+    (b"MATLAB 5.0", ".mat", "MATLAB's"),
+    (b"\x89PNG", ".png", "PNG"),
+    (b"II*\0", ".tif", "TIFF"),
+    (b"MM\0*", ".tif", "TIFF"),
+)
+
+
+def _refuse_other_format(path: Path, error: type[FileError]) -> None:
+    """Refuse a file that could not be read if its first bytes are of another kind than its name says."""
+    with path.open("rb") as file:
+        head = file.read(max(len(mark) for mark, _, _ in _FORMATS))
+    known = _READERS.get(path.suffix.lower().removeprefix("."), _read_tiff)
+    for mark, suffix, what in _FORMATS:
+        if head.startswith(mark) and _READERS.get(suffix.removeprefix("."), _read_tiff) is not known:
+            raise error(path, f"is {what}: name it {suffix}, or write it again as {path.suffix}")
 
 
 def declared_array(

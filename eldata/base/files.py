@@ -56,19 +56,70 @@ _SPECIAL = {
 def file_problem(path: Path) -> str | None:
     """Return why a path is not a readable file with something in it, or ``None`` if it is, once links are followed.
 
-    Ask before strangers' files are opened: a named pipe would be waited for, and a device read, for ever.
+    Ask before strangers' files are opened: a named pipe would be waited for, and a device read, for ever. What a
+    download left in place of the file is named.
     """
+    head = b""
     try:
         found = path.stat()
         if stat.S_ISREG(found.st_mode):
-            path.open("rb").close()
+            with path.open("rb") as file:
+                head = file.read(_LONGEST_HEAD)
     except OSError as error:  # a loop of links, too
         return f"cannot be read: {error.strerror}"
     except ValueError:
         return "cannot be read: its name holds a NUL character"
     if not stat.S_ISREG(found.st_mode):
         return f"is {_SPECIAL.get(stat.S_IFMT(found.st_mode), 'something else')}, not a file"
-    return None if found.st_size else "is empty (0 bytes): copy or download it again"
+    return _in_place_of_data(head) if head else "is empty (0 bytes): copy or download it again"
+
+
+_LONGEST_HEAD = 256
+_POINTER = re.compile(rb"version https://git-lfs.*?^size (\d+)|.*?/annex/objects/", re.DOTALL | re.MULTILINE)
+_PAGE = re.compile(rb"(\xef\xbb\xbf)?\s*<(!doctype html|html|head|\?xml)\b", re.IGNORECASE)
+
+
+def _in_place_of_data(head: bytes) -> str | None:
+    """Describe a file that stands where another should: a pointer, a web page, macOS's companion; else ``None``."""
+    pointer = _POINTER.match(head)
+    if pointer is not None and pointer[1]:
+        return f"is a pointer of Git LFS to a file of {int(pointer[1])} bytes: fetch that one with git lfs pull"
+    if pointer is not None:
+        return "is a pointer of git-annex: fetch the file itself with git annex get"
+    if _PAGE.match(head):
+        return "is a web page (HTML or XML), such as a server sends in place of a file: download the file itself again"
+    if head.startswith(b"\0\5\x16\7"):
+        return "is what macOS puts beside a file (AppleDouble), not the file: copy the one without ._ before its name"
+    return None
+
+
+def is_hidden(relative: str) -> bool:
+    """Return whether a POSIX path has a part that begins with a dot, such as macOS's companion ``._IMG_1.dng``."""
+    return relative.startswith(".") or "/." in relative
+
+
+def visible_below(folder: Path, *, deep: bool = True) -> list[Path]:
+    """List what is not hidden below a folder, sorted: files, folders, and links, which are not followed.
+
+    With what is hidden, all that lies below it is passed over. A folder that is not there holds nothing.
+
+    Raises
+    ------
+    EldataError
+        If a folder cannot be read.
+    """
+    found: list[Path] = []
+    waiting = [folder] if folder.is_dir() else []
+    while waiting:  # not recursive: folders may lie deeper than Python's stack
+        place = waiting.pop()
+        try:
+            with os.scandir(place) as entries:
+                visible = [entry for entry in entries if not is_hidden(entry.name)]
+        except OSError as error:
+            raise EldataError(f"{place}: cannot be read: {error.strerror}") from error
+        found += [place / entry.name for entry in visible]
+        waiting += [place / entry.name for entry in visible if deep and entry.is_dir(follow_symlinks=False)]
+    return sorted(found)
 
 
 def read_file(work: Callable[[Path], Result], path: Path, error: type[FileError]) -> Result:

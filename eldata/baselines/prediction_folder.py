@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.fields import TextFile
-from eldata.base.files import can_lock, check_same_work, remove_leftovers, wait_for_lock, write_json
+from eldata.base.files import can_lock, check_same_work, remove_leftovers, visible_below, wait_for_lock, write_json
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.request import SETTINGS
 
@@ -40,7 +40,7 @@ def begun(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
     with _alone_in(folder):
         remove_leftovers(folder)  # of work that was killed, perhaps before it had said what it is
         if not file.exists():
-            if any(folder.iterdir()):
+            if visible_below(folder, deep=False):
                 raise ArgumentError(
                     f"{folder}: holds files, and none is {SETTINGS}, so they are of another origin; give a new folder"
                 )

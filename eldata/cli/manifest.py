@@ -51,22 +51,21 @@ def add_options(parser: console.Parser) -> None:
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
     from eldata.manifest.own import sort_own_set
-    from eldata.manifest.writing import save_manifest
+    from eldata.manifest.writing import refuse_others, save_manifest
 
     output, folder = Path(arguments.output), Path(arguments.folder).absolute()
     if output.suffix != ".csv":
         raise ArgumentError(f"-o takes a name that ends in .csv, found {arguments.output}")
-    for path in (output, output.with_suffix(".json")):
-        if path.exists():  # people fill in the card
-            raise ArgumentError(f"{path} is there already: give another name, or remove it")
     with console.chosen_workers(arguments) as workers:
         found = sort_own_set(folder, output.stem, reference=arguments.reference, scene=arguments.scene, workers=workers)
     if not found.problems:
+        refuse_others(output, found.card, found.records, "remove it")
         save_manifest(output, found.card, found.records)
     data = {
         "card": asdict(found.card),
         "frames": len(found.records),
         "problems": [asdict(problem) for problem in found.problems],
+        "left_out": dict(found.left_out),
     }
     console.show_and_write(arguments, lambda: _told(found, output, folder), lambda: data)
     return console.PROBLEMS if found.problems else console.OK

@@ -15,7 +15,7 @@ from eldata.base.tables import frame_of
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, DrawnItem, Part, shading_text
 from eldata.errors import DatasetError
-from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, known_names, load_manifest
+from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest
 from eldata.manifest.pairs import Choice
 from eldata.protocols.named import default_protocol
 from eldata.raw.cfa import packed_area, packed_shape, unpack
@@ -23,7 +23,7 @@ from eldata.records import Exposure, Records
 from eldata.sources.frames import Files, Frame, checked_ratio, stated_ratio
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterator
     from pathlib import Path
 
     import pandas as pd
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from eldata.base.pixels import NpyHeader
     from eldata.datasets.items import Crops
-    from eldata.manifest.card import Card
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
     from eldata.raw.levels import Clip, FrameLevels
@@ -323,7 +322,8 @@ class PairDataset(SourcePairs):
     Raises
     ------
     DatasetError
-        If the folder, or that of a chosen camera, is not there.
+        Of an item, if the folder, or that of its camera, is not there: ``records``, ``frame`` and the length need no
+        files.
     ArgumentError
         If a value is unknown (the message lists the known ones) or out of its range.
     ManifestError
@@ -353,11 +353,10 @@ class PairDataset(SourcePairs):
         self.root = loaded.own_folder(root)
         choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
         records = choice.pairs(loaded.records, loaded.card.subsets)
-        self._check_folders(loaded, records)
         files = FrameFiles.of(self.root, loaded.card, loaded.records)
         self._stated = files.stated
         super().__init__(
-            Files(files, loaded.records), records, name=loaded.name,
+            Files(files, loaded.records, loaded.card), records, name=loaded.name,
             levels=levels or default_protocol(loaded.card).frame_levels, clip=clip, amplification=amplification,
             dark_shading=dark_shading, crop=crop, augment=augment, crops=crops, crops_per_frame=crops_per_frame,
             seed=seed,
@@ -366,31 +365,10 @@ class PairDataset(SourcePairs):
     def _place(self) -> str:
         return str(self.root)
 
-    def _check_folders(self, manifest: Manifest, records: Sequence[PairRecord]) -> None:
-        if not self.root.is_dir():
-            folders = dict.fromkeys(record.path.split("/")[0] for record in manifest.records)
-            raise no_folder(self.root, manifest.card, ", ".join(folders))
-        tops = {record.path.split("/")[0]: record.camera for record in records}
-        present = [camera for top, camera in tops.items() if (self.root / top).is_dir()]
-        for top, camera in tops.items():
-            if camera not in present:
-                hint = f"choose those you have with cameras={present!r}" if present else "is this the right folder?"
-                raise DatasetError(f"{self.root}: has no folder {top!r} for camera {camera}; {hint}")
-
     def _noisy(self, record: PairRecord, target: Frame) -> Frame:
         if record.path.endswith(".npy") and record.path not in self._stated:
             return _packed_noisy(inside(self.root, record.path), record, target)
         return super()._noisy(record, target)
-
-
-def no_folder(folder: Path, card: Card, holds: str) -> DatasetError:
-    """Return the error that a dataset's folder is not there, with what it should hold and where to get it."""
-    known = card.name in known_names()  # the commands do not know a set of the user's own
-    commands = f"; eldata info {card.name} says more, eldata download {card.name} fetches or unpacks it"
-    return DatasetError(
-        f"{folder}: there is no such folder; give the folder of {card.title}, which holds {holds} "
-        f"(where to get it: {card.homepage}{commands if known else ''})"
-    )
 
 
 def _manifest(manifest: Path | str) -> Manifest:

@@ -9,7 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
-from eldata.base.files import folder_problem, inside
+from eldata.base.files import folder_problem, inside, visible_below
 from eldata.base.numbers import counted
 from eldata.base.tables import block, frame_of, table
 from eldata.base.visible import in_line
@@ -17,7 +17,7 @@ from eldata.errors import ArgumentError, DatasetError, did_you_mean
 from eldata.manifest.catalogue import FrameFiles, data_root, is_name, known_manifest, load_manifest
 from eldata.manifest.pairs import WARM_SENSOR
 from eldata.manifest.patterns import expand
-from eldata.raw.files import RAW_EXTENSIONS, of_arrays
+from eldata.raw.files import RAW_EXTENSIONS, is_raw, of_arrays
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
@@ -278,7 +278,8 @@ def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecor
     if any((root / role).is_dir() for role in _ROLES):  # the camera's own folder
         name, prefix = camera or root.resolve().name, ""
     else:
-        cameras = [path.name for path in sorted(root.iterdir()) if any((path / role).is_dir() for role in _ROLES)]
+        places = visible_below(root, deep=False)
+        cameras = [path.name for path in places if any((path / role).is_dir() for role in _ROLES)]
         if not cameras:
             raise DatasetError(f"{root}: holds no folder bias or flat, nor a camera's with them; expected {layout}")
         name = chosen_camera(camera, cameras, str(root))
@@ -287,14 +288,14 @@ def _from_folders(root: Path, camera: str | None) -> tuple[str, tuple[FrameRecor
     skipped: list[str] = []
     for role in _ROLES:
         folder = root / prefix / role
-        for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
+        for path in visible_below(folder):
             relative, parts = path.relative_to(root).as_posix(), path.relative_to(folder).parts
             is_folder, is_link = path.is_dir(), path.is_symlink()
-            if any(part.startswith(".") for part in parts) or (is_folder and not is_link):
+            if is_folder and not is_link:
                 continue
             if is_folder:  # which the search does not follow: its frames would be missing without a word
                 raise DatasetError(f"{path}: is a link to a folder; move the frames themselves there")
-            if path.suffix.lower() not in RAW_EXTENSIONS:
+            if not is_raw(path):
                 skipped.append(relative)
                 continue
             named = _ISO_FOLDER.fullmatch(parts[0])

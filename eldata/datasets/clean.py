@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeGuard
 
+from eldata.base.files import visible_below
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.catalogue import FrameFiles, find_manifests, is_manifest
 from eldata.manifest.clips import moment_name
 from eldata.manifest.patterns import expand, sequence_of
-from eldata.raw.files import RAW_EXTENSIONS, no_raws, raws_below
+from eldata.raw.files import is_raw, no_raws, raws_below
 from eldata.raw.levels import LEVELS, Levels, check_in_dn
 from eldata.raw.stated import StatedFile
 from eldata.sources.frames import Files, Frame, FrameSource
@@ -361,8 +362,8 @@ def clip_files(source: Path | str) -> list[Sequence[Path | StatedFile]]:
 
 
 def _frames_of(folder: Path) -> list[Path]:
-    names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
-    raws = [name for name in names if Path(name).suffix.lower() in RAW_EXTENSIONS and not name.startswith(".")]
+    names = [path.name for path in visible_below(folder, deep=False)]
+    raws = list(filter(is_raw, names))
     if not raws:
         raise no_raws(folder, names)
     return [folder / name for name in _in_order(folder, raws)]

@@ -24,7 +24,7 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata.base.array_files import declared_array, read_array
-from eldata.base.files import file_problem, inside, path_problem
+from eldata.base.files import file_problem, inside, is_hidden, path_problem
 from eldata.base.visible import shown
 from eldata.errors import ArchiveError, DownloadError, EldataError
 
@@ -60,6 +60,8 @@ class Member:
 def read_members(path: Path) -> list[Member]:
     """Return an archive's files, if it is safe to unpack; its content, and not its name, says what it is.
 
+    Hidden files, such as those that macOS packs beside every file, are passed over.
+
     Raises
     ------
     ArchiveError
@@ -71,7 +73,7 @@ def read_members(path: Path) -> list[Member]:
     problem = file_problem(path)
     if problem is not None:
         raise ArchiveError(path, problem)
-    form = _read_format(path)
+    form = read_format(path)
     with _name_damage(path):
         members = list({"zip": _zip_members, "7z": _seven_zip_members, "blocks": _block_members}[form](path))
     names: dict[str, str] = {}
@@ -85,20 +87,24 @@ def read_members(path: Path) -> list[Member]:
             raise ArchiveError(path, f"members {both} would be one file where case does not count; {_BY_HAND}")
         names[key] = member.name
     _check_expansion(path, sum(member.size_bytes for member in members))
-    files = [member for member in members if not member.name.endswith("/")]
+    files = [member for member in members if not (member.name.endswith("/") or is_hidden(member.name))]
     if not files:
         raise ArchiveError(path, "holds no file")
     return files
 
 
-def _read_format(path: Path) -> str:
+def read_format(path: Path) -> str:
+    """Return what an archive is by its first bytes, one of :data:`FORMATS`; raises like :func:`read_members`."""
     with path.open("rb") as file:
         head = file.read(64)
     for mark, form in FORMATS.items():
         if head.startswith(mark):
             return form
     what = f"is not a zip or 7z archive, or blocks of MATLAB: it starts with {head!r}"
-    raise ArchiveError(path, f"{what}; if that is a web page, save the archive itself, of others {_BY_HAND}")
+    if head.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        what = "is HDF5, as MATLAB 7.3 and h5py write it"
+        raise ArchiveError(path, f"{what}; blocks are unpacked as published: save them by MATLAB's -v7, or scipy.io")
+    raise ArchiveError(path, f"{what}; {_BY_HAND}")
 
 
 def _check_expansion(path: Path, unpacked_bytes: int) -> None:
@@ -181,7 +187,7 @@ def unpack_archive(path: Path, members: Iterable[Member], targets: Mapping[str, 
 
 def _extract(path: Path, names: Sequence[str], staging: Path, bar: tqdm[Any]) -> Iterator[tuple[str, Path]]:
     """Yield members' names and where they have come out."""
-    form = _read_format(path)
+    form = read_format(path)
     if form == "zip":
         with zipfile.ZipFile(path) as archive:
             for name in names:
@@ -285,8 +291,9 @@ def _name_blocks(path: Path) -> str:
 
     if path.suffix.lower() != ".mat":
         raise ArchiveError(path, "is a file of MATLAB's; give it a name that ends in .mat")
-    held = [name for name, shape, _ in scipy.io.whosmat(path) if len(shape) == 4]
+    arrays = {name: shape for name, shape, _ in scipy.io.whosmat(path)}
+    held = [name for name, shape in arrays.items() if len(shape) == 4]
     if len(held) != 1:
-        found = ", ".join(held) or "none"
+        found = ", ".join(f"{shown(name)} {shape}" for name, shape in arrays.items()) or "none"
         raise ArchiveError(path, f"expected one array of blocks, (images, blocks, rows, columns); found {found}")
     return held[0]

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
-from eldata.download.archives import read_members, unpack_archive
+from eldata.download.archives import read_format, read_members, unpack_archive
 from eldata.download.fetching import RangeDownloader, archive_name, fetch_archive
 from eldata.errors import ArchiveError
 from eldata.manifest.patterns import is_pattern
@@ -71,9 +71,23 @@ def unpack_dataset(archive_path: Path, manifest: Manifest, folder: Path) -> Inst
     below = next((one.below for one in downloads if archive_name(one.address) == archive_path.name), None)
     relocation = find_relocation(archive_path, names, listed, below)
     targets = {name: target for name in names if (target := relocation.target(name)) is not None}
+    if read_format(archive_path) == "blocks":
+        _require_blocks(archive_path, set(targets.values()), listed)
     outcome = unpack_archive(archive_path, members, targets, folder)
     left = tuple(sorted(set(names) - set(targets)))
     return Installed(archive_path, *outcome, count_listed(targets.values(), listed), left)
+
+
+def _require_blocks(archive: Path, blocks: Collection[str], listed: Iterable[str]) -> None:
+    """Refuse an array of other blocks than those that the manifest lists in their folder."""
+    (folder,) = {path.rpartition("/")[0] for path in blocks}
+    expected = {path for path in listed if path.rpartition("/")[0] == folder}
+    if expected != blocks:
+        raise ArchiveError(
+            archive,
+            f"holds {len(blocks)} blocks, up to {max(blocks)}, and the manifest lists {len(expected)}, up to "
+            f"{max(expected)}; its sides must be (images, blocks, rows, columns), as published",
+        )
 
 
 def fetch_dataset(

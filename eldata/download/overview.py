@@ -119,7 +119,8 @@ class Overview:
         ]
         if card.subsets:
             lines += ["", "subsets (eldata evaluate --subset)"]
-            counted = "clips" if self.presence and self.presence.patterns else "pairs"
+            noisy = (row for row in (self.manifest.records if self.manifest else ()) if row.role == "noisy")
+            counted = "clips" if any(is_pattern(row.path) for row in noisy) else "pairs"
             for subset in card.subsets:
                 lines += wrapped(f"    {subset.name}: {subset.title} ({subset.pairs} {counted})", " " * 8)
         return "\n".join([*lines, *_remarks(card), "", "next", f"    {self.next_step}"])

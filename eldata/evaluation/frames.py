@@ -230,7 +230,8 @@ class ComparedFrame:
         clean = self.reference.frame
         with _file_problem_of(self.path):
             check_in_dn(str(clean.path), clean.sensor, f"protocol {protocol.name!r}, which cuts down to whole DN,")
-        return cut_to_dn(values, with_levels(clean.sensor, protocol.frame_levels))
+        dtype = np.float32 if protocol.quantisation == "dn-truncated-float32" else np.float64
+        return cut_to_dn(values, with_levels(clean.sensor, protocol.frame_levels), dtype)
 
     def _values(self, protocol: Protocol) -> NDArray[Any]:
         """Return the values that the file has."""
@@ -365,11 +366,15 @@ def _equal_levels(protocol: Protocol, frames: Sequence[RawFrame], reference: Sen
     )
 
 
-def cut_to_dn(packed: NDArray[np.floating[Any]], sensor: Sensor) -> NDArray[np.float32]:
-    """Return packed normalised values, (C, h, w), clipped to [0, 1] and cut down to whole DN of the sensor's levels."""
-    black = packed_black_level_dn(sensor.cfa, sensor.black_level_dn).astype(np.float64)[:, None, None]
-    span = sensor.white_level_dn - black
-    dn = np.floor(np.clip(packed.astype(np.float64), 0, 1) * span + black)
+def cut_to_dn(packed: NDArray[np.floating[Any]], sensor: Sensor, dtype: type[np.floating[Any]]) -> NDArray[np.float32]:
+    """Clip packed normalised values, (C, h, w), to [0, 1], and cut them down to whole DN of the sensor's levels.
+
+    The arithmetic is of ``dtype``: a whole level that was divided and multiplied in float32 is whole again in float32,
+    and in float64 half of them lie just below.
+    """
+    black = packed_black_level_dn(sensor.cfa, sensor.black_level_dn).astype(dtype)[:, None, None]
+    span = dtype(sensor.white_level_dn) - black
+    dn = np.floor(np.clip(packed.astype(dtype), 0, 1) * span + black)
     return cast("NDArray[np.float32]", ((dn - black) / span).astype(np.float32))
 
 

@@ -13,12 +13,12 @@ from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from eldata.base.files import folder_problem
+from eldata.base.files import folder_problem, visible_below
 from eldata.errors import EldataError
 from eldata.evaluation.scores import EvaluationProblem
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
 EXTENSIONS = (".npy", ".npz", ".h5", ".tif", ".tiff", ".png", ".dng")
 """The kinds of file that a prediction may be, by the ends of their names."""
@@ -392,7 +392,7 @@ _MODELS = frozenset((".pt", ".pth", ".ckpt", ".onnx", ".safetensors", ".pkl"))
 def _files(folder: Path) -> list[str]:
     """Return the files of a folder of predictions, relative to it, sorted.
 
-    Hidden files and folders, and linked folders, are left out; a folder that is called like a prediction is there.
+    Hidden files and folders, and linked folders, are left out; a folder that is named like a prediction is there.
     """
     problem = folder_problem(folder)
     if problem is not None:
@@ -400,25 +400,8 @@ def _files(folder: Path) -> list[str]:
         if folder.suffix.lower() in _MODELS and folder.exists():
             what += ", and may hold a model: eldata predict makes predictions with one"
         raise EldataError(f"{what}; give the one that holds the predictions, a file for each noisy frame")
-    return sorted(_walk(folder))
-
-
-def _walk(folder: Path) -> Iterator[str]:
-    waiting = [""]
-    while waiting:  # not recursive: folders may lie deeper than Python's stack
-        below = waiting.pop()
-        try:
-            entries = list(os.scandir(folder / below))
-        except OSError as error:
-            raise EldataError(f"{folder / below}: cannot be read: {error.strerror}") from error
-        for entry in entries:
-            if entry.name.startswith("."):
-                continue
-            name = f"{below}{entry.name}"
-            if entry.is_dir(follow_symlinks=False):
-                waiting.append(f"{name}/")
-            if is_read(name) or not entry.is_dir():
-                yield name
+    found = (path.relative_to(folder) for path in visible_below(folder) if is_read(path.name) or not path.is_dir())
+    return sorted(map(Path.as_posix, found))
 
 
 def _extra(folder: Path, names: list[str], missing: list[str]) -> list[EvaluationProblem]:

@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.files import inside
+from eldata.base.files import inside, visible_below
 from eldata.errors import ArgumentError, EldataError, ManifestError, did_you_mean
 from eldata.manifest.card import Card, load_card
 from eldata.manifest.patterns import expand, is_pattern, matching
@@ -132,19 +132,27 @@ class Manifest:
         ManifestError
             If the expected folder does not hold it, and two others do.
         """
-        firsts = {record.path.rpartition("/")[0]: record.path for record in self.records}.values()
+        paths_in: dict[str, list[str]] = {}
+        for record in self.records:
+            paths_in.setdefault(record.path.rpartition("/")[0], []).append(record.path)
+
+        def is_there(folder: Path, path: str) -> bool:
+            return bool(matching(folder, path)) if is_pattern(path) else (folder / path).is_file()
 
         def holds(folder: Path) -> bool:
             try:
-                return any(matching(folder, one) if is_pattern(one) else (folder / one).is_file() for one in firsts)
-            except OSError:  # a neighbour that may not be read; the expected folder is read again, and named
+                return any(
+                    (folder / parent).is_dir() and any(is_there(folder, path) for path in paths)
+                    for parent, paths in paths_in.items()
+                )
+            except (OSError, EldataError):  # a neighbour, perhaps; the expected folder is read again, and named
                 return False
 
         if holds(expected):
             return expected
         near = [expected / self.card.folder, *places]
         for place in (place for place in places if place.is_dir()):
-            folders = sorted(one for one in place.iterdir() if one.is_dir())[:_NEAR]
+            folders = [path for path in visible_below(place, deep=False) if path.is_dir()][:_NEAR]
             near += [*folders, *(one / self.card.folder for one in folders)]
         found = {folder.resolve(): folder for folder in near if holds(folder)}
         if len(found) > 1:
@@ -408,7 +416,7 @@ def find_manifests(where: Path | str | Iterable[Path | str], root: Path | str | 
         return (checking_manifest(str(where), root),)
     path = Path(where)
     if path.is_dir():
-        found = sorted(path.glob("*.csv"))
+        found = [file for file in visible_below(path, deep=False) if file.suffix == ".csv"]
         if not found:
             raise ManifestError(f"{path}: holds no manifest (*.csv)")
         return tuple(load_manifest(file) for file in found)

@@ -21,13 +21,14 @@ from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
+from eldata.base.files import visible_below
 from eldata.errors import DatasetError
 from eldata.manifest.card import counts_of
 from eldata.manifest.catalogue import Manifest, shipped_manifest
 from eldata.manifest.clips import clip_names
 from eldata.manifest.patterns import expand, is_pattern
 from eldata.manifest.writing import save_manifest
-from eldata.raw.files import RAW_EXTENSIONS
+from eldata.raw.files import is_raw
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
@@ -169,9 +170,9 @@ def scan_raw(folder: Path | str, *, reference: str = "*") -> Scan:
     (camera,) = published.card.cameras
     split_of = {row.scene: row.split for row in published.records if row.role == "noisy"}
     found: dict[str, dict[str, list[str]]] = {kind: defaultdict(list) for kind in ("noisy", "reference", UNUSED, "")}
-    for path in sorted(folder.rglob("*")):
+    for path in visible_below(folder):
         relative = path.relative_to(folder)
-        if path.suffix.lower() in RAW_EXTENSIONS and not any(part.startswith(".") for part in relative.parts):
+        if is_raw(path):
             kind, clip = _kind_and_clip(relative, split_of, reference)
             found[kind][clip].append(relative.as_posix())
     stray, noisy, bright, unused = found[""][""], found["noisy"], found["reference"], found[UNUSED]

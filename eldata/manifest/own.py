@@ -21,7 +21,7 @@ from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, title_of
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.verify_report import Problem
 from eldata.raw.cfa import packing_sites
-from eldata.raw.files import raw_facts, raws_below
+from eldata.raw.files import ShotFacts, find_doubles, raw_facts, raws_below
 from eldata.records import FrameRecord, Sensor
 
 if TYPE_CHECKING:
@@ -49,11 +49,14 @@ class OwnSet:
         Of the set; what only its owner knows, such as the licence, is left to fill in.
     problems
         What could not be told of files or scenes; no row is right while there is one.
+    left_out
+        Files that show the shot of another one, and that one.
     """
 
     card: Card
     records: tuple[FrameRecord, ...]
     problems: tuple[Problem, ...]
+    left_out: tuple[tuple[str, str], ...] = ()
 
     def format_text(self) -> str:
         """Return a line for the scenes of a camera that were shot alike: how many, and what was taken for what."""
@@ -74,6 +77,13 @@ class OwnSet:
             stated = ("not stated" if value is None else str(value) for value in (first.iso, first.exposure_s))
             exposed = "ISO {}, {} s".format(*stated)
             lines.append(f"{camera}: {count}{told}; the first {first.role} is {first.path} ({exposed})")
+        if self.left_out:
+            path, other = self.left_out[0]
+            others = f"; {len(self.left_out) - 1} more alike" if len(self.left_out) > 1 else ""
+            lines.append(
+                f"left out: {path} shows the shot of {other}{others}. Move copies away, which eldata verify takes for "
+                "other frames"
+            )
         return "\n".join(lines)
 
 
@@ -142,6 +152,13 @@ def sort_own_set(
             problems.append(_broken(problem, outcome.unit.relative_to(folder).as_posix(), outcome.error))
         else:
             frames.append(outcome)
+    frames, left_out = _drop_doubles(folder, frames, workers)
+    spelled: dict[str, str] = {}
+    for frame in frames:
+        other = spelled.setdefault(frame.path.casefold(), frame.path)
+        if other != frame.path:
+            expected = "a name that differs from others in more than capitals"
+            problems.append(problem(frame.path, "file", expected, other, "they are two shots: rename one of them"))
     filters = set()
     for first in {frame.model: frame for frame in reversed(frames)}.values():
         _, sensor = raw_facts(folder / first.path, decode=True)
@@ -174,7 +191,19 @@ def sort_own_set(
         records += rows
         problems += unclear
     records.sort(key=lambda record: record.path)
-    return OwnSet(_card(name, folder.name, cfa_word(filters), frames, records), tuple(records), tuple(problems))
+    card = _card(name, folder.name, cfa_word(filters), frames, records)
+    return OwnSet(card, tuple(records), tuple(problems), left_out)
+
+
+def _drop_doubles(
+    folder: Path, frames: list[_Frame], workers: AnyWorkers
+) -> tuple[list[_Frame], tuple[tuple[str, str], ...]]:
+    """Return one frame of each shot, and which other files show it."""
+    files = {folder / frame.path: ShotFacts(frame.model, frame.iso, frame.exposure_s, frame.taken) for frame in frames}
+    doubles = find_doubles(files, workers, across=False)
+    left_out = {path.relative_to(folder).as_posix(): other for path, other in doubles.items()}
+    kept = [frame for frame in frames if frame.path not in left_out]
+    return kept, tuple((path, other.relative_to(folder).as_posix()) for path, other in sorted(left_out.items()))
 
 
 def _scene_pattern(scene: str) -> re.Pattern[str]:

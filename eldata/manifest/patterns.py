@@ -16,7 +16,7 @@ from operator import attrgetter
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
-from eldata.base.files import inside
+from eldata.base.files import inside, visible_below
 from eldata.manifest.verify_report import Problem, row_fault
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from eldata.records import FrameRecord
 
+_END = 3
 _DIGITS = re.compile(r"([0-9]+)")
 
 
@@ -50,11 +51,19 @@ def matching(folder: Path, pattern: str) -> tuple[str, ...]:
     """
     place = PurePosixPath(pattern)
     parent = inside(folder, place.parent.as_posix())
-    if not parent.is_dir():
-        return ()
-    names = [path.name for path in parent.iterdir() if fnmatchcase(path.name, place.name) and path.is_file()]
-    visible = [name for name in names if not name.startswith(".")]
-    return tuple(str(place.with_name(name)) for name in sequence_of(visible).names)
+    files = visible_below(parent, deep=False)
+    names = [path.name for path in files if fnmatchcase(path.name, place.name) and path.is_file()]
+    return tuple(str(place.with_name(name)) for name in sequence_of(names).names)
+
+
+def find_elsewhere(folder: Path, paths: Iterable[str]) -> dict[str, str]:
+    """Find where else below a set's folder files of these paths lie, by the last three parts of a path.
+
+    Loaders and archives lay one set out differently, such as CRVD with a folder more, or less, for each kind of frame.
+    """
+    ends = {PurePosixPath(path).parts[-_END:]: path for path in paths}
+    places = (PurePosixPath(file.relative_to(folder)) for file in (visible_below(folder) if ends else ()))
+    return {ends[place.parts[-_END:]]: str(place) for place in places if place.parts[-_END:] in ends}
 
 
 def expand(records: Iterable[FrameRecord], folder: Path) -> tuple[FrameRecord, ...]:

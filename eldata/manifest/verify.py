@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from eldata.base.files import inside, sha256_of
+from eldata.base.files import file_problem, inside, sha256_of, visible_below
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.errors import ArgumentError, ManifestError, RawFileError, UnusableRawError, did_you_mean
 from eldata.manifest.catalogue import FrameFiles, Manifest, find_manifests
@@ -32,7 +32,7 @@ from eldata.manifest.clip_checks import (
     size_findings,
 )
 from eldata.manifest.pair_checks import RATIO_TOLERANCE, ratio_findings, white_remarks
-from eldata.manifest.patterns import expand, is_png, pattern_findings
+from eldata.manifest.patterns import expand, find_elsewhere, is_png, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.manifest.verify_report import LEVELS, DatasetReport, VerifyReport, distinct, row_fault
 from eldata.raw.files import RAW_EXTENSIONS, raw_facts
@@ -192,32 +192,42 @@ def _check_presence(
             findings.append(row_fault(record.path, "size_bytes", expected, f"{size} bytes", _AGAIN))
         if size > 0:
             present.append(record)
-    findings += [_missing(manifest, folder, top, lost) for top, lost in missing.items()]
+    elsewhere = find_elsewhere(folder, (lost[0].path for top, lost in missing.items() if top != lost[0].path))
+    findings += [_missing(manifest, folder, top, lost, elsewhere) for top, lost in missing.items()]
     return present, findings
 
 
-def _missing(manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord]) -> Problem:
+def _missing(
+    manifest: Manifest, folder: Path, top: str, lost: list[FrameRecord], elsewhere: Mapping[str, str]
+) -> Problem:
     path = folder / top
     if top == lost[0].path:
-        like = [name for name in _names(path.parent) if name.casefold() == path.name.casefold()]
+        like = [
+            other.name
+            for other in visible_below(path.parent, deep=False)
+            if other.name.casefold() == path.name.casefold()
+        ]
         found, advice = "nothing", _AGAIN
         if path.is_dir():
             found, advice = "a folder", "move it away and copy the file"
         elif like:
             found, advice = f"only {like[0]}", f"rename it to {path.name}"
         return row_fault(top, "file", "a file", found, advice)
+    other = elsewhere.get(lost[0].path)
+    if other is not None:
+        found, advice = f"{lost[0].path} in another place, {other}", "move it, and the others, to where they are listed"
+        return row_fault(f"{top}/", "folder", f"{len(lost)} files", found, advice)
     advice = "unpack it there"
     if len(manifest.card.cameras) > 1 and len({record.camera for record in lost}) == 1:
         advice += f", or check the cameras you have with --camera (this is {lost[0].camera})"
     return row_fault(f"{top}/", "folder", f"{len(lost)} files", "no such folder", advice)
 
 
-def _names(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
-
-
 def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRecord]) -> list[Problem]:
-    """Name files of the listed kind that the manifest does not list, in the folders of these records."""
+    """Name files of the listed kind that the manifest does not list, in the folders of these records.
+
+    Another form of a listed shot, such as the DNG made of a raw file, is no sign of other frames.
+    """
     every = expand(manifest.records, folder)
     listed = {record.path for record in every}
     # There may be other pictures of the scene beside references (DRV), but not beside noisy PNG frames.
@@ -225,20 +235,24 @@ def _check_unlisted(manifest: Manifest, folder: Path, records: Sequence[FrameRec
         Path(record.path).parent.as_posix() for record in every if record.role == "noisy" and is_png(record.path)
     }
     raw = {Path(path).parent.as_posix() for path in listed if Path(path).suffix.lower() in RAW_EXTENSIONS}
-    # A missing file whose name differs in case alone is reported as missing, with what to do.
-    respelled = {path.casefold() for path in listed if not (folder / path).exists()}
+    shots, spelled = {_shot(path) for path in listed}, {path.casefold(): path for path in listed}
     findings = []
     count_in = Counter(Path(path).parent.as_posix() for path in listed)
     for parent in sorted({Path(record.path).parent.as_posix() for record in records}):
         kinds = (RAW_EXTENSIONS if parent in raw else frozenset()) | ({".png"} if parent in pictured else frozenset())
-        raws = [name for name in _names(folder / parent) if Path(name).suffix.lower() in kinds]
-        for name in raws:
-            path = name if parent == "." else f"{parent}/{name}"
-            if path not in listed and path.casefold() not in respelled:
+        files = visible_below(folder / parent, deep=False)
+        raws = [path.relative_to(folder).as_posix() for path in files if path.suffix.lower() in kinds]
+        for path in raws:
+            like = spelled.get(path.casefold())  # if that is missing, so it is reported, with what to do
+            if path != like and (_shot(path) not in shots if like is None else (folder / like).exists()):
                 expected = f"the {count_in[parent]} listed raw files in this folder"
                 advice = "move it away, and make sure that the others were not renumbered"
                 findings.append(row_fault(path, "file", expected, f"{len(raws)} raw files, this one unlisted", advice))
     return findings
+
+
+def _shot(path: str) -> str:
+    return Path(path).with_suffix("").as_posix().casefold()
 
 
 # --- metadata and full ----------------------------------------------------------------------------------------
@@ -362,6 +376,9 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[Problem]:
     """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
     from eldata.base.pixels import NpyError, read_npy_header
 
+    problem = file_problem(path)
+    if problem is not None:
+        return [row_fault(record.path, "content", "packed float32 (C, h, w)", problem, _PACK_AGAIN)]
     try:
         with path.open("rb") as file:
             header = read_npy_header(file)

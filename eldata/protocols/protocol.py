@@ -25,7 +25,7 @@ Amplification = Literal["metadata", "nominal"]
 Space = Literal["raw", "srgb"]
 Pixels = Literal["packed", "srgb", "rgb"]
 Rendering = Literal["none", "libraw", "eld-isp"]
-Quantisation = Literal["none", "dn-truncated"]
+Quantisation = Literal["none", "dn-truncated", "dn-truncated-float32"]
 SsimPlanes = Literal["packed", "mosaic"]
 
 ANY_DATASET = "any"
@@ -100,7 +100,8 @@ class Protocol(_Described):
         :class:`~eldata.metrics.image_score.ScoringRules`.
     quantisation
         ``dn-truncated``: before anything else a packed raw prediction is clipped to [0, 1] and cut down to whole DN of
-        the reference's levels, as by code that saves its results as integers. ``none``: it is taken as it is.
+        the reference's levels, as by code that saves its results as integers; ``dn-truncated-float32``: with the
+        arithmetic of float32, of whose whole levels none moves. ``none``: it is taken as it is.
     ssim_planes
         What SSIM of packed raw values is of: each ``packed`` channel, or the ``mosaic`` in which they lie as on the
         sensor, as by code that scores raw images as grey ones. PSNR is the same.

@@ -27,7 +27,11 @@ _CLAMPS = {"both": "to [0, 1], before and after the factor", "before": "to [0, 1
 _RESCALINGS = {"scalar": "one factor per image", "none": "none"}
 _MASKS = {"unsaturated": "where the reference is not 1", "all": "everywhere"}
 _ROUNDINGS = {"none": "none", "8-bit": "to the nearest of 256 levels", "8-bit-truncated": "down to one of 256 levels"}
-_QUANTISATIONS = {"none": "none", "dn-truncated": "down to whole DN"}
+_QUANTISATIONS = {
+    "none": "none",
+    "dn-truncated": "down to whole DN",
+    "dn-truncated-float32": "down to whole DN, in float32",
+}
 _WINDOWS = {
     "uniform-7": "7x7 uniform",
     "gaussian-11": "11x11 Gaussian",

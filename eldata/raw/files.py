@@ -5,18 +5,23 @@ Light: numpy and the decoder are loaded only where a file is looked into.
 
 from __future__ import annotations
 
-from collections import Counter
+import re
+from collections import Counter, defaultdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from eldata.base.files import folder_problem, read_file
+from eldata.base.files import folder_problem, read_file, sha256_of, visible_below
+from eldata.base.workers import Workers
 from eldata.errors import DatasetError, RawFileError
 from eldata.raw.stated import ARRAY_EXTENSIONS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
+    from datetime import datetime
+    from fractions import Fraction
 
+    from eldata.base.workers import AnyWorkers
     from eldata.records import RawHeader, Sensor
 
 # Lower case, with the dot.
@@ -30,18 +35,64 @@ PICTURES = frozenset((".jpg", ".jpeg", ".heic", ".heif", ".hif", ".webp", ".avif
 
 
 def raws_below(folder: Path) -> list[Path]:
-    """Return the camera raws of a folder at any depth, sorted.
+    """Return the camera raws of a folder at any depth, sorted; hidden files are passed over.
 
     Raises
     ------
     DatasetError
         If there is none, or no such folder.
     """
-    paths = list(folder.rglob("*")) if folder.is_dir() else []
-    found = sorted(path for path in paths if path.suffix.lower() in RAW_EXTENSIONS)
+    paths = visible_below(folder)
+    found = [path for path in paths if is_raw(path)]
     if not found:
         raise no_raws(folder, (path.name for path in paths if path.is_file()))
     return found
+
+
+def is_raw(path: Path | str) -> bool:
+    """Return whether a file's extension is a camera raw's."""
+    return Path(path).suffix.lower() in RAW_EXTENSIONS
+
+
+_COPY = re.compile(r"[ _-]*(copy[ _-]*)?(\(\d+\))?$", re.IGNORECASE)  # what browsers and file managers add
+
+
+class ShotFacts(NamedTuple):
+    """What a raw file states of its shot; ``None``: it does not."""
+
+    model: str
+    iso: Fraction | None
+    exposure_s: Fraction | None
+    taken: datetime | None
+
+
+def find_doubles(files: Mapping[Path, ShotFacts], workers: AnyWorkers, *, across: bool) -> dict[Path, Path]:
+    """Find the files that show the shot of another one, and that one, which counts.
+
+    Of copies, equal byte for byte, the one of the shortest name counts: ``IMG_1.dng`` of ``IMG_1 (1).dng`` beside it,
+    or if ``across``, of files of any name and folder. Of files in one folder whose names differ in capitals and
+    extension alone, and that state the same shot to the second, the camera's own counts, not the DNG made of it. Of
+    several, the first.
+    """
+    bare = {path: None if across else (path.parent, _COPY.sub("", path.stem).casefold()) for path in files}
+    alike: dict[object, list[Path]] = defaultdict(list)
+    for path, facts in files.items():
+        alike[facts, path.stat().st_size, bare[path]].append(path)
+    paths = [path for group in alike.values() if len(group) > 1 for path in group]
+    paths.sort(key=lambda path: len(path.name))
+    digests = Workers.of(workers).run(sha256_of, paths, label="looking for copies")
+    first: dict[object, Path] = {}
+    doubles: dict[Path, Path] = {}
+    for path, digest in zip(paths, digests, strict=True):
+        if first.setdefault((digest, bare[path]), path) != path:
+            doubles[path] = first[digest, bare[path]]
+    single = [(path, facts) for path, facts in files.items() if path not in doubles]
+    for path, facts in sorted(single, key=lambda file: file[0].suffix.lower() == ".dng"):
+        second = facts.taken and facts.taken.replace(microsecond=0)
+        shot = path.parent, path.stem.casefold(), facts._replace(taken=second)
+        if first.setdefault(shot, path) != path:
+            doubles[path] = first[shot]
+    return doubles
 
 
 def no_raws(folder: Path, names: Iterable[str]) -> DatasetError:

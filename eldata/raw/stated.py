@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from eldata.base.files import file_problem
 from eldata.errors import RawFileError, UnusableRawError
 from eldata.records import Exposure, RawFrame, RawHeader, Sensor
 
@@ -148,10 +149,10 @@ class StatedFile:
             advice = "state its shape in the card's mosaics, or convert it to .npy if it is packed or padded"
             raise UnusableRawError(self.path, "is numbers without a header", advice)
         expected = 2 * shape[0] * shape[1]
-        try:
-            found = self.path.stat().st_size
-        except OSError as error:
-            raise RawFileError(self.path, f"cannot be read: {error.strerror}") from error
+        problem = file_problem(self.path)
+        if problem is not None:
+            raise RawFileError(self.path, problem)
+        found = self.path.stat().st_size
         if found != expected:
             raise RawFileError(
                 self.path,

@@ -16,20 +16,21 @@ import numpy as np
 
 from eldata.base.memory import scratch
 from eldata.base.pixels import read_rgb16
-from eldata.errors import ArgumentError, DatasetError
-from eldata.manifest.catalogue import FrameFiles
+from eldata.errors import ArgumentError, DatasetError, FileError
+from eldata.manifest.catalogue import FrameFiles, known_names
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
-from eldata.manifest.patterns import is_png
+from eldata.manifest.patterns import find_elsewhere, is_png
 from eldata.raw.levels import check_in_dn, check_white_in_dn, with_levels
 from eldata.records import Exposure, RawHeader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from fractions import Fraction
 
     from numpy.typing import NDArray
 
+    from eldata.manifest.card import Card
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
     from eldata.raw.cfa import CfaRows
@@ -225,6 +226,8 @@ class Files:
         what is stated of some of these paths.
     records
         Rows of the manifest that lists the files.
+    card
+        That of the set: what it says where to get is named where the folder is missing.
     """
 
     reads_parts = False
@@ -233,9 +236,11 @@ class Files:
         self,
         files: FrameFiles | Path | Mapping[str, StatedFile] | None = None,
         records: Sequence[FrameRecord] = (),
+        card: Card | None = None,
     ) -> None:
         self._files = FrameFiles(files) if isinstance(files, Path) else files or {}
         self.records = tuple(records)
+        self._card = card
 
     def frame(self, path: str) -> Frame:
         """Decode a file.
@@ -244,14 +249,45 @@ class Files:
         ------
         FileError
             If it is missing or damaged.
+        DatasetError
+            If the set's folder, or that of its camera, is missing, or the file lies elsewhere in it.
         """
         from eldata.raw.reading import read_raw
 
         file = self._files.at(path) if isinstance(self._files, FrameFiles) else self._files.get(path, Path(path))
-        if is_png(path) and isinstance(file, Path):
-            return Frame.of_rgb(read_rgb16(file).transpose(2, 0, 1), str(file))
-        raw = read_raw(file)
+        try:
+            if is_png(path) and isinstance(file, Path):
+                return Frame.of_rgb(read_rgb16(file).transpose(2, 0, 1), str(file))
+            raw = read_raw(file)
+        except FileError:
+            if self._card is not None and isinstance(self._files, FrameFiles):
+                self._require_folders(self._files.folder, self._card, path)
+            raise
         return Frame.of_raw(raw.mosaic, raw.sensor, str(raw.path), raw.exposure, raw.channel_white_levels_dn)
+
+    def _require_folders(self, folder: Path, card: Card, path: str) -> None:
+        """Raise if the set's folder is missing, a file lies elsewhere in it, or the folder of its camera is missing."""
+        camera_in = {row.path.partition("/")[0]: row.camera for row in self.records}
+        if not folder.is_dir():
+            raise no_folder(folder, card, camera_in)
+        if path in (elsewhere := {} if (folder / path).exists() else find_elsewhere(folder, [path])):
+            found = f"expected {path}, found it in another place, {elsewhere[path]}"
+            raise DatasetError(f"{folder}: {found}; move it, and the others, to where the manifest lists them")
+        top, slash, _ = path.partition("/")
+        if slash and not (folder / top).is_dir():
+            present = [camera for name, camera in camera_in.items() if (folder / name).is_dir()]
+            hint = f"choose those you have with cameras={present!r}" if present else "is this the right folder?"
+            raise DatasetError(f"{folder}: has no folder {top!r} for camera {camera_in[top]}; {hint}")
+
+
+def no_folder(folder: Path, card: Card, holds: Iterable[str]) -> DatasetError:
+    """Return the error that a dataset's folder is not there, with what it should hold and where to get it."""
+    known = card.name in known_names()  # the commands do not know a set of the user's own
+    commands = f"; eldata info {card.name} says more, eldata download {card.name} fetches or unpacks it"
+    return DatasetError(
+        f"{folder}: there is no such folder; give the folder of {card.title}, which holds {', '.join(holds)} "
+        f"(where to get it: {card.homepage}{commands if known else ''})"
+    )
 
 
 def checked_ratio(record: PairRecord, reference: Frame, noisy: Frame) -> Fraction:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import eldata.base.files
+from eldata.base.array_files import declared_array
 from eldata.base.files import (
     atomic_write,
     file_problem,
@@ -21,10 +23,13 @@ from eldata.base.files import (
     path_problem,
     remove_leftovers,
     sha256_of,
+    visible_below,
     write_problem,
     write_text,
 )
-from eldata.errors import EldataError, ManifestError
+from eldata.download.archives import read_members
+from eldata.errors import EldataError, FileError, ManifestError
+from eldata.raw import read_header
 from tests.cases import in_one_test
 from tests.syncing import OnDisk
 from tests.waiting import PATIENCE_S
@@ -78,6 +83,44 @@ def test_only_a_file_with_something_in_it_may_be_opened(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(tmp_path / "socket"))
         assert file_problem(tmp_path / "socket") == "is a socket, not a file"
+
+
+@in_one_test(
+    "content, words",
+    [
+        (
+            b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 25165824\n",
+            "is a pointer of Git LFS to a file of 25165824 bytes: fetch that one with git lfs pull",
+        ),
+        (b"/annex/objects/SHA256E-s12--ab.dng\n", "is a pointer of git-annex: fetch the file itself"),
+        (b"../.git/annex/objects/xX/SHA256E-s12--ab.dng", "is a pointer of git-annex: fetch the file itself"),
+        (b"\xef\xbb\xbf\n<!DOCTYPE html><title>Quota exceeded</title>", "is a web page (HTML or XML)"),
+        (b"<?xml version='1.0'?><Error><Code>AccessDenied</Code></Error>", "is a web page (HTML or XML)"),
+        (b"\0\5\x16\7\0\2\0\0Mac OS X        ", "is what macOS puts beside a file (AppleDouble)"),
+        (b"path,role\n<html>", None),
+        (b"<headless>", None),
+    ],
+)
+def test_what_stands_in_place_of_data_is_named(content: bytes, words: str | None, tmp_path: Path) -> None:
+    """By whatever reads data: a raw file, an array, an archive."""
+    for name in ("a.dng", "a.npy", "a.zip"):
+        (tmp_path / name).write_bytes(content)
+    found = file_problem(tmp_path / "a.dng")
+    assert (found or "").startswith(words or "")
+    assert (found is None) == (words is None)
+    for read, name in ((read_header, "a.dng"), (declared_array, "a.npy"), (read_members, "a.zip")) if words else ():
+        with pytest.raises(FileError, match=re.escape(str(found))):
+            read(tmp_path / name)
+
+
+def test_hidden_files_are_passed_over_and_links_not_followed(tmp_path: Path) -> None:
+    for name in ("b/c.dng", "b/._c.dng", "._b.dng", ".git/d.dng", "a.dng/e.npy"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "link").symlink_to(tmp_path / "b")
+    assert visible_below(tmp_path) == [tmp_path / name for name in ("a.dng", "a.dng/e.npy", "b", "b/c.dng", "link")]
+    assert visible_below(tmp_path, deep=False) == [tmp_path / name for name in ("a.dng", "b", "link")]
+    assert visible_below(tmp_path / "none") == []
 
 
 # --- atomic_write -------------------------------------------------------------------------------------------

@@ -17,10 +17,11 @@ import pytest
 
 from capture.calibration import plan_calibration
 from capture.cli import main
-from eldata.base.files import sha256_of, write_text
+from eldata.base.files import sha256_of
 from eldata.manifest import load_manifest, verify
 from tests.capture.simulated import CAMERA, Nights, Taken, plan_of, shoot, whole_plan
 from tests.cases import in_one_test
+from tests.trees import interrupt_manifest
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -80,29 +81,16 @@ def test_scenes_from_card_to_dataset(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert field.problems() == []
 
 
-def stop_before(number: int, patch: pytest.MonkeyPatch) -> None:
-    """Have the so-manyth file of a set meet Ctrl-C."""
-    names = []
-
-    def write(path: Path, text: str) -> None:
-        names.append(path)
-        if len(names) > number:
-            raise KeyboardInterrupt
-        write_text(path, text)
-
-    patch.setattr("eldata.manifest.writing.write_text", write)
-
-
 @pytest.mark.parametrize("how", ["new", "--replace", "--append"])
 def test_the_files_of_a_set_are_right_after_an_interruption(how: str, tmp_path: Path) -> None:
     """Before each of card and table: the same command again ends with those that it writes."""
-    for number in range(2):
-        field = Field(tmp_path / str(number), plan_of("4", "1", factors=(1,)))
+    for suffix in (".json", ".csv"):
+        field = Field(tmp_path / suffix[1:], plan_of("4", "1", factors=(1,)))
         options = [] if how == "new" else [how]
         if how != "new":
             assert field.copy("--only", "scene-1", "--yes") == 0
         with pytest.MonkeyPatch.context() as patch:
-            stop_before(number, patch)
+            interrupt_manifest(patch, suffix)
             assert field.copy(*options) == 130
         assert field.copy(*options) == 0
         manifest = load_manifest(field.csv)
@@ -292,9 +280,12 @@ def test_what_is_there_stays(small: Field, capsys: pytest.CaptureFixture[str]) -
     assert [path.name for path in placed.parent.iterdir()] == [placed.name]
     placed.unlink()
     assert small.copy() == 0
+    assert small.copy() == 0, "the same command again has the same result"
     small.csv.write_text(small.csv.read_text() + "edited")
     assert small.copy() == 2
-    assert "mine.csv is there already: give another name, or --replace it" in capsys.readouterr().err
+    assert (
+        "mine.csv is there already, with other content: give another name, or --replace it" in capsys.readouterr().err
+    )
     assert small.csv.read_text().endswith("edited")
 
 
@@ -349,7 +340,7 @@ def test_a_kill_between_card_and_manifest(small: Field, capsys: pytest.CaptureFi
     card.write_text(card.read_text().replace('"licence": "not stated"', '"licence": "CC0"'))
     capsys.readouterr()
     assert small.copy() == 2
-    assert f"{card} is there already: give another name, or --replace it" in capsys.readouterr().err
+    assert f"{card} is there already, with other content: give another name, or --replace it" in capsys.readouterr().err
     assert '"licence": "CC0"' in card.read_text()
 
 

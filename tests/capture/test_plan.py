@@ -274,6 +274,7 @@ def test_advice_on_flats_is_enough() -> None:
 def test_changes_leave_the_rest_alone() -> None:
     plan = plan_of("4", "1").add_note("scene-2", "books")
     changed = plan.remeter("scene-2", Fraction(2)).add_scene("scene-7", Fraction(8)).add_note("scene-7", "cups")
+    assert changed.add_scene("scene-7", Fraction(8)).add_note("scene-7", "cups") == changed, "the same command again"
     assert changed.scenes[0] == plan.scenes[0]
     assert changed.scene("scene-2").notes == ("books",)
     assert changed.scene("scene-2").shots == plan_of("2").scenes[0].shots
@@ -297,7 +298,7 @@ def test_a_part_of_a_plan() -> None:
 
 def test_wrong_scenes() -> None:
     for name, metered, words in (
-        ("scene-1", "4", "expected each once, found scene-1 twice"),
+        ("scene-1", "2", "expected each once, found scene-1 twice"),
         ("kitchen", "4", "expected scene-1, scene-2 and so on"),
         ("scene-2/../x", "4", "expected scene-1"),
         ("scene-2", "1/50", "scene-2: metered at 1/50 s"),

@@ -77,7 +77,7 @@ def test_from_plan_to_scores(
         shutil.copytree(card, tmp_path / f"backup-{index}")
         again = "--append" if index else ""
         output = run(f"capture manifest {plan} {card} backup-{index} {files} --only scene-1 {again}")
-        assert "nor are 9 other copies" in output
+        assert "nor are 9 others alike" in output
         # The second night: the scene meters at 2 s. The card still holds the first night.
         metered = planned.remeter("scene-2", Fraction(2))
         shoot(card, camera, metered.scenes[1], SECOND_NIGHT)

@@ -133,7 +133,9 @@ def test_a_set_with_a_card_alone(eldata: Cli, tmp_path: Path) -> None:
     assert_one_line(eldata("evaluate", tmp_path, "--dataset", "rawnind"), "by its card alone", "eldata info rawnind")
 
 
-@pytest.mark.parametrize(("name", "counted"), [("sid-sony", "(129 pairs)"), ("drv", "(129 clips)")])
+@pytest.mark.parametrize(
+    ("name", "counted"), [("sid-sony", "(129 pairs)"), ("drv", "(129 clips)"), ("lrid", "(45 pairs)")]
+)
 def test_subsets_count_pairs_or_clips(name: str, counted: str, eldata: Cli) -> None:
     assert counted in " ".join(eldata("info", name).out.split())
 

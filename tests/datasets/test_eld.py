@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 import rawpy
 
-from eldata.datasets import ELDDataset
+from eldata.datasets import ELDDataset, PairDataset
 from eldata.demo.camera import CAMERAS
 from eldata.errors import DatasetError, ManifestError, RawFileError
+from eldata.manifest.own import sort_own_set
 from eldata.manifest.verify import verify
+from eldata.manifest.writing import save_manifest
 from eldata.records import Exposure
 from tests.datasets.comparing import same_bits
-from tests.trees import Tree, frame, retake, scale_exposure
+from tests.trees import ALPHA, Tree, frame, retake, scale_exposure
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -187,14 +189,14 @@ def test_the_default_root(tree: Tree, tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(tree.root.parent)
     assert len(ELDDataset(manifest=tree.csv)) == 12
     monkeypatch.chdir(tree.data)
-    with pytest.raises(DatasetError, match="no such folder"):
-        ELDDataset(manifest=tree.csv)
+    with pytest.raises(DatasetError, match=r"no such folder; give the folder of .*, which holds DemoAlpha, DemoBeta "):
+        ELDDataset(manifest=tree.csv)[0]
 
 
 def test_a_missing_camera_folder_says_what_to_choose(tree: Tree) -> None:
     shutil.rmtree(tree.data / "DemoBeta")
     with pytest.raises(DatasetError, match="no folder 'DemoBeta'") as raised:
-        demo(tree)
+        demo(tree)[-1]
     assert "cameras=['DemoAlpha']" in str(raised.value)
     assert len(demo(tree, cameras=["DemoAlpha"])) == 6
 
@@ -219,6 +221,25 @@ def test_a_copy_that_lies_otherwise_is_found(place: str, tree: Tree) -> None:
     for root in (tree.root, expected):
         dataset = ELDDataset(root, manifest=tree.csv)
         assert (dataset.root.resolve(), len(dataset)) == (expected.resolve(), 12)
+
+
+def test_a_copy_of_the_scored_frames_alone_is_found_one_level_off(tree: Tree) -> None:
+    """Whichever of a folder's rows they are."""
+    for camera in ("DemoAlpha", "DemoBeta"):
+        tree.file(16, f"{camera}/scene-1").unlink()
+    tree.data.rename(tree.root / "downloaded")
+    assert tree.manifest.folder(tree.root) == tree.root / "downloaded"
+
+
+def test_a_flat_set_is_read(tree: Tree) -> None:
+    folder, csv = tree.data / ALPHA, tree.root / "flat.csv"
+    own = sort_own_set(folder, "flat")
+    save_manifest(csv, own.card, own.records)
+    for root in (folder, folder.parent):
+        assert PairDataset(root, csv)[0]["input"].shape == (4, 32, 48)
+    (folder / "IMG_0001.dng").unlink()
+    with pytest.raises(RawFileError, match=r"IMG_0001\.dng: cannot be read"):
+        PairDataset(folder, csv)[0]
 
 
 def test_of_two_copies_none_is_taken(tree: Tree) -> None:

@@ -199,7 +199,7 @@ def test_unknown_values_list_the_known(options: dict[str, Any], said: str, sid: 
 
 def test_the_folder_of_one_camera_is_not_taken_for_the_dataset(sid: Path) -> None:
     with pytest.raises(DatasetError, match="no folder 'Fuji' for camera FujifilmXT2; is this the right folder"):
-        SIDDataset(sid / "Fuji", camera="fuji")
+        SIDDataset(sid / "Fuji", camera="fuji")[0]
 
 
 def test_a_manifest_of_your_own(sid: Path, tmp_path: Path) -> None:

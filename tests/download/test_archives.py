@@ -88,7 +88,7 @@ def refused(path: Path, *words: str) -> None:
 
 @pytest.mark.parametrize("name", PACKERS)
 def test_unpacked_once_and_then_there(name: str, tmp_path: Path) -> None:
-    path = save(tmp_path, PACKERS[name](FILES | {"Sony/empty": b""}))
+    path = save(tmp_path, PACKERS[name](FILES | {"Sony/empty": b"", "Sony/._empty": b"macOS's, passed over"}))
     names = tuple(sorted([*NAMES, "Sony/empty"]))
     assert unpack(path, tmp_path / "SID") == (names, (), ())
     assert tree(tmp_path / "SID") == FILES | {"Sony/empty": b""}
@@ -325,7 +325,7 @@ OUTSIDE = ("../evil", "Sony/../../evil", "/etc/evil", "C:/evil", "..\\evil", "So
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"\n <!DOCTYPE html><html>Virus scan warning", ["not a zip or 7z archive", "DOCTYPE html", "web page"]),
+        (b"\n <!DOCTYPE html><html>Virus scan warning", ["is a web page", "download the file itself"]),
         (b"Rar!\x1a\x07\x01\x00" + b"x" * 600, ["not a zip or 7z archive", "Rar!", "by hand"]),
         (gzip.compress(b"x", mtime=0), ["not a zip or 7z archive"]),
         (b"", ["is empty (0 bytes)"]),

@@ -22,6 +22,7 @@ from eldata.integrations.protocol_scores import protocol_of_tensors
 from eldata.manifest.catalogue import shipped_manifest
 from eldata.manifest.verify import verify
 from eldata.protocols import get_protocol
+from tests.cases import in_one_test
 from tests.sidd_tree import SHAPE, blocks_of, build_sidd_tree, write_corrected
 
 if TYPE_CHECKING:
@@ -159,6 +160,28 @@ def blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     again = unpack_dataset(root / f"{NAMES[0]}.mat", manifest, root / "SIDD")
     assert len(again.same_size) == 1280
     return root
+
+
+@in_one_test(
+    "shape, words",
+    [
+        ((8, 8, 32, 32), r"holds 64 blocks, up to \S+/07_07\.npy, and the manifest lists 1280, up to \S+/39_31\.npy"),
+        ((32, 32, 8, 8), r"holds 1024 blocks, up to \S+/31_31\.npy, and the manifest lists 1280"),
+        ((64, 64, 40, 32), r"holds 4096 blocks, up to \S+/63_63\.npy, and the manifest lists 1280"),
+        ((1024, 8, 8), r"expected one array of blocks, .*found 'ValidationNoisyBlocksRaw' \(1024, 8, 8\)"),
+    ],
+)
+def test_blocks_are_unpacked_whole_or_refused(shape: tuple[int, ...], words: str, tmp_path: Path) -> None:
+    """Sides in another order, or blocks of another set under the same name; HDF5 is named for what it is."""
+    manifest, file = shipped_manifest("sidd-blocks"), tmp_path / "blocks.mat"
+    scipy.io.savemat(file, {NAMES[0]: np.zeros(shape, np.float32)})
+    with pytest.raises(ArchiveError, match=words):
+        unpack_dataset(file, manifest, tmp_path / "SIDD")
+    with h5py.File(file, "w") as held:
+        held[NAMES[0]] = np.zeros(shape, np.float32)
+    with pytest.raises(ArchiveError, match="is HDF5, as MATLAB 7"):
+        unpack_dataset(file, manifest, tmp_path / "SIDD")
+    assert not (tmp_path / "SIDD").exists()
 
 
 def test_files_verify_and_items_are_the_blocks(blocks: Path) -> None:

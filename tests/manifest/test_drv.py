@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.base.files import write_text
 from eldata.base.pixels import read_png, read_png_header, read_rgb16, rgb_frame
 from eldata.download.fetching import archive_name, choose_parts
 from eldata.errors import ArgumentError, DatasetError, FileError, ManifestError
-from eldata.manifest import writing
 from eldata.manifest.catalogue import load_manifest, shipped_manifest
 from eldata.manifest.clips import FRAME_RANGES, Clip, choose_clips, clips_of, frame_range, windows
 from eldata.manifest.drv import UNUSED, scan_preprocessed, scan_raw
@@ -38,7 +36,7 @@ from tests.drv_tree import (
     write_raw,
     write_raw_clip,
 )
-from tests.trees import swap
+from tests.trees import interrupt_manifest, swap
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -378,14 +376,8 @@ def test_flipped_bits_show_at_level_full(drv: SmallDrv) -> None:
 
 def test_a_lock_that_was_killed_between_card_and_rows_goes_on(drv: SmallDrv, monkeypatch: pytest.MonkeyPatch) -> None:
     """The card says how many rows there will be, and the rows are still patterns."""
-
-    def killed(file: Path, text: str) -> None:
-        if file.suffix == ".csv":
-            raise KeyboardInterrupt
-        write_text(file, text)
-
     with monkeypatch.context() as patch:
-        patch.setattr(writing, "write_text", killed)
+        interrupt_manifest(patch, ".csv")
         with pytest.raises(KeyboardInterrupt):
             lock(drv.csv, drv.root)
     with pytest.raises(ManifestError, match=r"the card expects .* found .*; was eldata lock killed here\? lock again"):

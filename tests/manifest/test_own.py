@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from capture.observed import raw_files
 from eldata.cli.main import main
+from eldata.datasets import CleanFrames
 from eldata.errors import ArgumentError, DatasetError
+from eldata.evaluation.layouts import find_predictions
 from eldata.manifest import load_manifest, shipped_manifest, verify
 from eldata.manifest.own import sort_own_set
 from eldata.raw import write_dng
@@ -84,8 +87,20 @@ def test_what_is_written_verifies_and_is_not_written_over(tmp_path: Path, capsys
     manifest = load_manifest(csv)
     assert verify([manifest], tmp_path, level="metadata").ok
     assert (manifest.card.title, manifest.card.protocol) == ("2 scenes taken with MODEL3", "raw")
+    written = {path: path.read_bytes() for path in (csv, csv.with_suffix(".json"))}
+    for ended in ((), (csv,), (csv.with_suffix(".json"),)):  # the same command again, and after one that was ended
+        for path in ended:
+            path.unlink()
+        assert main(command) == 0
+        assert {path: path.read_bytes() for path in written} == written
+    csv.with_suffix(".json").write_text(csv.with_suffix(".json").read_text().replace("not stated", "CC0", 1))
     assert main(command) == 2
-    assert str(csv) in capsys.readouterr().err
+    assert f"{csv.with_suffix('.json')} is there already, with other content" in capsys.readouterr().err
+    assert "CC0" in csv.with_suffix(".json").read_text()
+    shoot(tmp_path / "MINE" / "hall" / "more.dng", replace(NOISY, iso=Fraction(3200)))
+    assert main(command) == 2
+    assert f"{csv} is there already, with other content" in capsys.readouterr().err
+    assert csv.read_bytes() == written[csv]
 
 
 def test_what_cannot_be_known_is_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -160,3 +175,45 @@ def test_a_copy_of_a_set_that_is_not_one_folder_deep(tmp_path: Path, demo_tree: 
     shutil.copytree(tree.file(1).parent, tmp_path / "hallway")
     found = sort_own_set(tmp_path / "hallway", "mine")
     assert {one.scene for one in found.records} == {"hallway"}
+
+
+def test_one_frame_of_each_shot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """RAW and DNG, a copy, another spelling are named, not counted; no DNG beside its raw is a fault to verify."""
+    folder = tmp_path / "MINE" / "hall"
+    taken = datetime(2026, 1, 1, 0, 0, 1, 250_000)  # noqa: DTZ001 # a camera's clock
+    shoot(folder / "IMG_1.dng", REFERENCE, taken=taken)
+    shoot(folder / "IMG_2.DNG", NOISY, taken=taken)
+    shoot(folder / "IMG_2 (1).DNG", Exposure(Fraction(800), Fraction(1, 400)), taken=taken)  # another shot
+    shoot(folder / "IMG_1.NEF", REFERENCE, taken=taken.replace(microsecond=0))
+    shutil.copy(folder / "IMG_2.DNG", folder / "IMG_2 (2).DNG")
+    shutil.copy(folder / "IMG_2.DNG", folder / "img_2.dng")
+    found = sort_own_set(tmp_path / "MINE", "mine")
+    assert sorted(told(found)) == ["hall/IMG_1.NEF", "hall/IMG_2 (1).DNG", "hall/IMG_2.DNG"]
+    assert dict(found.left_out) == {
+        "hall/IMG_1.dng": "hall/IMG_1.NEF",
+        "hall/IMG_2 (2).DNG": "hall/IMG_2.DNG",
+        "hall/img_2.dng": "hall/IMG_2.DNG",
+    }
+    command = ["manifest", str(tmp_path / "MINE"), "-o", str(tmp_path / "mine.csv"), "--jobs", "1"]
+    assert main(command) == 0
+    assert "left out: hall/IMG_1.dng shows the shot of hall/IMG_1.NEF; 2 more alike" in capsys.readouterr().out
+    report = verify(tmp_path / "mine.csv", tmp_path)
+    assert [problem.path for problem in report.problems] == ["hall/IMG_2 (2).DNG", "hall/img_2.dng"]
+    shoot(folder / "img_2.dng", Exposure(Fraction(3200), Fraction(1, 400)))
+    (problem,) = sort_own_set(tmp_path / "MINE", "mine").problems
+    assert (problem.path, problem.found) == ("hall/img_2.dng", "hall/IMG_2.DNG")
+
+
+def test_companions_of_macos_are_passed_over_everywhere(tmp_path: Path, demo_tree: Path) -> None:
+    shutil.copytree(demo_tree, tmp_path / "copy")
+    tree = tree_in(tmp_path / "copy")
+    np.save(tmp_path / "copy" / "IMG_0004.npy", np.zeros(1))
+    for path in [path for path in (tmp_path / "copy").rglob("*") if path.is_file()]:
+        path.with_name(f"._{path.name}").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X        ")
+    count = len(tree.manifest.records)
+    assert verify(tree.csv.parent, tree.root).ok
+    assert len(sort_own_set(tree.data, "mine").records) == len(CleanFrames(tree.data)) == count
+    assert len(raw_files([tree.data], ".dng")) == count
+    assert find_predictions(tmp_path / "copy", ["IMG_0004.dng"]).files == {
+        "IMG_0004.dng": tmp_path / "copy" / "IMG_0004.npy"
+    }

@@ -19,11 +19,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from eldata.base.workers import Workers
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.card import CameraCard, Card, save_card
 from eldata.manifest.catalogue import find_manifests, load_manifest, shipped_manifest
 from eldata.manifest.table import save_records
-from eldata.manifest.verify import verify
+from eldata.manifest.verify import check_files, verify
 from eldata.manifest.verify_report import LEVELS, Level, Problem, VerifyReport
 from eldata.records import Exposure, FrameRecord
 from tests.trees import (
@@ -293,8 +294,13 @@ def test_a_picture_in_place_of_a_raw_file(tree: Tree) -> None:
 
 def test_a_file_that_is_no_raw(tree: Tree) -> None:
     """Drive answers with a web page when its quota is used up."""
-    tree.file(4).write_bytes(b"<html>Quota exceeded</html>")
-    assert found(check(tree)) == [(frame(4), "content")]
+    for suffix in (".dng", ".npy"):
+        tree.file(4).with_suffix(suffix).write_bytes(b"<html>Quota exceeded</html>")
+        row = next(record for record in tree.manifest.records if record.path == frame(4))
+        row = replace(row, path=frame(4).replace(".dng", suffix))
+        (problem,), *_ = check_files(tree.manifest, tree.data, [row], level="metadata", workers=Workers())
+        assert (problem.path, problem.field) == (row.path, "content")
+        assert problem.found.startswith("is a web page (HTML or XML)")
 
 
 def test_a_camera_may_have_several_names_in_any_case(tree: Tree) -> None:

@@ -6,14 +6,13 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
-from eldata.datasets.base import no_folder
 from eldata.datasets.clips import ClipWindows
 from eldata.errors import ArgumentError, ManifestError, check_choice
 from eldata.manifest.catalogue import FrameFiles, known_manifest, load_manifest, shipped_manifest
 from eldata.manifest.clips import moment_name
 from eldata.manifest.drv import DYNAMIC, scan_raw
 from eldata.manifest.pairs import Choice
-from eldata.sources.frames import Files
+from eldata.sources.frames import Files, no_folder
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -113,7 +112,7 @@ class DRVDataset(ClipWindows):
         published = shipped_manifest("drv")
         folder = published.own_folder(root)
         if not folder.is_dir():
-            raise no_folder(folder, published.card, "VBM4D_rawRGB and long, or short and long")
+            raise no_folder(folder, published.card, ("VBM4D_rawRGB and long, or short and long",))
         found: Manifest | Scan = published
         if manifest is not None and manifest != published.name:
             found = load_manifest(manifest)
@@ -166,7 +165,7 @@ class CRVDDataset(ClipWindows):
     ArgumentError
         If a value is unknown (the message lists the known ones) or out of its range.
     DatasetError
-        If the folder or files of a chosen clip are not there.
+        Of an item, if the folder is not there: ``records`` need no files.
 
     References
     ----------
@@ -198,11 +197,9 @@ class CRVDDataset(ClipWindows):
     ) -> None:  # fmt: skip
         found = known_manifest("crvd") if manifest == "crvd" else load_manifest(manifest)
         folder = found.own_folder(root)
-        if not folder.is_dir():
-            raise no_folder(folder, found.card, "indoor_raw_noisy and indoor_raw_gt")
         choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
         rows = _moments(found, choice.pairs(found.records, found.card.subsets), shots)
-        files = Files(FrameFiles.of(folder, found.card, rows), rows)
+        files = Files(FrameFiles.of(folder, found.card, rows), rows, found.card)
         super().__init__(
             files, rows, (), folder, ids=ids, window=window, stride=stride, frames=frames, region=region,
             crops_per_window=crops_per_window, levels=levels, clip=clip, amplification=amplification,

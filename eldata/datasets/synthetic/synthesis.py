@@ -21,7 +21,14 @@ import numpy as np
 
 from eldata import __version__
 from eldata.base.fields import TextFile
-from eldata.base.files import atomic_write, check_same_work, json_text, remove_leftovers, write_json
+from eldata.base.files import (
+    atomic_write,
+    check_same_work,
+    json_text,
+    remove_leftovers,
+    visible_below,
+    write_json,
+)
 from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import CleanScene, clean_scenes
@@ -212,7 +219,7 @@ def _begin(out: Path, begun: Mapping[str, object]) -> None:
     path = out / _BEGUN
     if path.exists():
         check_same_work(out, TextFile(path, EldataError, f"remove {out} to start again").json().data, begun)
-    elif any(out.iterdir()):
+    elif visible_below(out, deep=False):
         raise DatasetError(f"{out}: holds something already; give a new folder")
     else:
         write_json(path, begun)

@@ -323,8 +323,8 @@ def _makes_a_mode(part: Sequence[IsoCalibration]) -> bool:
 def _fitted_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: list[str]) -> FittedMode:
     # Where the read noise is withheld, nothing is known. An extended ISO has the K of its neighbour, and by chance the
     # larger or the smaller one.
-    part = [one for one in part if one.sigma_tl_dn is not None and one.sigma_gauss_dn is not None] or part
-    isos = [one.iso for one in part]
+    ends = [one for one in part if one.sigma_tl_dn is not None and one.sigma_gauss_dn is not None] or part
+    isos = [one.iso for one in ends]
     lowest, highest = min(isos), max(isos)
     where = f" from ISO {lowest:g} to {highest:g}" if is_one_of_several else ""
     tukey_lambda, gauss, rows = (_fitted(f"{figure.label}{where}", _points(part, figure), remarks) for figure in SCALES)
@@ -334,7 +334,7 @@ def _fitted_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remark
         else:
             remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
     mode = GainMode(
-        gain_range_dn_per_e=(_gain(part[0]), _gain(part[-1])),
+        gain_range_dn_per_e=(_gain(ends[0]), _gain(ends[-1])),
         tukey_lambda_fit=tukey_lambda[1],
         gauss_fit=gauss[1],
         row_fit=rows[1],

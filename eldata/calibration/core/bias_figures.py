@@ -96,7 +96,8 @@ class BiasSums:
         DatasetError
             If the frames added are not those of the fixed pattern, or do not show their noise.
         """
-        bias, rows = colour_bias(self._lines, black_level_dn), row_noise(self._lines)
+        rows = row_noise(self._lines)
+        bias = colour_bias(self._lines, rows, black_level_dn)
         if self._residuals is None:
             return BiasFigures(bias, rows, (self._clipped(),))
         residuals = self._residuals.histogram()

@@ -132,12 +132,11 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     sensor, is_clipped = reader.sensor, fixed.clips_at_black
     bias_sums, audit = BiasSums(fixed), BiasAudit(fixed)
     sums = [bias_sums, audit]
-    spectrum, single, gaps, step = None, None, 0.0, 1
+    spectrum, single, gaps = None, None, 0.0
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
             single = None if is_clipped else single_frame_plot(frame.mosaic, fixed)
-            step = code_step(frame.mosaic, fixed.pattern)
         in_threads(methodcaller("add", frame.mosaic), sums, reader.workers.jobs)
         del frame
     reader.refuse()
@@ -150,6 +149,7 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     # The flats decode while the bias frames' figures are worked out.
     work = (from_bias_frames, partial(_flats, reader, chosen, fixed))
     (found, seen), of_flats = in_threads(methodcaller("__call__"), work, reader.workers.jobs)
+    step = math.gcd(code_step(seen.codes), of_flats.step_dn)
     dark = IsoCalibration(
         iso=float(chosen.iso),
         sensor=sensor,
@@ -232,8 +232,9 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -
 
     def found(remarks: Sequence[str], *findings: Finding, **more: Any) -> IsoGain:
         known: dict[str, Any] = {"iso": float(chosen.iso), "sensor": reader.sensor, "stated_gain_dn_per_e": stated}
-        return IsoGain(**known, remarks=tuple(remarks), findings=findings, **more)
+        return IsoGain(**known, remarks=tuple(remarks), findings=findings, step_dn=step, **more)
 
+    step = 0
     if not chosen.pairs:
         return found(() if stated is not None else (no_pairs(chosen),))
     pairs, singles = None, None
@@ -259,6 +260,9 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -
             gaps = max(gaps, missing_codes(first.mosaic, pairs.pattern))
         del first, second  # before the next ones are decoded
     reader.refuse()
+    if pairs is not None:
+        step = code_step(pairs.counts[:, : math.ceil(pairs.limit_dn)])
+        gaps = 1 - (1 - gaps) * max(step, 1)  # a step of the whole file is no curve
     said = (*remarks, *flat_remarks(chosen, gaps))
     if pairs is None or singles is None or not pairs.frames:
         return found(said, _no_line("no pair of flats is usable"))

@@ -144,4 +144,9 @@ def test_steps_that_are_not_one_are_said(in_steps: list[IsoCalibration]) -> None
     assert any("4 at ISO 400, 4 at ISO 800, 4 at ISO 1600, 1 at ISO 3200" in remark for remark in found.remarks)
     quiet = stepping(100.0, 4, COARSE_CAMERA.with_(gain=0.25, sigma_tl=1.0))
     assert quiet.stepped is None  # its noise is lost in the steps: half of one
-    assert joined("Coarse", [quiet, *in_steps]).profile.quantisation_step_dn == 1
+    # It costs the others nothing: the step is of the files' codes.
+    both = joined("Coarse", [quiet, *in_steps])
+    assert both.profile.quantisation_step_dn == 4
+    assert both.profile.rows == joined("Coarse", in_steps).profile.rows
+    assert "read noise" in both.isos[0].withheld
+    assert joined("Coarse", [replace(quiet, step_dn=0), *in_steps]).profile.quantisation_step_dn == 4, "not known"

@@ -190,7 +190,7 @@ class IsoCalibration(IsoGain):
     bias, rows
         Colour bias, row (and column) noise.
     read, plot
-        Read noise, and quantiles of the residuals for the probability plots; ``None`` where values end at 0.
+        Read noise, and quantiles of the residuals for the probability plots; ``None`` where values end at a floor.
     pattern
         What stays from frame to frame.
     single_frame

@@ -27,7 +27,7 @@ from eldata.calibration.audit.flat_checks import flat_findings, saturation
 from eldata.calibration.audit.frames import ADVISED_BIAS_FRAMES, FrameFigures, PairLevels, unequal_pair, uneven_light
 from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.core.findings import NO_LINE, TRANSFER, with_accepted
+from eldata.calibration.core.findings import CLIPPED, NO_LINE, SHAPE, TRANSFER, with_accepted
 from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
 from eldata.calibration.core.single_frame import FlatFrames, power_spectrum, single_frame_plot, spatial_photon_transfer
 from eldata.calibration.frames import FrameReader, FramesError
@@ -75,12 +75,21 @@ def calibrate_iso(
     Raises
     ------
     FramesError
-        If frames differ in size, CFA or levels, or are odd; or if the estimators of what bias frames show
-        cannot use them. Every problem found is in it. Flats without a line are not an error: K is withheld.
+        If frames differ in size, CFA or levels, or are odd; or if the estimators cannot use the bias frames, and
+        there are no flats to give K. Every problem found is in it. Flats without a line are no error: K is withheld.
     """
     with _unusable(frames, chosen):
-        reader = FrameReader(frames, workers, done)
-        return _calibrated(reader, chosen) if chosen.bias or not chosen.pairs else _gain(reader, chosen)
+        if chosen.bias or not chosen.pairs:
+            try:
+                return _calibrated(FrameReader(frames, workers, done), chosen)
+            except FramesError:
+                raise
+            except DatasetError as error:
+                if not chosen.pairs:
+                    raise
+                lost = SHAPE.seen(math.nan, math.nan, f"the bias frames cannot be used: {error}")
+                return _gain(FrameReader(frames, workers, done), chosen, lost.of("withheld", CLIPPED.figures))
+        return _gain(FrameReader(frames, workers, done), chosen)
 
 
 def bias_pattern(
@@ -184,10 +193,11 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     return replace(whole, remarks=(*remarks, *of_flats.remarks, *transfer_remarks(whole)))
 
 
-def _gain(reader: FrameReader, chosen: IsoFrames) -> IsoGain:
+def _gain(reader: FrameReader, chosen: IsoFrames, *lost: Finding) -> IsoGain:
     found = _flats(reader, chosen, None)
-    alone = "there are no bias frames, so K is all that is known"
-    return replace(found, remarks=(*reader.copies.remarks, alone, *found.remarks, *transfer_remarks(found)))
+    alone = () if lost else ("there are no bias frames, so K is all that is known",)
+    remarks = (*reader.copies.remarks, *alone, *found.remarks, *transfer_remarks(found))
+    return replace(found, remarks=remarks, findings=(*lost, *found.findings))
 
 
 def _first_pass(
@@ -246,8 +256,9 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -
             sensor = first.sensor
             # The measured level of no light: the recorded one may be off by the colour bias.
             black, defects = (sensor.black_level_dn, None) if fixed is None else (fixed.level_dn, fixed.defects)
-            pairs = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects)
-            singles = FlatFrames(sensor.cfa, black, sensor.white_level_dn, defects=defects)
+            options: dict[str, Any] = {"defects": defects, "floor_dn": 0 if fixed is None else fixed.floor_dn or 0}
+            pairs = FlatPairs(sensor.cfa, black, sensor.white_level_dn, **options)
+            singles = FlatFrames(sensor.cfa, black, sensor.white_level_dn, **options)
         levels = PairLevels.of(pair, first, second)
         unequal = unequal_pair(levels)
         if unequal is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +18,8 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
 
 _LONGEST_BIAS_S = 1 / 250
-_DRIFT_DN = 0.25
+_DRIFT_DN = 0.25  # of the error that it makes
+_OF_DEFECTS_DN = 0.1
 _LEAST_PAIRS = 4
 _DISAGREEMENT = 6.0  # of K with what was stated, standard errors
 _POOR_PLOT = 0.995  # R^2 of the Tukey-lambda probability plot; simulated cameras stay above from 1.5 megapixels on
@@ -44,8 +44,8 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
     elif read.r_squared_tl < _POOR_PLOT - 1 / (12 * (found.bias_frames * read.sigma_gauss_dn) ** 2):
         # Residuals are multiples of 1/n DN; those steps alone take 1/(12 n^2 sigma^2) from R^2.
         remarks.append(
-            f"R2 of the Tukey-lambda plot is {read.r_squared_tl:.4f}: the read noise is not of this family (look at "
-            "its plot for steps and a second slope)"
+            f"R2 of the Tukey-lambda plot is {read.r_squared_tl:.4f}: residuals do not lie on its line (look at it for "
+            "outliers, steps and a second slope)"
         )
     if "row noise" in found.withheld:
         pass
@@ -62,11 +62,15 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
             f"columns have noise of their own, {columns.sigma_dn:.2g} DN, which the model leaves out and the read "
             "noise contains"
         )
-    # Of the frames' own means: the error of the colour bias also has what light or rounding may add.
-    of_frames = found.bias.frame_bias_dn
-    drift = float(of_frames.std(axis=0, ddof=1).max()) / math.sqrt(len(of_frames))
-    if drift > _DRIFT_DN:
-        remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {drift:.2g} DN")
+    error = max(found.bias.standard_error_dn)
+    if found.bias.drifts and error > _DRIFT_DN:
+        remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {error:.2g} DN")
+    of_defects = max(found.bias.of_defects_dn, key=abs)
+    if abs(of_defects) > max(2 * error, _OF_DEFECTS_DN) and "colour bias" not in found.withheld:
+        remarks.append(
+            f"the colour bias is the mean of all pixels, as in the paper: {found.pattern.defects} defects make "
+            f"{of_defects:.2g} DN of it"
+        )
     if found.pattern.defects > 0.01 * found.pattern.pixels:
         remarks.append(
             f"{found.pattern.defects / found.pattern.pixels:.1%} of the pixels are defects; is the lens capped?"

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     LineSums: TypeAlias = tuple[Counts, Counts, Counts]
 
+_BY_CHANCE = 1e-3  # of the frames' scatter
 SHAPIRO_VALUES = 5000
 """The Shapiro-Wilk test's p is accurate up to this many values; more are thinned evenly."""
 
@@ -126,6 +127,8 @@ class ColourBias:
     standard_error_dn
         Of what changes from frame to frame: from the noise of pixels, rows and columns, or where the frames' own means
         scatter by more, as with drift, from these.
+    drifts
+        Whether the frames' means scatter by more than noise gives them once in a thousand times.
     of_defects_dn
         What the mean of the sound pixels lacks of it.
     frame_bias_dn
@@ -137,6 +140,7 @@ class ColourBias:
     bias_dn: tuple[float, ...]
     standard_error_dn: tuple[float, ...]
     of_defects_dn: tuple[float, ...]
+    drifts: bool
     frame_bias_dn: Values = field(repr=False)
     frames: int
 
@@ -328,6 +332,8 @@ def colour_bias(means: LineMeans, noise: RowNoise, black_level_dn: Sequence[floa
     DatasetError
         If the frames added are not those of the fixed pattern.
     """
+    from scipy.special import chdtri, ndtri, stdtrit
+
     check_same_frames(len(means.means_dn), means.fixed)
     table = np.array(means.means_dn)
     frames, channels = table.shape
@@ -339,9 +345,12 @@ def colour_bias(means: LineMeans, noise: RowNoise, black_level_dn: Sequence[floa
     )
     drift = float((bias.var(axis=0, ddof=1) / of_frame).mean())
     error = np.sqrt(of_frame * max(drift, 1.0) / frames)
+    if drifts := drift > chdtri(frames - 1, _BY_CHANCE) / (frames - 1):
+        error *= stdtrit(frames - 1, 0.975) / ndtri(0.975)  # so few frames know little of their scatter
     return ColourBias(
         bias_dn=tuple(bias.mean(axis=0).tolist()),
         standard_error_dn=tuple(error.tolist()),
+        drifts=bool(drifts),
         of_defects_dn=tuple((table - np.array(means.sound_means_dn)).mean(axis=0).tolist()),
         frame_bias_dn=bias,
         frames=frames,

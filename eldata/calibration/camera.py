@@ -18,7 +18,7 @@ from eldata.calibration.frames import FramesError, sorted_frames, work_elsewhere
 from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
 from eldata.calibration.joint import joint_fits, whole_ranges
 from eldata.calibration.one_iso import calibrate_iso, decodings
-from eldata.calibration.remarks import overall_remarks
+from eldata.calibration.remarks import overall_remarks, with_stated_black
 from eldata.calibration.results import Calibration
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
@@ -213,7 +213,7 @@ def joined(
     everything = sorted(measured, key=lambda one: one.iso)
     left_out = tuple(sorted(failed, key=lambda one: one.iso))
     remarks = [*(one.remark for one in left_out), *overall_remarks(everything)]
-    with_bias = tuple(one for one in everything if isinstance(one, IsoCalibration))
+    with_bias = with_stated_black([one for one in everything if isinstance(one, IsoCalibration)])
     ordered, step_dn = _in_common_steps(with_bias, everything, remarks)
     fits = joint_fits(ordered, modes)
     remarks += fits.remarks

@@ -23,7 +23,7 @@ from eldata.calibration.audit.bias_checks import (
     missing_codes,
     read_noise_in_steps,
 )
-from eldata.calibration.audit.flat_checks import flat_findings, saturation
+from eldata.calibration.audit.flat_checks import flat_findings, saturation, uneven_steps
 from eldata.calibration.audit.frames import ADVISED_BIAS_FRAMES, FrameFigures, PairLevels, unequal_pair, uneven_light
 from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
@@ -286,7 +286,8 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -
     if all(one.check != NO_LINE.name for one in of_line):  # of a scene, a frame's variance is the scene's own
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(singles)
-    findings = with_accepted((*uneven_light(used), *saturation(pairs), *of_line), chosen.accept)
+    of_values = (*saturation(pairs), *uneven_steps(pairs, transfer))
+    findings = with_accepted((*uneven_light(used), *of_values, *of_line), chosen.accept)
     return found(said, *findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from eldata.calibration import calibrate
 from eldata.calibration.camera import joined
-from eldata.calibration.core.findings import READ, GivenFigure
+from eldata.calibration.core.findings import LIGHT, READ, GivenFigure
 from eldata.calibration.core.findings import SHAPE as SHAPE_LOST
 from eldata.calibration.joint import fit_log_log, iso_steps
 from eldata.errors import ArgumentError
@@ -152,6 +152,27 @@ def test_lines_are_weighted_by_the_errors() -> None:
         assert sigma == pytest.approx(max(math.hypot(0.02, 0.6 * 0.01), spread * math.sqrt(4 / 3)), rel=0.03)
     with pytest.raises(ArgumentError, match="errors of gains and scales must be finite"):
         fit_log_log(gains.tolist(), exact.tolist(), None, [math.nan] * 5)
+
+
+def test_a_stated_black_that_is_wrong(isos: list[IsoCalibration]) -> None:
+    """The A7 IV's files state 512 DN where its black is 1024, from ISO 128000 on; colour biases that grow are none."""
+
+    def moved(one: IsoCalibration, by_dn: float) -> IsoCalibration:
+        return replace(one, bias=replace(one.bias, bias_dn=tuple(bias + by_dn for bias in one.bias.bias_dn)))
+
+    for shift, words in (
+        (512.0, "own black is 1024.1 DN, the files state 512 (a colour"),
+        (-40.0, "own black is 472.1"),
+    ):
+        found = joined("Black", [*isos[:-1], moved(isos[-1], shift)], modes=())
+        (said,) = [one for iso in found.isos for one in iso.findings]
+        assert (said.check, said.effect, found.isos[-1].findings) == ("stated black", "remark", (said,))
+        assert words in said.text
+        assert "the stated black is probably wrong at this ISO" in said.text
+    lit = replace(moved(isos[-1], 600.0), findings=(LIGHT.seen(9.0, 5.0, "light"),))
+    assert "probably wrong" not in joined("Lit", [*isos[:-1], lit], modes=()).isos[-1].findings[-1].text
+    for many in (isos, [moved(one, 3 * 2.0**place) for place, one in enumerate(isos[:4])], [moved(isos[0], 600.0)]):
+        assert all(not one.findings for one in joined("Right", many, modes=()).isos)
 
 
 def test_text_plots_and_file(found: Calibration, tmp_path: Path) -> None:

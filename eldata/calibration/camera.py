@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ from eldata.calibration.frames import FramesError, sorted_frames, work_elsewhere
 from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
 from eldata.calibration.joint import joint_fits, whole_ranges
 from eldata.calibration.one_iso import calibrate_iso, decodings
-from eldata.calibration.remarks import overall_remarks
+from eldata.calibration.remarks import overall_remarks, with_stated_black
 from eldata.calibration.results import Calibration
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
@@ -212,8 +213,8 @@ def joined(
     everything = sorted(measured, key=lambda one: one.iso)
     left_out = tuple(sorted(failed, key=lambda one: one.iso))
     remarks = [*(one.remark for one in left_out), *overall_remarks(everything)]
-    with_bias = tuple(one for one in everything if isinstance(one, IsoCalibration))
-    ordered, step_dn = _in_common_steps(with_bias, remarks)
+    with_bias = with_stated_black([one for one in everything if isinstance(one, IsoCalibration)])
+    ordered, step_dn = _in_common_steps(with_bias, everything, remarks)
     fits = joint_fits(ordered, modes)
     remarks += fits.remarks
     used = {finding.check for one in everything for finding in one.findings if finding.is_accepted}
@@ -261,23 +262,20 @@ def joined(
     return replace(found, made_profile=profile)
 
 
-def _in_common_steps(isos: tuple[IsoCalibration, ...], remarks: list[str]) -> tuple[tuple[IsoCalibration, ...], float]:
-    """Return the ISOs, in their steps where all have one and the same, and the profile's step; add to the remarks."""
-    steps = {one.step_dn if one.stepped is not None else 1 for one in isos}
-    if all(one.step_dn == 1 for one in isos):
-        return isos, 1.0
-    if len(steps) == 1 and steps != {1}:
-        (step,) = steps
+def _in_common_steps(
+    isos: tuple[IsoCalibration, ...], everything: Sequence[IsoGain], remarks: list[str]
+) -> tuple[tuple[IsoCalibration, ...], float]:
+    """Return the ISOs, and the profile's step: the greatest common divisor of all; add to the remarks."""
+    step = math.gcd(*(one.step_dn for one in everything)) or 1
+    listed = ", ".join(f"{one.step_dn} at ISO {one.iso:g}" for one in everything if one.step_dn)
+    if any(one.step_dn not in {0, step} for one in everything):
+        remarks.append(
+            f"values step by so many DN: {listed}. The profile's quantisation_step_dn is {step}, and the read noise "
+            "holds what coarser rounding adds"
+        )
+    elif step > 1:
         remarks.append(f"values step by {step} DN at every ISO: the profile's quantisation_step_dn, for component U")
-        return tuple(one.in_steps for one in isos), float(step)
-    listed = ", ".join(f"{one.step_dn} at ISO {one.iso:g}" for one in isos)
-    quiet = ", ".join(f"{one.iso:g}" for one in isos if one.step_dn > 1 and one.stepped is None)
-    more = f"; the noise of ISO {quiet} is not told from that rounding" if quiet else ""
-    remarks.append(
-        f"values step by so many DN: {listed}{more}. The profile's quantisation_step_dn stays 1, and the read noise "
-        "holds what coarser rounding adds"
-    )
-    return isos, 1.0
+    return tuple(one.in_steps if one.step_dn == step else one for one in isos), float(step)
 
 
 def _common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[float | None, float | None]:

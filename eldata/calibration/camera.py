@@ -14,7 +14,7 @@ from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import AnyWorkers, Failed, Workers
 from eldata.calibration.core.findings import checked_acceptance
-from eldata.calibration.frames import FramesError, sorted_frames, work_elsewhere
+from eldata.calibration.frames import FramesError, checked_crop, crop_text, picture_crop, sorted_frames, work_elsewhere
 from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
 from eldata.calibration.joint import joint_fits, whole_ranges
 from eldata.calibration.one_iso import calibrate_iso, decodings
@@ -43,6 +43,7 @@ def calibrate(
     gains: Mapping[float, float] | CameraProfile | None = None,
     modes: Sequence[float] | None = None,
     accept: Collection[str] = (),
+    crop: tuple[slice, slice] | None = None,
     workers: AnyWorkers = 1,
 ) -> Calibration:
     """Measure a camera's noise from its bias and flat-field frames (sections 3.2.1 and 3.2.2 of the paper).
@@ -64,6 +65,10 @@ def calibrate(
     accept
         Names of checks, such as ``("dark signal",)``: figures that they withhold are given with a larger error, and the
         profile says so (``accepted``). The remarks name the checks that can be accepted.
+    crop
+        Rows and columns of the mosaics to use, such as ``np.s_[8:-8, 16:]``. By default all but a border without
+        picture, if the first bias frame or the first flat shows one (:func:`~eldata.raw.damage.picture_area`): a remark
+        names it.
     workers
         Number of threads that decode, or an executor that measures whole ISOs side by side, with a thread each
         (:mod:`eldata.base.workers`). The figures do not depend on it, and the memory hardly does.
@@ -81,7 +86,8 @@ def calibrate(
     ArgumentError
         If ``isos`` is given with frames that are chosen already, ``workers`` is not positive, ``gains`` holds what
         is not a gain or belongs to no ISO of the frames, ``modes`` are not ascending ISOs among
-        those of the frames, or ``accept`` names what is no check or one that leaves nothing to give.
+        those of the frames, ``accept`` names what is no check or one that leaves nothing to give, or ``crop`` is not
+        two slices without a step.
     DatasetError
         If there are no frames.
 
@@ -111,6 +117,12 @@ def calibrate(
         for one in sorted_frames(frames, Workers(workers.jobs))
     ]
     usable = [one for one in chosen if not one.problems]
+    area = picture_crop(frames, usable) if crop is None else checked_crop(crop)
+    notes = []
+    if area is not None:
+        usable = [replace(one, crop=area) for one in usable]
+        why = "around them there is no picture (--crop states another area)" if crop is None else "as stated"
+        notes = [f"rows and columns {crop_text(area)} are used, {why}"]
     found = _measured(frames, usable, workers)
     wrong = {one.iso: outcome for one, outcome in zip(usable, found, strict=True) if isinstance(outcome, FramesError)}
     failed = [FailedIso(float(one.iso), one.problems) for one in chosen if one.problems]
@@ -119,7 +131,7 @@ def calibrate(
     if not measured:
         problems = [problem for one in failed for problem in one.problems]
         raise FramesError(sorted(problems, key=lambda problem: problem.path))
-    return joined(camera or frames.camera, measured, failed, starts, accept)
+    return joined(camera or frames.camera, measured, failed, starts, accept, notes)
 
 
 def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
@@ -194,6 +206,7 @@ def joined(
     failed: Iterable[FailedIso] = (),
     modes: Sequence[float] | None = None,
     accept: Iterable[str] = (),
+    notes: Iterable[str] = (),
 ) -> Calibration:
     """Return the calibration of a camera from that of its ISOs: fits over K, profile, remarks.
 
@@ -209,10 +222,12 @@ def joined(
         The first ISO of each gain mode but the lowest, where they are stated.
     accept
         The checks that were to be accepted where the ISOs were measured; one that withheld nothing gets a remark.
+    notes
+        Further remarks.
     """
     everything = sorted(measured, key=lambda one: one.iso)
     left_out = tuple(sorted(failed, key=lambda one: one.iso))
-    remarks = [*(one.remark for one in left_out), *overall_remarks(everything)]
+    remarks = [*notes, *(one.remark for one in left_out), *overall_remarks(everything)]
     with_bias = with_stated_black([one for one in everything if isinstance(one, IsoCalibration)])
     ordered, step_dn = _in_common_steps(with_bias, everything, remarks)
     fits = joint_fits(ordered, modes)

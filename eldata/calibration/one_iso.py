@@ -81,15 +81,17 @@ def calibrate_iso(
     with _unusable(frames, chosen):
         if chosen.bias or not chosen.pairs:
             try:
-                return _calibrated(FrameReader(frames, workers, done), chosen)
+                return _calibrated(FrameReader(frames, workers, done, chosen.crop), chosen)
             except FramesError:
                 raise
             except DatasetError as error:
                 if not chosen.pairs:
                     raise
                 lost = SHAPE.seen(math.nan, math.nan, f"the bias frames cannot be used: {error}")
-                return _gain(FrameReader(frames, workers, done), chosen, lost.of("withheld", CLIPPED.figures))
-        return _gain(FrameReader(frames, workers, done), chosen)
+                return _gain(
+                    FrameReader(frames, workers, done, chosen.crop), chosen, lost.of("withheld", CLIPPED.figures)
+                )
+        return _gain(FrameReader(frames, workers, done, chosen.crop), chosen)
 
 
 def bias_pattern(

@@ -28,6 +28,7 @@ from eldata.calibration.audit.frames import (
 from eldata.calibration.frames import sorted_frames, unlike, unlike_most
 from eldata.calibration.one_iso import decodings
 from eldata.datasets.calibration_frames import FlatPair
+from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.table import load_records, save_records
 from eldata.raw import read_raw, write_dng
 from eldata.records import Exposure, FrameRecord, RawFrame, Sensor
@@ -590,3 +591,35 @@ def test_lossy_compression_is_remarked_on(tree: FrameTree, monkeypatch: pytest.M
     remarks = calibrated_iso(tree.frames(isos=[100]), 100).remarks
     first = tree.files("bias", 100)[0].name
     assert f"the files have loss in {first}, which changes noise: no figure here is the sensor's own" in remarks
+
+
+# --- borders without picture ----------------------------------------------------------------------------------------
+
+
+def test_a_border_is_left_out_and_named_once(tmp_path: Path) -> None:
+    """13 columns at the left and 9 rows at the bottom: the figures are to the bit those of the frames without them."""
+    tree, inner = made_tree(tmp_path / "tree", isos=(1600,), size=(272, 400)), np.s_[:-9, 13:]
+    expected = calibrate(tree.frames(), crop=inner)
+    for value in (0, 512):
+
+        def bordered(mosaic: NDArray[np.uint16], value: int = value) -> NDArray[np.uint16]:
+            found = np.full_like(mosaic, value)
+            found[inner] = mosaic[inner]
+            return found
+
+        for path in tree.camera.rglob("*.dng"):
+            rewritten(path, mosaic=bordered)
+        found = calibrate(tree.frames())
+        assert (found.isos[0].sensor.height, found.isos[0].sensor.width) == (263, 387)
+        assert found.isos[0].as_dict() == expected.isos[0].as_dict()
+        said = "rows and columns 0:263,13:400 are used, around them there is no picture (--crop states another area)"
+        assert [remark for remark in found.all_remarks if "picture" in remark] == [said]
+
+
+def test_a_crop_that_is_none(pristine: FrameTree) -> None:
+    crops: list[Any] = [(slice(1),), np.s_[::2, :], (0, 9)]
+    for crop in crops:
+        with pytest.raises(ArgumentError, match="two slices without a step"):
+            calibrate(pristine.frames(), crop=crop)
+    with pytest.raises(DatasetError, match=r"crop 900:,: leaves nothing of \(256, 384\)"):
+        calibrate(pristine.frames(), crop=np.s_[900:, :])

@@ -228,7 +228,7 @@ def typical(profile: CameraProfile, iso: float) -> NoiseParameters:
     Raises
     ------
     ArgumentError
-        If the ISO lies beyond the calibrated ones, or between two gain modes.
+        If the ISO lies beyond the calibrated ones, between two gain modes, or has no lines.
     """
     try:
         return profile.measured(iso)
@@ -237,9 +237,8 @@ def typical(profile: CameraProfile, iso: float) -> NoiseParameters:
     mode = profile.mode_at(gain)
     rows = rows_of(mode, profile.rows, profile.modes)
     nearest = (rows_nearest(gain, rows) or rows)[0]  # lambda goes with the gain
-    scale, gauss, row = (fit.scale_dn(gain, 0.0) for fit in (mode.tukey_lambda_fit, mode.gauss_fit, mode.row_fit))
-    step = profile.quantisation_step_dn
-    return NoiseParameters(gain, nearest.tukey_lambda, scale, gauss, row, quantisation_step_dn=step)
+    scales, step = mode.scales_dn(gain, (0.0, 0.0, 0.0)), profile.quantisation_step_dn
+    return NoiseParameters(gain, nearest.tukey_lambda, *scales, quantisation_step_dn=step)
 
 
 def denoise(

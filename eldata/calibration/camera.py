@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -13,11 +14,11 @@ from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import AnyWorkers, Failed, Workers
 from eldata.calibration.core.findings import checked_acceptance
-from eldata.calibration.frames import FramesError, sorted_frames, work_elsewhere
+from eldata.calibration.frames import FramesError, checked_crop, crop_text, picture_crop, sorted_frames, work_elsewhere
 from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
 from eldata.calibration.joint import joint_fits, whole_ranges
 from eldata.calibration.one_iso import calibrate_iso, decodings
-from eldata.calibration.remarks import overall_remarks
+from eldata.calibration.remarks import overall_remarks, with_stated_black
 from eldata.calibration.results import Calibration
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
@@ -42,6 +43,7 @@ def calibrate(
     gains: Mapping[float, float] | CameraProfile | None = None,
     modes: Sequence[float] | None = None,
     accept: Collection[str] = (),
+    crop: tuple[slice, slice] | None = None,
     workers: AnyWorkers = 1,
 ) -> Calibration:
     """Measure a camera's noise from its bias and flat-field frames (sections 3.2.1 and 3.2.2 of the paper).
@@ -63,6 +65,10 @@ def calibrate(
     accept
         Names of checks, such as ``("dark signal",)``: figures that they withhold are given with a larger error, and the
         profile says so (``accepted``). The remarks name the checks that can be accepted.
+    crop
+        Rows and columns of the mosaics to use, such as ``np.s_[8:-8, 16:]``. By default all but a border without
+        picture, if the first bias frame or the first flat shows one (:func:`~eldata.raw.damage.picture_area`): a remark
+        names it.
     workers
         Number of threads that decode, or an executor that measures whole ISOs side by side, with a thread each
         (:mod:`eldata.base.workers`). The figures do not depend on it, and the memory hardly does.
@@ -80,7 +86,8 @@ def calibrate(
     ArgumentError
         If ``isos`` is given with frames that are chosen already, ``workers`` is not positive, ``gains`` holds what
         is not a gain or belongs to no ISO of the frames, ``modes`` are not ascending ISOs among
-        those of the frames, or ``accept`` names what is no check or one that leaves nothing to give.
+        those of the frames, ``accept`` names what is no check or one that leaves nothing to give, or ``crop`` is not
+        two slices without a step.
     DatasetError
         If there are no frames.
 
@@ -110,6 +117,12 @@ def calibrate(
         for one in sorted_frames(frames, Workers(workers.jobs))
     ]
     usable = [one for one in chosen if not one.problems]
+    area = picture_crop(frames, usable) if crop is None else checked_crop(crop)
+    notes = []
+    if area is not None:
+        usable = [replace(one, crop=area) for one in usable]
+        why = "around them there is no picture (--crop states another area)" if crop is None else "as stated"
+        notes = [f"rows and columns {crop_text(area)} are used, {why}"]
     found = _measured(frames, usable, workers)
     wrong = {one.iso: outcome for one, outcome in zip(usable, found, strict=True) if isinstance(outcome, FramesError)}
     failed = [FailedIso(float(one.iso), one.problems) for one in chosen if one.problems]
@@ -118,7 +131,7 @@ def calibrate(
     if not measured:
         problems = [problem for one in failed for problem in one.problems]
         raise FramesError(sorted(problems, key=lambda problem: problem.path))
-    return joined(camera or frames.camera, measured, failed, starts, accept)
+    return joined(camera or frames.camera, measured, failed, starts, accept, notes)
 
 
 def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
@@ -193,6 +206,7 @@ def joined(
     failed: Iterable[FailedIso] = (),
     modes: Sequence[float] | None = None,
     accept: Iterable[str] = (),
+    notes: Iterable[str] = (),
 ) -> Calibration:
     """Return the calibration of a camera from that of its ISOs: fits over K, profile, remarks.
 
@@ -208,12 +222,14 @@ def joined(
         The first ISO of each gain mode but the lowest, where they are stated.
     accept
         The checks that were to be accepted where the ISOs were measured; one that withheld nothing gets a remark.
+    notes
+        Further remarks.
     """
     everything = sorted(measured, key=lambda one: one.iso)
     left_out = tuple(sorted(failed, key=lambda one: one.iso))
-    remarks = [*(one.remark for one in left_out), *overall_remarks(everything)]
-    with_bias = tuple(one for one in everything if isinstance(one, IsoCalibration))
-    ordered, step_dn = _in_common_steps(with_bias, remarks)
+    remarks = [*notes, *(one.remark for one in left_out), *overall_remarks(everything)]
+    with_bias = with_stated_black([one for one in everything if isinstance(one, IsoCalibration)])
+    ordered, step_dn = _in_common_steps(with_bias, everything, remarks)
     fits = joint_fits(ordered, modes)
     remarks += fits.remarks
     used = {finding.check for one in everything for finding in one.findings if finding.is_accepted}
@@ -261,23 +277,20 @@ def joined(
     return replace(found, made_profile=profile)
 
 
-def _in_common_steps(isos: tuple[IsoCalibration, ...], remarks: list[str]) -> tuple[tuple[IsoCalibration, ...], float]:
-    """Return the ISOs, in their steps where all have one and the same, and the profile's step; add to the remarks."""
-    steps = {one.step_dn if one.stepped is not None else 1 for one in isos}
-    if all(one.step_dn == 1 for one in isos):
-        return isos, 1.0
-    if len(steps) == 1 and steps != {1}:
-        (step,) = steps
+def _in_common_steps(
+    isos: tuple[IsoCalibration, ...], everything: Sequence[IsoGain], remarks: list[str]
+) -> tuple[tuple[IsoCalibration, ...], float]:
+    """Return the ISOs, and the profile's step: the greatest common divisor of all; add to the remarks."""
+    step = math.gcd(*(one.step_dn for one in everything)) or 1
+    listed = ", ".join(f"{one.step_dn} at ISO {one.iso:g}" for one in everything if one.step_dn)
+    if any(one.step_dn not in {0, step} for one in everything):
+        remarks.append(
+            f"values step by so many DN: {listed}. The profile's quantisation_step_dn is {step}, and the read noise "
+            "holds what coarser rounding adds"
+        )
+    elif step > 1:
         remarks.append(f"values step by {step} DN at every ISO: the profile's quantisation_step_dn, for component U")
-        return tuple(one.in_steps for one in isos), float(step)
-    listed = ", ".join(f"{one.step_dn} at ISO {one.iso:g}" for one in isos)
-    quiet = ", ".join(f"{one.iso:g}" for one in isos if one.step_dn > 1 and one.stepped is None)
-    more = f"; the noise of ISO {quiet} is not told from that rounding" if quiet else ""
-    remarks.append(
-        f"values step by so many DN: {listed}{more}. The profile's quantisation_step_dn stays 1, and the read noise "
-        "holds what coarser rounding adds"
-    )
-    return isos, 1.0
+    return tuple(one.in_steps if one.step_dn == step else one for one in isos), float(step)
 
 
 def _common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[float | None, float | None]:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import copy
 from collections import Counter, defaultdict
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
 
 from eldata.base.workers import IN_THIS_PROCESS, Workers, require_files
 from eldata.calibration.audit.frames import Copies, FrameFigures, odd_bias_frames, problem_of
 from eldata.datasets.calibration_frames import flat_pairs
-from eldata.errors import DatasetError, EldataError, RawFileError, UnusableRawError
+from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, UnusableRawError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.table import number_text
 
@@ -24,6 +28,8 @@ if TYPE_CHECKING:
     from eldata.records import FrameRecord, RawFrame, RawHeader, Sensor
 
 Found = TypeVar("Found")
+Crop = tuple[slice, slice]
+"""Rows and columns of a mosaic."""
 
 
 class FramesError(DatasetError):
@@ -56,6 +62,8 @@ class IsoFrames:
         K, where somebody states it.
     accept
         Checks whose withheld figures are to be given with a larger error.
+    crop
+        The part of each frame that is used.
     """
 
     iso: Fraction
@@ -66,6 +74,7 @@ class IsoFrames:
     problems: tuple[Problem, ...] = ()
     stated_gain_dn_per_e: float | None = None
     accept: tuple[str, ...] = ()
+    crop: Crop = (slice(None), slice(None))
 
     @property
     def records(self) -> tuple[FrameRecord, ...]:
@@ -174,12 +183,18 @@ class FrameReader:
         The threads that decode.
     done
         Called after each decoded frame.
+    crop
+        The part of each frame that is given.
     """
 
     def __init__(
-        self, frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS, done: Callable[[], object] = lambda: None
+        self,
+        frames: CalibrationFrames,
+        workers: Workers = IN_THIS_PROCESS,
+        done: Callable[[], object] = lambda: None,
+        crop: Crop = (slice(None), slice(None)),
     ) -> None:
-        self.frames, self.workers, self._done = frames, workers, done
+        self.frames, self.workers, self._done, self._crop = frames, workers, done, crop
         self._sensors: dict[FrameRecord, Sensor] = {}
         self.problems: list[Problem] = []
         self.figures: list[FrameFigures] = []
@@ -209,7 +224,7 @@ class FrameReader:
 
     def _read(self, record: FrameRecord) -> RawFrame | RawFileError:
         try:
-            return self.frames.read(record)
+            return cropped(self.frames.read(record), self._crop)
         except RawFileError as error:
             return error
 
@@ -223,6 +238,53 @@ class FrameReader:
         problems = [*self.problems, *unlike_most(self._sensors), *odd_bias_frames(self.figures)]
         if problems:
             raise FramesError(sorted(problems, key=lambda problem: problem.path))
+
+
+def cropped(frame: RawFrame, crop: Crop) -> RawFrame:
+    """Return a part of a frame, whose CFA is that of its own first pixel."""
+    from eldata.raw.cfa import cfa_from
+
+    mosaic = np.ascontiguousarray(frame.mosaic[crop])
+    if not mosaic.size:
+        raise ArgumentError(f"crop {crop_text(crop)} leaves nothing of {frame.mosaic.shape}")
+    top, left = (part.indices(size)[0] for part, size in zip(crop, frame.mosaic.shape, strict=True))
+    height, width = mosaic.shape
+    sensor = replace(frame.sensor, cfa=cfa_from(frame.sensor.cfa, top, left), height=height, width=width)
+    return replace(frame, mosaic=mosaic, sensor=sensor)
+
+
+def picture_crop(frames: CalibrationFrames, chosen: Sequence[IsoFrames]) -> Crop | None:
+    """Return what of the first bias frame and the first flat that can be read holds picture; ``None``: everything."""
+    from eldata.raw.damage import picture_area
+
+    found, whole = [], True
+    for records in ([one.bias for one in chosen], [[pair.first for pair in one.pairs] for one in chosen]):
+        for record in chain.from_iterable(records):
+            with suppress(RawFileError):  # who measures says why
+                mosaic = frames.read(record).mosaic
+                found.append(picture_area(mosaic))
+                whole = whole and mosaic[found[-1]].shape == mosaic.shape
+                break
+    if whole:
+        return None
+    rows, columns = (
+        slice(max(p.start for p in parts), min(p.stop for p in parts)) for parts in zip(*found, strict=True)
+    )
+    return rows, columns
+
+
+def checked_crop(crop: Crop) -> Crop:
+    """Return two slices without a step; raise :class:`ArgumentError` for anything else."""
+    parts: tuple[object, ...] = crop
+    if len(parts) != 2 or any(not isinstance(part, slice) or part.step is not None for part in parts):
+        raise ArgumentError(f"crop is two slices without a step, of rows and of columns; found {crop!r}")
+    return crop
+
+
+def crop_text(crop: Crop) -> str:
+    """Return rows and columns as ``--crop`` states them."""
+    rows, columns = (f"{'' if p.start is None else p.start}:{'' if p.stop is None else p.stop}" for p in crop)
+    return f"{rows},{columns}"
 
 
 def unlike(record: FrameRecord, found: Sensor, usual: Sensor, example: str) -> list[Problem]:

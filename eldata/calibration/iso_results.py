@@ -16,7 +16,18 @@ from eldata.calibration.core.figures import (
     SIGMA_TL,
     TUKEY_LAMBDA,
 )
-from eldata.calibration.core.findings import COARSE, SYMBOLS, GivenFigure, given, named, withheld
+from eldata.calibration.core.findings import (
+    COARSE,
+    FIT,
+    ROUNDING,
+    SHAPE,
+    SYMBOLS,
+    GivenFigure,
+    given,
+    named,
+    withheld,
+)
+from eldata.calibration.core.read_noise import read_noise_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -62,6 +73,8 @@ class IsoGain:
         Which assumptions the frames do not keep, and what becomes of the figures that rest on them.
     stated_gain_dn_per_e
         K, where somebody states it; it counts only where none is measured.
+    step_dn
+        By how many DN the values of the frames step; 0 if they do not show it.
     """
 
     iso: float
@@ -72,6 +85,7 @@ class IsoGain:
     remarks: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     stated_gain_dn_per_e: float | None = None
+    step_dn: int = 1
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -176,7 +190,7 @@ class IsoCalibration(IsoGain):
     bias, rows
         Colour bias, row (and column) noise.
     read, plot
-        Read noise, and quantiles of the residuals for the probability plots; ``None`` where values end at 0.
+        Read noise, and quantiles of the residuals for the probability plots; ``None`` where values end at a floor.
     pattern
         What stays from frame to frame.
     single_frame
@@ -187,9 +201,9 @@ class IsoCalibration(IsoGain):
     reproduction
         The noise model with these parameters against a bias frame that no estimator saw; ``None`` if there were too
         few frames to hold one out, or one of the parameters is withheld.
-    step_dn, stepped
-        By how many DN the values of the bias frames step, and the read noise that is left beside rounding to that;
-        ``None`` at 1 DN, or where the one is not told from the other.
+    stepped
+        The read noise that is left beside rounding to ``step_dn``; ``None`` at 1 DN, or where the one is not told from
+        the other.
     quantisation_step_dn
         The rounding that ``read`` is left beside: to 1 DN, or to ``step_dn``.
     tukey_lambda, sigma_tl_dn, sigma_gauss_dn
@@ -207,7 +221,6 @@ class IsoCalibration(IsoGain):
     spectrum_dn2: Plane = field(repr=False)
     reproduction: Reproduction | None = None
     single_frame: SingleFramePlot | None = None
-    step_dn: int = 1
     stepped: ReadNoise | None = None
     quantisation_step_dn: float = 1.0
 
@@ -252,7 +265,9 @@ class IsoCalibration(IsoGain):
             return self
         text = f"the values step by {self.step_dn} DN: fewer bits than the file has room for; the read noise is without"
         seen = COARSE.seen(self.step_dn, 1.0, f"{text} that rounding, which is component U's (quantisation_step_dn)")
-        findings = (*(one for one in self.findings if one.check != COARSE.name), seen)
+        of_steps = read_noise_findings(self.stepped, self.bias, self.rows.rows, self.step_dn)
+        others = (one for one in self.findings if one.check not in {COARSE.name, FIT.name, SHAPE.name, ROUNDING.name})
+        findings = (*others, *of_steps, seen)
         return replace(self, read=self.stepped, findings=findings, quantisation_step_dn=float(self.step_dn))
 
     @property

@@ -31,7 +31,8 @@ class LogLogEstimate:
     Attributes
     ----------
     fit
-        Slope, intercept and residual standard deviation, for a camera profile.
+        Slope, intercept and standard deviation of the points around the line, for a camera profile: the camera's own
+        and that of the points' errors, which it is never below.
     slope_error, intercept_error
         Standard errors; the quantile to use with them is Student's for ``points - 2``.
     sigma_error
@@ -50,15 +51,32 @@ class LogLogEstimate:
     points: int
 
 
-def fit_log_log(gains_dn_per_e: Sequence[float], scales_dn: Sequence[float]) -> LogLogEstimate:
-    """Fit ``ln(scale) = a ln(K) + b`` by ordinary least squares (equation "sampling").
+_LEAST_ERROR = 1e-3  # of a point's logarithm, in the first weights
 
-    The residual variance is unbiased: the squared residuals over n - 2.
+
+def fit_log_log(
+    gains_dn_per_e: Sequence[float],
+    scales_dn: Sequence[float],
+    gain_errors: Sequence[float] | None = None,
+    scale_errors: Sequence[float] | None = None,
+) -> LogLogEstimate:
+    """Fit ``ln(scale) = a ln(K) + b`` by least squares (equation "sampling"), weighted by the errors if they are given.
+
+    A point's variance is that of its errors, ``(error / scale)^2 + a^2 (error / K)^2``, and the camera's own around the
+    line, which the weighted squares of the residuals show beyond those (DerSimonian and Kacker's moments in two steps,
+    2007). Without errors it is ordinary least squares, and the residual variance the squared residuals over n - 2.
+
+    Parameters
+    ----------
+    gains_dn_per_e, scales_dn
+        K and scale of each ISO, above 0.
+    gain_errors, scale_errors
+        Their standard errors, in the same units.
 
     Raises
     ------
     ArgumentError
-        If the numbers differ in length, or one is not finite and positive.
+        If the numbers differ in length, or one is not finite and positive (an error: 0 or above).
     DatasetError
         If there are fewer than three measurements, or all at one gain.
 
@@ -82,16 +100,32 @@ def fit_log_log(gains_dn_per_e: Sequence[float], scales_dn: Sequence[float]) -> 
             f"{counted(len(gains), 'measurement')} at {counted(len(set(gains.tolist())), 'gain')}"
         )
     x, y = np.log(gains), np.log(scales)
-    even = np.ones(len(x))
-    slope, intercept, (of_slope, of_intercept) = straight_line(x, y, even, even)
-    squares = float(((y - slope * x - intercept) ** 2).sum())
-    total = float(((y - y.mean()) ** 2).sum())
-    freedom = len(x) - 2
-    sigma = math.sqrt(squares / freedom)
+    freedom, even = len(x) - 2, np.ones(len(x))
+    slope, intercept, _ = straight_line(x, y, even, even)
+    of_gains, of_scales = (
+        np.zeros(len(x)) if errors is None else np.asarray(errors, dtype=np.float64) / values
+        for errors, values in ((gain_errors, gains), (scale_errors, scales))
+    )
+    if not np.all(np.isfinite(of_gains + of_scales) & (of_gains >= 0) & (of_scales >= 0)):
+        raise ArgumentError("the errors of gains and scales must be finite and not below 0")
+    known = of_scales**2 + (slope * of_gains) ** 2
+    own = _LEAST_ERROR**2
+    for _ in range(2):
+        weights = 1 / (known + own)
+        slope, intercept, _ = straight_line(x, y, weights, even)
+        apart = x - float(weights @ x) / float(weights.sum())
+        free = weights * (1 - weights * (1 / weights.sum() + apart**2 / float(weights @ apart**2)))
+        squares = float(weights @ (y - slope * x - intercept) ** 2)
+        own = max((squares - float(free @ known)) / float(free.sum()), 1e-24)
+    variances = known + own
+    slope, intercept, (of_slope, of_intercept) = straight_line(x, y, 1 / variances, variances)
+    squares = float(((y - slope * x - intercept) ** 2 / variances).sum())
+    sigma = math.sqrt(len(x) / float((1 / variances).sum()))
+    total = float(((y - np.average(y, weights=1 / variances)) ** 2 / variances).sum())
     return LogLogEstimate(
         fit=LogLogFit(slope=slope, intercept=intercept, sigma=sigma),
-        slope_error=sigma * math.sqrt(of_slope),
-        intercept_error=sigma * math.sqrt(of_intercept),
+        slope_error=math.sqrt(of_slope),
+        intercept_error=math.sqrt(of_intercept),
         sigma_error=sigma / math.sqrt(2 * freedom),
         r_squared=1 - squares / total if total > 0 else 1.0,
         points=len(x),
@@ -197,7 +231,7 @@ def _rise(one: IsoCalibration, other: IsoCalibration) -> tuple[float, float]:
 
 
 def _relative_error(figure: GivenFigure | None) -> float:
-    return 0.0 if figure is None or not math.isfinite(figure.error) else figure.error / figure.value
+    return 0.0 if figure is None else _known_error(figure) / figure.value
 
 
 # --- gain modes ---------------------------------------------------------------------------------------------------
@@ -287,8 +321,10 @@ def _makes_a_mode(part: Sequence[IsoCalibration]) -> bool:
 
 
 def _fitted_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: list[str]) -> FittedMode:
-    # An extended ISO has the K of its neighbour, and by chance the larger or the smaller one.
-    isos = [one.iso for one in part]
+    # Where the read noise is withheld, nothing is known. An extended ISO has the K of its neighbour, and by chance the
+    # larger or the smaller one.
+    ends = [one for one in part if one.sigma_tl_dn is not None and one.sigma_gauss_dn is not None] or part
+    isos = [one.iso for one in ends]
     lowest, highest = min(isos), max(isos)
     where = f" from ISO {lowest:g} to {highest:g}" if is_one_of_several else ""
     tukey_lambda, gauss, rows = (_fitted(f"{figure.label}{where}", _points(part, figure), remarks) for figure in SCALES)
@@ -298,7 +334,7 @@ def _fitted_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remark
         else:
             remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
     mode = GainMode(
-        gain_range_dn_per_e=(_gain(part[0]), _gain(part[-1])),
+        gain_range_dn_per_e=(_gain(ends[0]), _gain(ends[-1])),
         tukey_lambda_fit=tukey_lambda[1],
         gauss_fit=gauss[1],
         row_fit=rows[1],
@@ -322,34 +358,37 @@ def _from(one: FittedMode, start: float | None, remarks: list[str]) -> FittedMod
     )
 
 
-def _points(isos: Sequence[IsoCalibration], figure: DarkFigure) -> list[tuple[float, float]]:
+def _points(isos: Sequence[IsoCalibration], figure: DarkFigure) -> list[tuple[GivenFigure, GivenFigure]]:
     """Return K and a scale of the ISOs at which both are given."""
-    return [
-        (one.gain_dn_per_e, scale.value)
-        for one in isos
-        if one.gain_dn_per_e is not None and (scale := figure.given(one)) is not None
-    ]
+    pairs = ((one.gain, figure.given(one)) for one in isos)
+    return [(gain, scale) for gain, scale in pairs if gain is not None and scale is not None]
 
 
 def _fitted(
-    name: str, points: Sequence[tuple[float, float]], remarks: list[str]
-) -> tuple[LogLogEstimate | None, LogLogFit]:
-    """Return the fit of a scale over K, or with too few ISOs for one the line that they do give; add to the remarks."""
-    usable = sorted((gain, scale) for gain, scale in points if scale > 0 and math.isfinite(scale))
+    name: str, points: Sequence[tuple[GivenFigure, GivenFigure]], remarks: list[str]
+) -> tuple[LogLogEstimate | None, LogLogFit | None]:
+    """Return the fit of a scale over K, and the line that the profile has; add to the remarks."""
+    usable = [(gain, scale) for gain, scale in points if scale.value > 0 and math.isfinite(scale.value)]
     lost = len(points) - len(usable)
     if lost:
         what = f"{counted(lost, 'ISO')}, which its fit leaves out" if usable else "every ISO; the profile has none"
         remarks.append(f"{name} was 0 at {what}")
-    gains = [gain for gain, _ in usable]
-    if len(usable) >= 3 and len(set(gains)) >= 3:
-        estimate = fit_log_log(gains, [scale for _, scale in usable])
-        return estimate, estimate.fit
     if not usable:
         return None, LogLogFit(0.0, math.log(NO_NOISE_DN), 0.0)
-    (low, first), (high, last) = usable[0], usable[-1]
-    slope = math.log(last / first) / math.log(high / low) if high > low else 0.0
-    remarks.append(
-        f"{name} is known at {counted(len(usable), 'ISO')}: the profile has the line through them, without the spread "
-        "around it that three or more would show"
+    if len({gain.value for gain, _ in usable}) < 3:
+        remarks.append(
+            f"{name} is known at {counted(len(usable), 'ISO')}, and a line over K with its spread needs three: the "
+            "profile gives each as it was measured (row='measured'), and none in between"
+        )
+        return None, None
+    gains, scales = zip(*usable, strict=True)
+    estimate = fit_log_log(
+        *([one.value for one in figures] for figures in (gains, scales)),
+        *([_known_error(one) for one in figures] for figures in (gains, scales)),
     )
-    return None, LogLogFit(slope, math.log(first) - slope * math.log(low), 0.0)
+    return estimate, estimate.fit
+
+
+def _known_error(figure: GivenFigure) -> float:
+    """Return the error of a figure; 0 of one that is stated."""
+    return figure.error if math.isfinite(figure.error) else 0.0

@@ -23,11 +23,11 @@ from eldata.calibration.audit.bias_checks import (
     missing_codes,
     read_noise_in_steps,
 )
-from eldata.calibration.audit.flat_checks import flat_findings, saturation
+from eldata.calibration.audit.flat_checks import flat_findings, saturation, uneven_steps
 from eldata.calibration.audit.frames import ADVISED_BIAS_FRAMES, FrameFigures, PairLevels, unequal_pair, uneven_light
 from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.core.findings import NO_LINE, TRANSFER, with_accepted
+from eldata.calibration.core.findings import CLIPPED, NO_LINE, SHAPE, TRANSFER, with_accepted
 from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
 from eldata.calibration.core.single_frame import FlatFrames, power_spectrum, single_frame_plot, spatial_photon_transfer
 from eldata.calibration.frames import FrameReader, FramesError
@@ -75,12 +75,23 @@ def calibrate_iso(
     Raises
     ------
     FramesError
-        If frames differ in size, CFA or levels, or are odd; or if the estimators of what bias frames show
-        cannot use them. Every problem found is in it. Flats without a line are not an error: K is withheld.
+        If frames differ in size, CFA or levels, or are odd; or if the estimators cannot use the bias frames, and
+        there are no flats to give K. Every problem found is in it. Flats without a line are no error: K is withheld.
     """
     with _unusable(frames, chosen):
-        reader = FrameReader(frames, workers, done)
-        return _calibrated(reader, chosen) if chosen.bias or not chosen.pairs else _gain(reader, chosen)
+        if chosen.bias or not chosen.pairs:
+            try:
+                return _calibrated(FrameReader(frames, workers, done, chosen.crop), chosen)
+            except FramesError:
+                raise
+            except DatasetError as error:
+                if not chosen.pairs:
+                    raise
+                lost = SHAPE.seen(math.nan, math.nan, f"the bias frames cannot be used: {error}")
+                return _gain(
+                    FrameReader(frames, workers, done, chosen.crop), chosen, lost.of("withheld", CLIPPED.figures)
+                )
+        return _gain(FrameReader(frames, workers, done, chosen.crop), chosen)
 
 
 def bias_pattern(
@@ -132,12 +143,11 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     sensor, is_clipped = reader.sensor, fixed.clips_at_black
     bias_sums, audit = BiasSums(fixed), BiasAudit(fixed)
     sums = [bias_sums, audit]
-    spectrum, single, gaps, step = None, None, 0.0, 1
+    spectrum, single, gaps = None, None, 0.0
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
             single = None if is_clipped else single_frame_plot(frame.mosaic, fixed)
-            step = code_step(frame.mosaic, fixed.pattern)
         in_threads(methodcaller("add", frame.mosaic), sums, reader.workers.jobs)
         del frame
     reader.refuse()
@@ -150,6 +160,7 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     # The flats decode while the bias frames' figures are worked out.
     work = (from_bias_frames, partial(_flats, reader, chosen, fixed))
     (found, seen), of_flats = in_threads(methodcaller("__call__"), work, reader.workers.jobs)
+    step = math.gcd(code_step(seen.codes), of_flats.step_dn)
     dark = IsoCalibration(
         iso=float(chosen.iso),
         sensor=sensor,
@@ -184,10 +195,11 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     return replace(whole, remarks=(*remarks, *of_flats.remarks, *transfer_remarks(whole)))
 
 
-def _gain(reader: FrameReader, chosen: IsoFrames) -> IsoGain:
+def _gain(reader: FrameReader, chosen: IsoFrames, *lost: Finding) -> IsoGain:
     found = _flats(reader, chosen, None)
-    alone = "there are no bias frames, so K is all that is known"
-    return replace(found, remarks=(*reader.copies.remarks, alone, *found.remarks, *transfer_remarks(found)))
+    alone = () if lost else ("there are no bias frames, so K is all that is known",)
+    remarks = (*reader.copies.remarks, *alone, *found.remarks, *transfer_remarks(found))
+    return replace(found, remarks=remarks, findings=(*lost, *found.findings))
 
 
 def _first_pass(
@@ -232,8 +244,9 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -
 
     def found(remarks: Sequence[str], *findings: Finding, **more: Any) -> IsoGain:
         known: dict[str, Any] = {"iso": float(chosen.iso), "sensor": reader.sensor, "stated_gain_dn_per_e": stated}
-        return IsoGain(**known, remarks=tuple(remarks), findings=findings, **more)
+        return IsoGain(**known, remarks=tuple(remarks), findings=findings, step_dn=step, **more)
 
+    step = 0
     if not chosen.pairs:
         return found(() if stated is not None else (no_pairs(chosen),))
     pairs, singles = None, None
@@ -245,8 +258,9 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -
             sensor = first.sensor
             # The measured level of no light: the recorded one may be off by the colour bias.
             black, defects = (sensor.black_level_dn, None) if fixed is None else (fixed.level_dn, fixed.defects)
-            pairs = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects)
-            singles = FlatFrames(sensor.cfa, black, sensor.white_level_dn, defects=defects)
+            options: dict[str, Any] = {"defects": defects, "floor_dn": 0 if fixed is None else fixed.floor_dn or 0}
+            pairs = FlatPairs(sensor.cfa, black, sensor.white_level_dn, **options)
+            singles = FlatFrames(sensor.cfa, black, sensor.white_level_dn, **options)
         levels = PairLevels.of(pair, first, second)
         unequal = unequal_pair(levels)
         if unequal is not None:
@@ -259,6 +273,9 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -
             gaps = max(gaps, missing_codes(first.mosaic, pairs.pattern))
         del first, second  # before the next ones are decoded
     reader.refuse()
+    if pairs is not None:
+        step = code_step(pairs.counts[:, : math.ceil(pairs.limit_dn)])
+        gaps = 1 - (1 - gaps) * max(step, 1)  # a step of the whole file is no curve
     said = (*remarks, *flat_remarks(chosen, gaps))
     if pairs is None or singles is None or not pairs.frames:
         return found(said, _no_line("no pair of flats is usable"))
@@ -271,7 +288,8 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -
     if all(one.check != NO_LINE.name for one in of_line):  # of a scene, a frame's variance is the scene's own
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
             spatial = spatial_photon_transfer(singles)
-    findings = with_accepted((*uneven_light(used), *saturation(pairs), *of_line), chosen.accept)
+    of_values = (*saturation(pairs), *uneven_steps(pairs, transfer))
+    findings = with_accepted((*uneven_light(used), *of_values, *of_line), chosen.accept)
     return found(said, *findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from eldata.base.numbers import counted
 from eldata.calibration.audit.bias_checks import GAPS
 from eldata.calibration.audit.frames import ADVISED_BIAS_FRAMES
+from eldata.calibration.core.findings import BLACK, LIGHT
 from eldata.calibration.iso_results import usual_gain_per_iso
 
 if TYPE_CHECKING:
@@ -19,11 +20,14 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration, IsoGain
 
 _LONGEST_BIAS_S = 1 / 250
-_DRIFT_DN = 0.25
+_DRIFT_DN = 0.25  # of the error that it makes
+_OF_DEFECTS_DN = 0.1
 _LEAST_PAIRS = 4
 _DISAGREEMENT = 6.0  # of K with what was stated, standard errors
 _POOR_PLOT = 0.995  # R^2 of the Tukey-lambda probability plot; simulated cameras stay above from 1.5 megapixels on
 _GAIN_TOLERANCE = 0.1  # of K / ISO around its median
+_FAR, _JUMP = 0.03, 0.001  # of white: a colour bias, and its distance from that of other ISOs
+_OF_OTHERS = 5.0  # times what the other ISOs' differ by
 
 
 def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) -> tuple[str, ...]:
@@ -44,8 +48,8 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
     elif read.r_squared_tl < _POOR_PLOT - 1 / (12 * (found.bias_frames * read.sigma_gauss_dn) ** 2):
         # Residuals are multiples of 1/n DN; those steps alone take 1/(12 n^2 sigma^2) from R^2.
         remarks.append(
-            f"R2 of the Tukey-lambda plot is {read.r_squared_tl:.4f}: the read noise is not of this family (look at "
-            "its plot for steps and a second slope)"
+            f"R2 of the Tukey-lambda plot is {read.r_squared_tl:.4f}: residuals do not lie on its line (look at it for "
+            "outliers, steps and a second slope)"
         )
     if "row noise" in found.withheld:
         pass
@@ -62,11 +66,15 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
             f"columns have noise of their own, {columns.sigma_dn:.2g} DN, which the model leaves out and the read "
             "noise contains"
         )
-    # Of the frames' own means: the error of the colour bias also has what light or rounding may add.
-    of_frames = found.bias.frame_bias_dn
-    drift = float(of_frames.std(axis=0, ddof=1).max()) / math.sqrt(len(of_frames))
-    if drift > _DRIFT_DN:
-        remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {drift:.2g} DN")
+    error = max(found.bias.standard_error_dn)
+    if found.bias.drifts and error > _DRIFT_DN:
+        remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {error:.2g} DN")
+    of_defects = max(found.bias.of_defects_dn, key=abs)
+    if abs(of_defects) > max(2 * error, _OF_DEFECTS_DN) and "colour bias" not in found.withheld:
+        remarks.append(
+            f"the colour bias is the mean of all pixels, as in the paper: {found.pattern.defects} defects make "
+            f"{of_defects:.2g} DN of it"
+        )
     if found.pattern.defects > 0.01 * found.pattern.pixels:
         remarks.append(
             f"{found.pattern.defects / found.pattern.pixels:.1%} of the pixels are defects; is the lens capped?"
@@ -126,6 +134,40 @@ def transfer_remarks(found: IsoGain) -> tuple[str, ...]:
     if share < 0.25:
         remarks.append(f"the brightest usable flat reaches {share:.0%} of the range; some nine tenths are better")
     return tuple(remarks)
+
+
+def with_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, ...]:
+    """Return the ISOs, with a finding on each whose colour bias is not like that of the others.
+
+    It is beyond 3 % of white, or jumps: by more than a thousandth of white, the noise, and five times what the others
+    differ by.
+    """
+    given = [one for one in isos if one.colour_bias is not None]
+    means = {one.iso: float(np.mean(one.bias.bias_dn)) for one in given}
+    found = []
+    for one in isos:
+        others = [mean for iso, mean in means.items() if iso != one.iso]
+        if one.iso not in means or not others:
+            found.append(one)
+            continue
+        usual, white, mean = float(np.median(others)), one.sensor.white_level_dn, means[one.iso]
+        noise = 0.0 if one.read is None else one.read.sigma_gauss_dn
+        jump = max(_JUMP * white, noise, _OF_OTHERS * max(abs(other - usual) for other in others))
+        statistic, threshold = max(
+            ((abs(mean), _FAR * white), (abs(mean - usual), jump)), key=lambda test: test[0] / test[1]
+        )
+        if statistic <= threshold:
+            found.append(one)
+            continue
+        black = float(np.mean(one.sensor.black_level_dn))
+        text = (
+            f"the bias frames' own black is {black + mean:.1f} DN, the files state {black:g} (a colour bias of "
+            f"{mean:.3g} DN; at the other ISOs {usual:.3g})"
+        )
+        if all(finding.check != LIGHT.name for finding in one.findings):
+            text += ": the stated black is probably wrong at this ISO; look it up, and state it where you use the files"
+        found.append(replace(one, findings=(*one.findings, BLACK.seen(statistic, threshold, text))))
+    return tuple(found)
 
 
 def overall_remarks(isos: Sequence[IsoGain]) -> list[str]:

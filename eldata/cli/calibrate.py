@@ -83,6 +83,15 @@ def add_options(parser: console.Parser) -> None:
             "repeated. The remarks name the checks that can be accepted"
         ),
     )
+    parser.add_argument(
+        "--crop",
+        type=_stated_crop,
+        metavar="ROWS,COLUMNS",
+        help=(
+            "use these rows and columns alone, as numpy slices them: 8:-8,16: (default: all but a border without "
+            "picture, which is named)"
+        ),
+    )
     console.add_shared(parser, run, "isos", "root", "workers", json=True)
 
 
@@ -95,6 +104,17 @@ def _stated_gain(text: str) -> tuple[int, float] | str:
         return whole_of(iso, at_least=1), number_of(gain, above=0)
     except ArgumentError as error:
         raise ArgumentTypeError(f"{error}, in {text!r}") from None
+
+
+def _stated_crop(text: str) -> tuple[slice, slice]:
+    parts = [part.split(":") for part in text.split(",")]
+    if [len(part) for part in parts] != [2, 2]:
+        raise ArgumentTypeError(f"expected rows and columns such as 8:-8,16:, found {text!r}")
+    try:
+        rows, columns = (slice(*(int(end) if end.strip() else None for end in part)) for part in parts)
+    except ValueError:
+        raise ArgumentTypeError(f"expected rows and columns such as 8:-8,16:, found {text!r}") from None
+    return rows, columns
 
 
 def _stated_mode(text: str) -> int | None:
@@ -119,7 +139,9 @@ def run(arguments: console.Arguments) -> int:
     gains |= dict(stated for stated in arguments.gains if not isinstance(stated, str))
     try:
         with console.chosen_workers(arguments) as workers:
-            found = calibrate(frames, gains=gains, modes=modes, accept=arguments.accept, workers=workers)
+            found = calibrate(
+                frames, gains=gains, modes=modes, accept=arguments.accept, crop=arguments.crop, workers=workers
+            )
             shading, no_shading = None, ""
             try:
                 if arguments.dark_shading:

@@ -104,7 +104,9 @@ def _rows(profile: CameraProfile) -> list[str]:
         ):
             where = f", {mode}" if profile.modes else ""
             lines.append(
-                f"ln {name} = {fit.slope:.4g} ln K {'+-'[fit.intercept < 0]} {abs(fit.intercept):.4g}, residuals "
+                f"{name} has no line over K: it was measured at too few ISOs{where}"
+                if fit is None
+                else f"ln {name} = {fit.slope:.4g} ln K {'+-'[fit.intercept < 0]} {abs(fit.intercept):.4g}, residuals "
                 f"{fit.sigma:.3g}{where}"
             )
     return [table, "", *lines, "in DN and DN/e-"]

@@ -156,13 +156,13 @@ class Body:
         return offset
 
     def colour_bias_dn(self, noise: KnownNoise) -> tuple[float, ...]:
-        """Return the true mean of each channel less its black level, DN, over the pixels that are not hot.
+        """Return the true mean of each channel less its black level, DN, over all pixels.
 
         It is the colour bias of ``noise`` and what the fixed pattern of this specimen adds to it.
         """
         scale = self.features.scale(noise.gain_dn_per_e)
         return tuple(
-            bias + scale * float(self.pattern_dn[(self.channel == channel) & ~self.hot].mean(dtype=np.float64))
+            bias + scale * float(self.pattern_dn[self.channel == channel].mean(dtype=np.float64))
             for channel, bias in enumerate(noise.colour_bias_dn)
         )
 

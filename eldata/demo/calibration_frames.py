@@ -300,7 +300,7 @@ def _truth(plan: _Plan, body: Body) -> dict[str, object]:
             {
                 **asdict(noise),
                 "sigma_gauss_dn": noise.sigma_gauss_dn,
-                # What this specimen's frames hold: the mean of its fixed pattern over pixels that are not hot added.
+                # What this specimen's frames hold: the mean of its fixed pattern added.
                 "colour_bias_with_pattern_dn": body.colour_bias_dn(noise),
                 "pattern_scale": plan.features.scale(noise.gain_dn_per_e),
                 "flats": [

@@ -14,7 +14,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any, Literal
 
 from eldata.base.fields import Fields, TextFile, names_of
-from eldata.errors import ProfileError, did_you_mean
+from eldata.errors import ArgumentError, ProfileError, did_you_mean
 from eldata.noise.parameters import NoiseParameters, shape_problem
 
 if TYPE_CHECKING:
@@ -57,16 +57,35 @@ class GainMode:
     gain_range_dn_per_e
         Its lowest and its highest system gain K.
     tukey_lambda_fit, gauss_fit, row_fit
-        Fits of sigma_TL, of the Gaussian sigma and of sigma_row over K.
+        Fits of sigma_TL, of the Gaussian sigma and of sigma_row over K; ``None`` where too few ISOs make a line.
     iso_range
         Its lowest and its highest ISO, if known: those of ``gain_range_dn_per_e``, where no row has them.
     """
 
     gain_range_dn_per_e: tuple[float, float]
-    tukey_lambda_fit: LogLogFit
-    gauss_fit: LogLogFit
-    row_fit: LogLogFit
+    tukey_lambda_fit: LogLogFit | None
+    gauss_fit: LogLogFit | None
+    row_fit: LogLogFit | None
     iso_range: tuple[float, float] | None = None
+
+    def scales_dn(self, gain_dn_per_e: float, standard_normals: Sequence[float]) -> tuple[float, float, float]:
+        """Return sigma_TL, sigma_G and sigma_row at a gain, each so many residual deviations off its line.
+
+        Raises
+        ------
+        ArgumentError
+            If one of them has no line.
+        """
+        lines = {"sigma_TL": self.tukey_lambda_fit, "sigma_G": self.gauss_fit, "sigma_row": self.row_fit}
+        if lacking := [name for name, line in lines.items() if line is None]:
+            raise ArgumentError(
+                f"{', '.join(lacking)} was measured at too few ISOs for a line over K, so nothing can be drawn around "
+                "one; take an ISO as it was measured: row='measured' and its iso (--row measured --iso ISO)"
+            )
+        first, second, third = (
+            line.scale_dn(gain_dn_per_e, z) for line, z in zip(lines.values(), standard_normals, strict=True) if line
+        )
+        return first, second, third
 
     @property
     def log_width(self) -> float:
@@ -298,14 +317,11 @@ def read_profile(path: Path, known: Collection[str]) -> dict[str, Any]:
     has_modes = schema == _SCHEMA_WITH_MODES
     absent = OF_ONE_MODE if has_modes else ("modes",)
     top.only(("schema", *(name for name in known if name not in absent)))
-    lines = (None, None, None) if has_modes else _lines(top)
     return {
         "camera": top.text("camera"),
         "source": top.text("source"),
         "gain_range_dn_per_e": _range(top, "gain_range_dn_per_e"),
-        "tukey_lambda_fit": lines[0],
-        "gauss_fit": lines[1],
-        "row_fit": lines[2],
+        **(dict.fromkeys(OF_ONE_MODE) if has_modes else _lines(top)),
         "rows": tuple(map(_row, top.objects("rows", fewest=1, expected="a list of at least one row"))),
         "iso_range": top.optional("iso_range", partial(_range, top)),
         "black_level_dn": top.optional("black_level_dn", top.number),
@@ -323,15 +339,14 @@ def _mode(mode: Fields) -> GainMode:
     mode.only(names_of(GainMode))
     return GainMode(
         _range(mode, "gain_range_dn_per_e"),
-        *_lines(mode),
-        mode.optional("iso_range", partial(_range, mode)),
+        **_lines(mode),
+        iso_range=mode.optional("iso_range", partial(_range, mode)),
     )
 
 
-def _lines(holder: Fields) -> tuple[LogLogFit, LogLogFit, LogLogFit]:
-    return (
-        _fit(holder.inside("tukey_lambda_fit")), _fit(holder.inside("gauss_fit")), _fit(holder.inside("row_fit"))
-    )  # fmt: skip
+def _lines(holder: Fields) -> dict[str, LogLogFit | None]:
+    nothing = [name for name in OF_ONE_MODE if holder.data.get(name, holder) is None]
+    return {name: None if name in nothing else _fit(holder.inside(name)) for name in OF_ONE_MODE}
 
 
 def _range(top: Fields, name: str) -> tuple[float, float]:

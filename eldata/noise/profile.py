@@ -66,7 +66,8 @@ class CameraProfile:
     gain_range_dn_per_e
         The lowest and the highest system gain K that was calibrated.
     tukey_lambda_fit, gauss_fit, row_fit
-        Fits of sigma_TL, of the Gaussian sigma and of sigma_row over K; ``None`` if there are ``modes``.
+        Fits of sigma_TL, of the Gaussian sigma and of sigma_row over K; ``None`` if there are ``modes``, and where it
+        was measured at too few ISOs for a line: such a profile gives the ISOs as they were measured, and no others.
     rows
         Measurements by ISO.
     iso_range
@@ -125,12 +126,9 @@ class CameraProfile:
             raise ProfileError(f"the profile of {self.camera}: {problem}")
 
     def _problem_of_fits(self) -> str | None:
-        fits = (self.tukey_lambda_fit, self.gauss_fit, self.row_fit)
         if not self.modes:
-            return (
-                "tukey_lambda_fit, gauss_fit and row_fit are needed where there are no modes" if None in fits else None
-            )
-        if fits != (None, None, None):
+            return None
+        if (self.tukey_lambda_fit, self.gauss_fit, self.row_fit) != (None, None, None):
             return "tukey_lambda_fit, gauss_fit and row_fit are those of the modes; leave them None"
         found = modes_problem(self.modes, self.gain_range_dn_per_e, self.iso_range)
         lacking = [mode for mode in self.modes if not rows_of(mode, self.rows, self.modes)]
@@ -185,8 +183,8 @@ class CameraProfile:
 
         def panel(name: Sigma, axes: Axes, theme: Theme) -> None:
             line, field = SIGMAS[name]
-            lines = [(getattr(mode, line), *mode.gain_range_dn_per_e) for mode in self.gain_modes]
-            scale_over_gain(axes, name, lines, self._measured(field), theme)
+            lines = ((getattr(mode, line), *mode.gain_range_dn_per_e) for mode in self.gain_modes)
+            scale_over_gain(axes, name, [one for one in lines if one[0] is not None], self._measured(field), theme)
 
         if sigma is not None:
             check_choice("sigma", sigma, SIGMAS)
@@ -216,10 +214,8 @@ class CameraProfile:
     @property
     def gain_modes(self) -> tuple[GainMode, ...]:
         """The modes; the profile's own range and fits, where it has no other."""
-        if self.tukey_lambda_fit is None or self.gauss_fit is None or self.row_fit is None:
-            return self.modes
         lines = self.tukey_lambda_fit, self.gauss_fit, self.row_fit
-        return (GainMode(self.gain_range_dn_per_e, *lines, self.iso_range),)
+        return self.modes or (GainMode(self.gain_range_dn_per_e, *lines, self.iso_range),)
 
     def mode_at(self, gain_dn_per_e: float, *, extrapolate: bool = False) -> GainMode:
         """Return the gain mode in whose range a gain lies, to 1 %: gains are printed with fewer digits.
@@ -372,7 +368,8 @@ class CameraProfile:
         ------
         ArgumentError
             If both ``iso`` and ``gain_dn_per_e`` are given, the ISO is unknown or outside of the calibrated range or,
-            as K may, of the gain modes, no row has a gain to be near to, or the ISO was not measured.
+            as K may, of the gain modes, no row has a gain to be near to, the ISO was not measured, or a scale has no
+            line.
         """
         # Always five numbers, whatever is fixed: fixing one parameter leaves the others' draws as they were.
         (u_gain, u_row), (z_tl, z_gauss, z_row) = draw_numbers(generator)
@@ -399,12 +396,13 @@ class CameraProfile:
         # What u_row says beyond the row is uniform too: it chooses the frame, and no other draw moves.
         place = u_row * len(rows)
         chosen = rows[min(int(place), len(rows) - 1)]
+        sigma_tl, sigma_gauss, sigma_row = mode.scales_dn(gain, (z_tl, z_gauss, z_row))
         return NoiseParameters(
             gain_dn_per_e=gain,
             tukey_lambda=chosen.tukey_lambda,
-            sigma_tl_dn=mode.tukey_lambda_fit.scale_dn(gain, z_tl),
-            sigma_gauss_dn=mode.gauss_fit.scale_dn(gain, z_gauss),
-            sigma_row_dn=mode.row_fit.scale_dn(gain, z_row),
+            sigma_tl_dn=sigma_tl,
+            sigma_gauss_dn=sigma_gauss,
+            sigma_row_dn=sigma_row,
             colour_bias_dn=chosen.bias_at_share(place % 1),
             range_dn=self.range_dn,
             iso=iso,

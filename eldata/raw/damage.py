@@ -8,6 +8,7 @@ in the file's image data (:func:`data_fault`)
 in the mosaic (:func:`mosaic_fault`)
     0 DN under a black level above 0, or 65535 DN far above white.
 
+Some cameras have rows or columns without picture at the edges (:func:`picture_area`), of 0 DN too: they are no damage.
 Each rule is silent where a file might rightly look so. Other damage only a recorded hash finds (``eldata lock``).
 """
 
@@ -40,6 +41,7 @@ _NIKON = 34713
 _BITS = 8  # of a byte: each sample takes at least one
 # Two directories may describe the same image; a file with more is made to keep a reader busy.
 _MOST_SHARED = 4
+_MOST_BORDER = 8  # a border has at most one of so many parts of a side
 _FLAT = 64  # pixels in a row that are alike: there, a code may repeat itself
 
 _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
@@ -250,21 +252,78 @@ def long_run(values: NDArray[Any], value: int) -> tuple[int, int] | None:
 # --- the mosaic -----------------------------------------------------------------------------------------------
 
 
+def picture_area(mosaic: NDArray[Any]) -> tuple[slice, slice]:
+    """Return the rows and columns of a mosaic (H, W) within a border whose rows and columns are each of one value.
+
+    No border are an edge that is saturated, or clipped at black, and noise too faint to change the DN: there the next
+    row or column has the same value in most of its pixels. Nor is what takes more than an eighth of a side.
+    """
+    rows = _inner(mosaic)
+    columns = _inner(mosaic[rows].T)
+    return _inner(mosaic[:, columns]), columns  # rows of another value than the columns that cross them
+
+
+def _inner(lines: NDArray[Any]) -> slice:
+    return slice(_leading(lines), len(lines) - _leading(lines[::-1]))
+
+
+def _leading(lines: NDArray[Any]) -> int:
+    """Return how many of the first lines hold no picture."""
+    count, most = 0, len(lines) // _MOST_BORDER
+    while count < most and (lines[count] == lines[count][0]).all():
+        count += 1
+    is_border = 0 < count < most and (lines[count] == lines[count - 1][0]).mean() < 0.5
+    return count if is_border else 0
+
+
+def border_remarks(mosaic: NDArray[Any]) -> tuple[str, ...]:
+    """Return what there is to say of a border without picture."""
+    rows, columns = picture_area(mosaic)
+    height, width = mosaic.shape
+    sides = {
+        "top": mosaic[: rows.start],
+        "bottom": mosaic[rows.stop :],
+        "left": mosaic[:, : columns.start].T,
+        "right": mosaic[:, columns.stop :].T,
+    }
+    found = [f"{len(lines)} at the {side} (of {lines[0, -1]} DN)" for side, lines in sides.items() if len(lines)]
+    if not found:
+        return ()
+    listed, area = " and ".join(found), f"{rows.start}:{rows.stop},{columns.start}:{columns.stop}"
+    text = (
+        f"{listed} of its {height} rows and {width} columns hold no picture: calibrate leaves them out (--crop {area})"
+    )
+    return (f"{text}, scores count them",)
+
+
 def mosaic_fault(mosaic: NDArray[Any], black_dn: Sequence[float], white_dn: float) -> str | None:
     """Return what no photograph can show, of a mosaic (H, W) in DN, and where; None if nothing is found."""
-    pixels = mosaic.reshape(-1)
     if min(black_dn) > 0:
         levels = " ".join(f"{level:g}" for level in dict.fromkeys(black_dn))
-        run = long_run(pixels, 0)
+        area = _without_border(mosaic)
+        inner = mosaic[area]
+        run = long_run(inner.reshape(-1), 0)
         if run is not None:
-            return f"{_place(mosaic, *run)} are 0 DN, below the black level {levels} DN"
-        if not mosaic[-1].any():
+            return f"{_place(inner.shape, *run, area)} are 0 DN, below the black level {levels} DN"
+        if not inner[-1].any():
             return f"its last row is all 0 DN, below the black level {levels} DN"
     if white_dn < 1 << 15:
-        run = long_run(pixels, (1 << 16) - 1)
+        run = long_run(mosaic.reshape(-1), (1 << 16) - 1)
         if run is not None:
-            return f"{_place(mosaic, *run)} are 65535 DN, far above the white level {white_dn:g} DN"
+            return f"{_place(mosaic.shape, *run)} are 65535 DN, far above the white level {white_dn:g} DN"
     return None
+
+
+def _without_border(mosaic: NDArray[Any]) -> tuple[slice, slice]:
+    """Return the picture's area, and with it a single last row or last rows that begin before their first pixel.
+
+    So end files whose last bytes were lost.
+    """
+    rows, columns = picture_area(mosaic)
+    behind = len(mosaic) - rows.stop
+    if behind == 1 or (behind and mosaic[rows.stop - 1, -1] == mosaic[-1, -1]):
+        rows = slice(rows.start, len(mosaic))
+    return rows, columns
 
 
 def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[Any], black_dn: Sequence[float]) -> str | None:
@@ -281,10 +340,11 @@ def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[Any], black_dn
         if width < 1 or height < 1:
             continue
         top, left = map(int, found.values.get(ACTIVE_AREA, (0, 0))[:2])
+        inner = _without_border(mosaic)
         rows, columns = range(-top, mosaic.shape[0], height), range(-left, mosaic.shape[1], width)
         if len(rows) * len(columns) > len(found.extents):  # made to keep a reader busy: tiles of a pixel
             continue
-        tiles = [mosaic[max(0, y) : max(0, y + height), max(0, x) : max(0, x + width)] for y in rows for x in columns]
+        tiles = [mosaic[_shared(inner[0], y, height), _shared(inner[1], x, width)] for y in rows for x in columns]
         run = long_run(np.concatenate([tile.reshape(-1) for tile in tiles]), 0)
         if run is not None:
             count, levels = run[1] - run[0], " ".join(f"{level:g}" for level in dict.fromkeys(black_dn))
@@ -292,6 +352,13 @@ def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[Any], black_dn
     return None
 
 
-def _place(mosaic: NDArray[Any], first: int, behind: int) -> str:
-    row, column = divmod(first, mosaic.shape[1])
-    return f"{behind - first} pixels in a row, from row {row}, column {column} on,"
+def _shared(part: slice, start: int, size: int) -> slice:
+    return slice(max(part.start, start), max(part.start, min(part.stop, start + size)))
+
+
+def _place(
+    shape: tuple[int, ...], first: int, behind: int, area: tuple[slice, slice] = (slice(0, 0), slice(0, 0))
+) -> str:
+    row, column = divmod(first, shape[1])
+    top, left = (part.start for part in area)
+    return f"{behind - first} pixels in a row, from row {row + top}, column {column + left} on,"

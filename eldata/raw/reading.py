@@ -49,7 +49,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.files import read_file
 from eldata.errors import RawFileError, UnusableRawError
-from eldata.raw.damage import check_damage, check_samples
+from eldata.raw.damage import border_remarks, check_damage, check_samples
 from eldata.raw.exif import RawContainer
 from eldata.raw.libraw import check_one_image, check_sizes, opened_raw, visible_cfa
 from eldata.raw.sensor_facts import (
@@ -196,7 +196,7 @@ def _frame(file: RawContainer) -> RawFrame:
         height, width = mosaic.shape
         sensor = Sensor(header.make, header.model, cfa, black, white, height, width, balance, matrix, illuminant)
     check_damage(path, directories, mosaic, black, white)
-    return RawFrame(path, mosaic, sensor, header.exposure, whites, remarks)
+    return RawFrame(path, mosaic, sensor, header.exposure, whites, (*remarks, *border_remarks(mosaic)))
 
 
 def _unpack(file: RawContainer, raw: rawpy.RawPy) -> None:

@@ -127,7 +127,7 @@ def bias_plot(one: IsoCalibration, given: Sequence[GivenFigure]) -> Plot:
             style: dict[str, Any] = {"marker": MARKERS[channel], "color": theme.channels[channel], "linestyle": "none"}
             main.errorbar(channel, mean, yerr=error if math.isfinite(error) else None, capsize=4, **style)
             below.plot(channel + across, bias.frame_bias_dn[frames, channel] - mean, markersize=3.5, **style)
-            own = bias.row_error_dn[channel] * math.sqrt(bias.frames)  # of one frame
+            own = bias.standard_error_dn[channel] * math.sqrt(bias.frames)  # of one frame
             if own > 0 and math.isfinite(own):
                 heights = np.linspace(-3, 3, 61)
                 width = 0.42 * np.exp(-(heights**2) / 2)

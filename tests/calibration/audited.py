@@ -50,8 +50,9 @@ def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]], *, accept: Seq
     for frame in frames:
         audit.add(frame)
     pattern = found.fixed.pattern
-    step, gaps = code_step(frames[0], pattern), missing_codes(frames[0], pattern)
-    seen = BiasSeen(audit.statistics(), found.bias, found.rows, found.read, step, gaps)
+    statistics, gaps = audit.statistics(), missing_codes(frames[0], pattern)
+    step = code_step(statistics.codes)
+    seen = BiasSeen(statistics, found.bias, found.rows, found.read, step, gaps)
     findings = with_accepted(bias_findings(seen), accept)
     before, after, truth = {}, {}, {}
     for name, (figure, value, error, true, scale) in figures_of(found, camera).items():

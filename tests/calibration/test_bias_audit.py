@@ -97,12 +97,14 @@ def test_pixels_that_are_brighter_and_noisier_are_no_light() -> None:
 
 
 def test_black_that_drifts_is_remarked() -> None:
-    """By 0.4 DN from frame to frame."""
+    """By 0.4 DN from frame to frame; nine frames, so that their scatter is Student's of 8 degrees of freedom."""
     frames = Body(EVEN, np.random.default_rng(1)).bias_frames(10)
     drifting = [frame + np.rint(0.4 * number).astype(np.uint16) for number, frame in enumerate(frames)]
     without_flats = calibrated_arrays(EVEN.sensor, drifting, [])
     (remark,) = (remark for remark in without_flats.remarks if "black drifts" in remark)
-    assert float(remark.split("uncertain by ")[1].split(" DN")[0]) == pytest.approx(0.4 * math.sqrt(7.5 / 9), rel=0.1)
+    assert float(remark.split("uncertain by ")[1].split(" DN")[0]) == pytest.approx(
+        0.4 * math.sqrt(7.5 / 9) * 2.306 / 1.96, rel=0.1
+    )
 
 
 def test_light_in_the_colour_bias_is_no_drift() -> None:

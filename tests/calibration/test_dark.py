@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -132,10 +131,10 @@ def test_unusable_stacks() -> None:
     stack.add(frames[0])
     with pytest.raises(ArgumentError, match="threshold"):
         fixed_pattern(stack, threshold=0)
-    with pytest.raises(DatasetError, match="copies of one another"):
+    with pytest.raises(DatasetError, match=r"have one value in every frame, 5.. DN most often"):
         stacked(CAMERA, [frames[0]] * 4)
     below = CAMERA.with_(black=0.0, bias=(-15.0,) * 4, hot_share=0.0)
-    with pytest.raises(DatasetError, match="lies below black"):
+    with pytest.raises(DatasetError, match="in every frame, 0 DN most often"):
         stacked(below, Body(below, np.random.default_rng(5)).bias_frames(4))
 
 
@@ -192,34 +191,38 @@ def test_spectrum_normality_and_plot() -> None:
 # --- colour bias --------------------------------------------------------------------------------------------------
 
 
-def without_defects(frames: Sequence[NDArray[np.uint16]]) -> FixedPattern:
-    fixed = stacked(CAMERA, frames)
-    return replace(fixed, defects=np.zeros_like(fixed.defects))
-
-
 def test_bias_per_frame_and_pooled() -> None:
     frames = Body(CAMERA, np.random.default_rng(13)).bias_frames(6)
-    found = colour_bias(lines(without_defects(frames), frames), [512.0, 512.0, 510.0, 512.0])
-    stack = np.stack(frames)
+    fixed, stack = stacked(CAMERA, frames), np.stack(frames)
+    assert fixed.defects.any()
+    means = lines(fixed, frames)
+    noise = row_noise(means)
+    found = colour_bias(means, noise, [512.0, 512.0, 510.0, 512.0])
+    ratios = []
     for channel, (y, x) in enumerate([(0, 0), (0, 1), (1, 1), (1, 0)]):
         expected = stack[:, y::2, x::2].mean(axis=(1, 2)) - (510 if channel == 2 else 512)
         np.testing.assert_allclose(found.frame_bias_dn[:, channel], expected, atol=1e-9)
         assert found.bias_dn[channel] == pytest.approx(expected.mean())
-        assert found.standard_error_dn[channel] == pytest.approx(expected.std(ddof=1) / math.sqrt(6))
-        rows = stack[:, y::2, x::2].mean(axis=2)
-        by_rows = math.sqrt((rows.var(axis=1, ddof=1) / rows.shape[1]).sum()) / 6
-        assert found.row_error_dn[channel] == pytest.approx(by_rows)
+        sound = stack[:, y::2, x::2][:, ~fixed.defects[y::2, x::2]].mean(axis=1)
+        assert found.of_defects_dn[channel] == pytest.approx((expected + 512 - sound).mean() - 2 * (channel == 2))
+        pixels = stack[0, y::2, x::2].size
+        of_frame = noise.pixel_variance_dn2 / pixels + noise.rows.variance_dn2 / (CAMERA.shape[0] / 2)
+        of_frame += max(noise.columns.variance_dn2, 0.0) / (CAMERA.shape[1] / 2)
+        ratios.append((found.standard_error_dn[channel] ** 2 * 6 / of_frame, expected.var(ddof=1) / of_frame))
+    errors, scatter = np.array(ratios).T
+    assert errors == pytest.approx(max(scatter.mean(), 1.0), rel=2e-3)  # a thousandth of the pixels are defects
     assert found.frames == 6
 
 
 def test_unusable_lines_and_levels() -> None:
     frames = Body(CAMERA, np.random.default_rng(15)).bias_frames(4)
     fixed = stacked(CAMERA, frames)
-    for figures in (row_noise, lambda means: colour_bias(means, [512.0] * 4)):
+    noise = row_noise(lines(fixed, frames))
+    for figures in (row_noise, lambda means: colour_bias(means, noise, [512.0] * 4)):
         with pytest.raises(DatasetError, match="add the same frames again"):
             figures(lines(fixed, frames[:1]))
     with pytest.raises(ArgumentError, match="black levels"):
-        colour_bias(lines(fixed, frames), [512.0] * 3)
+        colour_bias(lines(fixed, frames), noise, [512.0] * 3)
 
 
 # --- over the gain --------------------------------------------------------------------------------------------------

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.calibration.audit.flat_checks import flat_findings
+from eldata.calibration.audit.flat_checks import flat_findings, uneven_steps
+from eldata.calibration.core.findings import given
 from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
 from eldata.raw import bayer_cfa
 from tests.calibration import flats as study
@@ -217,3 +218,35 @@ def test_standard_errors_of_the_gain_cover_the_truth() -> None:
     scores = np.array([one.off / one.error for one in found])
     assert abs(np.mean(np.abs(scores) < 1.96) - 0.95) < 4.5 * math.sqrt(0.95 * 0.05 / 200)
     assert abs(scores.mean()) < 4.5 / math.sqrt(200)
+
+
+@pytest.mark.parametrize(
+    ("share", "effect"), [(0.0, None), (0.05, None), (0.35, "wider"), (0.5, "wider"), (1.0, "withheld")]
+)
+def test_steps_that_grow_with_the_light(share: float, effect: str | None) -> None:
+    """Compression by a curve whose steps are a share of the photons' noise: rounding adds share^2 / 12 to K.
+
+    512 x 768 pixels, five pairs without vignetting, so that there are no values between the flats: K is known to 0.3 %.
+    """
+    camera = Camera(shape=(512, 768))
+    flats = FlatPairs(camera.cfa, [camera.black] * 4, camera.white)
+    kept = np.arange(16384)
+    if share:
+        roots = np.arange(1, 2 * math.sqrt(16384 - 512) / share)
+        kept = np.unique(np.append(np.arange(600), 600 + (share * roots / 2) ** 2).astype(int))
+    for first, second in Body(camera, np.random.default_rng(3)).flat_pairs(
+        (600, 1500, 3000, 6000, 10000), shaded=False
+    ):
+        nearest = [
+            kept[np.searchsorted((kept[1:] + kept[:-1]) / 2, flat)].astype(np.uint16) for flat in (first, second)
+        ]
+        flats.add(*nearest)
+    transfer = photon_transfer(flats)
+    found = list(uneven_steps(flats, transfer))
+    assert [one.effect for one in found] == ([effect] if effect else [])
+    gain = given(found, "gain", transfer.gain_dn_per_e, transfer.gain_error, transfer.gain_dn_per_e)
+    assert (gain is None) == (effect == "withheld")
+    assert gain is None or abs(gain.value - 1) < 3 * gain.error
+    if effect == "withheld":
+        assert abs(transfer.gain_dn_per_e - 1) == pytest.approx(1 / 12, rel=0.2)
+        assert found[0].allowance == pytest.approx(1 / 12, rel=0.2)

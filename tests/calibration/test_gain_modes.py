@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -13,7 +13,8 @@ import pytest
 
 from eldata.calibration import calibrate
 from eldata.calibration.camera import joined
-from eldata.calibration.core.findings import GivenFigure
+from eldata.calibration.core.findings import LIGHT, READ, GivenFigure
+from eldata.calibration.core.findings import SHAPE as SHAPE_LOST
 from eldata.calibration.joint import fit_log_log, iso_steps
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile
@@ -116,6 +117,62 @@ def test_modes_that_are_stated(isos: list[IsoCalibration]) -> None:
         "the gain mode from ISO 12800 on has K, read noise and colour bias at fewer than two"
     )
     assert "below ISO 400 has" in joined("Lone", isos, modes=(400,)).no_profile
+
+
+def test_a_profile_ends_where_the_read_noise_does(isos: list[IsoCalibration]) -> None:
+    """Its K is known further up; before, lines through the lower ISOs were drawn from at ISO 12800, 91 % too low."""
+    quiet = SHAPE_LOST.seen(0.3, 0.15, "lost").of("withheld", READ)
+    for lost, ends in (((3200, 6400, 12800), 1600), ((200, 12800), 6400)):
+        seen = [replace(one, findings=(quiet,)) if one.iso in lost else one for one in isos]
+        profile = joined("Ends", seen, modes=()).profile
+        lowest = min(iso for iso in ISOS if iso not in lost)
+        gains = [one.gain_dn_per_e for one in isos if one.iso in (lowest, ends)]
+        assert (profile.iso_range, list(profile.gain_range_dn_per_e)) == ((lowest, ends), gains)
+        with pytest.raises(ArgumentError, match=f"ISO 12800 is outside of the calibrated range {lowest} to {ends}"):
+            drawn(profile, 12800)
+        assert drawn(profile, 12800, extrapolate=True)
+
+
+def test_lines_are_weighted_by_the_errors() -> None:
+    """As numpy's weighted line; what the points scatter by beyond their errors is the camera's own, of each alike."""
+    gains = np.array([0.1, 0.2, 0.4, 0.8, 1.6])
+    errors = np.array([0.002, 0.002, 0.002, 0.002, 0.4])  # of ln(scale)
+    exact = np.exp(0.6 * np.log(gains) + 1.0)
+    off = exact * np.exp(np.array([0.0, 0.0, 0.0, 0.0, -0.8]))
+    found = fit_log_log(gains.tolist(), off.tolist(), (0 * gains).tolist(), (errors * off).tolist())
+    assert np.polyfit(np.log(gains), np.log(off), 1, w=1 / errors) == pytest.approx(
+        [found.fit.slope, found.fit.intercept], abs=0.003
+    )
+    assert found.fit.scale_dn(1.6, 0.0) == pytest.approx(exact[-1], rel=0.01)
+    assert fit_log_log(gains.tolist(), off.tolist()).fit.scale_dn(1.6, 0.0) < 0.75 * exact[-1], "each alike"
+    for spread in (0.0, 0.002, 0.05):  # of points off the line, each by as much, against errors of 0.02 and of K 0.01
+        scales = exact * np.exp(spread * np.array([1, -1, 0, -1, 1]))
+        of_each = (0.01 * gains).tolist(), (0.02 * scales).tolist()
+        sigma = fit_log_log(gains.tolist(), scales.tolist(), *of_each).fit.sigma
+        assert sigma == pytest.approx(max(math.hypot(0.02, 0.6 * 0.01), spread * math.sqrt(4 / 3)), rel=0.03)
+    with pytest.raises(ArgumentError, match="errors of gains and scales must be finite"):
+        fit_log_log(gains.tolist(), exact.tolist(), None, [math.nan] * 5)
+
+
+def test_a_stated_black_that_is_wrong(isos: list[IsoCalibration]) -> None:
+    """The A7 IV's files state 512 DN where its black is 1024, from ISO 128000 on; colour biases that grow are none."""
+
+    def moved(one: IsoCalibration, by_dn: float) -> IsoCalibration:
+        return replace(one, bias=replace(one.bias, bias_dn=tuple(bias + by_dn for bias in one.bias.bias_dn)))
+
+    for shift, words in (
+        (512.0, "own black is 1024.1 DN, the files state 512 (a colour"),
+        (-40.0, "own black is 472.1"),
+    ):
+        found = joined("Black", [*isos[:-1], moved(isos[-1], shift)], modes=())
+        (said,) = [one for iso in found.isos for one in iso.findings]
+        assert (said.check, said.effect, found.isos[-1].findings) == ("stated black", "remark", (said,))
+        assert words in said.text
+        assert "the stated black is probably wrong at this ISO" in said.text
+    lit = replace(moved(isos[-1], 600.0), findings=(LIGHT.seen(9.0, 5.0, "light"),))
+    assert "probably wrong" not in joined("Lit", [*isos[:-1], lit], modes=()).isos[-1].findings[-1].text
+    for many in (isos, [moved(one, 3 * 2.0**place) for place, one in enumerate(isos[:4])], [moved(isos[0], 600.0)]):
+        assert all(not one.findings for one in joined("Right", many, modes=()).isos)
 
 
 def test_text_plots_and_file(found: Calibration, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from eldata.calibration.camera import joined
 from eldata.noise import CameraProfile, NoiseModel
+from eldata.noise.gain_modes import LogLogFit
 from tests.calibration.faults import coarse
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import XTRANS, Body, Camera
@@ -57,7 +58,8 @@ def test_the_spread_of_the_bias_comes_back_by_sampling(tmp_path: Path) -> None:
     # Of each frame itself: the pattern of this specimen is in all frames alike.
     of_pattern = np.array(row.frame_bias_dn).mean(axis=0) - given[:-1].mean(axis=0)
     np.testing.assert_allclose(row.frame_bias_dn, given[:-1] + of_pattern, atol=0.3)
-    generator = np.random.default_rng(0)
+    generator, line = np.random.default_rng(0), LogLogFit(0.5, 0.0, 0.1)
+    profile = replace(profile, tukey_lambda_fit=line, gauss_fit=line, row_fit=line)  # of one ISO there are none
     drawn = np.array([profile.sample(generator, row="any").colour_bias_dn for _ in range(DRAWS)])
     error = math.hypot(1 / math.sqrt(2 * (FRAMES - 2)), 1 / math.sqrt(2 * DRAWS))
     assert drawn.std(axis=0, ddof=1) == pytest.approx(math.hypot(SHARED_DN, OWN_DN), rel=4 * error)
@@ -142,4 +144,9 @@ def test_steps_that_are_not_one_are_said(in_steps: list[IsoCalibration]) -> None
     assert any("4 at ISO 400, 4 at ISO 800, 4 at ISO 1600, 1 at ISO 3200" in remark for remark in found.remarks)
     quiet = stepping(100.0, 4, COARSE_CAMERA.with_(gain=0.25, sigma_tl=1.0))
     assert quiet.stepped is None  # its noise is lost in the steps: half of one
-    assert joined("Coarse", [quiet, *in_steps]).profile.quantisation_step_dn == 1
+    # It costs the others nothing: the step is of the files' codes.
+    both = joined("Coarse", [quiet, *in_steps])
+    assert both.profile.quantisation_step_dn == 4
+    assert both.profile.rows == joined("Coarse", in_steps).profile.rows
+    assert "read noise" in both.isos[0].withheld
+    assert joined("Coarse", [replace(quiet, step_dn=0), *in_steps]).profile.quantisation_step_dn == 4, "not known"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from itertools import chain
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pytest
@@ -12,16 +13,19 @@ from scipy import stats
 from eldata.calibration import Residuals
 from eldata.calibration.core.findings import given
 from eldata.calibration.core.row_noise import line_sums
+from eldata.calibration.iso_results import IsoCalibration
+from eldata.calibration.one_iso import calibrate_iso
 from eldata.errors import DatasetError
 from eldata.reports.calibration import calibration_page
 from tests.calibration.chain import calibrated, figures_of, stacked
-from tests.calibration.in_memory import calibrated_arrays
+from tests.calibration.in_memory import FramesInMemory, calibrated_arrays, iso_frames
 from tests.calibration.simulation import XTRANS, Body, Camera
 from tests.reports.calibrations import calibration
 from tests.reports.pages import checked
 
 if TYPE_CHECKING:
     from eldata.calibration.core.findings import Finding
+    from eldata.datasets.calibration_frames import CalibrationFrames
 
 # --- values that end at 0 ---------------------------------------------------------------------------------------------
 
@@ -46,12 +50,57 @@ def test_noise_below_0_is_withheld_and_k_is_not(camera: Camera, zeros: tuple[flo
     assert (said.check, said.effect) == ("clipped black", "withheld")
     assert found.withheld == {"shape", "read noise", "row noise", "colour bias"}
     assert zeros[0] < said.statistic < zeros[1]
-    assert f"values end at 0, where {said.statistic:.1%} of the bias frames' values lie" in said.text
+    assert f"values end at 0 DN, where {100 * said.statistic:.2g} % of the bias frames' values lie" in said.text
     assert (found.read, found.plot, found.single_frame, found.parameters, found.reproduction) == (None,) * 5
     assert (found.tukey_lambda, found.sigma_tl_dn, found.sigma_gauss_dn, found.sigma_row_dn) == (None,) * 4
     assert found.colour_bias is None
     assert found.gain is not None
     assert abs(found.gain.value - camera.gain) < 5 * found.gain.error < 0.1 * camera.gain
+
+
+@pytest.mark.parametrize("floor", [1, 505, 508, 512])
+def test_noise_that_ends_at_any_value_is_withheld(floor: int) -> None:
+    """Recorded values end at 1 DN, or near black, which before gave a colour bias that was off by up to 250 errors."""
+    below = 512.0 if floor > 1 else 1.0
+    camera = Camera(shape=(258, 384), black=below, bias=(0.05,) * 4, sigma_tl=2.0)
+    body = Body(camera, np.random.default_rng(9))
+    bias = [np.maximum(frame, floor) for frame in body.bias_frames(8)]
+    flats = [tuple(np.maximum(flat, floor) for flat in pair) for pair in body.flat_pairs((1500.0, 5000.0, 9000.0))]
+    bias[3][5, 7] = 0  # a broken pixel
+    found = calibrated_arrays(camera.sensor, bias, flats)  # type: ignore[arg-type] # pairs
+    (said,) = found.findings
+    assert (said.check, found.colour_bias) == ("clipped black", None)
+    assert f"values end at {floor} DN" in said.text
+    assert found.gain is not None
+    assert abs(found.gain.value - 1) < 5 * found.gain.error < 0.1
+
+
+@pytest.mark.parametrize("deviation", [0.25, 0.4, 3.0])
+@pytest.mark.parametrize("level", [0.0, 0.3, 0.5])
+def test_narrow_noise_is_no_clip(deviation: float, level: float) -> None:
+    """Of pixels of one level, in steps of a DN and of four: its two ends are alike."""
+    camera = quiet(deviation, 0.0, dsnu=0.0, column_pattern=0.0, bias=(level,) * 4)
+    for step in (1, 4):
+        frames = Body(camera, np.random.default_rng(3)).bias_frames(6)
+        assert stacked(camera, [step * frame for frame in frames]).floor_dn is None
+
+
+def test_bias_frames_without_noise_cost_an_iso_its_k_no_more() -> None:
+    """All 0, or one value: before, the flats went with them."""
+    camera = Camera(shape=(258, 384), dsnu=0.0)
+    flats = Body(camera, np.random.default_rng(9)).flat_pairs((1500.0, 5000.0, 9000.0))
+    for value in (0, 512):
+        by_role = {"bias": [np.full(camera.shape, value, dtype=np.uint16)] * 6, "flat": [*chain(*flats)]}
+        for number, frame in enumerate(by_role["bias"]):
+            by_role["bias"][number] = frame.copy()
+            by_role["bias"][number][:1, :400] += number % 2  # not copies
+        frames = cast("CalibrationFrames", FramesInMemory(camera.sensor, lambda role, n, of=by_role: of[role][n]))  # type: ignore[misc]
+        found = calibrate_iso(frames, iso_frames(6, 3))
+        assert not isinstance(found, IsoCalibration)
+        assert found.gain is not None
+        assert abs(found.gain.value - 1) < 5 * found.gain.error
+        assert found.withheld == {"shape", "read noise", "row noise", "colour bias"}
+        assert "have one value in every frame" in found.why("shape")
 
 
 def test_a_clipped_iso_on_page_in_text_and_as_json() -> None:
@@ -66,7 +115,7 @@ def test_a_clipped_iso_on_page_in_text_and_as_json() -> None:
         assert data[name] is None
     assert data["gain_dn_per_e"] == pytest.approx(1, rel=0.05)
     page = checked(calibration_page(found)).text
-    assert "Withheld: values end at 0" in page
+    assert "Withheld: values end at 0 DN" in page
     assert "nan" not in page + found.format_text()
 
 

@@ -181,7 +181,8 @@ def test_bias_frames_alone_with_a_stated_gain(eldata: Cli, tree: FrameTree, tmp_
     profile = CameraProfile.load(tmp_path / "p.json")
     assert [row.gain_dn_per_e for row in profile.rows] == [0.25, 1.0, 4.0]
     assert profile.source.endswith("K stated at 3 of them")
-    assert profile.gain_modes[0].tukey_lambda_fit.sigma > 0
+    assert (line := profile.gain_modes[0].tukey_lambda_fit) is not None
+    assert line.sigma > 0
     data = json.loads((tmp_path / "d.json").read_text())
     assert [(one["gain_error"], one["gain_is_stated"]) for one in data["isos"]] == [(None, True)] * 3
     assert "0.25 (stated)" in (tmp_path / "r.html").read_text(encoding="utf-8")

@@ -135,7 +135,8 @@ def test_import(profile: Profile) -> None:
     done = profile("import", "both.json", "-o", "two.json", "--calibration", "Profile-2", "--camera", "Mine")
     assert done.code == 0
     second = CameraProfile.load(Path("two.json"))
-    assert (second.camera, second.gain_modes[0].tukey_lambda_fit.slope) == ("Mine", 0.75)
+    line = second.gain_modes[0].tukey_lambda_fit
+    assert (second.camera, line and line.slope) == ("Mine", 0.75)
     Path("bad-params.json").write_bytes(b"no")
     refused = profile("import", "bad-params.json", "-o", "bad.json")
     assert (refused.code, Path("bad.json").exists()) == (2, False)

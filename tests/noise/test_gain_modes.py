@@ -70,6 +70,7 @@ def test_joint_draws_are_those_of_the_mode_in_which_k_lies() -> None:
         for fit, name in (
             (mode.tukey_lambda_fit, "sigma_tl_dn"), (mode.gauss_fit, "sigma_gauss_dn"), (mode.row_fit, "sigma_row_dn")
         ):  # fmt: skip
+            assert fit is not None
             z = (np.log([getattr(one, name) for one in inside]) - fit.slope * x - fit.intercept) / fit.sigma
             assert stats.kstest(z, "norm").pvalue > LEAST_P_VALUE, name
         of_mode = {
@@ -83,8 +84,9 @@ def test_joint_draws_are_those_of_the_mode_in_which_k_lies() -> None:
 def exact(profile: CameraProfile, **options: Any) -> float:
     """sigma_TL without the spread around the line."""
     modes = tuple(
-        dataclasses.replace(mode, tukey_lambda_fit=dataclasses.replace(mode.tukey_lambda_fit, sigma=0.0))
+        dataclasses.replace(mode, tukey_lambda_fit=dataclasses.replace(fit, sigma=0.0))
         for mode in profile.modes
+        if (fit := mode.tukey_lambda_fit) is not None
     )
     return dataclasses.replace(profile, modes=modes).sample(np.random.default_rng(1), **options).sigma_tl_dn
 
@@ -164,7 +166,6 @@ def test_the_gain_follows_the_rows_of_its_own_mode() -> None:
 
 LINE = LogLogFit(1.0, 0.0, 0.1)
 REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"modes": ()}, "are needed where there are no modes"),
     ({"row_fit": LINE}, "are those of the modes"),
     ({"modes": (LOW,)}, "one mode alone"),
     ({"modes": (HIGH, LOW)}, "must be wider than nothing and end below"),

@@ -197,6 +197,7 @@ def test_a_profile_draws_its_lines_and_rows() -> None:
     for axes, field, fit in zip(
         figure.axes, fields, (mode.tukey_lambda_fit, mode.gauss_fit, mode.row_fit), strict=True
     ):
+        assert fit is not None
         assert (axes.get_xscale(), axes.get_yscale(), axes.get_xlabel()) == ("log", "log", "K [DN/e⁻]")
         rows = [(row.gain_dn_per_e, getattr(row, field)) for row in profile.rows]
         assert sorted(points_of(axes)) == sorted((k, s) for k, s in rows if k is not None and s)

@@ -16,7 +16,7 @@ import pytest
 from eldata.demo.tree import make_tree
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import read_raw, write_dng
-from eldata.raw.damage import data_fault, find_stream, long_run, mosaic_fault, tiles_fault
+from eldata.raw.damage import data_fault, find_stream, long_run, mosaic_fault, picture_area, tiles_fault
 from eldata.raw.tiff import Directory, read_directories
 from tests.cases import in_one_test
 from tests.raw.damaging import PAGE, Whole, rates
@@ -395,3 +395,42 @@ def test_strips_that_share_their_bytes_are_not_read_for_ever(tmp_path: Path) -> 
     )
     with pytest.raises(RawFileError, match="its image data share the same bytes"):
         data_fault(path, [shared], random_mosaic(22, 22))
+
+
+# --- borders without picture ------------------------------------------------------------------------------------------
+
+
+@in_one_test("kind", KINDS)
+def test_rows_and_columns_without_picture_are_no_damage(kind: str, tmp_path: Path) -> None:
+    """Of 0 and of black, in dark and bright frames; a single last row, or one with what comes before it, is lost."""
+    for level in ((1.0, 0.0), (3.0, 5000.0)):
+        for value, area in ((0, np.s_[:-12, :]), (512, np.s_[:, :-13]), (0, np.s_[4:-4, 26:])):
+            mosaic = np.full((HEIGHT, WIDTH), value, np.uint16)
+            mosaic[area] = photograph(*level)[area]
+            assert mosaic[picture_area(mosaic)].shape == mosaic[area].shape
+            frame = read_raw(write(tmp_path / "a.dng", mosaic, kind))
+            np.testing.assert_array_equal(frame.mosaic, mosaic)
+            (remark,) = frame.remarks
+            top, bottom, left, right = (*area[0].indices(HEIGHT)[:2], *area[1].indices(WIDTH)[:2])
+            assert f"hold no picture: calibrate leaves them out (--crop {top}:{bottom},{left}:{right})" in remark
+    lost = photograph(2.0, 40.0)
+    lost[-12:] = 0
+    assert mosaic_fault(lost, BLACK, 15871.0) is None
+    lost[-13, -100:] = 0
+    assert "3124 pixels in a row, from row 179, column 152 on, are 0 DN" in str(mosaic_fault(lost, BLACK, 15871.0))
+
+
+def test_what_is_no_border() -> None:
+    """Saturated and clipped edges, noise too faint to change the DN, a frame of one value, half a frame of 0."""
+    sky = photograph(3.0, 5000.0)
+    sky[:30] = 15871
+    sky[30] = np.where(np.arange(WIDTH) % 3, 15871, 9000)
+    clipped = np.maximum(photograph(2.0, 0.0), 512) - 512
+    clipped[:3] = 0
+    quiet = photograph(0.3, 0.0)
+    quiet[:2] = 512
+    half = photograph(3.0, 5000.0)
+    half[HEIGHT // 2 :] = 0
+    for mosaic in (sky, clipped, quiet, half, np.full((HEIGHT, WIDTH), 512, np.uint16)):
+        assert mosaic[picture_area(mosaic)].shape == mosaic.shape
+    assert mosaic_fault(half, BLACK, 15871.0) is not None

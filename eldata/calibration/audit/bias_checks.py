@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.calibration.audit.neighbours import LIMIT, UNITS, Neighbours
-from eldata.calibration.core._kernels import standardise
+from eldata.calibration.core._kernels import channel_histograms, standardise
 from eldata.calibration.core._tukey_lambda import Ripple
 from eldata.calibration.core.findings import CHANCE, COARSE, CORRELATED, LIGHT
 from eldata.calibration.core.read_noise import read_noise
@@ -52,7 +52,8 @@ GAPS = 0.02
 _CENTRAL = (0.05, 0.95)
 _FEW = 30  # occurrences per code, below which a gap may be chance
 _COARSEST = 64  # DN: the largest step that is looked for
-_STRAY = 1e-3  # of the differences: pixels that the camera has made up
+_STRAY = 1e-3  # of these: pixels that the camera has made up
+_FEWEST_CHANGED = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,12 +75,15 @@ class BiasStatistics:
         counts as 1.
     neighbours
         How the noise depends on that of the neighbours.
+    codes
+        (channels, 65536) sound pixels by value.
     """
 
     sigma_dn: float
     level_dn: Values = field(repr=False)
     variance: Values = field(repr=False)
     neighbours: NeighbourStatistics
+    codes: Counts = field(repr=False)
 
 
 class BiasAudit:
@@ -114,9 +118,12 @@ class BiasAudit:
         self._squares = np.zeros((2, len(self._bands), self._width // BLOCK))
         self._pairs = 0
         self._neighbours = Neighbours(fixed.pattern)
+        self._codes = np.zeros((len(fixed.level_dn), 65536), dtype=np.int64)
 
     def add(self, mosaic: Mosaic) -> None:
         """Add a bias frame."""
+        for rows in self._bands:
+            channel_histograms(mosaic[rows], self._fixed.defects[rows], self._fixed.pattern, self._codes[None])
         if self._first is None:
             self._first = np.stack([mosaic[rows] for rows in self._bands])
             return
@@ -144,7 +151,7 @@ class BiasAudit:
                 levels[half, index] = _by_block(above * chosen) / np.maximum(_by_block(sound & chosen), 1)
                 pixels[half, index] = np.maximum(_by_block(sound & ~chosen), 1)
         variance = self._squares / (self._pairs * pixels) / UNITS**2
-        return BiasStatistics(self._sigma_dn, levels, variance, self._neighbours.statistics())
+        return BiasStatistics(self._sigma_dn, levels, variance, self._neighbours.statistics(), self._codes)
 
 
 def _by_block(band: NDArray[Any]) -> NDArray[Any]:
@@ -164,7 +171,7 @@ class BiasSeen:
     bias, rows, read
         The figures from the same frames, with their errors: a finding that matters less is a remark.
     step, gaps
-        What :func:`code_step` and :func:`missing_codes` say of a frame.
+        What :func:`code_step` says of the ISO's frames, and :func:`missing_codes` of a bias frame.
     """
 
     statistics: BiasStatistics
@@ -318,24 +325,26 @@ def missing_codes(mosaic: Mosaic, pattern: Counts) -> float:
     return worst
 
 
-def code_step(mosaic: Mosaic, pattern: Counts) -> int:
-    """Return by how many DN the values of a bias frame step: 1, or 4 where 12 bits are stored as 14.
+def code_step(codes: Counts) -> int:
+    """Return by how many DN the values of frames step: 1, or 4 where 12 bits are stored as 14; 0 if that is not known.
 
-    Pixels of one column and CFA site, one period apart, differ by noise; all but one in a thousand of the differences
-    are multiples of the step. Where fewer than a thousand differ, it is not known, and 1.
+    The greatest common divisor of the distances from each channel's most frequent value, of all but one in a thousand
+    of the pixels that have another; of fewer than a thousand such pixels it is not known.
+
+    Parameters
+    ----------
+    codes
+        (channels, values) pixels by value.
     """
-    period = 2 * len(pattern)
-    step = max(1, mosaic.shape[0] * mosaic.shape[1] // 2_000_000)
-    block = mosaic[:, : mosaic.shape[1] // step].astype(np.int32)
-    counts = np.bincount(np.abs(block[period:] - block[:-period]).ravel())
-    counts[0] = 0
-    changed = int(counts.sum())
-    if changed < 1000:
-        return 1
-    multiples = (int(counts[::size].sum()) for size in range(_COARSEST, 0, -1))
-    return next(
-        size for size, kept in zip(range(_COARSEST, 0, -1), multiples, strict=True) if kept >= (1 - _STRAY) * changed
-    )
+    away = np.zeros(codes.shape[1], dtype=np.int64)
+    for counts in codes:
+        usual = int(counts.argmax())
+        away[1 : usual + 1] += counts[:usual][::-1]
+        away[1 : len(counts) - usual] += counts[usual + 1 :]
+    changed = int(away.sum())
+    if changed < _FEWEST_CHANGED:
+        return 0
+    return next(step for step in range(_COARSEST, 0, -1) if away[::step].sum() >= (1 - _STRAY) * changed)
 
 
 def coarse_values(seen: BiasSeen) -> Iterator[Finding]:
@@ -344,7 +353,7 @@ def coarse_values(seen: BiasSeen) -> Iterator[Finding]:
     Rounding to steps of s adds ``(s^2 - 1) / 12`` more to the variance than the model's rounding to whole DN.
     """
     step, gaps, size = seen.step, seen.gaps, seen.step_dn
-    if step == 1 and gaps <= GAPS:
+    if step <= 1 and gaps <= GAPS:
         return
     added = (size**2 - 1) / 12
     text = (
@@ -366,7 +375,7 @@ def read_noise_in_steps(residuals: ResidualHistogram, step: int) -> ReadNoise | 
     ``None`` for a step of 1 DN, or where rounding depends on the noise: where the noise that is found would ripple by a
     fiftieth of its variance from one step to the next.
     """
-    if step == 1:
+    if step <= 1:
         return None
     found = read_noise(replace(residuals, rounding_dn=float(step), level_waves=np.zeros(1, complex)))
     ripple = Ripple.of(found.tukey_lambda, found.sigma_tl_dn / step)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.core.findings import FLATS_CORRELATED, NO_LINE, SATURATION
+from eldata.calibration.core.findings import COARSE, FLATS_CORRELATED, NO_LINE, SATURATION
 from eldata.calibration.core.photon_transfer import straight_line
 
 if TYPE_CHECKING:
@@ -26,6 +26,8 @@ _PILE = 100  # pixels: chance moves so many by 10 %
 _BELOW = slice(-34, -2)  # DN below a pile
 _OVER_PILE = 0.01  # of the pile may lie above it
 _SIGNIFICANT = 5.0  # standard errors
+_TOGETHER, _PER_CODE = 8, 10  # neighbouring codes that show a step, and pixels of each at least
+_OF_ERROR = 0.2  # of K: less is in it
 
 
 def flat_findings(transfer: PhotonTransfer) -> Iterator[Finding]:
@@ -51,6 +53,34 @@ def saturation(flats: FlatPairs) -> Iterator[Finding]:
         f"the flats saturate at {where}{channels}, below the recorded white level: values pile up there, {over:.0f} "
         "times as many as at the values below, and with the noise goes K; leave out the flats that reach this value",
     ).of("withheld", SATURATION.figures)
+
+
+def uneven_steps(flats: FlatPairs, transfer: PhotonTransfer) -> Iterator[Finding]:
+    """Yield a finding if the values step by more DN the brighter they are, as of files compressed by a curve.
+
+    Rounding to steps of s DN adds s^2 / 12 to the variance; its slope over the light is in K.
+    """
+    added, largest = [], 1.0
+    for channel, line in enumerate(transfer.channels):
+        counts = flats.counts[channel, : math.ceil(flats.limit_dn)]
+        codes = np.flatnonzero(counts)
+        pixels = np.convolve(counts[codes], np.ones(_TOGETHER + 1), "valid")
+        known = pixels >= _PER_CODE * (_TOGETHER + 1)
+        if not known.any():
+            return
+        # The median: between flats of two levels there may be nothing.
+        steps = np.median(np.lib.stride_tricks.sliding_window_view(np.diff(codes), _TOGETHER), axis=1)[known]
+        places = codes[_TOGETHER // 2 : -_TOGETHER // 2][known] - flats.black[channel]
+        rounding, errors = np.interp(line.signal_dn, places, steps**2 / 12), line.variance_error_dn2
+        added.append(straight_line(line.signal_dn, rounding, errors**-2, errors**2)[0])
+        largest = max(largest, float(steps.max()))
+    share, error = float(np.mean(added)) / transfer.gain_dn_per_e, transfer.gain_error / transfer.gain_dn_per_e
+    if abs(share) > _OF_ERROR * error:
+        text = (
+            f"the flats' values step by up to {largest:.0f} DN, unevenly, as compression by a curve leaves them: "
+            f"rounding to these steps makes {share:+.1%} of K; use uncompressed raw"
+        )
+        yield from COARSE.judged(abs(share), _OF_ERROR * error, text, {"gain": (abs(share), _OF_ERROR * error)})
 
 
 def _pile(counts: Counts, limit_dn: float) -> tuple[int, float] | None:

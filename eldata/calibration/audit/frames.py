@@ -25,6 +25,7 @@ ADVISED_BIAS_FRAMES = 10
 # equal exposures is worth a word, and beyond the second limit it is doubtful that nothing else has changed.
 _PAIR_DIFFERENCE = 0.05
 _UNLIKE_PAIR = 0.25
+_OF_NORMAL = 1.287  # standard deviation over the mean distance of the nearer 99 %
 _DIGESTED_BYTES = 1 << 22  # of a frame
 _COMPARED = 1000  # pixels, at least, that tell a copy
 
@@ -63,7 +64,7 @@ class Copies:
 
 @dataclass(frozen=True, slots=True)
 class FrameFigures:
-    """A frame in two figures, DN: its mean, and half the distance of its 16th and 84th percentile."""
+    """A frame in two figures, DN: its mean, and the standard deviation by the distances of all but one in a hundred."""
 
     record: FrameRecord
     level_dn: float
@@ -74,8 +75,9 @@ class FrameFigures:
         """Measure a frame on some 100,000 of its pixels."""
         step = max(1, math.isqrt(mosaic.size // 100_000)) | 1  # odd: every site of the CFA takes part
         sample = mosaic[::step, ::step]
-        low, high = np.quantile(sample, (0.159, 0.841))
-        return cls(record, float(sample.mean(dtype=np.float64)), float(high - low) / 2)
+        away = np.abs(sample - np.median(sample))
+        spread = _OF_NORMAL * float(away[away <= np.quantile(away, 0.99)].mean())
+        return cls(record, float(sample.mean(dtype=np.float64)), spread)
 
 
 def odd_bias_frames(figures: Sequence[FrameFigures]) -> list[Problem]:

@@ -89,6 +89,7 @@ def segment_sums(
     defects: Mask,
     pattern: Counts,
     channel: int,
+    floor: int,
     limit: float,
     size: int,
     sums: Counts,
@@ -115,7 +116,7 @@ def segment_sums(
                         continue
                     a, b = np.int64(first[row, column]), np.int64(second[row, column])
                     n += 1
-                    clipped += np.int64(a == 0 or b == 0 or a >= limit or b >= limit)
+                    clipped += np.int64(a <= floor or b <= floor or a >= limit or b >= limit)
                     a_sum += a
                     b_sum += b
                     aa += a * a

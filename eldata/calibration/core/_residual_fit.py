@@ -49,7 +49,7 @@ class ResidualHistogram:
         Step that the values had been rounded to before other things were taken off; 0 if the cells are that rounding
         (whole DN, counted as they are).
     reach_dn
-        Residuals beyond, of either sign, count as "beyond" only: there the recorded values end at 0.
+        Residuals beyond, of either sign, count as "beyond" only: there recorded values end.
     squares_dn2
         (groups,) exact sums of the squared residuals; without, the counts tell them.
     level_waves

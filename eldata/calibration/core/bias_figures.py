@@ -1,7 +1,7 @@
 """What the second pass over bias frames gives: colour bias, row noise and read noise.
 
 Read noise is that of residuals: each value less its pixel's own mean, the channel's drift and the row's offset. Where
-the noise reaches 0, where recorded values end, a pixel's mean over the frames is not its level, and no noise is given.
+the noise reaches a floor, at which recorded values end, a pixel's mean is not its level, and no noise is given.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class BiasFigures:
     findings
         What the estimates show of their own assumptions.
     read
-        Read noise; ``None`` where values end at 0.
+        Read noise; ``None`` where values end at a floor.
     plot
         Quantiles for the probability plots.
     residuals
@@ -78,7 +78,7 @@ class BiasSums:
     def __init__(self, fixed: FixedPattern) -> None:
         self._fixed, self._lines = fixed, LineMeans(fixed)
         self._residuals = None if fixed.clips_at_black else Residuals(fixed)
-        self._zeros = 0
+        self._at_floor = 0
 
     def add(self, mosaic: Mosaic) -> None:
         """Add a bias frame."""
@@ -86,7 +86,7 @@ class BiasSums:
         if self._residuals is not None:
             self._residuals.add(mosaic, sums)
         else:
-            self._zeros += mosaic.size - int(np.count_nonzero(mosaic))
+            self._at_floor += int(np.count_nonzero(mosaic <= (self._fixed.floor_dn or 0)))
 
     def figures(self, black_level_dn: Sequence[float]) -> BiasFigures:
         """Return the figures over these recorded black levels.
@@ -96,7 +96,8 @@ class BiasSums:
         DatasetError
             If the frames added are not those of the fixed pattern, or do not show their noise.
         """
-        bias, rows = colour_bias(self._lines, black_level_dn), row_noise(self._lines)
+        rows = row_noise(self._lines)
+        bias = colour_bias(self._lines, rows, black_level_dn)
         if self._residuals is None:
             return BiasFigures(bias, rows, (self._clipped(),))
         residuals = self._residuals.histogram()
@@ -105,14 +106,15 @@ class BiasSums:
         return BiasFigures(bias, rows, read_noise_findings(read, bias, rows.rows), read, plot, residuals)
 
     def _clipped(self) -> Finding:
-        """Return that values end at 0, so that the noise below is gone."""
-        zeros = self._zeros / (self._fixed.frames * self._fixed.total_dn.size)
+        """Return that values end at the floor, so that the noise below is gone."""
+        share = self._at_floor / (self._fixed.frames * self._fixed.total_dn.size)
         seen = CLIPPED.seen(
-            zeros,
+            share,
             0.0,
-            f"values end at 0, where {zeros:.1%} of the bias frames' values lie: what the noise has below is gone, and "
-            "with it its shape, its scale and the level that it belongs to; use raw files that keep the black level "
-            "(converters and some raw modes take it off), or state this camera's noise from another source",
+            f"values end at {self._fixed.floor_dn} DN, where {100 * share:.2g} % of the bias frames' values lie: what "
+            "the noise has below, if anything, is gone, and with it its shape, its scale and the level that it belongs "
+            "to; use raw files that keep the black level (converters and some raw modes take it off), or state this "
+            "camera's noise from another source",
         )
         return seen.of("withheld", CLIPPED.figures)
 
@@ -164,7 +166,7 @@ class Residuals:
         check_same_frames(self._added, fixed)
         if fixed.clips_at_black:
             raise DatasetError(
-                f"the black level ({min(fixed.level_dn):.1f} DN) is too close to 0 for noise of "
+                f"the black level ({min(fixed.level_dn):.1f} DN) is too close to {fixed.floor_dn} DN for noise of "
                 f"{math.sqrt(max(fixed.temporal_variance_dn2)):.1f} DN: much of it is clipped, and residuals do not "
                 "show it"
             )

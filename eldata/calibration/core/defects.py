@@ -26,8 +26,9 @@ MINIMUM_FRAMES = 4
 """Bias frames that the calibration needs; ten or more are advised."""
 
 _MOST_FRAMES = 16_384  # twice their sum fits 31 bits
-_CLIPPED_SHARE = 0.01  # of pixels that reach 0
-_REACHING_SHARE = 1e-4
+_CLIPPED_SHARE = 0.01  # of pixels that reach the floor
+_REACHING_SHARE, _PILE = 1e-4, 100  # of pixels, and how many at least, that end at a floor
+_EXPECTED_BELOW, _BELOW = 30, 0.02  # pixels that would lie below it, and the share of them that may
 _OUTER = (0.9, 1.645), (0.99, 2.576)  # shares of normal values, and how many standard deviations they lie within
 _LEAST_REACH = 2.0  # standard deviations below its mean that a residual must be able to go
 _BLOCK = 16  # periods of the CFA a side, for the local level
@@ -84,8 +85,8 @@ class FixedPattern:
         those in a seventh of the rows.
     shading_error_dn
         Noise of an entry of the summary's shading, per channel.
-    reaches_0
-        Whether one sound pixel in 10,000 or more was 0 in some frame.
+    floor_dn
+        The value at which recorded values end below though the noise goes on, by :func:`find_floor`; ``None``: none.
     summary
         Defects, non-uniformity and shading.
     """
@@ -98,23 +99,23 @@ class FixedPattern:
     level_dn: tuple[float, ...]
     temporal_variance_dn2: tuple[float, ...]
     shading_error_dn: tuple[float, ...]
-    reaches_0: bool
+    floor_dn: int | None
     summary: PatternSummary
 
     @property
     def reach_dn(self) -> float:
-        """How far below its mean a residual can go before some pixels' recorded values end at 0, by any frame's.
+        """How far below its mean a residual can go before some pixels' recorded values end, by any frame's.
 
         A residual is (1 - 1/n) of its own value less what the other frames put in, within five standard deviations.
-        Infinite where these leave little room, but no value is 0.
         """
+        if self.floor_dn is None:
+            return math.inf
         own, variance = 1 - 1 / self.frames, max(self.temporal_variance_dn2)
-        reach = own * min(self.level_dn) - 5 * math.sqrt(own * (1 - own) * variance)
-        return reach if self.reaches_0 or reach >= _LEAST_REACH * math.sqrt(variance) else math.inf
+        return own * (min(self.level_dn) - self.floor_dn) - 5 * math.sqrt(own * (1 - own) * variance)
 
     @property
     def clips_at_black(self) -> bool:
-        """Whether the noise reaches 0, where recorded values end, so that residuals are not those of the noise."""
+        """Whether the noise reaches the floor, where values end, so that residuals are not those of the noise."""
         return self.reach_dn < _LEAST_REACH * math.sqrt(max(self.temporal_variance_dn2))
 
 
@@ -186,9 +187,9 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     sites_of = [[site for site, of in sites(pattern) if of == channel] for channel in range(channels)]
     total, lowest, highest = stack.total, stack.lowest, stack.highest
 
-    scatter = stack.scatter
-    is_cut = float((lowest == 0).mean()) > _CLIPPED_SHARE
-    defects = _stuck(stack, scatter)
+    scatter, floor = stack.scatter, find_floor(stack)
+    is_cut = floor is not None and float((lowest <= floor).mean()) > _CLIPPED_SHARE
+    defects = _stuck(stack, scatter, floor or 0)
     stuck = int(defects.sum())
     off_level = 0
 
@@ -204,7 +205,8 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         per_dn = 2 * (frames - 2)
         every = np.concatenate([distance.ravel() for _, distance in distances])
         spread = 1.4826 * float(np.median(every, overwrite_input=True)) / per_dn
-        if is_cut:  # half of the pixels or more may lie within a fraction of the noise of the median, which is near 0
+        # Near a floor, and between coarse steps, half of the pixels or more may lie within less than the noise.
+        if is_cut or spread == 0:
             spread = max(spread, *(float(np.quantile(every, share)) / per_dn / size for share, size in _OUTER))
         far = threshold * max(spread, 1 / frames)
         for site, distance in distances:
@@ -253,7 +255,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         level_dn=levels,
         temporal_variance_dn2=variances,
         shading_error_dn=noise,
-        reaches_0=float(((lowest == 0) & ~defects).mean()) > _REACHING_SHARE,
+        floor_dn=floor,
         summary=PatternSummary(
             defects=int(defects.sum()),
             off_level=off_level,
@@ -264,6 +266,29 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
             shading_dn=np.stack(shading),
         ),
     )
+
+
+def find_floor(stack: BiasStack) -> int | None:
+    """Return the value at which recorded values end below though the noise goes on; ``None`` if there is none.
+
+    The tail of the pixels' lowest values falls off by ever larger factors, as three values show; at a floor it ends
+    with none below, but some broken pixels, where that leaves dozens. Noise that ends alike above is as narrow as that.
+    """
+    lowest, highest = (np.bincount(each[stack.squared_rows].ravel()) for each in (stack.lowest, stack.highest))
+    if _cut_at(highest[::-1]) is not None:
+        return None
+    return _cut_at(lowest)
+
+
+def _cut_at(counts: Counts) -> int | None:
+    """Return where counts by value begin, if they are cut off there."""
+    below = np.cumsum(counts)
+    place = int(np.searchsorted(below, max(_PILE, _REACHING_SHARE * float(below[-1]))))
+    if place >= len(counts):
+        return None
+    first, second, third = (*counts[place:][counts[place:] > 0][:3].tolist(), 0.5, 0.5)[:3]
+    expected = min(first, first * (first / second) ** 2 * third / second)
+    return place if expected >= _EXPECTED_BELOW and below[place] - first <= _BELOW * expected else None
 
 
 def _from_median(values: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -310,22 +335,22 @@ def _with_edges(levels: Values, pixels: Counts) -> Values:
     return levels
 
 
-def _stuck(stack: BiasStack, scatter: Counts) -> Mask:
+def _stuck(stack: BiasStack, scatter: Counts, floor: int) -> Mask:
     """Return the pixels that never change, if the noise of the others makes that improbable."""
     lowest, highest, frames = stack.lowest, stack.highest, stack.frames
     constant = lowest == highest
     share = float(constant.mean())
     if share > 0.99:
         raise DatasetError(
-            "nearly all pixels have the same value in every frame: the frames are copies of one another, or nearly all "
-            "of the noise lies below black, where it is clipped; calibrate raw files whose black level lies above 0"
+            f"{share:.2%} of the pixels have one value in every frame, {float(np.median(lowest)):g} DN most often: "
+            "there is no noise to be measured"
         )
     middle = float(np.median(scatter[::7, ::5]))
     sigma = math.sqrt(middle / (frames * (frames - 1)) / 0.9)
     # All n values alike: below (1 / (sigma sqrt(2 pi)))^(n - 1) / sqrt(n) for Gaussian noise of sigma > 1/2 DN.
     chance = (1 / (sigma * math.sqrt(2 * math.pi))) ** (frames - 1) / math.sqrt(frames) if sigma > 0.5 else 1.0
-    # What is 0 throughout may be noise below black.
-    return constant & (highest > 0) if chance < 1e-4 else np.zeros_like(constant)
+    # What lies at the floor throughout may be noise below it.
+    return constant & (highest > floor) if chance < 1e-4 else np.zeros_like(constant)
 
 
 def _non_uniformity(blocks: list[tuple[NDArray[Any], ...]], noise: float, noise_error: float) -> tuple[float, float]:

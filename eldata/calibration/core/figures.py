@@ -85,7 +85,7 @@ def _dark(
 
 
 def _of_read(value: str, error: str = "") -> Callable[[Any], float | tuple[float, float] | None]:
-    """Return what a record found of its read noise: nothing where values end at 0."""
+    """Return what a record found of its read noise: nothing where values end at a floor."""
 
     def of(one: Any) -> float | tuple[float, float] | None:
         found = math.nan if one.read is None else getattr(one.read, value)

@@ -144,7 +144,7 @@ _TOO_WIDE: Final = 0.1
 
 LIGHT: Final = Check("light", (*READ, "colour bias"), is_acceptable=True)
 CORRELATED: Final = Check("correlated noise", (*READ, "row noise"), is_acceptable=True)
-COARSE: Final = Check("coarse values", READ, is_acceptable=True)
+COARSE: Final = Check("coarse values", (*READ, "gain"), is_acceptable=True)
 NO_LINE: Final = Check("uneven flats", ("gain",), _TOO_WIDE, is_acceptable=True)
 FLATS_CORRELATED: Final = Check("correlation in flats", ("gain",), _TOO_WIDE, is_acceptable=True)
 SATURATION: Final = Check("saturation", ("gain",))
@@ -155,10 +155,11 @@ FIT: Final = Check("fit of the read noise", READ)
 ROUNDING: Final = Check("rounding", (*READ, "row noise", "colour bias"))
 CLIPPED: Final = Check("clipped black", (*READ, "row noise", "colour bias"))
 STEP: Final = Check("a step over the ISOs")
+BLACK: Final = Check("stated black")
 
 CHECKS: Final = (
     *(LIGHT, CORRELATED, COARSE, NO_LINE, FLATS_CORRELATED, SATURATION),
-    *(UNEVEN, TRANSFER, SHAPE, FIT, ROUNDING, CLIPPED, STEP),
+    *(UNEVEN, TRANSFER, SHAPE, FIT, ROUNDING, CLIPPED, STEP, BLACK),
 )
 """Every one that there is."""
 

@@ -120,9 +120,11 @@ class FlatSums(FrameSums):
     """Sums of flat frames; parameters as :class:`FlatPairs`."""
 
     def __init__(
-        self, cfa: Cfa, black_level_dn: Sequence[float], white_level_dn: float, *, defects: Mask | None = None
-    ) -> None:
+        self, cfa: Cfa, black_level_dn: Sequence[float], white_level_dn: float, *, defects: Mask | None = None,
+        floor_dn: int = 0,
+    ) -> None:  # fmt: skip
         super().__init__(cfa, defects)
+        self.floor_dn = floor_dn
         self.black = checked_black_level(black_level_dn, self.channels)
         if not math.isfinite(white_level_dn) or not white_level_dn > self.black.max():
             raise ArgumentError(
@@ -145,6 +147,8 @@ class FlatPairs(FlatSums):
         As in :class:`eldata.records.Sensor`; measured levels are better than recorded ones.
     defects
         (H, W) True where a pixel is not to be used.
+    floor_dn
+        Up to which value a pixel counts as clipped.
 
     Attributes
     ----------
@@ -204,7 +208,7 @@ class FlatPairs(FlatSums):
         from eldata.calibration.core._kernels import segment_sums
 
         sums = np.zeros((13, len(first), first.shape[1] // SEGMENT), dtype=np.int64)
-        segment_sums(first, second, defects, self.pattern, channel, self.limit_dn, SEGMENT, sums)
+        segment_sums(first, second, defects, self.pattern, channel, self.floor_dn, self.limit_dn, SEGMENT, sums)
         rows = np.arange(len(first)) % len(self.pattern)
         n, clipped, a_sum, b_sum, aa, bb, ab, neighbours, a_two, b_two, aa_two, bb_two, ab_two = sums[
             :, (self.pattern == channel).any(axis=1)[rows]
@@ -239,7 +243,8 @@ class FlatPairs(FlatSums):
             for y, x in np.argwhere(self.pattern == channel):
                 rows = slice(y, None, period * max(1, len(first) // (64 * period)))
                 a, b = first[rows, x::period].astype(np.int64), second[rows, x::period].astype(np.int64)
-                used = ~defects[rows, x::period] & (np.minimum(a, b) > 0) & (np.maximum(a, b) < self.limit_dn)
+                is_whole = (np.minimum(a, b) > self.floor_dn) & (np.maximum(a, b) < self.limit_dn)
+                used = is_whole & ~defects[rows, x::period]
                 one.append(a[used])
                 two.append(b[used])
             a, b = np.concatenate(one), np.concatenate(two)

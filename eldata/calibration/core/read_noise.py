@@ -22,6 +22,7 @@ import numpy as np
 
 from eldata.calibration.core.findings import FIT, READ, ROUNDING, SHAPE
 from eldata.errors import ArgumentError, DatasetError
+from eldata.noise.parameters import tukey_lambda_variance
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
 _TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
 _MOST_ERROR = 0.15  # of lambda, and of sigma_TL as a share: beyond, neither figure nor error means anything
 _BY_CHANCE = 1e-6  # of the fit's chi^2
-_QUIETEST_DN = 0.4  # of sigma_G: below, rounding decides what is recorded
+_QUIETEST = 0.4  # of sigma_G, in steps: below, rounding decides what is recorded
+_NEARLY_NORMAL = 0.14  # a shape
 _LEAST_BLUR = 0.05
 _WAVE_BY_CHANCE = 6.0  # of 1 / N, the mean squared size of N levels that lie anywhere: more once in 400
 _STEPS_SHOW = 5.0  # of the levels' wave in its own standard errors: of less, chi^2 per degree is not 0.2 larger
@@ -198,8 +200,8 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     deviation = math.sqrt(variance / model.own)
     fit = residual_fit(cells, model, start)
     shape, sigma = fit.shape, fit.scale
-    covariance = fit.covariance
-    errors = np.sqrt(np.diag(covariance))
+    # Never below what residuals give that are independent but for each pixel's mean: groups of rows scatter themselves.
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), np.diag(fit.information) / max(1 - 1 / histogram.frames, 0.5)))
 
     # What the same probability plot says of the fitted model, whose truth is known.
     expected = _expected(histogram, model, fit)
@@ -237,8 +239,8 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     )
 
 
-def read_noise_findings(read: ReadNoise, bias: ColourBias, rows: LineNoise) -> tuple[Finding, ...]:
-    """Return what the fit shows of its own assumptions, and what rounding does to the figures.
+def read_noise_findings(read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: int = 1) -> tuple[Finding, ...]:
+    """Return what the fit shows of its own assumptions, and what rounding (to steps of so many DN) does to the figures.
 
     The fit's chi^2 has as many degrees of freedom as cells, less the parameters. What it is above 1 per degree, the
     errors are to be larger: a misfit of that size along the direction that a parameter moves would shift it so far.
@@ -248,58 +250,64 @@ def read_noise_findings(read: ReadNoise, bias: ColourBias, rows: LineNoise) -> t
     limit = float(chdtri(read.chi2_freedom, _BY_CHANCE)) / read.chi2_freedom
     misfit = math.sqrt(read.chi2_per_dof - 1) if read.chi2_per_dof > limit else 0.0
     error = math.hypot(1.0, misfit) * read.largest_error
-    found = list(_rounding(read, bias, rows))
+    found = list(_rounding(read, bias, rows, step_dn))
     if not read.converged or not error < _MOST_ERROR:
         found.append(
             SHAPE.seen(
                 error if read.converged else math.inf,
                 _MOST_ERROR,
-                "rounding to whole DN, or too few pixels, leave too little of the read noise to tell its shape: use a "
-                "raw mode of more bits, more frames, or the figures of a higher ISO",
+                f"{read.residuals} residuals do not tell the shape of the read noise: lambda is uncertain by "
+                f"{read.tukey_lambda_error:.2g}, sigma_TL by {read.sigma_tl_error_dn / read.sigma_tl_dn:.1%}"
+                + (f", {math.hypot(1, misfit):.1f} times as much by their misfit" if misfit else "")
+                + ("" if read.converged else ", and the fit came to no end")
+                + "; look at its plots, and use more frames or a higher ISO",
             ).of("withheld", READ if read.converged else SHAPE.figures)
         )
     elif misfit:
         text = (
             f"the residuals do not follow the fitted Tukey-lambda distribution (chi2 per degree of freedom "
-            f"{read.chi2_per_dof:.1f}, by chance at most {limit:.1f}): the read noise is of another family, often "
-            "random telegraph noise; look at its plots"
+            f"{read.chi2_per_dof:.1f}, by chance at most {limit:.1f}): look at its plots"
         )
         allowance = misfit * read.largest_error
         found.append(FIT.seen(read.chi2_per_dof, limit, text).of("wider", READ, allowance))
     return tuple(found)
 
 
-def _rounding(read: ReadNoise, bias: ColourBias, rows: LineNoise) -> Iterator[Finding]:
-    """Yield what rounding to whole DN does to figures of quiet noise.
+def _rounding(read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: int) -> Iterator[Finding]:
+    """Yield what rounding to steps of so many DN does to figures of quiet noise.
 
-    It adds a twelfth to the variance, whatever the noise, only where the pixels' levels lie everywhere between whole
-    DN, or the noise is wide. Where they share a fraction of a DN, it makes noise smaller or larger, moves the mean, and
-    hides offsets of rows or enlarges them, by what :class:`Ripple` says; the rows' own offsets spread the levels.
+    It adds a twelfth to the variance, whatever the noise, only where the pixels' levels lie everywhere between two
+    steps, or the noise is wide. Where they share a fraction of one, it makes noise smaller or larger, moves the mean,
+    and hides offsets of rows or enlarges them, by what :class:`Ripple` says; the rows' own offsets spread the levels.
     """
     from eldata.calibration.core._tukey_lambda import Ripple
 
-    sigma = read.sigma_gauss_dn
-    if not sigma >= _QUIETEST_DN:
+    sigma, quietest = read.sigma_gauss_dn, _QUIETEST * step_dn
+    if not sigma >= quietest:
         text = (
-            f"the read noise is {sigma:.2g} DN, below {_QUIETEST_DN:g} DN, where rounding to whole DN decides what is "
-            "recorded, and the shape of the noise is not seen: use a raw mode of more bits, or the figures of a higher "
-            "ISO"
+            f"the read noise is {sigma:.2g} DN, below {quietest:g} DN, where rounding to "
+            f"{f'steps of {step_dn}' if step_dn > 1 else 'whole'} DN decides what is recorded, and the shape of the "
+            "noise is not seen: use a raw mode of more bits, or the figures of a higher ISO"
         )
-        yield ROUNDING.seen(sigma, _QUIETEST_DN, text).of("withheld", ("shape",))
-    alike = read.alike * math.exp(-2 * (math.pi * rows.sigma_dn) ** 2)
-    ripple = Ripple.of(read.tukey_lambda, read.sigma_tl_dn)
-    # Of the noise as quiet as it may be, if rounding has made it larger.
-    lower = math.sqrt(1 - min(ripple.variance * alike, 1.0) / 2)
-    ripple = Ripple.of(read.tukey_lambda, lower * read.sigma_tl_dn)
-    width, shift = ripple.variance * alike, ripple.mean_steps / 2 * alike
+        yield ROUNDING.seen(sigma, quietest, text).of("withheld", ("shape",))
+    alike = read.alike * math.exp(-2 * (math.pi * rows.sigma_dn / step_dn) ** 2)
+    # Rounding itself makes tails light: lighter ones than a normal distribution's are not taken for the noise's.
+    shape = min(read.tukey_lambda, _NEARLY_NORMAL)
+    scale = sigma / math.sqrt(tukey_lambda_variance(shape)) / step_dn
+    ripple, lower = Ripple.of(shape, scale), 1.0
+    recorded = 1 + (step_dn / max(sigma, 1e-12)) ** 2 / 12  # with rounding, of the variance without
+    for _ in range(20):  # of the noise as quiet as it may be, if rounding has made it larger
+        lower = math.sqrt(max(1 - ripple.variance * alike / 2 * recorded, 0.1))
+        ripple = Ripple.of(shape, lower * scale)
+    width, shift = ripple.variance * alike, ripple.mean_steps / 2 * step_dn * alike
     text = (
         f"the read noise is quiet ({sigma:.2g} DN): rounding changes the variance of a pixel's noise by up to "
-        f"{ripple.variance / 2:.1%}, as its level lies between whole DN, that of all by up to {width / 2:.1%}, and "
+        f"{ripple.variance / 2:.1%}, as its level lies between two values, that of all by up to {width / 2:.1%}, and "
         f"their mean by up to {shift:.2g} DN; use a raw mode of more bits"
     )
     of_shape = _OF_RIPPLE * width + _OF_SQUARE * ripple.variance**2
     of_sigma = _OF_RIPPLE_IN_SIGMA * width + _OF_SQUARE_IN_SIGMA * ripple.variance**2
-    of_rows = 2 * math.pi * shift
+    of_rows = 2 * math.pi * shift / step_dn
     if not width <= _MOST_RIPPLE:
         yield ROUNDING.seen(width, _MOST_RIPPLE, text).of("withheld", READ)
     elif of_shape > _MOST_ERROR:
@@ -405,7 +413,8 @@ def _standard_deviation(histogram: ResidualHistogram, model: ResidualModel, fit:
     numbers = both.sum(axis=1)
     number = float(numbers.sum())
     tail = np.cumsum(both.sum(axis=0)[::-1])[::-1]
-    far = int(np.count_nonzero(tail >= _TAIL))
+    # Tails lighter than a normal distribution's decide nothing, and are often what rounding has left of the noise.
+    far = int(np.count_nonzero(tail >= _TAIL)) if fit.shape < _NEARLY_NORMAL else both.shape[1]
     far = max(1, int(min(far, histogram.reach_dn / histogram.cell_dn, both.shape[1] - 1)))
     squares_of_cells = (np.arange(both.shape[1]) * histogram.cell_dn) ** 2
     if histogram.squares_dn2 is None:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     LineSums: TypeAlias = tuple[Counts, Counts, Counts]
 
+_BY_CHANCE = 1e-3  # of the frames' scatter
 SHAPIRO_VALUES = 5000
 """The Shapiro-Wilk test's p is accurate up to this many values; more are thinned evenly."""
 
@@ -122,12 +123,14 @@ class ColourBias:
     Attributes
     ----------
     bias_dn
-        Mean of all frames minus black level.
+        Mean of all pixels of all frames minus black level, as in the paper: with the defects.
     standard_error_dn
-        From the scatter of the frames' means, with n - 1 degrees of freedom. It holds drift from frame to frame,
-        which the next one cannot see.
-    row_error_dn
-        From the scatter of row means inside the frames; it also holds a fixed row pattern.
+        Of what changes from frame to frame: from the noise of pixels, rows and columns, or where the frames' own means
+        scatter by more, as with drift, from these.
+    drifts
+        Whether the frames' means scatter by more than noise gives them once in a thousand times.
+    of_defects_dn
+        What the mean of the sound pixels lacks of it.
     frame_bias_dn
         (frames, channels): each frame's own.
     frames
@@ -136,7 +139,8 @@ class ColourBias:
 
     bias_dn: tuple[float, ...]
     standard_error_dn: tuple[float, ...]
-    row_error_dn: tuple[float, ...]
+    of_defects_dn: tuple[float, ...]
+    drifts: bool
     frame_bias_dn: Values = field(repr=False)
     frames: int
 
@@ -153,8 +157,8 @@ class LineMeans:
     ----------
     rows_dn, columns_dn
         Mean of each line over its channels, each channel less its own mean in the frame; an entry per frame, as all.
-    means_dn, row_variances_dn2
-        Mean of each channel, and its variance by the scatter of its row means.
+    means_dn, sound_means_dn
+        Mean of each channel over all pixels, and over the sound ones.
     squares
         Sum over pixels and frames of the squared deviation from the pixel's mean and its row's, DN^2.
     """
@@ -166,8 +170,11 @@ class LineMeans:
         self.rows_dn: list[Values] = []
         self.columns_dn: list[Values] = []
         self.means_dn: list[Values] = []
-        self.row_variances_dn2: list[Values] = []
+        self.sound_means_dn: list[Values] = []
         self.squares = 0.0
+        self._defects = np.flatnonzero(fixed.defects)
+        down, across = np.divmod(self._defects, fixed.defects.shape[1])
+        self._defect_channels = fixed.pattern[down % len(fixed.pattern), across % len(fixed.pattern)]
 
     def add(self, mosaic: Mosaic) -> LineSums:
         """Add a bias frame, and return its sums."""
@@ -179,14 +186,12 @@ class LineMeans:
         self.squares += float((squares - sums**2 / np.maximum(pixels, 1)).sum()) / frames**2
         self.rows_dn.append(levels_and_lines(rows / frames, self.row_pixels)[1])
         self.columns_dn.append(levels_and_lines(columns / frames, self.column_pixels)[1])
-        values = (rows + self.row_totals) // frames  # of the pixels themselves, exactly
+        values = (rows + self.row_totals).sum(axis=0) // frames  # of the pixels themselves, exactly
         of_channel = self.row_pixels.sum(axis=0)
-        mean = values.sum(axis=0) / of_channel
-        # Cluster-robust variance of a ratio: rows are the clusters.
-        deviations = values - self.row_pixels * mean
-        count = np.count_nonzero(self.row_pixels, axis=0)
-        self.means_dn.append(mean)
-        self.row_variances_dn2.append((deviations**2).sum(axis=0) / of_channel**2 * count / np.maximum(count - 1, 1))
+        of_defects = mosaic.ravel()[self._defects]
+        added, number = (np.bincount(self._defect_channels, of, of_channel.size) for of in (of_defects, None))
+        self.sound_means_dn.append(values / of_channel)
+        self.means_dn.append((values + added) / (of_channel + number))
         return found
 
 
@@ -313,10 +318,12 @@ def _sigma(variance: float, error: float) -> tuple[float, float]:
     return math.sqrt(variance), min(error * slope, math.sqrt(error))
 
 
-def colour_bias(means: LineMeans, black_level_dn: Sequence[float]) -> ColourBias:
+def colour_bias(means: LineMeans, noise: RowNoise, black_level_dn: Sequence[float]) -> ColourBias:
     """Return mu_c: the mean of each channel over all frames minus its recorded black level.
 
-    The standard error of the pooled mean is the frames' standard deviation over sqrt(n).
+    Independent noise of pixels, rows and columns gives the mean of a channel of N pixels, m of them in a line, over n
+    frames the variance ``(sigma_pixel^2 / N + sum over lines of sigma_line^2 (m / N)^2) / n``. What the frames' means
+    scatter by beyond that, over all channels together, enlarges it.
 
     Raises
     ------
@@ -325,16 +332,26 @@ def colour_bias(means: LineMeans, black_level_dn: Sequence[float]) -> ColourBias
     DatasetError
         If the frames added are not those of the fixed pattern.
     """
+    from scipy.special import chdtri, ndtri, stdtrit
+
     check_same_frames(len(means.means_dn), means.fixed)
     table = np.array(means.means_dn)
     frames, channels = table.shape
     bias = table - checked_black_level(black_level_dn, channels)
-    scatter = bias.std(axis=0, ddof=1) / math.sqrt(frames)
-    by_rows = np.sqrt(np.array(means.row_variances_dn2).sum(axis=0)) / frames
+    lines = ((means.row_pixels, noise.rows), (means.column_pixels, noise.columns))
+    pixels = means.row_pixels.sum(axis=0)
+    of_frame = noise.pixel_variance_dn2 / pixels + sum(
+        max(line.variance_dn2, 0.0) * ((counts / pixels) ** 2).sum(axis=0) for counts, line in lines
+    )
+    drift = float((bias.var(axis=0, ddof=1) / of_frame).mean())
+    error = np.sqrt(of_frame * max(drift, 1.0) / frames)
+    if drifts := drift > chdtri(frames - 1, _BY_CHANCE) / (frames - 1):
+        error *= stdtrit(frames - 1, 0.975) / ndtri(0.975)  # so few frames know little of their scatter
     return ColourBias(
         bias_dn=tuple(bias.mean(axis=0).tolist()),
-        standard_error_dn=tuple(scatter.tolist()),
-        row_error_dn=tuple(by_rows.tolist()),
+        standard_error_dn=tuple(error.tolist()),
+        drifts=bool(drifts),
+        of_defects_dn=tuple((table - np.array(means.sound_means_dn)).mean(axis=0).tolist()),
         frame_bias_dn=bias,
         frames=frames,
     )

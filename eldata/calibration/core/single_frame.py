@@ -105,7 +105,7 @@ class FlatFrames(FlatSums):
         values = np.arange(65536)  # integers: exact, and no BLAS, whose threads would wait in vain
         for channel, histogram in enumerate(counts[0]):
             total = int(histogram.sum())
-            bad = int(histogram[0]) + int(histogram[math.ceil(self.limit_dn) :].sum())
+            bad = int(histogram[: self.floor_dn + 1].sum()) + int(histogram[math.ceil(self.limit_dn) :].sum())
             if total < 2 or bad > CLIPPED_SHARE * 0.01 * total:
                 continue
             median = float(np.searchsorted(np.cumsum(histogram), total / 2))

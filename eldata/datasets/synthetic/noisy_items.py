@@ -73,15 +73,15 @@ class NoisyItems(CroppedItems[Sample]):
             raise ArgumentError(f"{owner}: dark frames are in the frames' own DN; leave range_dn out")
         self._turns = None if self._dark is None else _turns(owner, self._dark, self.noise, self.seed, exposures)
         records = map(getattr(source, method), range(len(source)))
-        self._lay_grid(records if method == "frame" else (clip.frame(0) for clip in records))
-        self._length = self._length_of(len(source), repeats[1])
+        self._count_items(len(source), records if method == "frame" else (clip.frame(0) for clip in records))
+        self._length = self._length_of(len(source))
 
     def __len__(self) -> int:
         return self._length
 
     def _noisy(
         self,
-        index: int,
+        place: int,
         generator: np.random.Generator,
         frame: Frame,
         crop: Crop,
@@ -89,12 +89,11 @@ class NoisyItems(CroppedItems[Sample]):
         *frames: int,
         **facts: int,
     ) -> NoisyItem:
-        """Draw an item's noise; dark frames have their turn by the item's place in the sequence of all epochs."""
+        """Draw an item's noise; dark frames have their turn by the item's place in the sequence of all draws."""
         if self._turns is None:
             draw = self.noise.draw(generator)
         else:
-            turn = self._turns.at(self.epoch * self._length + index)
-            draw = self.noise.draw(generator, turn, gain_spread=GAIN_SPREAD)
+            draw = self.noise.draw(generator, self._turns.at(place), gain_spread=GAIN_SPREAD)
         beside = draw.facts() | {"dark_frame": "", "path": frame.name} | facts
         if self._dark is not None and draw.iso is not None:
             names = self._dark.names(draw.iso)

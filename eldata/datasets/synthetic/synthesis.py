@@ -143,7 +143,9 @@ class Recipe:
         return NoiseModel(self.written_spec, dark_frames=dark)
 
 
-def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, workers: AnyWorkers = 1) -> Manifest:
+def synthesize(
+    clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, reference: str | None = None, workers: AnyWorkers = 1
+) -> Manifest:
     """Write a noisy tree for clean files; return its manifest.
 
     Whatever ends the work (an error, a full disk, Ctrl-C, kill -9) leaves whole files, and the same call goes on: files
@@ -152,12 +154,14 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
     Parameters
     ----------
     clean
-        Folder, searched through for camera raws, or a manifest, whose references are taken, be they raws or mosaics
-        with a card (:class:`~eldata.datasets.CleanFrames`); or several. Each frame must state ISO and exposure time.
+        Folder, whose clean camera raws are taken, or a manifest, whose references are, be they raws or mosaics with a
+        card (:class:`~eldata.datasets.CleanFrames`); or several. Each frame must state ISO and exposure time.
     out
         A new or empty folder, or one in which the same work was begun.
     recipe
         The noise.
+    reference
+        Pattern of the clean frames' paths below a folder; ``"*"`` takes all.
     workers
         Number of worker processes, or an executor (:mod:`eldata.base.workers`), whose workers then write below
         ``out``; the files do not depend on it.
@@ -165,8 +169,8 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
     Raises
     ------
     DatasetError
-        If ``clean`` holds no raw file, or what may be clips and may be none; if the frames of a clip differ in size,
-        CFA, camera or exposure; or if ``out`` holds something else.
+        If ``clean`` holds no raw file, it is not certain which of a folder's are clean, or whether they are clips; if
+        the frames of a clip differ in size, CFA, camera or exposure; or if ``out`` holds something else.
     ArgumentError
         If ``out`` was begun with another recipe or other clean files, or a split leaves nothing to train or to test on.
     RawFileError
@@ -176,7 +180,7 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
     """
     workers = Workers.of(workers)
     folders = [Path(clean)] if isinstance(clean, (str, Path)) else list(map(Path, clean))
-    sources, dark = clean_scenes(folders, recipe.clips), recipe.dark()
+    sources, dark = clean_scenes(folders, recipe.clips, reference), recipe.dark()
     splits = draw_splits(recipe.seed, recipe.split, sources[-1].drawn_for + 1)
     name = re.sub(r"[^\w.+-]", "-", out.resolve().name) or "synthetic"
     data = out / "data" / name

@@ -311,9 +311,6 @@ def parser() -> console.Parser:
         "--clean", nargs="+", metavar="CLEAN", help="folders of clean raws, manifests, or packed stores of such"
     )
     how = add_training_options(parser, data)
-    data.add_argument(
-        "--range-dn", type=float, metavar="DN", help="the noise's camera: white minus black, for --clean of others"
-    )
     data.add_argument("--pairs", metavar="STORE", help="a packed store of pairs")
     data.add_argument("--noise2noise", action="store_true", help="a second noisy frame in place of the clean one")
     data.add_argument(
@@ -367,6 +364,9 @@ def add_training_options(parser: argparse.ArgumentParser, data: argparse._Argume
     data.add_argument("--camera", nargs="+", metavar="NAME", help="whose noise is made: shipped profiles, or files")
     data.add_argument(
         "--noise", default="P*+G*+B+R+U", metavar="MODEL", help=f"a spec, or package.module:name of yours {default}"
+    )
+    data.add_argument(
+        "--range-dn", type=float, metavar="DN", help="the noise's camera: white minus black, for --clean of others"
     )
     data.add_argument("--dark-frames", metavar="STORE", help="packed bias frames, for the specs with D")
     data.add_argument("--iso", type=float, nargs="+", help="these alone, drawn alike (default: the gain is drawn)")

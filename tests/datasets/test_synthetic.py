@@ -19,6 +19,7 @@ from eldata.datasets.clean import CleanFrames
 from eldata.datasets.items import ReadItems
 from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs, SyntheticSample
+from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel
 from eldata.raw import write_dng
@@ -657,6 +658,29 @@ def test_the_range_of_the_simulated_camera_decides_the_noise() -> None:
     assert "range_dn=" not in repr(alone).split("NoiseModel", 1)[1]
     with pytest.raises(ArgumentError, match="range_dn"):
         pairs(twelve, range_dn=0)
+
+
+@pytest.mark.parametrize(("black", "white"), [(64.0, 1023.0), (128.0, 4095.0), (0.0, 65535.0), (2048.0, 13583.0)])
+def test_files_of_other_bits_are_refused_with_both_ranges(black: float, white: float, tmp_path: Path) -> None:
+    """Under levels that are stated for them as well; 14 bits that end at 13583 are on the profile's scale."""
+    sensor = make_sensor(black_level_dn=(black,) * 4, white_level_dn=white)
+    write_dng(tmp_path / "a.dng", np.full((60, 64), round(black + 0.2 * (white - black)), np.uint16), sensor, EXPOSURE)
+    out, recipe = tmp_path / "out", Recipe(CameraProfile.load("SonyA7S2"))
+    if white == 13583:
+        assert pairs(CleanFrames(tmp_path))[0]["target"].mean() == pytest.approx(0.2, abs=1e-4)
+        assert synthesize(tmp_path, out, recipe).card.counts["noisy"] == 1
+        return
+    for levels in ("metadata", "published"):
+        words = rf"a.dng: has {white - black:g} DN .* SonyA7S2 .* have 15871; range_dn=15871 makes"
+        with pytest.raises(DatasetError, match=words):
+            pairs(CleanFrames(tmp_path, levels=levels))[0]
+    with pytest.raises(DatasetError, match=rf"a.dng: has {white - black:g} DN .* 15871; the noisy files are like"):
+        synthesize(tmp_path, out, recipe)
+    given = pairs(CleanFrames(tmp_path), range_dn=15871.0)[0]
+    shares = np.full((1, 4, 30, 32), given["target"][0, 0, 0], np.float32)
+    wanted = pairs(arrays(shares, range_dn=15871.0))[0]
+    assert torch.allclose(given["input"], wanted["input"], atol=1e-3)
+    assert pairs(CleanFrames(tmp_path), "CanonEOS5D4")[0]["input"].shape == (4, 8, 8)  # whose levels are not known
 
 
 def test_the_repr_says_what_is_made() -> None:

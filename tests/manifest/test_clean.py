@@ -40,7 +40,7 @@ def test_every_route_takes_the_references_of_a_set(is_listed: bool, demo_tree: P
     assert len(wanted) == 8
     assert CleanFrames(folder).names == tuple(str(folder / path) for path in wanted)
     assert source_of_folder(folder).files == tuple((path, "reference") for path in wanted)
-    with pytest.raises(DatasetError, match="expected the frames of one clip, .* nothing from 2 to 5"):
+    with pytest.raises(DatasetError, match=r"expected the frames of one clip, .* nothing from 2 to 5"):
         CleanClips(folder)
     made = synthesize(folder, tmp_path / "made", Recipe(CameraProfile.load("SonyA7S2")), reference="*Alpha*_0001.dng")
     assert made.card.counts == {"noisy": 1, "reference": 1}

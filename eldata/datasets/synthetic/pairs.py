@@ -70,8 +70,9 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         several, as a sequence, which are drawn alike, or as a mapping to their weights.
     range_dn
         White minus black level of the simulated camera, in DN, which the profile's figures are in. ``None`` is each
-        clean frame's own: right for frames of that camera. Frames of fewer bits are as bright in photons with it, so
-        clean frames of several cameras need it. Dark frames take none.
+        clean frame's own: right for frames of that camera, and of others with as many bits. Raw files whose range is
+        1.5 times the profile's or more, or as much less, need it; with the profile's own they are as bright in photons
+        as that camera's. Dark frames take none.
     row, extrapolate
         As in :meth:`eldata.noise.CameraProfile.sample`. By default each of several ISOs has its own row: as it was
         measured, where the profile has all figures of that ISO, else ``"nearest-gain"``; the repr says which. One ISO,

@@ -28,7 +28,7 @@ from eldata.datasets.clean import CleanScene, clean_scenes
 from eldata.datasets.crops import Crop
 from eldata.datasets.synthetic.dark_frames import DarkFrames
 from eldata.datasets.synthetic.draws import Turns, draw_splits
-from eldata.datasets.synthetic.noisy_items import from_sensor
+from eldata.datasets.synthetic.noisy_items import check_scale, from_sensor
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
 from eldata.manifest.writing import save_manifest
@@ -170,7 +170,8 @@ def synthesize(
     ------
     DatasetError
         If ``clean`` holds no raw file, it is not certain which of a folder's are clean, or whether they are clips; if
-        the frames of a clip differ in size, CFA, camera or exposure; or if ``out`` holds something else.
+        the frames of a clip differ in size, CFA, camera or exposure; if a file has other bits than those that the
+        profile's figures are of; or if ``out`` holds something else.
     ArgumentError
         If ``out`` was begun with another recipe or other clean files, or a split leaves nothing to train or to test on.
     RawFileError
@@ -371,6 +372,9 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, begun: str, sour
             path, f"states no {'ISO' if iso is None else 'exposure time'}, which the noisy frame's follows"
         )
     sensor = frame.sensor
+    if recipe.profile.range_dn is not None:
+        advice = "the noisy files are like the clean: take some of as many bits, or SyntheticPairs with range_dn="
+        check_scale(str(path), sensor, recipe.profile.camera, recipe.profile.range_dn, advice)
     facts = _CleanFacts(iso, exposure_s, sensor.width, sensor.height, sensor.model, packing_sites(sensor.cfa).name)
     place.mkdir(parents=True, exist_ok=True)
     remove_leftovers(place)

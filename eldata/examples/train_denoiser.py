@@ -104,12 +104,17 @@ def train(
     if is_first:
         curve = curves_in(options.output)
         print(data, describe(loader), f"{sum(map(torch.numel, network.parameters())):,} parameters", sep="\n")
-    for report in training.epochs(options.output / "checkpoint.pt", save_every=SAVE_EVERY):
-        shown = {"loss": report.loss, **more(report, training.steps)}
-        if is_first:
-            print(report, *(f"{name} {shown[name]:.4f}" for name in ("psnr_db", "ssim") if name in shown), sep=", ")
-            for name, value in shown.items():
-                curve(name, value, report.step)
+    try:
+        for report in training.epochs(options.output / "checkpoint.pt", save_every=SAVE_EVERY):
+            shown = {"loss": report.loss, **more(report, training.steps)}
+            if is_first:
+                print(report, *(f"{name} {shown[name]:.4f}" for name in ("psnr_db", "ssim") if name in shown), sep=", ")
+                for name, value in shown.items():
+                    curve(name, value, report.step)
+    finally:
+        if training.saved:
+            there = f"{training.saved} of {training.steps} steps ({training.saved / len(loader):.4g} epochs) are saved"
+            options.interrupted = f"{there} in {{output}}/checkpoint.pt, and the same command goes on from there"
 
 
 def keep_and_show(options: argparse.Namespace, network: torch.nn.Module, channels: int, chosen: Sequence[str]) -> int:
@@ -353,7 +358,7 @@ def program(
         metavar="RUN",
         help="folder of this training (default: %(default)s); the same command goes on with it",
     )
-    interrupted = "{output} keeps the last checkpoint, and the same command goes on"
+    interrupted = "nothing was saved; the same command begins again, or goes on with what {output} had before"
     parser.set_defaults(run=run, command=parser.prog, interrupted=interrupted, running=["debug"])
     return parser, parser.add_argument_group("data")
 

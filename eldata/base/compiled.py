@@ -9,7 +9,6 @@ not survive a fork, is never started.
 from __future__ import annotations
 
 import logging
-import multiprocessing
 import os
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LOG = logging.getLogger(__name__)
+_REPORTED = "ELDATA_MISSING_CACHE_REPORTED"  # processes inherit it
 
 Function = TypeVar("Function", bound="Callable[..., object]")
 Piece = TypeVar("Piece")
@@ -39,10 +39,10 @@ def kernel(function: Function) -> Function:
         return cast("Function", numba.njit(nogil=True, error_model="numpy")(function))
 
 
-@cache
 def _report_missing_cache() -> None:
-    """Say once, and not in each worker, that what is compiled is lost."""
-    if multiprocessing.parent_process() is None:
+    """Say once, and not in each process that this one starts, that what is compiled is lost."""
+    if os.environ.get(_REPORTED) is None:
+        os.environ[_REPORTED] = "1"
         _LOG.warning(
             "eldata compiles its kernels again in every process, since neither its own folder nor a cache below HOME "
             "can be written; set NUMBA_CACHE_DIR to a folder that can, to keep them"

@@ -1,13 +1,14 @@
 """How this package compiles its kernels, in one place.
 
-Kernels release the GIL, are compiled on first use for the dtypes that they are given, and are kept on disk. They are
-all serial: parallel work is cut into fixed pieces that run on plain threads (:func:`in_threads`). So the
-result does not depend on the number of threads, and numba's own thread pool, which does not survive a fork,
-is never started.
+Kernels release the GIL, are compiled on first use for the dtypes that they are given, and are kept on disk, where there
+is a folder that can be written. They are all serial: parallel work is cut into fixed pieces that run on plain threads
+(:func:`in_threads`). So the result does not depend on the number of threads, and numba's own thread pool, which does
+not survive a fork, is never started.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
@@ -21,14 +22,31 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+_LOG = logging.getLogger(__name__)
+_REPORTED = "ELDATA_MISSING_CACHE_REPORTED"  # processes inherit it
+
 Function = TypeVar("Function", bound="Callable[..., object]")
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
 
 def kernel(function: Function) -> Function:
-    """Compile ``function`` with exact IEEE arithmetic (no fast-math), without the GIL, cached on disk."""
-    return cast("Function", numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+    """Compile ``function`` with exact IEEE arithmetic (no fast-math), without the GIL, cached on disk if possible."""
+    try:
+        return cast("Function", numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+    except RuntimeError:  # numba found no folder to keep it in
+        _report_missing_cache()
+        return cast("Function", numba.njit(nogil=True, error_model="numpy")(function))
+
+
+def _report_missing_cache() -> None:
+    """Say once, and not in each process that this one starts, that what is compiled is lost."""
+    if os.environ.get(_REPORTED) is None:
+        os.environ[_REPORTED] = "1"
+        _LOG.warning(
+            "eldata compiles its kernels again in every process, since neither its own folder nor a cache below HOME "
+            "can be written; set NUMBA_CACHE_DIR to a folder that can, to keep them"
+        )
 
 
 def _contiguous(typing: Any, array: Any) -> Any:

@@ -35,6 +35,7 @@ Arguments: TypeAlias = argparse.Namespace
 """What a subcommand's function ``run`` is handed."""
 
 OK, PROBLEMS, UNUSABLE, CLOSED_PIPE = 0, 1, 2, 141
+_NONE_HALF = "files are written whole or not at all, so none is left half"
 _DASK_S = 10  # for a scheduler to answer
 _EXIT_CODES = (
     "Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 Ctrl-C; 143 "
@@ -278,7 +279,7 @@ def add_shared(
     run: Callable[[Arguments], int],
     *options: Literal["root", "cameras", "isos", "jobs", "workers"],
     json: bool = False,
-    interrupted: str = "files are written whole or not at all, so none is left half",
+    interrupted: str = _NONE_HALF,
 ) -> None:
     """Finish a subcommand: say which of the options that commands share it takes, and what :func:`run` is to call.
 
@@ -343,7 +344,8 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     A subcommand is set up by :func:`add_shared`. What it raises, and what ends it from outside, is one line on stderr.
     """
     _occupy_closed_streams()
-    arguments = argparse.Namespace(debug=False, command=parser.prog, interrupted="nothing was begun", outputs={})
+    # What is there already, a parser's own default does not replace.
+    arguments = argparse.Namespace(debug=False, command=parser.prog, outputs={})
     out: Any = Screen(sys.stdout)
     err: Any = Screen(sys.stderr, has_bars=True)
     with redirect_stdout(out), redirect_stderr(err):
@@ -406,7 +408,8 @@ def _explained(error: BaseException, arguments: Arguments) -> tuple[int, str]:
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
         number, word = (15, "terminated") if isinstance(error, _Terminated) else (2, "interrupted")
-        return 128 + number, f"{word}; {arguments.interrupted.format_map(vars(arguments))}"
+        kept = getattr(arguments, "interrupted", _NONE_HALF if hasattr(arguments, "run") else "nothing was begun")
+        return 128 + number, f"{word}; {kept.format_map(vars(arguments))}"
     if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
         _drop_output()
         return CLOSED_PIPE, ""

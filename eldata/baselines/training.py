@@ -210,6 +210,7 @@ class Training:
         self.loss = loss
         self.precision = precision
         self.step = 0
+        self.saved = 0  # steps, of the checkpoint
         self._rank = current_rank()
         parallel = torch.nn.parallel.DistributedDataParallel
         self._parallel = parallel(self.network) if self._rank.of > 1 else self.network
@@ -299,6 +300,7 @@ class Training:
                 torch.save(state, file)
         if self._rank.of > 1:
             distributed.barrier()  # a rank that goes on alone could end the others before it is written
+        self.saved = self.step
 
     def load(self, path: Path | str) -> None:
         """Take up a checkpoint: weights, optimiser, schedule, scaler, random numbers, and the place in the epoch.
@@ -317,7 +319,7 @@ class Training:
         except Exception as error:  # torch raises what its parts raise
             raise FileError(path, f"is not a checkpoint of a training: {type(error).__name__}") from error
         check_same_work(path, begun, self.settings)
-        self.step = state["step"]
+        self.step = self.saved = state["step"]
         self.network.load_state_dict(state["network"])
         self.optimiser.load_state_dict(state["optimiser"])
         self._schedule.load_state_dict(state["schedule"])

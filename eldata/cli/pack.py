@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from eldata.sources.store.sources import Source
 
 _CALIBRATION = "calibration"
+REFERENCE_HELP = (
+    "paths of a folder's clean frames below it, such as '*/long/*', in place of what a manifest beside them or ISO and "
+    "exposure say; '*' takes all"
+)
 
 
 def add_options(parser: console.Parser) -> None:
@@ -36,6 +40,7 @@ def add_options(parser: console.Parser) -> None:
     )
     add_output(parser, "-o", "--output", metavar="STORE", required=True, help="a new file, such as store.h5")
     parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
+    parser.add_argument("--reference", metavar="PATTERN", help=REFERENCE_HELP)
     add_part(parser)
     parser.add_argument("--clip", action="append", dest="ids", metavar="ID", help="only this clip; may be repeated")
     console.add_cameras(parser)
@@ -69,6 +74,8 @@ def _source(arguments: console.Arguments) -> Source:
     from eldata.sources.store.sources import source_of_dataset, source_of_folder
 
     if not Path(arguments.dataset).is_dir() or arguments.manifest is not None:
+        if arguments.reference:
+            raise ArgumentError("--reference is for a folder of raws: the manifest of a dataset says what is clean")
         if arguments.dataset == _CALIBRATION and arguments.manifest is None:
             return _calibration(arguments)
         if arguments.manifest is None and Path(arguments.dataset).name != arguments.dataset:  # no name has slashes
@@ -80,7 +87,7 @@ def _source(arguments: console.Arguments) -> Source:
         raise ArgumentError(
             f"--root, --split, --subset, --clip and --camera are for datasets by name; {arguments.dataset} is a folder"
         )
-    return source_of_folder(arguments.dataset)
+    return source_of_folder(arguments.dataset, arguments.reference)
 
 
 def _calibration(arguments: console.Arguments) -> Source:

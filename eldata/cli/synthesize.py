@@ -13,6 +13,7 @@ import argparse
 import shlex
 
 from eldata.base import console
+from eldata.cli.pack import REFERENCE_HELP
 
 _OF_RECIPE = (
     *("ratio", "seed", "iso", "row", "extrapolate", "per_image", "clips", "split", "format"),
@@ -24,6 +25,7 @@ def add_options(parser: console.Parser) -> None:
     """Add its options."""
     parser.add_argument("clean", metavar="CLEAN", nargs="+", help="folder of clean raw files, a manifest, or several")
     parser.add_argument("-o", "--output", metavar="OUT", required=True, help="a new folder")
+    parser.add_argument("--reference", metavar="PATTERN", help=REFERENCE_HELP)
     parser.add_argument("--camera", metavar="NAME", required=True, help="a shipped profile (SonyA7S2) or a JSON file")
     parser.add_argument(
         "--model", default="P*+G*+B+R+U", metavar="SPEC", help="components of the noise (default: %(default)s)"
@@ -110,7 +112,8 @@ def run(arguments: console.Arguments) -> int:
     recipe = Recipe(CameraProfile.load(arguments.camera), arguments.model, **console.chosen(arguments, _OF_RECIPE))
     out = Path(arguments.output)
     with console.chosen_workers(arguments) as workers:
-        manifest = synthesize(list(map(Path, arguments.clean)), out, recipe, workers=workers)
+        clean = list(map(Path, arguments.clean))
+        manifest = synthesize(clean, out, recipe, reference=arguments.reference, workers=workers)
     noisy = manifest.card.counts.get("noisy", 0)
     print(
         f"{noisy} noisy frames of {manifest.card.counts['reference']} clean ones: {out / 'data' / manifest.card.folder}"

@@ -156,7 +156,7 @@ class SourcePairs(CroppedItems[Sample]):
         if self.reads_parts:
             self._check_pairs()
         outlined = cache(self._outlined)
-        self._lay_grid(outlined(record.reference) for record in self.records)
+        self._count_items(len(self.records), (outlined(record.reference) for record in self.records))
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -164,12 +164,12 @@ class SourcePairs(CroppedItems[Sample]):
         return frame_of(self.records)
 
     def __len__(self) -> int:
-        return self._length_of(len(self.records), self.crops_per_frame)
+        return self._length_of(len(self.records))
 
-    def drawn(self, index: int, generator: np.random.Generator) -> PairItem:
-        """Draw a crop of pair ``index`` modulo their number, or of a grid its crop."""
-        place, tile = self._record_of(index, len(self.records))
-        pair = self._known(place) if self.reads_parts else self._begun(self.records[place])
+    def drawn(self, place: int, generator: np.random.Generator) -> PairItem:
+        """Draw a crop of pair ``place`` modulo their number, or of a grid its crop."""
+        number, tile = self._record_of(place, len(self.records))
+        pair = self._known(number) if self.reads_parts else self._begun(self.records[number])
         item = PairItem.of(pair, Crop.draw(pair.target, generator, crop=self.crop, augment=self.augment, tile=tile))
         if not self.reads_parts:
             item.parts = self._one_by_one(pair, item.facts)
@@ -317,7 +317,8 @@ class PairDataset(SourcePairs):
     crops_per_frame
         Items per pair: the length is this times the number of pairs, and item i is of pair i modulo that number.
     seed
-        First part of each item's seed, below 2^128: item i of epoch e depends on (seed, e, i) alone.
+        First part of each item's seed, below 2^128: draw k of item i depends on (seed, k, i) alone. The k-th time that
+        an item is asked for it is draw k, whatever the workers; after :meth:`set_epoch` always that of the epoch.
 
     Raises
     ------

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeGuard
 from eldata.base.files import visible_below
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.manifest.catalogue import FrameFiles, find_manifests, is_manifest
+from eldata.manifest.clean import clean_raws
 from eldata.manifest.clips import moment_name
 from eldata.manifest.patterns import expand, sequence_of
-from eldata.raw.files import is_raw, no_raws, raws_below
+from eldata.raw.files import is_raw, no_raws
 from eldata.raw.levels import LEVELS, Levels, check_in_dn
 from eldata.raw.stated import StatedFile
 from eldata.sources.frames import Files, Frame, FrameSource
@@ -57,10 +58,13 @@ class CleanFrames:
     Parameters
     ----------
     source
-        A folder, searched through for camera raws; or a store (``eldata pack``): the frames of a packed folder, or the
+        A folder, of whose camera raws those that are clean are taken (:func:`eldata.manifest.clean.clean_raws`; files
+        one by one are taken as they are); or a store (``eldata pack``): the frames of a packed folder, or the
         references of packed pairs; or a manifest (``.csv``, or a set's name, unless a folder has it): the references
         that it lists below ``$ELDATA_ROOT`` or ``./data``, be they raws or mosaics whose levels its card states. Or
         several of these and of files, one after the other.
+    reference
+        Pattern of the clean frames' paths below a folder, such as ``"*/long/*"``; ``"*"`` takes all.
     names
         Of a :class:`~eldata.sources.frames.FrameSource` given as ``source``: its frames, in this order.
     levels
@@ -71,7 +75,8 @@ class CleanFrames:
     Raises
     ------
     DatasetError
-        If there is not a raw file, a store or manifest has no clean frames, or two of several places hold one file.
+        If there is not a raw file, a store or manifest has no clean frames, it is not certain which of a folder's are
+        clean, or two of several places hold one file.
     ManifestError
         If a manifest is malformed.
     StoreError
@@ -90,6 +95,7 @@ class CleanFrames:
         self,
         source: Path | str | Iterable[Path | str | StatedFile] | FrameSource,
         *,
+        reference: str | None = None,
         names: Iterable[str] = (),
         levels: Levels = "metadata",
         keep: int = 0,
@@ -99,7 +105,10 @@ class CleanFrames:
             raise ArgumentError(f"keep must be 0 or more; found {keep}")
         self.levels: Levels = levels
         self.keep = keep
-        self.origin, self.names = (source, tuple(names)) if isinstance(source, FrameSource) else _found(source)
+        if isinstance(source, FrameSource):
+            self.origin, self.names = source, tuple(names)
+        else:
+            self.origin, self.names = _found(source, reference)
         self._kept: OrderedDict[int, Frame] = OrderedDict()
         self._opened: dict[int, Frame] = {}  # of a source that reads parts: without pixels
 
@@ -140,13 +149,15 @@ class CleanFrames:
         return f"CleanFrames({len(self)} frames, {first}levels={self.levels!r}, keep={self.keep})"
 
 
-def clean_files(source: Path | str | Iterable[Path | str | StatedFile]) -> tuple[Path | StatedFile, ...]:
-    """Return the raw files of a folder, the references of a manifest, or the files that are given.
+def clean_files(
+    source: Path | str | Iterable[Path | str | StatedFile], reference: str | None = None
+) -> tuple[Path | StatedFile, ...]:
+    """Return the clean raw files of a folder, the references of a manifest, or the files that are given.
 
     Raises
     ------
     DatasetError
-        If there is none.
+        If there is none, or it is not certain which they are.
     ManifestError
         If the manifest is malformed.
     """
@@ -156,7 +167,7 @@ def clean_files(source: Path | str | Iterable[Path | str | StatedFile]) -> tuple
     elif is_manifest(source):
         files = _references(str(source))
     else:
-        files = raws_below(Path(source))
+        files = clean_raws(Path(source), reference)
     if not files:
         raise DatasetError("no raw file was given")
     return tuple(files)
@@ -176,15 +187,17 @@ def _path_of(file: Path | StatedFile) -> Path:
     return file.path if isinstance(file, StatedFile) else file
 
 
-def _found(source: Path | str | Iterable[Path | str | StatedFile]) -> tuple[FrameSource, tuple[str, ...]]:
+def _found(
+    source: Path | str | Iterable[Path | str | StatedFile], reference: str | None
+) -> tuple[FrameSource, tuple[str, ...]]:
     """Return where frames are read, and which they are."""
     if not isinstance(source, (str, Path)):
         source = places = list(source)
         if any(map(_holds_frames, places)):
-            several = _Several(places)
+            several = _Several(places, reference)
             return several, several.names
     if not (isinstance(source, (str, Path)) and _is_store(source)):
-        files = clean_files(source)
+        files = clean_files(source, reference)
         stated = {str(file.path): file for file in files if isinstance(file, StatedFile)}
         return Files(stated), tuple(str(_path_of(file)) for file in files)
     store = StoreFrames(source)
@@ -199,8 +212,8 @@ class _Several:
 
     records: tuple[FrameRecord, ...] = ()
 
-    def __init__(self, places: Iterable[Path | str | StatedFile]) -> None:
-        parts = [_found(place) if _holds_frames(place) else _found((place,)) for place in places]
+    def __init__(self, places: Iterable[Path | str | StatedFile], reference: str | None) -> None:
+        parts = [_found(place if _holds_frames(place) else (place,), reference) for place in places]
         each = [(origin, name) for origin, names in parts for name in names]
         self.names = tuple(
             str(origin.path / name) if isinstance(origin, StoreFrames) else name for origin, name in each
@@ -311,7 +324,7 @@ class CleanScene(NamedTuple):
         return replace(self.file, path=folder / self.path) if isinstance(self.file, StatedFile) else folder / self.file
 
 
-def clean_scenes(clean: Sequence[Path], clips: bool | None) -> list[CleanScene]:
+def clean_scenes(clean: Sequence[Path], clips: bool | None, reference: str | None = None) -> list[CleanScene]:
     """Return the clean files of folders and manifests in order: frames of clips, or each a scene.
 
     ``None``: scenes, if that is sure.
@@ -319,12 +332,14 @@ def clean_scenes(clean: Sequence[Path], clips: bool | None) -> list[CleanScene]:
     Raises
     ------
     DatasetError
-        If there is no raw file, the names of a clip do not follow one numbering, two folders hold the same file, or a
-        folder below may be a clip or not.
+        If there is no raw file, it is not certain which are clean, the names of a clip do not follow one numbering, two
+        folders hold the same file, or a folder below may be a clip or not.
     """
-    groups: list[Sequence[Path | StatedFile]] = [[file] for folder in clean for file in clean_files(folder)]
+    groups: list[Sequence[Path | StatedFile]]
     if clips:
-        groups = [files for folder in clean for files in clip_files(folder)]
+        groups = [files for folder in clean for files in clip_files(folder, reference)]
+    else:
+        groups = [[file] for folder in clean for file in clean_files(folder, reference)]
     check_once([_path_of(file) for files in groups for file in files])
     found: list[CleanScene] = []
     folders: dict[Path, list[str]] = {}
@@ -345,20 +360,18 @@ def clean_scenes(clean: Sequence[Path], clips: bool | None) -> list[CleanScene]:
     return found
 
 
-def clip_files(source: Path | str) -> list[Sequence[Path | StatedFile]]:
+def clip_files(source: Path | str, reference: str | None = None) -> list[Sequence[Path | StatedFile]]:
     """Return the clips of a folder or manifest, each a folder at any depth that holds frames, in the order of numbers.
 
     Raises
     ------
     DatasetError
-        If there is no raw file, or the names of a clip do not follow one numbering.
+        If there is no raw file, it is not certain which are clean, or the names of a clip do not follow one numbering.
     """
-    if is_manifest(source):
-        folders: dict[Path, dict[str, Path | StatedFile]] = {}
-        for file in clean_files(source):
-            folders.setdefault(_path_of(file).parent, {})[_path_of(file).name] = file
-        return [[files[name] for name in _in_order(folder, files)] for folder, files in sorted(folders.items())]
-    return [_frames_of(folder) for folder in sorted({path.parent for path in raws_below(Path(source))})]
+    folders: dict[Path, dict[str, Path | StatedFile]] = {}
+    for file in clean_files(source, reference):
+        folders.setdefault(_path_of(file).parent, {})[_path_of(file).name] = file
+    return [[files[name] for name in _in_order(folder, files)] for folder, files in sorted(folders.items())]
 
 
 def _frames_of(folder: Path) -> list[Path]:

@@ -165,9 +165,8 @@ class ClipWindows(CroppedItems[ClipSample]):
         if self.reads_parts:
             for each in self.clips:
                 self._check(each)
-        if self.crops == "grid":  # clips may have several windows
-            like = cache(lambda path: self.source.frame(path).without_pixels())
-            self._lay_grid(like(record.reference or record.path) for record in self.records)
+        like = cache(lambda path: self.source.frame(path).without_pixels())  # clips may have several windows
+        self._count_items(len(self.records), (like(record.reference or record.path) for record in self.records))
 
     def _check(self, clip: Clip) -> None:
         """Make sure that the frames of a clip belong together."""
@@ -191,11 +190,11 @@ class ClipWindows(CroppedItems[ClipSample]):
         return pd.DataFrame([asdict(record) | {"paths": list(record.paths)} for record in self.records])
 
     def __len__(self) -> int:
-        return self._length_of(len(self.records), self.crops_per_window)
+        return self._length_of(len(self.records))
 
-    def drawn(self, index: int, generator: np.random.Generator) -> DrawnItem:
-        """Draw a crop of window ``index`` modulo their number, or of a grid its crop."""
-        number, tile = self._record_of(index, len(self.records))
+    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
+        """Draw a crop of window ``place`` modulo their number, or of a grid its crop."""
+        number, tile = self._record_of(place, len(self.records))
         record = self.records[number]
         reference = None if record.reference is None else self._frame(record.reference)
         first = self._frame(record.path) if reference is None or self.reads_parts else None

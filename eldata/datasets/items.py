@@ -1,4 +1,4 @@
-"""The crop engine: items drawn from (seed, epoch, index), and read from frames of any source.
+"""The crop engine: items drawn from (seed, draw, index), and read from frames of any source.
 
 A dataset says what an item is: which crop of which frames goes where, and the facts beside the pixels. Here they are
 read, by several threads where the source allows it, into memory that is used again, one by one or as whole batches.
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from bisect import bisect_right
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar, get_args
@@ -40,20 +42,47 @@ if TYPE_CHECKING:
 Crops = Literal["random", "grid"]
 
 
-class SharedNumber:
-    """A whole number of 64 bits, at first 0, that persistent workers see as it changes."""
+_keeps_counts = ContextVar("_keeps_counts", default=False)
 
-    def __init__(self) -> None:
-        self._memory = torch.zeros(1, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
+
+@contextmanager
+def keep_counts() -> Iterator[None]:
+    """Read items to look at them, which does not count as asking for them."""
+    token = _keeps_counts.set(True)
+    try:
+        yield
+    finally:
+        _keeps_counts.reset(token)
+
+
+class SharedDraws:
+    """Which draw an item gets: the k-th time that it is asked for the k-th, or that of the epoch once one is set.
+
+    All workers count in one memory, forked or spawned, persistent or not, and see the epoch as it changes. Nothing is
+    locked: only a sampler with replacement has two workers ask for one item at a time, in no order that repeats.
+    """
+
+    def __init__(self, items: int) -> None:
+        # 0, or one more than the epoch that is set; then how often each item was asked for.
+        self._memory = torch.zeros(1 + items, dtype=torch.int64).share_memory_()  # type: ignore[no-untyped-call]
 
     @property
-    def value(self) -> int:
-        """The number."""
-        return int(self._memory)
+    def epoch(self) -> int | None:
+        """The epoch, ``None`` if none is set."""
+        return int(self._memory[0]) - 1 if self._memory[0] else None
 
-    def set(self, value: int) -> None:
-        """Choose the number."""
-        self._memory[0] = value
+    @epoch.setter
+    def epoch(self, epoch: int) -> None:
+        self._memory[0] = epoch + 1
+
+    def next_of(self, index: int) -> int:
+        """Return the draw that an item gets now, and count that it was asked for."""
+        if self._memory[0]:
+            return int(self._memory[0]) - 1
+        draw = int(self._memory[1 + index])
+        if not _keeps_counts.get():
+            self._memory[1 + index] = draw + 1
+        return draw
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -137,7 +166,8 @@ class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
 
     def _seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
         """Read one item to be looked at, and the sensor of its target; raises like ``dataset[index]``."""
-        item = self.item(index)
+        with keep_counts():
+            item = self.item(index)
         return self._sample(item), item.sensor
 
     def plot(self, index: int = 0) -> Drawing:
@@ -207,7 +237,9 @@ class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
             if batch is None:
                 batch = new_batch([Field(name, (len(indices), *shape), "<f4") for name, shape in shapes.items()])
             if batch is None or any(item.shapes != batch.shapes for item in items):
-                return [self[index] for index in indices]
+                rest = indices[len(samples) + len(items) :]
+                made = [] if batch is None else batch.parts(samples)
+                return [*made, *map(self._sample, items), *(self[index] for index in rest)]
             places = slice(len(samples), len(samples) + len(items))
             self._read(items, {name: array[places] for name, array in batch.arrays.items()})
             samples += [dict.fromkeys(shapes) | item.facts for item in items]
@@ -233,7 +265,10 @@ class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
 
 
 class CroppedItems(ReadItems[Sample]):
-    """Items that are crops: item i of epoch e depends on (seed, e, i) alone, not on workers or what was read before.
+    """Items that are crops: draw k of item i depends on (seed, k, i) alone, not on workers or other items.
+
+    The k-th time that an item is asked for it is draw k, from 0 on, whatever the workers; after :meth:`set_epoch`
+    always that of the epoch.
 
     Parameters
     ----------
@@ -261,7 +296,7 @@ class CroppedItems(ReadItems[Sample]):
             )
         self.crop, self.augment = crop, augment
         self.crops: Crops = crops
-        self._epoch = SharedNumber()
+        self._repeats = number
         self._starts: list[int] | None = None  # of a grid: the first item of each record, and their number
 
     def _choose_values(
@@ -295,34 +330,36 @@ class CroppedItems(ReadItems[Sample]):
             )
 
     @property
-    def epoch(self) -> int:
-        """The current epoch."""
-        return self._epoch.value
+    def epoch(self) -> int | None:
+        """The epoch that was set; ``None``: draws go on by themselves."""
+        return self._draws.epoch
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch whose items are drawn from now on, in running workers too.
+        """Fix the draw of every item, in running workers too, until the next call: that of this epoch.
 
         Raises
         ------
         ArgumentError
             If it is not a whole number from 0 up to below 2^32.
         """
-        self._epoch.set(checked_epoch(epoch))
+        self._draws.epoch = checked_epoch(epoch)
 
-    def _lay_grid(self, frames: Iterable[Frame]) -> None:
-        """Count the crops of a grid, if it is to be one, in a frame of each record."""
+    def _count_items(self, records: int, frames: Iterable[Frame]) -> None:
+        """Count the items: of a grid its crops, in a frame of each record."""
         if self.crops == "grid" and self.crop is not None:
             counts = (Crop.count_tiles(frame, crop=self.crop, augment=self.augment) for frame in frames)
             self._starts = list(accumulate(counts, initial=0))
+        self._draws = SharedDraws(self._length_of(records))
 
-    def _length_of(self, records: int, repeats: int) -> int:
-        """Return the number of items: that of the grid's crops, or ``repeats`` of each record."""
-        return records * repeats if self._starts is None else self._starts[-1]
+    def _length_of(self, records: int) -> int:
+        """Return the number of items: that of the grid's crops, or as many of each record."""
+        return records * self._repeats if self._starts is None else self._starts[-1]
 
-    def _record_of(self, index: int, records: int) -> tuple[int, int | None]:
+    def _record_of(self, place: int, records: int) -> tuple[int, int | None]:
         """Return the record that an item is of, and which crop of its grid."""
         if self._starts is None:
-            return index % records, None
+            return place % records, None
+        index = place % self._starts[-1]
         record = bisect_right(self._starts, index) - 1
         return record, index - self._starts[record]
 
@@ -337,8 +374,8 @@ class CroppedItems(ReadItems[Sample]):
         return f"crop={self.crop}, augment={self.augment}{grid}"
 
     @abstractmethod
-    def drawn(self, index: int, generator: np.random.Generator) -> DrawnItem:
-        """Draw an item; ``index`` is not negative."""
+    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
+        """Draw an item; ``place`` is its index, and its number of items more for each draw before."""
 
     @property
     def _may_differ(self) -> bool:
@@ -346,9 +383,11 @@ class CroppedItems(ReadItems[Sample]):
         return self.crop is None and not self.reads_parts
 
     def item(self, index: int) -> Any:
-        """Draw an item from (seed, epoch, index): what :meth:`drawn` returns."""
-        index = checked_index(index, len(self))
-        return self.drawn(index, item_generator(self.seed, self.epoch, index))
+        """Draw an item from (seed, draw, index): what :meth:`drawn` returns."""
+        length = len(self)
+        index = checked_index(index, length)
+        draw = self._draws.next_of(index)
+        return self.drawn(index + draw * length, item_generator(self.seed, draw, index))
 
 
 def shading_text(shading: DarkShading | None) -> str:

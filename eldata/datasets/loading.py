@@ -24,6 +24,7 @@ from torch.utils.data import DataLoader, IterableDataset
 from eldata.base.arguments import require_main_guard
 from eldata.base.numbers import checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
+from eldata.datasets.items import keep_counts
 from eldata.datasets.ranks import START_METHODS, Rank, ShuffledSampler, current_rank, loader_workers
 from eldata.errors import ArgumentError, check_choice
 
@@ -56,12 +57,13 @@ def training_loader(
 ) -> DataLoader[Any]:
     """Return a DataLoader for training: shuffled again each epoch, as many whole batches on every rank.
 
-    Call :func:`set_epoch` before each epoch. :func:`describe` says what was chosen, and why.
+    Several ranks call :func:`set_epoch` before each epoch, and who wants to go on later to the bit; else each pass goes
+    on by itself. :func:`describe` says what was chosen, and why.
 
     Parameters
     ----------
     dataset
-        One with ``len`` and indices. Items are to depend on (seed, epoch, index) alone, as those of this package do.
+        One with ``len`` and indices. Items are to depend on (seed, draw, index) alone, as those of this package do.
     batch_size
         Items per batch; the last batch is dropped if it is smaller.
     workers
@@ -114,9 +116,9 @@ def evaluation_loader(
 ) -> DataLoader[Any]:
     """Return a DataLoader for validation and evaluation: each item exactly once over all ranks, in order.
 
-    Ranks may get unequal numbers of batches: gather their results afterwards, and do not synchronise batch by batch.
-    Parameters and errors are those of
-    :func:`training_loader`; but the last batch may be smaller, and a rank may have none.
+    To score random crops or made noise alike in each pass, call :func:`set_epoch` once. Ranks may get unequal numbers
+    of batches: gather their results afterwards, and do not synchronise batch by batch. Parameters and errors are those
+    of :func:`training_loader`; but the last batch may be smaller, and a rank may have none.
     """
     reading = _Reading(workers, prefetch, start_method, device)
     return _Loader(dataset, batch_size, seed, rank, reading, collate, is_training=False)
@@ -134,7 +136,7 @@ def describe(loader: DataLoader[Any]) -> str:
 
 
 def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> None:
-    """Choose the epoch that the next iteration over a loader gives: its order, its items' crops and noise.
+    """Fix the epoch that iterations over a loader give: its order, its items' crops and noise.
 
     The same call after a restart goes on with that epoch, with ``first_batch`` in the middle of it: the batches before
     are not read, and the others are the same. (Numbers that a transform draws in a worker are those of another place.)
@@ -286,7 +288,9 @@ def _settings(dataset: Any, batch_size: int, reading: _Reading, rank: Rank, told
     """Return the DataLoader's settings of workers and memory; the reasons are added to ``told``."""
     workers, prefetch, start_method, device = reading
     if workers is None:
-        count, why = loader_workers(_nbytes(dataset[0]) * batch_size, prefetch, start_method, rank)
+        with keep_counts():
+            nbytes = _nbytes(dataset[0])
+        count, why = loader_workers(nbytes * batch_size, prefetch, start_method, rank)
         told.append(f"workers: {count} ({why})")
     elif workers < 0:
         raise ArgumentError(f"workers must be 0 or more; found {workers}")

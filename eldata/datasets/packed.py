@@ -28,9 +28,8 @@ class PackedStore(SourcePairs):
     """Pairs from a store that ``eldata pack`` made: ``dataset[i]`` is a :class:`~eldata.datasets.base.Sample`.
 
     Each item is a random crop of both frames of a pair, in one of eight orientations. Its values are those of the raw
-    route (:class:`~eldata.datasets.base.PairDataset` on the files) at the same place, bit for bit. Item i of epoch e
-    depends on (seed, e, i) alone: not on workers, their number, or what was read before. Call :meth:`set_epoch` before
-    each epoch; it reaches workers that are running already.
+    route (:class:`~eldata.datasets.base.PairDataset` on the files) at the same place, bit for bit. Draws are those of
+    the raw route too: another each time that an item is asked for, unless :meth:`set_epoch` fixes them.
 
     Parameters
     ----------
@@ -95,7 +94,6 @@ class PackedClips(ClipWindows):
     The clips are those that have a reference, or with ``dynamic`` those that have none, such as DRV's dynamic ones.
     Each item is a window of consecutive frames and their one reference, all cut at the same random place and turned the
     same way. The values are those of :class:`~eldata.datasets.published.clips.DRVDataset` on the files, bit for bit.
-    Item i of epoch e depends on (seed, e, i) alone, as in :class:`PackedStore`.
 
     Parameters
     ----------

@@ -57,25 +57,29 @@ def current_rank() -> Rank:
 class ShuffledSampler(Sampler[int]):
     """Indices in an order that depends on (seed, epoch); as many for each rank, none twice.
 
-    Fewer indices than there are ranks are left out, others each epoch.
+    The k-th iteration has the order of epoch k, from 0 on, unless :meth:`set_epoch` was called. Fewer indices than
+    there are ranks are left out, others each epoch.
     """
 
     def __init__(self, length: int, *, seed: int, rank: Rank) -> None:
         self.length = length
         self.seed = seed
         self.rank = rank
-        self.epoch = 0
+        self.epoch: int | None = None
         self.first = 0
+        self._passes = 0
 
     def set_epoch(self, epoch: int, first: int = 0) -> None:
-        """Choose the epoch whose order the next iteration has, and from which of this rank's indices it goes on."""
+        """Fix the epoch whose order iterations have, and from which of this rank's indices they go on."""
         self.epoch, self.first = epoch, first
 
     def __len__(self) -> int:
         return self.length // self.rank.of
 
     def __iter__(self) -> Iterator[int]:
-        sequence = purpose_sequence(self.seed, self.epoch, _ORDER)
+        epoch = self._passes if self.epoch is None else self.epoch
+        self._passes += 1
+        sequence = purpose_sequence(self.seed, epoch, _ORDER)
         order = np.random.default_rng(sequence).permutation(self.length)
         yield from order[self.rank.number :: self.rank.of][self.first : len(self)].tolist()
 

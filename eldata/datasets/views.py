@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from eldata.base.seeds import item_generator
 from eldata.datasets.base import SIDES, Sample
-from eldata.datasets.items import ReadItems, checked_index
+from eldata.datasets.items import ReadItems, SharedDraws, checked_index
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -56,9 +56,14 @@ class Noise2Noise(ReadItems[Sample]):
                 "Noise2Noise needs two noisy frames of a scene at one ISO and ratio; of "
                 f"{len(pairs.records)} pairs none has another one"
             )
+        self._draws = SharedDraws(len(self))
 
     def __len__(self) -> int:
         return len(self._members) * self.pairs.crops_per_frame
+
+    def set_epoch(self, epoch: int) -> None:
+        """Fix the draw of every item, as of the pairs."""
+        self.pairs.set_epoch(epoch)
 
     @property
     def _may_differ(self) -> bool:
@@ -66,10 +71,12 @@ class Noise2Noise(ReadItems[Sample]):
         return self.pairs._may_differ
 
     def item(self, index: int) -> PairItem:
-        """Draw an item from (seed, epoch, index): a crop of a pair, and another pair of its scene."""
+        """Draw an item from (seed, draw, index): a crop of a pair, and another pair of its scene."""
         index = checked_index(index, len(self))
         group, place, step = self._members[index % len(self._members)]
-        generator = item_generator(self.pairs.seed, self.pairs.epoch, index)
+        epoch = self.pairs.epoch
+        draw = self._draws.next_of(index) if epoch is None else epoch
+        generator = item_generator(self.pairs.seed, draw, index)
         other_place = (place + 1 + int(generator.integers(len(group) - 1))) % len(group)
         item = self.pairs.drawn(self.pairs._indices_of(group[place])[step], generator)
         other = self.pairs.drawn(self.pairs._indices_of(group[other_place])[step], generator)

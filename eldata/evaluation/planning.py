@@ -21,7 +21,7 @@ from eldata.manifest.patterns import expand, is_png
 from eldata.manifest.verify import check_files
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.kinds import IMAGES
-from eldata.protocols.named import default_protocol
+from eldata.protocols.named import PROTOCOLS, default_protocol
 from eldata.protocols.protocol import OWN_SEQUENCES, ClipProtocol
 
 if TYPE_CHECKING:
@@ -81,7 +81,8 @@ def plan_scoring(request: Request, *, unscored: bool = False) -> ScoringPlan:
     """Return what is scored; with ``unscored`` also what is only to be predicted, a subset without references.
 
     Of a set that comes with the package these are the protocol's pairs or clips. A set of the user's own has its own
-    pairs: those at the protocol's factors if it has every one of them, else all.
+    pairs: those at the protocol's factors if it has every one of them, else all; of a protocol of the user's own those
+    of its cameras, scenes and subset too.
 
     Raises
     ------
@@ -132,15 +133,13 @@ def _check_shading(protocol: Protocol, pairs: Sequence[Pair], shading: DarkShadi
 def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> ScoringPlan:
     records, subsets = request.manifest.records, request.manifest.card.subsets
     set_aside: list[str] = []
+    choice = protocol
     if request.is_own:
-        there = {record.ratio for record in records if record.role == "noisy"}
-        ratios = protocol.ratios if all(ratio in there for ratio in protocol.ratios) else ()
-        cameras, scenes, subset = request.cameras, None, request.subset
-        set_aside = _set_aside(protocol, ratios)
-    else:
-        _check_choice(request, protocol)
-        cameras = protocol.cameras or None if request.cameras is None else request.cameras
-        scenes, ratios, subset = protocol.scenes or None, protocol.ratios, protocol.subset or request.subset
+        choice = _choice_of_own(request, protocol)
+        set_aside = _set_aside(protocol, choice)
+    _check_choice(request, choice)
+    cameras = choice.cameras or None if request.cameras is None else request.cameras
+    scenes, ratios, subset = choice.scenes or None, choice.ratios, choice.subset or request.subset
     if subset is None and subsets:
         subset = subsets[0].name
     if unscored and subset is not None:
@@ -160,14 +159,34 @@ def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> Scoring
     return ScoringPlan(pairs, facts)
 
 
-def _set_aside(protocol: Protocol, ratios: tuple[int | float, ...]) -> list[str]:
-    """Return which of a protocol's choices a set of the user's own sets aside; ``ratios`` are applied."""
-    found = [f"cameras {', '.join(protocol.cameras)}"] if protocol.cameras else []
-    if protocol.scenes:
+def _choice_of_own(request: Request, protocol: Protocol) -> Protocol:
+    """Return the protocol with what it chooses of a set of the user's own.
+
+    A shipped protocol chooses cameras, scenes and subset of a published set, which are set aside. So they are in a file
+    that has them from its base, unless the set has them all; what the file states itself is applied, or refused.
+    """
+    noisy = [record for record in request.manifest.records if record.role == "noisy"]
+    subsets = {subset.name for subset in request.manifest.card.subsets}
+    there = {"cameras": {one.camera for one in noisy}, "scenes": {one.scene for one in noisy}, "subset": subsets}
+    kept: dict[str, Any] = {}
+    for name, known in there.items():
+        chosen = getattr(protocol, name)
+        bases = [base.name for base in PROTOCOLS.values() if getattr(base, name, None) == chosen]
+        wanted = {chosen} if isinstance(chosen, str) else set(chosen or ())
+        if protocol.name in bases or (bases and not wanted <= known):
+            kept[name] = None if name == "subset" else ()
+    ratios = {record.ratio for record in noisy}
+    return replace(protocol, **kept, ratios=protocol.ratios if ratios.issuperset(protocol.ratios) else ())
+
+
+def _set_aside(protocol: Protocol, choice: Protocol) -> list[str]:
+    """Return which of a protocol's choices a set of the user's own sets aside."""
+    found = [f"cameras {', '.join(protocol.cameras)}"] if choice.cameras != protocol.cameras else []
+    if choice.scenes != protocol.scenes:
         found.append(f"{len(protocol.scenes)} scenes")
-    if protocol.subset is not None:
+    if choice.subset != protocol.subset:
         found.append(f"subset {protocol.subset}")
-    if protocol.ratios and not ratios:
+    if choice.ratios != protocol.ratios:
         found.append(f"factors {', '.join(f'x{ratio:g}' for ratio in protocol.ratios)}")
     return found
 

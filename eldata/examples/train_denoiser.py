@@ -104,12 +104,17 @@ def train(
     if is_first:
         curve = curves_in(options.output)
         print(data, describe(loader), f"{sum(map(torch.numel, network.parameters())):,} parameters", sep="\n")
-    for report in training.epochs(options.output / "checkpoint.pt", save_every=SAVE_EVERY):
-        shown = {"loss": report.loss, **more(report, training.steps)}
-        if is_first:
-            print(report, *(f"{name} {shown[name]:.4f}" for name in ("psnr_db", "ssim") if name in shown), sep=", ")
-            for name, value in shown.items():
-                curve(name, value, report.step)
+    try:
+        for report in training.epochs(options.output / "checkpoint.pt", save_every=SAVE_EVERY):
+            shown = {"loss": report.loss, **more(report, training.steps)}
+            if is_first:
+                print(report, *(f"{name} {shown[name]:.4f}" for name in ("psnr_db", "ssim") if name in shown), sep=", ")
+                for name, value in shown.items():
+                    curve(name, value, report.step)
+    finally:
+        if training.saved:
+            there = f"{training.saved} of {training.steps} steps ({training.saved / len(loader):.4g} epochs) are saved"
+            options.interrupted = f"{there} in {{output}}/checkpoint.pt, and the same command goes on from there"
 
 
 def keep_and_show(options: argparse.Namespace, network: torch.nn.Module, channels: int, chosen: Sequence[str]) -> int:
@@ -311,9 +316,6 @@ def parser() -> console.Parser:
         "--clean", nargs="+", metavar="CLEAN", help="folders of clean raws, manifests, or packed stores of such"
     )
     how = add_training_options(parser, data)
-    data.add_argument(
-        "--range-dn", type=float, metavar="DN", help="the noise's camera: white minus black, for --clean of others"
-    )
     data.add_argument("--pairs", metavar="STORE", help="a packed store of pairs")
     data.add_argument("--noise2noise", action="store_true", help="a second noisy frame in place of the clean one")
     data.add_argument(
@@ -356,7 +358,7 @@ def program(
         metavar="RUN",
         help="folder of this training (default: %(default)s); the same command goes on with it",
     )
-    interrupted = "{output} keeps the last checkpoint, and the same command goes on"
+    interrupted = "nothing was saved; the same command begins again, or goes on with what {output} had before"
     parser.set_defaults(run=run, command=parser.prog, interrupted=interrupted, running=["debug"])
     return parser, parser.add_argument_group("data")
 
@@ -367,6 +369,9 @@ def add_training_options(parser: argparse.ArgumentParser, data: argparse._Argume
     data.add_argument("--camera", nargs="+", metavar="NAME", help="whose noise is made: shipped profiles, or files")
     data.add_argument(
         "--noise", default="P*+G*+B+R+U", metavar="MODEL", help=f"a spec, or package.module:name of yours {default}"
+    )
+    data.add_argument(
+        "--range-dn", type=float, metavar="DN", help="the noise's camera: white minus black, for --clean of others"
     )
     data.add_argument("--dark-frames", metavar="STORE", help="packed bias frames, for the specs with D")
     data.add_argument("--iso", type=float, nargs="+", help="these alone, drawn alike (default: the gain is drawn)")

@@ -81,6 +81,7 @@ def training_clips(options: argparse.Namespace, frames: int) -> Dataset[Any]:
     else:
         source = CleanClips(options.clean, levels=options.levels)
     noise = {"model": noise_of(options), "iso": options.iso, "ratio": tuple(options.ratio)}
+    noise["range_dn"] = options.range_dn
     windows = {"frames": frames, "windows_per_clip": options.crops_per_clip}
     return SyntheticClips(source, options.camera, **windows, **crops, **noise)
 

@@ -50,7 +50,7 @@ def test_a_signal_unwinds_the_work_and_is_one_line(
 
     assert run(work) == 128 + number
     assert unwound == [True]
-    assert capsys.readouterr() == ("", f"some: {word}; nothing was begun\n")
+    assert capsys.readouterr() == ("", f"some: {word}; files are written whole or not at all, so none is left half\n")
     assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
 
 

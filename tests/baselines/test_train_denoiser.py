@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import torch
 
-from eldata.baselines import UNet, load_network
+from eldata.baselines import Training, UNet, load_network
 from eldata.cli.main import main as eldata
 from eldata.examples import train_denoiser
 from eldata.examples.train_denoiser import main, parser
@@ -23,7 +25,7 @@ from tests.trees import tree_in
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
     from types import ModuleType
 
@@ -171,6 +173,33 @@ def goes_on_to_the_bit(
     assert 1 <= len(losses_in(capsys.readouterr().out)) <= most
     whole, resumed = (torch.load(one / "weights.pt", weights_only=True) for one in (straight, run))
     assert all(torch.equal(whole[name], resumed[name]) for name in whole)
+
+
+@pytest.mark.parametrize(
+    ("last", "said"),
+    [
+        (1, "nothing was saved; the same command begins again"),
+        (4, "2 of 6 steps (1 epochs) are saved in {run}/checkpoint.pt, and the same command goes on from there"),
+    ],
+)
+def test_ctrl_c_says_what_is_saved(
+    last: int,
+    said: str,
+    store: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    steps, train_on = itertools.count(1), Training._train_on
+
+    def interrupted(self: Training, batch: Mapping[str, Any]) -> None:
+        if next(steps) == last:
+            signal.raise_signal(signal.SIGINT)
+        train_on(self, batch)
+
+    monkeypatch.setattr(Training, "_train_on", interrupted)
+    assert main(["-o", str(tmp_path), *SMALL, *synthetic(store), "--epochs", "3", "--batch-size", "8"]) == 130
+    assert said.format(run=tmp_path) in capsys.readouterr().err
 
 
 @pytest.mark.study

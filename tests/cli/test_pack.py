@@ -48,7 +48,10 @@ def test_pack_then_verify_then_read(eldata: Cli, tree: Tree, tmp_path: Path) -> 
 
 def test_a_folder_of_clean_raws(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
     folder = tree.files / "DemoBeta" / "scene-1"
-    assert eldata("pack", folder, "-o", tmp_path / "clean.h5").out.startswith("16 frames packed: ")
+    assert eldata("pack", folder, "-o", tmp_path / "clean.h5").out.startswith("4 frames packed: ")
+    every = eldata("pack", folder, "-o", tmp_path / "every.h5", "--reference", "*")
+    assert every.out.startswith("16 frames packed: ")
+    assert_one_line(eldata("pack", "eld", "-o", tmp_path / "x.h5", "--reference", "*"), "is for a folder of raws")
     assert_one_line(eldata("pack", folder, "-o", tmp_path / "x.h5", "--split", "test"), "--split", "is a folder")
     assert_one_line(eldata("pack", tmp_path, "-o", tmp_path / "x.h5"), "holds no camera raw file")
     (tmp_path / "one").mkdir()

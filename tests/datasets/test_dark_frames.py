@@ -111,6 +111,7 @@ def test_a_draw_is_the_frame_to_the_bit(cfa: Cfa, tmp_path: Path) -> None:
     assert len({one.tobytes() for one in drawn}) == 2
     source = night(cfa)
     dataset = pairs(frames, source, crop=8)
+    dataset.set_epoch(0)
     for index in range(6):
         dn, item = in_dn(dataset[index], source.frame(0).range_dn), dataset.item(index)
         raw = read_raw(dataset[index]["dark_frame"])
@@ -228,6 +229,7 @@ def test_frames_of_a_clip_have_dark_frames_of_their_own_from_one_place(bias: Pat
     options: dict[str, Any] = {"frames": 2, "crop": 16, "windows_per_clip": 12, "clip": "none", "iso": 1600}
     model = NoiseModel("P*+D", dark_frames=DarkFrames(bias, dither=False))
     dataset = SyntheticClips(clips, "SonyA7S2", model=model, **options)
+    dataset.set_epoch(0)
     for index in range(12):
         item, drawn = dataset[index], dataset.item(index)
         names = item["dark_frame"].split(", ")
@@ -376,6 +378,7 @@ def test_less_a_shading_the_noise_alone_is_left(tmp_path: Path) -> None:
         made[name] = compiled
         source = Mosaics([np.full((SIDE, SIDE), 512.0, np.float32)], cfa, black=512.0, white=15871.0)
         dataset = pairs(dark, source)
+        dataset.set_epoch(0)
         item, crop = dataset[1], dataset.item(1).crop
         rows, columns = (slice(part.start // 2, part.start // 2 + 16) for part in crop.slices)
         number = int(item["dark_frame"].split("/")[-1].split(".")[0])

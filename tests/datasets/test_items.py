@@ -175,6 +175,7 @@ def test_crops_of_packed_arrays(pristine: Tree, tmp_path: Path) -> None:
     root = tmp_path / "set" / "data" / "set"
     whole = PairDataset(root, made.path, levels="metadata")
     cut = PairDataset(root, made.path, levels="metadata", crop=8, crops_per_frame=3)
+    cut.set_epoch(0)
     for index, sample in enumerate(cut):
         other, part = whole[index % 2], cut.item(index).crop.slices
         top, left = (side.start // 2 for side in part)

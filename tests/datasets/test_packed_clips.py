@@ -130,6 +130,7 @@ def test_crops_of_raw_windows_are_parts_of_the_files(clip: str, raw: Path, raw_f
     """Not turned, a crop is a region of the packed frame; turned ones are Crop's, whose tests look at the CFA."""
     options: dict[str, Any] = {"ids": [clip], "clip": "none", "window": 3}
     ours = PackedClips(raw, crop=6, augment=False, crops_per_window=8, seed=1, **options)
+    ours.set_epoch(0)
     starts = set()
     for index, sample in enumerate(ours):
         drawn = ours.item(index).crop

@@ -176,8 +176,7 @@ def batched(length: int, size: int) -> list[range]:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_workers_read_compressed_stores(method: str, fuji: Path) -> None:
-    dataset = some(fuji)
-    for item, wanted in zip(loader(dataset, method), dataset, strict=True):
+    for item, wanted in zip(loader(some(fuji), method), some(fuji), strict=True):
         same(item, wanted)
 
 

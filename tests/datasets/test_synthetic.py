@@ -19,6 +19,7 @@ from eldata.datasets.clean import CleanFrames
 from eldata.datasets.items import ReadItems
 from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs, SyntheticSample
+from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel
 from eldata.raw import write_dng
@@ -107,6 +108,7 @@ def test_an_item_depends_on_seed_epoch_and_index_alone(folder: Path) -> None:
     reference = items(raw_pairs(folder))
     assert len(reference) == 12
     shuffled = raw_pairs(folder)
+    shuffled.set_epoch(0)
     for index in [*np.random.default_rng(0).permutation(12).tolist(), 5, 5, -1, -12]:
         same(shuffled[index], reference[index])
     other = raw_pairs(folder)
@@ -117,6 +119,7 @@ def test_an_item_depends_on_seed_epoch_and_index_alone(folder: Path) -> None:
     kept = SyntheticPairs(CleanFrames(folder, keep=3), ("SonyA7S2", "NikonD850"), crop=8, crops_per_frame=4, seed=3)
     for index in range(12):
         same(kept[index], reference[index])
+        different(kept[index], reference[index])
 
 
 def test_another_seed_epoch_or_index_gives_another_item(folder: Path) -> None:
@@ -199,7 +202,7 @@ def test_an_epoch_reaches_persistent_workers(method: str, copied: str | None, fo
         reference.set_epoch(epoch)
         for index, item in enumerate(batches):
             same(item, reference[index])
-    assert original.epoch == (1 if copied is None else 0)
+    assert original.epoch == (1 if copied is None else None)
 
 
 # --- length, index, collate -----------------------------------------------------------------------------------------
@@ -584,7 +587,7 @@ def test_an_epoch_that_makes_no_sense() -> None:
     dataset = flat()
     with pytest.raises(ArgumentError, match="epoch must be"):
         dataset.set_epoch(2**32)
-    assert dataset.epoch == 0
+    assert dataset.epoch is None
 
 
 @pytest.mark.parametrize("source", ["clean", np.zeros((1, 4, 8, 8)), None])
@@ -655,6 +658,29 @@ def test_the_range_of_the_simulated_camera_decides_the_noise() -> None:
     assert "range_dn=" not in repr(alone).split("NoiseModel", 1)[1]
     with pytest.raises(ArgumentError, match="range_dn"):
         pairs(twelve, range_dn=0)
+
+
+@pytest.mark.parametrize(("black", "white"), [(64.0, 1023.0), (128.0, 4095.0), (0.0, 65535.0), (2048.0, 13583.0)])
+def test_files_of_other_bits_are_refused_with_both_ranges(black: float, white: float, tmp_path: Path) -> None:
+    """Under levels that are stated for them as well; 14 bits that end at 13583 are on the profile's scale."""
+    sensor = make_sensor(black_level_dn=(black,) * 4, white_level_dn=white)
+    write_dng(tmp_path / "a.dng", np.full((60, 64), round(black + 0.2 * (white - black)), np.uint16), sensor, EXPOSURE)
+    out, recipe = tmp_path / "out", Recipe(CameraProfile.load("SonyA7S2"))
+    if white == 13583:
+        assert pairs(CleanFrames(tmp_path))[0]["target"].mean() == pytest.approx(0.2, abs=1e-4)
+        assert synthesize(tmp_path, out, recipe).card.counts["noisy"] == 1
+        return
+    for levels in ("metadata", "published"):
+        words = rf"a.dng: has {white - black:g} DN .* SonyA7S2 .* have 15871; range_dn=15871 makes"
+        with pytest.raises(DatasetError, match=words):
+            pairs(CleanFrames(tmp_path, levels=levels))[0]
+    with pytest.raises(DatasetError, match=rf"a.dng: has {white - black:g} DN .* 15871; the noisy files are like"):
+        synthesize(tmp_path, out, recipe)
+    given = pairs(CleanFrames(tmp_path), range_dn=15871.0)[0]
+    shares = np.full((1, 4, 30, 32), given["target"][0, 0, 0], np.float32)
+    wanted = pairs(arrays(shares, range_dn=15871.0))[0]
+    assert torch.allclose(given["input"], wanted["input"], atol=1e-3)
+    assert pairs(CleanFrames(tmp_path), "CanonEOS5D4")[0]["input"].shape == (4, 8, 8)  # whose levels are not known
 
 
 def test_the_repr_says_what_is_made() -> None:

@@ -222,8 +222,8 @@ def test_one_whole_frame_is_in_memory_at_a_time(tmp_path: Path) -> None:
 
 
 def test_batches_hold_the_windows(folder: Path) -> None:
+    batches = list(DataLoader(raw_clips(folder), batch_size=4, num_workers=2, timeout=PATIENCE_S))
     dataset = raw_clips(folder)
-    batches = list(DataLoader(dataset, batch_size=4, num_workers=2, timeout=PATIENCE_S))
     for number, batch in enumerate(batches):
         wanted = default_collate([dataset[index] for index in range(4 * number, min(4 * number + 4, len(dataset)))])
         assert list(batch) == list(wanted)

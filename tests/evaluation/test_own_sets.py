@@ -20,6 +20,7 @@ from eldata.evaluation import evaluate, save_prediction
 from eldata.evaluation.evaluate import perform
 from eldata.evaluation.published import comparison_table
 from eldata.evaluation.request import make_request
+from eldata.manifest.card import Subset, save_card
 from eldata.manifest.catalogue import load_manifest, shipped_manifest
 from eldata.manifest.table import save_records
 from eldata.protocols import PROTOCOLS
@@ -262,6 +263,45 @@ def test_a_set_with_all_of_the_protocols_factors_is_scored_at_them(
     assert result.provenance["ratios"] == scored
     assert result.provenance["set_aside"] == set_aside
     assert {image.ratio for image in result.images} == set(scored)
+
+
+@pytest.mark.parametrize(
+    ("base", "stated", "found"),
+    [
+        ("raw", 'cameras = ["DemoBeta"]', {"DemoBeta/scene-1"}),
+        ("raw", 'scenes = ["scene-1"]', {"DemoAlpha/scene-1", "DemoBeta/scene-1"}),
+        ("raw", 'subset = "beta"', {"DemoBeta/scene-1"}),
+        ("raw", 'cameras = ["DemoBeta", "DemoGamma"]', "no pair has camera DemoGamma; known are DemoAlpha, DemoBeta"),
+        ("raw", 'scenes = ["scene-9"]', "no pair has scene scene-9; known are scene-1"),
+        ("raw", 'subset = "x"', "no subset is called 'x'"),
+        ("led-eld", "ratios = []", ["cameras SonyA7S2, NikonD850", "8 scenes"]),
+    ],
+)
+def test_what_a_protocol_of_ones_own_chooses_is_applied_or_refused(
+    base: str, stated: str, found: set[str] | list[str] | str, tree: Tree, tmp_path: Path
+) -> None:
+    """What it has from a published base, of another set, is set aside, and said."""
+    subsets = Subset("all", "all", "", 24), Subset("beta", "beta", "", 12, paths="DemoBeta/*")
+    table = tmp_path / "eld-demo.csv"
+    shutil.copyfile(tree.manifest, table)
+    save_card(table.with_suffix(".json"), replace(load_manifest(tree.manifest).card, subsets=subsets))
+    file = tmp_path / "mine.toml"
+    file.write_text(f'base = "{base}"\nname = "mine"\ntitle = "mine"\n{stated}\n', encoding="utf-8")
+
+    def evaluated(**options: Any) -> Any:
+        return evaluate(None, manifest=table, root=tree.root, protocol=file, baseline="input", **options)
+
+    if isinstance(found, str):
+        with pytest.raises(ArgumentError, match=found):
+            evaluated()
+        return
+    result = evaluated()
+    assert result.provenance["set_aside"] == (found if isinstance(found, list) else [])
+    if isinstance(found, set):
+        assert {f"{image.camera}/{image.scene}" for image in result.images} == found
+    if "cameras" in stated:
+        with pytest.raises(ArgumentError, match="protocol 'mine' scores DemoBeta, not DemoAlpha"):
+            evaluated(cameras=["DemoAlpha"])
 
 
 # --- one bad file -----------------------------------------------------------------------------------------------------

@@ -99,8 +99,8 @@ def test_a_store_draws_its_crop(tree: Tree, tmp_path: Path) -> None:
 def test_synthetic_pairs_are_drawn(eld: ELDDataset, tree: Tree) -> None:
     path = tree.data / eld.records[0].reference
     pairs = SyntheticPairs(CleanFrames([path], keep=1), "SonyA7S2", crop=16)
-    sample = pairs[0]
     noisy, clean, _ = images_of(pairs.plot(0))
+    sample = pairs[0]
     brighter = brightening(sample["target"].numpy())
     sensor = read_raw(path).sensor
     np.testing.assert_array_equal(noisy, preview(sample["input"].numpy() * brighter, sensor))

@@ -14,7 +14,7 @@ from eldata.datasets.batches import threads_here
 from eldata.datasets.items import CroppedItems, DrawnItem
 from eldata.datasets.synthetic.dark_frames import GAIN_SPREAD, DarkFrames
 from eldata.datasets.synthetic.draws import NoiseChoice, Turns, fewest_members
-from eldata.errors import ArgumentError, check_choice
+from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise.makers import check_noise_maker, made_exposure, maker_name
 from eldata.noise.model import NoiseModel
 from eldata.raw.levels import CLIP_RANGES
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from eldata.noise.makers import NoiseMaker
     from eldata.noise.profile import RowChoice
     from eldata.raw.levels import Clip
+    from eldata.records import Sensor
     from eldata.sources.frames import Frame
 
 
@@ -43,6 +44,8 @@ class NoisyItem(DrawnItem):
 
 
 Sample = TypeVar("Sample")
+
+_ONE_SCALE = 1.5  # ranges of DN less far apart are other white levels, those farther apart files of other bits
 
 
 class NoisyItems(CroppedItems[Sample]):
@@ -73,15 +76,15 @@ class NoisyItems(CroppedItems[Sample]):
             raise ArgumentError(f"{owner}: dark frames are in the frames' own DN; leave range_dn out")
         self._turns = None if self._dark is None else _turns(owner, self._dark, self.noise, self.seed, exposures)
         records = map(getattr(source, method), range(len(source)))
-        self._lay_grid(records if method == "frame" else (clip.frame(0) for clip in records))
-        self._length = self._length_of(len(source), repeats[1])
+        self._count_items(len(source), records if method == "frame" else (clip.frame(0) for clip in records))
+        self._length = self._length_of(len(source))
 
     def __len__(self) -> int:
         return self._length
 
     def _noisy(
         self,
-        index: int,
+        place: int,
         generator: np.random.Generator,
         frame: Frame,
         crop: Crop,
@@ -89,12 +92,11 @@ class NoisyItems(CroppedItems[Sample]):
         *frames: int,
         **facts: int,
     ) -> NoisyItem:
-        """Draw an item's noise; dark frames have their turn by the item's place in the sequence of all epochs."""
+        """Draw an item's noise; dark frames have their turn by the item's place in the sequence of all draws."""
         if self._turns is None:
             draw = self.noise.draw(generator)
         else:
-            turn = self._turns.at(self.epoch * self._length + index)
-            draw = self.noise.draw(generator, turn, gain_spread=GAIN_SPREAD)
+            draw = self.noise.draw(generator, self._turns.at(place), gain_spread=GAIN_SPREAD)
         beside = draw.facts() | {"dark_frame": "", "path": frame.name} | facts
         if self._dark is not None and draw.iso is not None:
             names = self._dark.names(draw.iso)
@@ -113,13 +115,23 @@ class NoisyItems(CroppedItems[Sample]):
                 out=noisy,
                 parameters=[item.draw.parameters for item in each],
                 ratio=[item.draw.ratio for item in each],
-                range_dn=[self.range_dn or item.frame.range_dn for item in each],
+                range_dn=[self._range_of(item) for item in each],
                 generator=[item.generator for item in items],
                 threads=threads_here(),
             )
         else:
             for place, item in enumerate(items):
                 self._add_noise(item, clean[place], noisy[place])
+
+    def _range_of(self, item: NoisyItem) -> float:
+        """Return the range of DN that the noise's figures are in: as given, else the clean file's own."""
+        if self.range_dn is not None:
+            return self.range_dn
+        own, its = item.frame.range_dn, item.draw.parameters.range_dn
+        if item.frame.sensor is not None and its is not None:  # arrays state whose range it is
+            both = f"range_dn={its:g} makes that camera's noise of it, range_dn={own:g} takes the figures for DN of it"
+            check_scale(item.frame.name, item.frame.sensor, item.draw.camera, its, both)
+        return own
 
     def _outline(self) -> list[tuple[str, str]]:
         """Return what the dataset is, as names and values."""
@@ -139,7 +151,7 @@ class NoisyItems(CroppedItems[Sample]):
         options: dict[str, Any] = {
             "parameters": item.draw.parameters,
             "ratio": item.draw.ratio,
-            "range_dn": self.range_dn or item.frame.range_dn,
+            "range_dn": self._range_of(item),
             "generator": item.generator,
         }
         if isinstance(model, NoiseModel):
@@ -175,6 +187,22 @@ def from_sensor(
     if not isinstance(model.dark_frames, DarkFrames) or iso is None:
         return {}
     return {"dark": model.dark_frames.crops(iso, dark, model.dark_frames.region(iso, frame, crop, generator))}
+
+
+def check_scale(name: str, sensor: Sensor, camera: str, its_range_dn: float, advice: str) -> None:
+    """Refuse a clean file of other bits than those in whose DN a camera's noise is, by the levels that it states.
+
+    Raises
+    ------
+    DatasetError
+        With both ranges, and the advice.
+    """
+    range_dn = sensor.white_level_dn - sum(sensor.black_level_dn) / len(sensor.black_level_dn)
+    if not 1 / _ONE_SCALE < range_dn / its_range_dn < _ONE_SCALE:
+        raise DatasetError(
+            f"{name}: has {range_dn:g} DN from black to white, but the noise of {camera} is in DN of files that have "
+            f"{its_range_dn:g}; {advice}"
+        )
 
 
 def _check_source(owner: str, source: Any, method: str) -> None:

@@ -42,10 +42,10 @@ class SyntheticSample(NoiseFacts):
 
 
 class SyntheticPairs(NoisyItems[SyntheticSample]):
-    """Clean crops and noisy exposures of them, made again in each epoch.
+    """Clean crops and noisy exposures of them, made again each time that they are asked for.
 
-    Item i of epoch e depends on (seed, e, i) alone: not on workers, their number, or what was read before. Call
-    :meth:`set_epoch` before each epoch; it reaches workers that are running already.
+    The k-th time that item i is asked for it is draw k, which depends on (seed, k, i) alone, whatever the workers;
+    after :meth:`set_epoch` always that of the epoch, in workers that are running too.
 
     Parameters
     ----------
@@ -70,8 +70,9 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         several, as a sequence, which are drawn alike, or as a mapping to their weights.
     range_dn
         White minus black level of the simulated camera, in DN, which the profile's figures are in. ``None`` is each
-        clean frame's own: right for frames of that camera. Frames of fewer bits are as bright in photons with it, so
-        clean frames of several cameras need it. Dark frames take none.
+        clean frame's own: right for frames of that camera, and of others with as many bits. Raw files whose range is
+        1.5 times the profile's or more, or as much less, need it; with the profile's own they are as bright in photons
+        as that camera's. Dark frames take none.
     row, extrapolate
         As in :meth:`eldata.noise.CameraProfile.sample`. By default each of several ISOs has its own row: as it was
         measured, where the profile has all figures of that ISO, else ``"nearest-gain"``; the repr says which. One ISO,
@@ -94,7 +95,7 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
     >>> len(pairs), pairs[0]["input"].shape
     (16, torch.Size([4, 64, 64]))
     >>> bool((pairs[3]["input"] == pairs[3]["input"]).all())
-    True
+    False
     """
 
     def __init__(
@@ -115,12 +116,12 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         self.source = source
         self.crops_per_frame = crops_per_frame
 
-    def drawn(self, index: int, generator: np.random.Generator) -> NoisyItem:
-        """Draw a crop of frame ``index`` modulo their number, or of a grid its crop, and its noise."""
-        number, tile = self._record_of(index, len(self.source))
+    def drawn(self, place: int, generator: np.random.Generator) -> NoisyItem:
+        """Draw a crop of frame ``place`` modulo their number, or of a grid its crop, and its noise."""
+        number, tile = self._record_of(place, len(self.source))
         frame = self.source.frame(number)
         crop = Crop.draw(frame, generator, crop=self.crop, augment=self.augment, tile=tile)
-        return self._noisy(index, generator, frame, crop, [Part("target", frame, is_light=True)])
+        return self._noisy(place, generator, frame, crop, [Part("target", frame, is_light=True)])
 
     def __repr__(self) -> str:
         return self._text(self.source, f"{len(self)} items")
@@ -142,11 +143,11 @@ class SyntheticClipSample(NoiseFacts):
 
 
 class SyntheticClips(NoisyItems[SyntheticClipSample]):
-    """Windows of clean clips and noisy exposures of them, made again in each epoch.
+    """Windows of clean clips and noisy exposures of them, made again each time that they are asked for.
 
     Camera, parameters and ratio are drawn once for a window, and so are its place, crop and orientation, which are the
-    same for all of its frames. The noise is fresh in each frame. Item i of epoch e depends on (seed, e, i) alone, as in
-    :class:`~eldata.datasets.synthetic.pairs.SyntheticPairs`, whose parameters these are but for:
+    same for all of its frames. The noise is fresh in each frame. All else, draws and parameters too, is as in
+    :class:`~eldata.datasets.synthetic.pairs.SyntheticPairs`, but for:
 
     Parameters
     ----------
@@ -199,17 +200,17 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
         """Whether the source's clips say that their frames read parts."""
         return getattr(self.source.clip(0), "reads_parts", False)
 
-    def drawn(self, index: int, generator: np.random.Generator) -> NoisyItem:
-        """Draw a window of clip ``index`` modulo their number, or of a crop's clip, its crop and its noise."""
-        place, tile = self._record_of(index, len(self.source))
-        clip = self.source.clip(place)
+    def drawn(self, place: int, generator: np.random.Generator) -> NoisyItem:
+        """Draw a window of clip ``place`` modulo their number, or of a crop's clip, its crop and its noise."""
+        number, tile = self._record_of(place, len(self.source))
+        clip = self.source.clip(number)
         if len(clip) < self.frames:
             raise DatasetError(f"{clip!r}: {len(clip)} frames are too few for a window of {self.frames}")
         start = int(generator.integers(len(clip) - self.frames + 1))
         first = clip.frame(start)
         crop = Crop.draw(first, generator, crop=self.crop, augment=self.augment, tile=tile)
         parts = self._parts(clip, start, first)
-        return self._noisy(index, generator, first, crop, parts, self.frames, clip=place, start=start)
+        return self._noisy(place, generator, first, crop, parts, self.frames, clip=number, start=start)
 
     def _parts(self, clip: CleanSource, start: int, first: Frame) -> Iterator[Part]:
         """Yield the clean frames in order."""

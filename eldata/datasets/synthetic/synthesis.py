@@ -35,7 +35,7 @@ from eldata.datasets.clean import CleanScene, clean_scenes
 from eldata.datasets.crops import Crop
 from eldata.datasets.synthetic.dark_frames import DarkFrames
 from eldata.datasets.synthetic.draws import Turns, draw_splits
-from eldata.datasets.synthetic.noisy_items import from_sensor
+from eldata.datasets.synthetic.noisy_items import check_scale, from_sensor
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
 from eldata.manifest.writing import save_manifest
@@ -150,7 +150,9 @@ class Recipe:
         return NoiseModel(self.written_spec, dark_frames=dark)
 
 
-def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, workers: AnyWorkers = 1) -> Manifest:
+def synthesize(
+    clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, reference: str | None = None, workers: AnyWorkers = 1
+) -> Manifest:
     """Write a noisy tree for clean files; return its manifest.
 
     Whatever ends the work (an error, a full disk, Ctrl-C, kill -9) leaves whole files, and the same call goes on: files
@@ -159,12 +161,14 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
     Parameters
     ----------
     clean
-        Folder, searched through for camera raws, or a manifest, whose references are taken, be they raws or mosaics
-        with a card (:class:`~eldata.datasets.CleanFrames`); or several. Each frame must state ISO and exposure time.
+        Folder, whose clean camera raws are taken, or a manifest, whose references are, be they raws or mosaics with a
+        card (:class:`~eldata.datasets.CleanFrames`); or several. Each frame must state ISO and exposure time.
     out
         A new or empty folder, or one in which the same work was begun.
     recipe
         The noise.
+    reference
+        Pattern of the clean frames' paths below a folder; ``"*"`` takes all.
     workers
         Number of worker processes, or an executor (:mod:`eldata.base.workers`), whose workers then write below
         ``out``; the files do not depend on it.
@@ -172,8 +176,9 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
     Raises
     ------
     DatasetError
-        If ``clean`` holds no raw file, or what may be clips and may be none; if the frames of a clip differ in size,
-        CFA, camera or exposure; or if ``out`` holds something else.
+        If ``clean`` holds no raw file, it is not certain which of a folder's are clean, or whether they are clips; if
+        the frames of a clip differ in size, CFA, camera or exposure; if a file has other bits than those that the
+        profile's figures are of; or if ``out`` holds something else.
     ArgumentError
         If ``out`` was begun with another recipe or other clean files, or a split leaves nothing to train or to test on.
     RawFileError
@@ -183,7 +188,7 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
     """
     workers = Workers.of(workers)
     folders = [Path(clean)] if isinstance(clean, (str, Path)) else list(map(Path, clean))
-    sources, dark = clean_scenes(folders, recipe.clips), recipe.dark()
+    sources, dark = clean_scenes(folders, recipe.clips, reference), recipe.dark()
     splits = draw_splits(recipe.seed, recipe.split, sources[-1].drawn_for + 1)
     name = re.sub(r"[^\w.+-]", "-", out.resolve().name) or "synthetic"
     data = out / "data" / name
@@ -374,6 +379,9 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, begun: str, sour
             path, f"states no {'ISO' if iso is None else 'exposure time'}, which the noisy frame's follows"
         )
     sensor = frame.sensor
+    if recipe.profile.range_dn is not None:
+        advice = "the noisy files are like the clean: take some of as many bits, or SyntheticPairs with range_dn="
+        check_scale(str(path), sensor, recipe.profile.camera, recipe.profile.range_dn, advice)
     facts = _CleanFacts(iso, exposure_s, sensor.width, sensor.height, sensor.model, packing_sites(sensor.cfa).name)
     place.mkdir(parents=True, exist_ok=True)
     remove_leftovers(place)

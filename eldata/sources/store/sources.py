@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.card import card_text
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest
+from eldata.manifest.clean import clean_raws
 from eldata.manifest.clips import choose_clips, clips_of
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.pairs import Choice
@@ -192,18 +193,21 @@ def _listing(manifest: Manifest) -> tuple[bytes, bytes]:
     return manifest.path.read_bytes(), manifest.path.with_suffix(".json").read_bytes()
 
 
-def source_of_folder(folder: Path | str) -> Source:
-    """Return the camera raws of a folder as clean frames, such as the long exposures of SID.
+def source_of_folder(folder: Path | str, reference: str | None = None) -> Source:
+    """Return the clean frames of a folder, such as the long exposures of SID: :func:`eldata.manifest.clean.clean_raws`.
 
-    Bias and flat-field frames, below ``bias/ISO<iso>`` or ``flat/ISO<iso>``, are held as what they are.
+    A folder of bias and flat-field frames, ``bias/ISO<iso>`` or ``flat/ISO<iso>``, gives them as what they are.
 
     Raises
     ------
     DatasetError
-        If it holds none.
+        If it holds none, or it is not certain which are clean.
     """
     folder = Path(folder)
     paths = [path.relative_to(folder).as_posix() for path in raws_below(folder)]
-    places = {path: calibration_place(path) for path in paths}
-    files: list[tuple[str, Role]] = [(path, place.role if place else "reference") for path, place in places.items()]
-    return Source(folder.resolve().name, folder, tuple(files))
+    places = {path: place.role for path in paths if (place := calibration_place(path)) is not None}
+    files: dict[str, Role] = dict(places)
+    if len(places) < len(paths):
+        clean = (path.relative_to(folder).as_posix() for path in clean_raws(folder, reference))
+        files |= {path: "reference" for path in clean if path not in places}
+    return Source(folder.resolve().name, folder, tuple(sorted(files.items())))

@@ -1,0 +1,149 @@
+"""Which draw an item gets: the k-th time that it is asked for the k-th, by any workers; or that of a set epoch."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import ConcatDataset, DataLoader, RandomSampler, Subset
+
+from eldata import PackedStore, SyntheticClips, SyntheticPairs
+from eldata.datasets import (
+    Arrays,
+    CleanClips,
+    CleanFrames,
+    PairDataset,
+    describe,
+    evaluation_loader,
+    raw2rgb,
+    set_epoch,
+    training_loader,
+)
+from eldata.datasets.ranks import Rank, ShuffledSampler
+from eldata.raw.cfa import XTRANS_CFA
+from eldata.sources.frames import Frame
+from tests.datasets.comparing import same
+from tests.datasets.methods import METHODS
+from tests.datasets.test_synthetic import Mosaics
+from tests.raw.helpers import BAYER, random_mosaic
+from tests.waiting import PATIENCE_S
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.trees import Tree
+
+# Python 3.12 and later warn of any fork in a process that has threads.
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+
+
+def clips() -> SyntheticClips:
+    frames = np.random.default_rng(0).random((5, 4, 40, 40), np.float32)
+    return SyntheticClips(CleanClips([Arrays(frames, range_dn=15871.0)] * 3), "SonyA7S2", frames=2, crop=8)
+
+
+KINDS: dict[str, Any] = {
+    "files": lambda tree, _: PairDataset(tree.data, tree.csv, crop=8, seed=3),
+    "store": lambda _, store: PackedStore(store, crop=8, crops_per_frame=2, seed=3),
+    "grid": lambda _, store: PackedStore(store, crop=24, crops="grid", seed=3),
+    "synthetic": lambda _, store: SyntheticPairs(CleanFrames(store), "SonyA7S2", crop=8, crops_per_frame=2),
+    "clips": lambda *_: clips(),
+    "rendered": lambda _, store: raw2rgb(PackedStore(store, crop=8, seed=3, cameras=["DemoAlpha"])),
+    "parts": lambda _, store: ConcatDataset([Subset(PackedStore(store, crop=8, seed=3), range(5, 12))]),
+}
+
+
+def passes(loader: Any, count: int = 3) -> list[list[Any]]:
+    return [list(loader) for _ in range(count)]
+
+
+def of_epoch(dataset: Any, epoch: int) -> Any:
+    set_epoch(evaluation_loader(dataset, workers=0), epoch)
+    return dataset
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_pass_of_a_plain_loader_is_the_next_epoch(kind: str, pristine: Tree, store: Path) -> None:
+    """To the bit those of ``set_epoch(0)``, ``set_epoch(1)``, ...; a set one repeats, as the items of a pass did."""
+    plain = passes(DataLoader(KINDS[kind](pristine, store), batch_size=5))
+    for epoch, batches in enumerate(plain):
+        fixed = of_epoch(KINDS[kind](pristine, store), epoch)
+        for again in passes(DataLoader(fixed, batch_size=5), 2):
+            for one, other in zip(batches, again, strict=True):
+                same(one, other)
+    for one, other in itertools.combinations(plain, 2):
+        sides = [torch.cat([batch["target"] for batch in batches]) for batches in (one, other)]
+        unlike = [not torch.equal(*pair) for pair in zip(*sides, strict=True)]
+        assert np.mean(unlike) > 0.5  # of a grid one in eight is turned as before
+
+
+@pytest.mark.parametrize("persistent", [False, True])
+@pytest.mark.parametrize("method", METHODS)
+def test_workers_do_not_matter(method: str, persistent: bool, store: Path) -> None:
+    """One or two, kept or not: the items of no worker. Those left at the end of a pass were asked for once alike."""
+    wanted = passes(DataLoader(KINDS["synthetic"](None, store), batch_size=5))
+    options: dict[str, Any] = {"persistent_workers": persistent, "multiprocessing_context": method}
+    for workers in (1, 2):
+        dataset = KINDS["synthetic"](None, store)
+        loader = DataLoader(dataset, batch_size=5, num_workers=workers, timeout=PATIENCE_S, **options)
+        for one, other in zip(itertools.chain(*wanted), itertools.chain(*passes(loader)), strict=True):
+            same(one, other)
+        same(dataset[7], of_epoch(KINDS["synthetic"](None, store), 3)[7])  # this process counts on
+
+
+def test_a_training_goes_on_to_the_bit(store: Path) -> None:
+    """Plain passes of a loader for training, whose order goes on too, and a later run that is told of its epoch."""
+    dataset = KINDS["store"](None, store)
+    loader = training_loader(dataset, 6, workers=0, seed=2)
+    assert len(loader) * 6 == len(dataset)  # none is left over
+    plain = passes(loader)
+    for epoch, batches in enumerate(plain):
+        resumed = training_loader(KINDS["store"](None, store), 6, workers=0, seed=2)
+        set_epoch(resumed, epoch, first_batch=3)
+        for one, other in zip(batches[3:], resumed, strict=True):
+            same(one, other)
+    sampler = ShuffledSampler(9, seed=1, rank=Rank())
+    assert len({tuple(sampler) for _ in range(4)}) == 4
+
+
+def test_copies_of_a_sampler_with_replacement_differ(store: Path) -> None:
+    dataset = KINDS["store"](None, store)
+    generator = torch.Generator().manual_seed(0)
+    sampler = RandomSampler(range(3), replacement=True, num_samples=30, generator=generator)
+    found = [batch["target"].numpy().tobytes() for batch in DataLoader(dataset, batch_size=None, sampler=sampler)]
+    assert len(set(found)) > 20  # a frame has 8 orientations and some hundred places
+
+
+def test_to_look_at_an_item_is_not_to_ask_for_it(store: Path) -> None:
+    dataset = KINDS["synthetic"](None, store)
+    dataset.plot(0)
+    dataset._repr_html_()
+    assert "workers: " in describe(training_loader(dataset, 2))  # which reads an item for its size
+    same(dataset[0], of_epoch(KINDS["synthetic"](None, store), 0)[0])
+
+
+class Unlike(Mosaics):
+    """The third frame is X-Trans."""
+
+    def frame(self, index: int) -> Frame:
+        is_bayer = index < 2
+        cfa = BAYER["RGGB"] if is_bayer else XTRANS_CFA
+        return Frame(self.mosaics[index], cfa, (0.0,) * (4 if is_bayer else 3), 65535.0, f"mosaic {index}")
+
+
+@pytest.mark.parametrize("reads_parts", [False, True])
+def test_items_that_fit_no_batch_are_drawn_once(reads_parts: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Unlike, "reads_parts", reads_parts, raising=False)
+    source = Unlike([random_mosaic(60, 60, seed=number) for number in range(3)], BAYER["RGGB"])
+    dataset, alone = (SyntheticPairs(source, "SonyA7S2", crop=8) for _ in range(2))
+    for one, other in zip(dataset.__getitems__([0, 1, 2, 0]), [*alone, alone[0]], strict=True):
+        same(one, other)
+    same(dataset[2], of_epoch(alone, 1)[2])
+
+
+def test_whole_frames_are_as_they_are(pristine: Tree) -> None:
+    dataset = PairDataset(pristine.data, pristine.csv)
+    same(dataset[0], dataset[0])

@@ -62,6 +62,7 @@ from eldata.raw.sensor_facts import (
     opcode_remarks,
 )
 from eldata.raw.stated import StatedFile
+from eldata.raw.strips import find_rows
 from eldata.raw.tiff import MASKED_AREAS, is_dng, main_mosaics, read_directories
 from eldata.raw.unsupported import NEEDED, refuse_unsupported
 from eldata.records import RawFrame, Sensor
@@ -104,11 +105,16 @@ def _container(path: Path) -> RawContainer:
 def _stated_header(file: RawContainer) -> RawHeader:
     with opened_raw(file.path, file.directories):  # LibRaw knows it
         main = _main(file)
-        return file.header if main is None else replace(file.header, remarks=opcode_remarks(main))
+        return file.header if main is None else replace(file.header, remarks=_remarks(file, main))
 
 
 def _main(file: RawContainer) -> Directory | None:
     return next(iter(main_mosaics(file.directories)), None)
+
+
+def _remarks(file: RawContainer, main: Directory) -> tuple[str, ...]:
+    rows = find_rows(file.path, file.directories)
+    return opcode_remarks(main) + (() if rows is None else rows.remarks)
 
 
 def facts_of(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
@@ -168,7 +174,7 @@ def _decoded(path: Path) -> RawFrame:
 
 def _frame(file: RawContainer) -> RawFrame:
     path, directories, header, main = file.path, file.directories, file.header, _main(file)
-    remarks = () if main is None else opcode_remarks(main)
+    remarks = () if main is None else _remarks(file, main)
     check_samples(path, directories)
     with opened_raw(path, directories) as raw:
         check_sizes(path, raw)

@@ -152,10 +152,8 @@ def _neutral_of_white(stated: Directory, tags: Mapping[str, Any]) -> NDArray[np.
     white = numbers(AS_SHOT_WHITE_XY, np.zeros(2))
     of_profile = len({str(tags.get(signature)) for signature in _SIGNATURES}) == 1
     lights = [
-        (_illuminant(stated.values.get(illuminant, ())), matrix, numbers(calibration, np.eye(3)))
-        for (tag, illuminant), calibration in zip(
-            COLOUR_MATRICES, _CALIBRATIONS if first == second else (0, 0), strict=True
-        )
+        (_illuminant(stated.values.get(illuminant, ())), matrix, numbers(calibration if of_profile else 0, np.eye(3)))
+        for (tag, illuminant), calibration in zip(COLOUR_MATRICES, _CALIBRATIONS, strict=True)
         if (matrix := numbers(tag, np.zeros((3, 3)))).any()
     ]
     if not white[1] > 0 or not lights or _THIRD_MATRIX in stated.entries:

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from eldata.raw.tiff import Directory
 
-_UNCOMPRESSED = 1
 _MOST_BITS = 16
 _MOST_PADDING = 16  # bytes that a writer may leave so that what follows begins at a whole number of words
 _NO_TAG, _LONG = 0xFFFF, 4
@@ -70,8 +69,7 @@ class StoredRows:
         tags = self.main.entries.keys()
         if self._are_tiles:
             return len(self.blocks) > 1 and tiff.STRIPS[0] not in tags
-        follow = all(one.offset + one.length == after.offset for one, after in pairwise(self.blocks))
-        return follow and not tags & _TILE_TAGS
+        return not tags & _TILE_TAGS and _are_one_run([(block.offset, block.length) for block in self.blocks])
 
     @property
     def _are_tiles(self) -> bool:
@@ -97,6 +95,10 @@ class StoredRows:
         return bytes(copy) + rows
 
 
+def _are_one_run(extents: Sequence[tuple[int, int]]) -> bool:
+    return all(sum(extent) == offset for extent, (offset, _) in pairwise(extents))
+
+
 def find_rows(path: Path, directories: Sequence[Directory]) -> StoredRows | None:
     """Return where the rows of a DNG's uncompressed mosaic stand; None of any other file.
 
@@ -107,7 +109,7 @@ def find_rows(path: Path, directories: Sequence[Directory]) -> StoredRows | None
         their rows take, and something else than these rows follows.
     """
     main = next(iter(tiff.main_mosaics(directories)), None)
-    if main is None or not tiff.is_dng(directories) or main.compression != _UNCOMPRESSED:
+    if main is None or not tiff.is_dng(directories) or main.compression != tiff.UNCOMPRESSED:
         return None
     (height, width), bits = main.shape, main.number(tiff.BITS, _MOST_BITS)
     if not main.pixels or not 0 < bits <= _MOST_BITS:
@@ -117,8 +119,8 @@ def find_rows(path: Path, directories: Sequence[Directory]) -> StoredRows | None
     if tiff.TILES[0] in main.values:
         name, extents = "tile", main.extents_of(tiff.TILES)
         rows, block_bytes = main.number(tiff.TILE_HEIGHT, 0), main.number(tiff.TILE_WIDTH, 0) * bits // 8
-    elif -(-height // max(rows, 1)) != len(extents) and all(sum(one) == after for one, (after, _) in pairwise(extents)):
-        extents, rows = ((extents[0][0], sum(count for _, count in extents)),), height  # they are one run all the same
+    elif -(-height // max(rows, 1)) != len(extents) > 0 and _are_one_run(extents):  # whatever RowsPerStrip says
+        extents, rows = ((extents[0][0], sum(count for _, count in extents)),), height
     if min(rows, block_bytes) < 1 or -(-height // rows) * -(-row_bytes // block_bytes) != len(extents):
         raise UnusableRawError(
             path,
@@ -131,33 +133,31 @@ def find_rows(path: Path, directories: Sequence[Directory]) -> StoredRows | None
         Block(top, left, offset, block_bytes * min(rows, height - top))
         for (top, left), (offset, _) in zip(corners, extents, strict=True)
     )
-    remarks = tuple(
-        _check_short(path, directories, name, block, stated)
-        for block, (_, stated) in zip(blocks, extents, strict=True)
-        if stated < block.length
-    )[:1]
+    short = [(block, stated) for block, (_, stated) in zip(blocks, extents, strict=True) if stated < block.length]
+    remarks = _check_short(path, directories, name, short) if short else ()
     if sum(block.length for block in blocks) > path.stat().st_size:
         raise RawFileError(path, f"damaged: its {name}s share the same bytes")
     return StoredRows(main, row_bytes, block_bytes, blocks, remarks)
 
 
-def _check_short(path: Path, directories: Sequence[Directory], name: str, block: Block, stated: int) -> str:
-    """Refuse a strip whose byte count is less than its rows take, unless the file has just these bytes there.
+def _check_short(
+    path: Path, directories: Sequence[Directory], name: str, short: Sequence[tuple[Block, int]]
+) -> tuple[str, ...]:
+    """Refuse strips that state fewer bytes than their rows take, unless the file has just as many bytes there.
 
-    These are a whole file's whose writer counted wrong: up to what the file declares next, or its end. Then what there
-    is to remark is returned.
+    Up to what it declares next, or its end: then it is whole, and its writer counted wrong, which is remarked on.
     """
-    starts = sorted({
-        *(start for directory in directories for start in directory.starts),
-        *(offset for directory in directories for offset, _ in directory.extents),
-    })  # fmt: skip
-    index = bisect_right(starts, block.offset)
-    room = (starts[index] if index < len(starts) else path.stat().st_size) - block.offset
-    found = f"its {name} at byte {block.offset} states {stated} bytes, and its rows take {block.length}"
-    if not 0 <= room - block.length < _MOST_PADDING:
-        raise RawFileError(
-            path,
-            f"{'truncated' if room < block.length else 'damaged'}: {found}; the file has {room} bytes there before "
-            "something else, so which of them are pixels is not known: copy it again, or correct the byte count",
-        )
-    return f"{found}: all are read, since the file has just as many there"
+    starts = sorted(
+        {start for one in directories for start in (*one.starts, *(offset for offset, _ in one.extents))}
+        | {path.stat().st_size}
+    )
+    for block, stated in short:
+        room = starts[bisect_right(starts, block.offset, hi=len(starts) - 1)] - block.offset
+        found = f"its {name} at byte {block.offset} states {stated} bytes, and its rows take {block.length}"
+        if not 0 <= room - block.length < _MOST_PADDING:
+            raise RawFileError(
+                path,
+                f"{'truncated' if room < block.length else 'damaged'}: {found}; the file has {room} bytes there before "
+                "something else, so which of them are pixels is not known: copy it again, or correct the byte count",
+            )
+    return (f"{found}: all are read, since the file has just as many there",)

@@ -29,7 +29,7 @@ COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
 
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
 SAMPLES, ROWS_PER_STRIP, SAMPLE_FORMAT = 277, 278, 339
-JPEG_XL = 52546  # a compression (DNG 1.7)
+UNCOMPRESSED, JPEG_XL = 1, 52546  # compressions; the latter of DNG 1.7
 TILE_WIDTH, TILE_HEIGHT = 322, 323
 STRIPS, TILES = (273, 279), (324, 325)
 """Offsets and byte counts."""
@@ -186,7 +186,7 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
             within = (int(place) for tag in (_SUB_IFDS, _EXIF_IFD) for place in directory.values.get(tag, ()))
             waiting += reversed([*within, following])
     for directory in found:
-        _check_mosaic(path, directory)
+        _check_mosaic(path, directory, is_dng(found))
     # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
     images = [directory for directory in found if directory.is_mosaic] or found
     for extent in (extent for directory in images for extent in directory.extents if min(extent) < 0):
@@ -223,7 +223,7 @@ class _Budget:
             )
 
 
-def _check_mosaic(path: Path, directory: Directory) -> None:
+def _check_mosaic(path: Path, directory: Directory, of_dng: bool) -> None:
     """Refuse a mosaic of which numbers that are relied on are missing or impossible, or that has too little data."""
     if not directory.is_mosaic:
         return
@@ -240,7 +240,9 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
             f"{_MOST_REPEATED} either way",
         )
     held = sum(count for _, count in directory.extents)
-    if held * MOST_PIXELS < directory.pixels and directory.compression != JPEG_XL:  # which is refused by name
+    # JPEG XL is refused by name; what a DNG states of uncompressed data is held against its rows (eldata.raw.strips).
+    elsewhere = (JPEG_XL, UNCOMPRESSED) if of_dng else (JPEG_XL,)
+    if held * MOST_PIXELS < directory.pixels and directory.compression not in elsewhere:
         raise RawFileError(path, f"truncated: its image data, {held} bytes, cannot hold {directory.pixels} pixels")
 
 

@@ -87,9 +87,10 @@ def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint1
     balance = frame.sensor.white_balance
     del frame  # its pixels
     with opened_raw(path, read_directories(path), "render") as raw:
+        has_balance = min(raw.camera_whitebalance[:3]) > 0  # LibRaw knows no AsShotWhiteXY
         rendered: NDArray[Any] = raw.postprocess(
-            use_camera_wb=True,
-            user_wb=None if min(raw.camera_whitebalance[:3]) > 0 else [*balance],  # which LibRaw does not know
+            use_camera_wb=has_balance,
+            user_wb=None if has_balance else [*balance],
             half_size=False,
             no_auto_bright=True,
             output_bps=16,

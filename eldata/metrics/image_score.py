@@ -244,7 +244,7 @@ def factor_by(prediction: Image, reference: Image, rules: ScoringRules, *, threa
     """
     rules.check()
     check_threads(threads)
-    return _factor(pair(prediction, reference), rules, threads)
+    return _factor(pair(prediction, reference, data_range=rules.data_range), rules, threads)
 
 
 def _factor(images: Pair, rules: ScoringRules, threads: int | None) -> float:

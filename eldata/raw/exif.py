@@ -126,6 +126,8 @@ def _read(path: Path, block: BinaryIO, *, details: bool = False) -> Tags:
 
 def _text(tags: Tags, name: str) -> str:
     values = getattr(tags.get(name), "values", "")
+    if isinstance(values, bytes):  # exifread leaves what is no UTF-8
+        values = values.decode("latin-1")
     return values.partition("\0")[0].strip() if isinstance(values, str) else ""
 
 

@@ -95,12 +95,13 @@ def test_strips_that_do_not_make_up_the_image_are_refused(tmp_path: Path) -> Non
         read_raw(tmp_path / "a.dng")
 
 
-@pytest.mark.parametrize("stated", [0, 61, 134 * 41])
+@pytest.mark.parametrize(("bits", "row_bytes"), [(16, 134), (10, 84)])
+@pytest.mark.parametrize("stated_rows", [0, 1, 41])
 @pytest.mark.parametrize("tail", [0, 3, 1600, -2])
-def test_a_byte_count_that_is_too_small(stated: int, tail: int, tmp_path: Path) -> None:
+def test_a_byte_count_that_is_too_small(bits: int, row_bytes: int, stated_rows: int, tail: int, tmp_path: Path) -> None:
     """Whole files of a Raspberry Pi state one; else the rows beyond it are whatever follows, and never read."""
-    path, needed = tmp_path / "a.dng", 2 * HEIGHT * WIDTH
-    mosaic = written(path)
+    path, needed, stated = tmp_path / "a.dng", row_bytes * HEIGHT, row_bytes * stated_rows
+    mosaic = written(path, bits)
     with tifffile.TiffFile(path) as tiff:
         entry, start = tiff.pages.first.tags[279].offset, tiff.pages.first.dataoffsets[0]
     content = bytearray(path.read_bytes()) + b"\x11" * max(tail, 0)

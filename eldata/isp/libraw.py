@@ -29,8 +29,8 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
     """Render a raw file to sRGB with LibRaw: demosaiced, as-shot white balance, no automatic brightening.
 
     The SID code's ``postprocess(use_camera_wb=True, half_size=False, no_auto_bright=True, output_bps=16)``
-    (cchen156/Learning-to-See-in-the-Dark, test_Sony.py and test_Fuji.py). The rest is LibRaw's default: AHD demosaicing
-    (Markesteijn's for X-Trans), sRGB primaries, BT.709's tone curve, the picture turned as the file asks, and the
+    (cchen156/Learning-to-See-in-the-Dark, test_Sony.py and test_Fuji.py), but never turned, as predictions are not. The
+    rest is LibRaw's default: AHD demosaicing (Markesteijn's for X-Trans), sRGB primaries, BT.709's tone curve, and the
     brightest pixel taken as the level of saturation where it lies above three quarters of the file's white level.
 
     Parameters
@@ -84,10 +84,17 @@ def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint1
             f"{frame.sensor.height} x {frame.sensor.width} pixels: LibRaw does not demosaic X-Trans pictures with a "
             f"side under {_LEAST_XTRANS_SIDE}",
         )
+    balance = frame.sensor.white_balance
     del frame  # its pixels
     with opened_raw(path, read_directories(path), "render") as raw:
+        has_balance = min(raw.camera_whitebalance[:3]) > 0  # LibRaw knows no AsShotWhiteXY
         rendered: NDArray[Any] = raw.postprocess(
-            use_camera_wb=True, half_size=False, no_auto_bright=True, output_bps=16
+            use_camera_wb=has_balance,
+            user_wb=None if has_balance else [*balance],
+            half_size=False,
+            no_auto_bright=True,
+            output_bps=16,
+            user_flip=0,
         )
     return rendered if bits == 16 else sixteen_to_eight_bits(rendered)
 

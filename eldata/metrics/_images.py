@@ -122,7 +122,7 @@ def _row_bands(rows: int) -> list[tuple[int, int]]:
     return list(pairwise(rows * index // count for index in range(count + 1)))
 
 
-def pair(prediction: Image, reference: Image, *, smallest: int = 1) -> Pair:
+def pair(prediction: Image, reference: Image, *, smallest: int = 1, data_range: float = math.inf) -> Pair:
     """Check both images and return them as a :class:`Pair`.
 
     Parameters
@@ -131,11 +131,14 @@ def pair(prediction: Image, reference: Image, *, smallest: int = 1) -> Pair:
         One image each, (C, h, w) or (h, w), of the same shape.
     smallest
         The least height and width that will do.
+    data_range
+        What values may differ by.
 
     Raises
     ------
     ArgumentError
-        If an image is not one image of floating-point numbers, the shapes differ, or they are too small.
+        If an image is not one image of floating-point numbers, the shapes differ, or they are too small; or if the
+        reference reaches beyond twice the data range, which is then that of another scale.
     """
     p = host_array(prediction, "the prediction")
     g = host_array(reference, "the reference")
@@ -144,6 +147,12 @@ def pair(prediction: Image, reference: Image, *, smallest: int = 1) -> Pair:
     if min(p.shape[-2:]) < smallest:
         raise ArgumentError(
             f"an image of shape {p.shape} is too small: SSIM's window needs at least {smallest} x {smallest} pixels"
+        )
+    most = float(g.max())
+    if 2 * data_range < most < math.inf:
+        raise ArgumentError(
+            f"the reference reaches {most:g}, and data_range is {data_range:g}: divide both images by their largest "
+            "possible value, or give it as data_range"
         )
     wide = max(p.dtype.itemsize, g.dtype.itemsize) > 4
     if p.ndim == 2:

@@ -118,7 +118,7 @@ def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, thread
     ------
     ArgumentError
         If an image is not one image of floating-point numbers, the shapes differ, or ``data_range`` is not
-        positive.
+        positive, or less than half of what the reference reaches.
 
     Examples
     --------
@@ -130,7 +130,7 @@ def psnr(prediction: Image, reference: Image, *, data_range: float = 1.0, thread
     """
     check_threads(threads)
     check_data_range(data_range)
-    images = pair(prediction, reference)
+    images = pair(prediction, reference, data_range=data_range)
 
     def work(band: Band) -> float:
         return squared_error(*images.blocks(band))
@@ -220,7 +220,7 @@ def score_by(
     """
     rules.check()
     check_threads(threads)
-    images = pair(prediction, reference, smallest=side_of(rules.ssim_window))
+    images = pair(prediction, reference, smallest=side_of(rules.ssim_window), data_range=rules.data_range)
     if factor is None:
         factor = _factor(images, rules, threads)
     treatment, data_range = rules.treatment(factor), rules.data_range
@@ -244,7 +244,7 @@ def factor_by(prediction: Image, reference: Image, rules: ScoringRules, *, threa
     """
     rules.check()
     check_threads(threads)
-    return _factor(pair(prediction, reference), rules, threads)
+    return _factor(pair(prediction, reference, data_range=rules.data_range), rules, threads)
 
 
 def _factor(images: Pair, rules: ScoringRules, threads: int | None) -> float:

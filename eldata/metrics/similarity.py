@@ -97,7 +97,7 @@ def ssim(
     check_threads(threads)
     check_data_range(data_range)
     check_windowing(window, covariance)
-    images = pair(prediction, reference, smallest=side_of(window))
+    images = pair(prediction, reference, smallest=side_of(window), data_range=data_range)
     return error_and_ssim(images, data_range, AS_IT_IS, threads, window=window, covariance=covariance)[1]
 
 

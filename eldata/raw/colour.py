@@ -21,6 +21,8 @@ from eldata.errors import ArgumentError
 from eldata.raw.tiff import RATIONAL, nearest_fraction
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from eldata.records import Matrix3
@@ -30,6 +32,11 @@ Multipliers = tuple[Fraction, Fraction, Fraction, Fraction]
 
 _PRIVATE = b"eldata\0white_balance "  # the specification asks for a name that ends in a zero byte
 _DIGITS = 40
+
+# Temperatures of the sources of light, as EXIF numbers them: CIE's, and those of the DNG SDK for the others.
+_KELVIN = {17: 2850, 3: 2850, 24: 3200, 23: 5000, **dict.fromkeys((20, 1, 4, 9, 18), 5500)}
+_KELVIN |= {**dict.fromkeys((21, 10, 19), 6500), **dict.fromkeys((22, 11), 7500)}
+_KELVIN |= {2: 4150, 12: 6400, 13: 5050, 14: 4150, 15: 3525, 16: 2925}  # fluorescent lamps
 
 # Linear sRGB to CIE XYZ (D65), IEC 61966-2-1.
 SRGB_TO_XYZ = np.array(
@@ -124,6 +131,27 @@ def white_balance_of(neutral: Neutral, private: bytes) -> Multipliers:
         if neutral_of(exact) == neutral:
             return exact
     return _multipliers(neutral)
+
+
+def neutral_of_white(
+    x: float, y: float, lights: Sequence[tuple[int, NDArray[np.float64], NDArray[np.float64]]]
+) -> NDArray[np.float64]:
+    """Return the camera's response to a white of chromaticity x, y > 0: (3,), before the analog balance.
+
+    ``CameraCalibration @ ColorMatrix @ XYZ``, both matrices interpolated between one or two ``lights`` (illuminant as
+    EXIF numbers it, ColorMatrix, CameraCalibration) over the inverse of the white's temperature (DNG specification
+    1.7.1, chapter 6), which McCamy's formula gives (Color Research and Application 17, 1992, p. 142).
+    """
+    n = (x - 0.3320) / (0.1858 - y or 1e-9)
+    kelvin = ((449 * n + 3525) * n + 6823.3) * n + 5520.33
+    (first, matrix, calibration), (second, other_matrix, other_calibration) = lights[0], lights[-1]
+    cold, warm = _KELVIN.get(second, 0), _KELVIN.get(first, 0)
+    if cold and warm and cold != warm and kelvin > 0:
+        share = min(max((1 / kelvin - 1 / warm) / (1 / cold - 1 / warm), 0.0), 1.0)
+        matrix = (1 - share) * matrix + share * other_matrix
+        calibration = (1 - share) * calibration + share * other_calibration
+    neutral: NDArray[np.float64] = calibration @ matrix @ np.array([x / y, 1.0, (1 - x - y) / y])
+    return neutral
 
 
 def _over_green(white_balance: Multipliers) -> Multipliers:

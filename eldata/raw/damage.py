@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from eldata.errors import RawFileError
-from eldata.raw.tiff import ACTIVE_AREA, TILE_HEIGHT, TILE_WIDTH
+from eldata.raw.tiff import ACTIVE_AREA, TILE_HEIGHT, TILE_WIDTH, UNCOMPRESSED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -35,7 +35,7 @@ _AGAIN = "copy or download it again"
 # A sector of a disk, the least that a disk loses, and the same number of pixels. A page in memory has 4096 bytes: at
 # least 2048 pixels.
 _LEAST_RUN = 512
-_UNCOMPRESSED, _JPEG = 1, 7
+_JPEG = 7
 # In none of LibRaw's codes for it do zero bits stand for equal neighbours.
 _NIKON = 34713
 _BITS = 8  # of a byte: each sample takes at least one
@@ -157,7 +157,7 @@ def _compressed(path: Path, directories: Sequence[Directory]) -> Iterator[tuple[
     """Yield directory, offset and length of each strip or tile of compressed data, of previews too."""
     left = _MOST_SHARED * path.stat().st_size
     for directory in directories:
-        for offset, count in directory.extents if directory.compression != _UNCOMPRESSED else ():
+        for offset, count in directory.extents if directory.compression != UNCOMPRESSED else ():
             if min(offset, count) < 0:  # a preview's: of the raw image it is refused before
                 continue
             left -= count
@@ -334,7 +334,7 @@ def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[Any], black_dn
     if min(black_dn) <= 0:
         return None
     for found in directories:
-        if not found.is_mosaic or found.compression != _UNCOMPRESSED:
+        if not found.is_mosaic or found.compression != UNCOMPRESSED:
             continue
         width, height = found.number(TILE_WIDTH, 0), found.number(TILE_HEIGHT, 0)
         if width < 1 or height < 1:

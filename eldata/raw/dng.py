@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import math
 import struct
+from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -26,7 +27,6 @@ from eldata.records import exact_fraction
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from datetime import datetime
-    from fractions import Fraction
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -44,6 +44,13 @@ _LEAST_SIDE = 22
 _LARGEST_DN = 65535
 
 
+def _fraction(value: Fraction | float | None, name: str) -> Fraction | None:
+    try:
+        return value if value is None or isinstance(value, Fraction) else exact_fraction(value)
+    except ValueError as error:
+        raise ArgumentError(f"{name} = {value}: expected a finite number") from error
+
+
 def _rational(value: Fraction, name: str) -> tuple[int, int]:
     if not 1 <= value * RATIONAL <= RATIONAL**2:
         raise ArgumentError(f"{name} = {value}: expected a number from 1 / (2^32 - 1) to 2^32 - 1, as EXIF holds")
@@ -58,14 +65,14 @@ def _parts(values: Iterable[Fraction]) -> tuple[int, ...]:
 def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[tuple[int, int, int, bytes]]:
     """Return EXIF entries (tag, type, count, value bytes), sorted by tag."""
     entries: list[tuple[int, int, int, bytes]] = []
-    if exposure.exposure_s is not None:
-        entries.append((33434, 5, 1, struct.pack("<II", *_rational(exposure.exposure_s, "exposure_s"))))
-    if exposure.f_number is not None:
-        entries.append((33437, 5, 1, struct.pack("<II", *_rational(exposure.f_number, "f_number"))))
-    if exposure.iso is not None:
-        if exposure.iso.denominator != 1 or not 0 < exposure.iso <= RATIONAL:
-            raise ArgumentError(f"iso = {exposure.iso} is not a positive whole number of 32 bits")
-        iso = int(exposure.iso)
+    stated = {name: _fraction(getattr(exposure, name), name) for name in ("exposure_s", "f_number", "iso")}
+    for tag, name in ((33434, "exposure_s"), (33437, "f_number")):
+        if (value := stated[name]) is not None:
+            entries.append((tag, 5, 1, struct.pack("<II", *_rational(value, name))))
+    if (speed := stated["iso"]) is not None:
+        if speed.denominator != 1 or not 0 < speed <= RATIONAL:
+            raise ArgumentError(f"iso = {speed} is not a positive whole number of 32 bits")
+        iso = int(speed)
         entries.append((34855, 3, 1, struct.pack("<H", min(iso, 65535))))
         # ISOSpeedRatings has 16 bits; beyond them EXIF 2.3 states the speed as RecommendedExposureIndex.
         entries.append((34864, 3, 1, struct.pack("<H", 2)))
@@ -198,7 +205,8 @@ def write_dng(
     sensor
         Bayer or X-Trans. Black levels from 0 to 65535, fractions too; a whole white level.
     exposure
-        Fields that are ``None`` are left out of the file. ISO must be a whole number.
+        Fields that are ``None`` are left out of the file; a float is the decimal that it prints as. ISO must be a whole
+        number.
     compression
         ``"none"``, or ``"lossless-jpeg"`` (smaller on disk, several times slower to decode).
     taken

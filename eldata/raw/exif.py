@@ -11,6 +11,7 @@ CMT1 and CMT2 are TIFF files of IFD0 and of the EXIF IFD), Minolta's MRW (its TT
 from __future__ import annotations
 
 import io
+import logging
 import struct
 from dataclasses import dataclass
 from datetime import datetime
@@ -112,6 +113,8 @@ def exif_tags(path: Path) -> Tags:
 def _read(path: Path, block: BinaryIO, *, details: bool = False) -> Tags:
     import exifread
 
+    if not exifread.logger.handlers:  # or Python prints what it says, without the file's name
+        exifread.logger.addHandler(logging.NullHandler())
     source: Any = _BoundedFile(path, block)  # all of a file that exifread asks for
     try:
         return exifread.process_file(source, details=details, extract_thumbnail=False)
@@ -123,6 +126,8 @@ def _read(path: Path, block: BinaryIO, *, details: bool = False) -> Tags:
 
 def _text(tags: Tags, name: str) -> str:
     values = getattr(tags.get(name), "values", "")
+    if isinstance(values, bytes):  # exifread leaves what is no UTF-8
+        values = values.decode("latin-1")
     return values.partition("\0")[0].strip() if isinstance(values, str) else ""
 
 

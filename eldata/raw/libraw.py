@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING
 from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.exif import check_container
-from eldata.raw.tiff import ACTIVE_AREA, CFA_PATTERN, MOST_PIXELS
+from eldata.raw.strips import find_rows
+from eldata.raw.tiff import ACTIVE_AREA, CFA_PATTERN, MOST_PIXELS, SHORT
 from eldata.raw.unsupported import unsupported_cfa
 
 if TYPE_CHECKING:
@@ -48,10 +49,11 @@ def opened_raw(path: Path, directories: Sequence[Directory], what: str = "decode
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
-        if any(one.wide_cfa for one in directories):
-            raw.open_buffer(io.BytesIO(_with_narrow_cfa(path, directories)))
-        else:
+        content = _mend(path, directories)
+        if content is None:
             _open(raw, path)
+        else:
+            raw.open_buffer(io.BytesIO(content))
         yield raw
     except rawpy.LibRawFileUnsupportedError as error:
         raise RawFileError(path, "is not a raw file that LibRaw knows") from error
@@ -64,18 +66,25 @@ def opened_raw(path: Path, directories: Sequence[Directory], what: str = "decode
         raw.close()
 
 
-def _with_narrow_cfa(path: Path, directories: Sequence[Directory]) -> bytes:
-    """Return a file whose CFAPatterns are of bytes: LibRaw takes the bytes of 16-bit numbers for numbers."""
+def _mend(path: Path, directories: Sequence[Directory]) -> bytes | None:
+    """Return the bytes of a file as LibRaw reads them right; None if it does so as they are.
+
+    It takes the bytes of a CFAPattern's 16-bit numbers for numbers, and strips for rows that follow one another.
+    """
+    rows = find_rows(path, directories)
+    wide = [one for one in directories if one.entries.get(CFA_PATTERN, (0, 0))[1] == SHORT]
+    if not wide and (rows is None or rows.are_found):
+        return None
     content = bytearray(path.read_bytes())
-    for one in directories:
-        if one.wide_cfa is not None:
-            numbers = bytes(min(int(number), 255) for number in one.values[CFA_PATTERN])
-            struct.pack_into(f"{one.order}HHI", content, one.wide_cfa, CFA_PATTERN, 1, len(numbers))
-            at = one.wide_cfa + 8
-            if len(numbers) > 4:
-                (at,) = struct.unpack_from(f"{one.order}I", content, at)
-            content[at : at + len(numbers)] = numbers
-    return bytes(content)
+    for one in wide:
+        entry, _ = one.entries[CFA_PATTERN]
+        numbers = bytes(min(int(number), 255) for number in one.values[CFA_PATTERN])
+        struct.pack_into(f"{one.order}HHI", content, entry, CFA_PATTERN, 1, len(numbers))
+        at = entry + 8
+        if len(numbers) > 4:
+            (at,) = struct.unpack_from(f"{one.order}I", content, at)
+        content[at : at + len(numbers)] = numbers
+    return bytes(content) if rows is None or rows.are_found else rows.rearrange(content)
 
 
 def _open(raw: rawpy.RawPy, path: Path) -> None:

@@ -63,6 +63,7 @@ from eldata.raw.sensor_facts import (
     opcode_remarks,
 )
 from eldata.raw.stated import StatedFile
+from eldata.raw.strips import find_rows
 from eldata.raw.tiff import MASKED_AREAS, is_dng, main_mosaics, read_directories
 from eldata.raw.unsupported import NEEDED, refuse_unsupported
 from eldata.records import RawFrame, Sensor
@@ -108,11 +109,16 @@ def _stated_header(file: RawContainer) -> RawHeader:
         if main is None:
             return file.header
         levels_dn = dng_mean_levels(main) if is_dng(file.directories) else None  # LibRaw's cost decoding
-        return replace(file.header, remarks=opcode_remarks(main), levels_dn=levels_dn)
+        return replace(file.header, remarks=_remarks(file, main), levels_dn=levels_dn)
 
 
 def _main(file: RawContainer) -> Directory | None:
     return next(iter(main_mosaics(file.directories)), None)
+
+
+def _remarks(file: RawContainer, main: Directory) -> tuple[str, ...]:
+    rows = find_rows(file.path, file.directories)
+    return opcode_remarks(main) + (() if rows is None else rows.remarks)
 
 
 def facts_of(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
@@ -172,7 +178,7 @@ def _decoded(path: Path) -> RawFrame:
 
 def _frame(file: RawContainer) -> RawFrame:
     path, directories, header, main = file.path, file.directories, file.header, _main(file)
-    remarks = () if main is None else opcode_remarks(main)
+    remarks = () if main is None else _remarks(file, main)
     check_samples(path, directories)
     with opened_raw(path, directories) as raw:
         check_sizes(path, raw)

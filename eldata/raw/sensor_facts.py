@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.errors import ArgumentError, RawFileError, UnusableRawError
-from eldata.raw.colour import white_balance_of
+from eldata.raw.colour import neutral_of_white, white_balance_of
 from eldata.raw.tiff import (
     ACTIVE_AREA,
     BITS,
@@ -40,9 +40,12 @@ if TYPE_CHECKING:
     from eldata.raw.tiff import Directory
     from eldata.records import Matrix3
 
-AS_SHOT_NEUTRAL, PRIVATE_DATA = 50728, 50740
+AS_SHOT_NEUTRAL, AS_SHOT_WHITE_XY, PRIVATE_DATA = 50728, 50729, 50740
 COLOUR_MATRICES = ((50721, 50778), (50722, 50779))
 """Each with the tag of its illuminant."""
+_THIRD_MATRIX = 52531
+_CALIBRATIONS, _ANALOG_BALANCE = (50723, 50724), 50727
+_SIGNATURES = ("Image Tag 0xC6F3", "Image Tag 0xC6F4")  # of the calibrations, and of the profile that they are for
 
 _SONY, _LOSSY_JPEG = 32767, 34892
 _LEAST_APART_DN = 0.5  # between masked pixels and the stated level, to be remarked on
@@ -136,12 +139,33 @@ def as_shot_multipliers(
             raise RawFileError(path, f"the white balance in its DNGPrivateData is damaged: {error}") from error
         red, green, blue, second_green = map(exact_number, exact)
         return red, green, blue, second_green
-    red, green, blue, second_green = raw.camera_whitebalance
+    white = _neutral_of_white(directories[0], tags) if directories else None
+    red, green, blue, second_green = raw.camera_whitebalance if white is None else (*1 / white, 0)
     if not (red > 0 and green > 0 and blue > 0):
         return None
     # LibRaw keeps float32: six decimals give back the number that the file states.
     values = (red, green, blue, second_green if second_green > 0 else green)
     return tuple(round(float(value) / float(green), 6) for value in values)  # type: ignore[return-value] # of four
+
+
+def _neutral_of_white(stated: Directory, tags: Mapping[str, Any]) -> NDArray[np.float64] | None:
+    """Return the camera's response to a DNG's AsShotWhiteXY, in R, G, B; None if its tags do not say it."""
+
+    def numbers(tag: int, otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
+        values = np.array([float(value) for value in stated.values.get(tag, ())])
+        return values.reshape(otherwise.shape) if values.size == otherwise.size else otherwise
+
+    white = numbers(AS_SHOT_WHITE_XY, np.zeros(2))
+    of_profile = len({str(tags.get(signature)) for signature in _SIGNATURES}) == 1
+    lights = [
+        (_illuminant(stated.values.get(illuminant, ())), matrix, numbers(calibration if of_profile else 0, np.eye(3)))
+        for (tag, illuminant), calibration in zip(COLOUR_MATRICES, _CALIBRATIONS, strict=True)
+        if (matrix := numbers(tag, np.zeros((3, 3)))).any()
+    ]
+    if not white[1] > 0 or not lights or _THIRD_MATRIX in stated.entries:
+        return None
+    neutral = numbers(_ANALOG_BALANCE, np.ones(3)) * neutral_of_white(white[0], white[1], lights)
+    return neutral if (neutral > 0).all() else None
 
 
 def _private_data(tags: Mapping[str, Any]) -> bytes:

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import IO, TYPE_CHECKING, Literal
 
 from eldata.errors import RawFileError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
 RATIONAL = 2**32 - 1
@@ -28,9 +28,11 @@ MAGIC = (b"II*\0", b"MM\0*")
 COLOURS = "RGBCMYW"  # of a DNG's CFAPattern, by number
 
 SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC = 254, 256, 257, 258, 259, 262
-SAMPLES, SAMPLE_FORMAT = 277, 339
-JPEG_XL = 52546  # a compression (DNG 1.7)
+SAMPLES, ROWS_PER_STRIP, SAMPLE_FORMAT = 277, 278, 339
+UNCOMPRESSED, JPEG_XL = 1, 52546  # compressions; the latter of DNG 1.7
 TILE_WIDTH, TILE_HEIGHT = 322, 323
+STRIPS, TILES = (273, 279), (324, 325)
+"""Offsets and byte counts."""
 DNG_VERSION = 50706
 ROW_INTERLEAVE, COLUMN_INTERLEAVE = 50975, 52547
 ACTIVE_AREA, MASKED_AREAS = 50829, 50830
@@ -46,20 +48,20 @@ _LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK
 _LEVELS |= {WHITE_LEVEL: "WhiteLevel"}
 
 _SUB_IFDS, _EXIF_IFD = 330, 34665
-_DATA = ((273, 279), (324, 325))  # strips, tiles: offsets and byte counts
 # Tags whose values must lie inside the file: those above, and what reading.py takes from EXIF and DNG tags.
 _EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
 _READ = _EXIF | {
     *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
-    *(SAMPLES, SAMPLE_FORMAT, DNG_VERSION, ROW_INTERLEAVE, COLUMN_INTERLEAVE),
+    *(SAMPLES, ROWS_PER_STRIP, SAMPLE_FORMAT, DNG_VERSION, ROW_INTERLEAVE, COLUMN_INTERLEAVE),
     *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, MASKED_AREAS, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
-    *(WHITE_LEVEL, 50721, 50722, 50728, 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT),
+    *(WHITE_LEVEL, *range(50721, 50725), *range(50727, 50730), 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT),
     *OPCODE_LISTS,
-    *(tag for pair in _DATA for tag in pair),
+    *STRIPS,
+    *TILES,
 }
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
-_SHORT = 3
+SHORT = 3
 _CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 11: "f", 12: "d", 13: "I"}
 # Of all directories together; a file with more is damaged, or made to keep a reader busy. Cameras write some hundred
 # entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
@@ -92,10 +94,10 @@ class Directory:
     values: dict[int, Numbers]
     order: Literal["<", ">"] = "<"
     """Of its bytes, as struct and numpy name it."""
-    tags: frozenset[int] = frozenset()
-    """Every tag that it has, relied on or not."""
-    wide_cfa: int | None = None
-    """Where the entry of its CFAPattern stands in the file, if it has 16-bit numbers in place of bytes."""
+    entries: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+    """Of every tag that it has, relied on or not: where its entry stands in the file, and the type of its values."""
+    starts: tuple[int, ...] = ()
+    """Where it, and the values that it has elsewhere in the file, begin."""
 
     def number(self, tag: int, default: int) -> int:
         """Return the first number of a tag; ``default`` if it is not there."""
@@ -133,11 +135,12 @@ class Directory:
     @property
     def extents(self) -> tuple[tuple[int, int], ...]:
         """Offset and byte count of each strip or tile."""
-        return tuple(
-            (int(offset), int(count))
-            for offsets, counts in _DATA
-            for offset, count in zip(self.values.get(offsets, ()), self.values.get(counts, ()), strict=False)
-        )
+        return self.extents_of(STRIPS) + self.extents_of(TILES)
+
+    def extents_of(self, tags: tuple[int, int]) -> tuple[tuple[int, int], ...]:
+        """Return offset and byte count of each strip, or of each tile."""
+        offsets, counts = (map(int, self.values.get(tag, ())) for tag in tags)
+        return tuple(zip(offsets, counts, strict=False))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -183,7 +186,7 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
             within = (int(place) for tag in (_SUB_IFDS, _EXIF_IFD) for place in directory.values.get(tag, ()))
             waiting += reversed([*within, following])
     for directory in found:
-        _check_mosaic(path, directory)
+        _check_mosaic(path, directory, is_dng(found))
     # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
     images = [directory for directory in found if directory.is_mosaic] or found
     for extent in (extent for directory in images for extent in directory.extents if min(extent) < 0):
@@ -220,7 +223,7 @@ class _Budget:
             )
 
 
-def _check_mosaic(path: Path, directory: Directory) -> None:
+def _check_mosaic(path: Path, directory: Directory, of_dng: bool) -> None:
     """Refuse a mosaic of which numbers that are relied on are missing or impossible, or that has too little data."""
     if not directory.is_mosaic:
         return
@@ -237,7 +240,9 @@ def _check_mosaic(path: Path, directory: Directory) -> None:
             f"{_MOST_REPEATED} either way",
         )
     held = sum(count for _, count in directory.extents)
-    if held * MOST_PIXELS < directory.pixels and directory.compression != JPEG_XL:  # which is refused by name
+    # JPEG XL is refused by name; what a DNG states of uncompressed data is held against its rows (eldata.raw.strips).
+    elsewhere = (JPEG_XL, UNCOMPRESSED) if of_dng else (JPEG_XL,)
+    if held * MOST_PIXELS < directory.pixels and directory.compression not in elsewhere:
         raise RawFileError(path, f"truncated: its image data, {held} bytes, cannot hold {directory.pixels} pixels")
 
 
@@ -251,20 +256,20 @@ def _read_directory(
     require(path, size, at + 2 + 12 * count)
     table = file.read(12 * count + 4)
     values: dict[int, Numbers] = {}
-    tags: set[int] = set()
-    wide_cfa = None
+    entries: dict[int, tuple[int, int]] = {}
+    starts = [at]
     for index in range(count):
         entry = table[12 * index : 12 * index + 12]
         tag, kind, number = struct.unpack(order + "HHI", entry[:8])
-        tags.add(tag)
-        if (tag, kind) == (CFA_PATTERN, _SHORT):
-            wide_cfa = at + 2 + 12 * index
-        if tag not in _READ:
-            continue
+        entries[tag] = at + 2 + 12 * index, kind
         length = _SIZES.get(kind, 1) * number
         data = entry[8:12]
+        offset = struct.unpack(order + "I", data)[0]
         if length > 4:
-            offset = struct.unpack(order + "I", data)[0]
+            starts.append(offset)
+        if tag not in _READ:
+            continue
+        if length > 4:
             require(path, size, offset + length)
         if tag in OPCODE_LISTS:
             values[tag] = tuple(_opcodes(path, file, range(offset, offset + length), budget)) if length > 4 else ()
@@ -283,7 +288,7 @@ def _read_directory(
             raise RawFileError(path, f"damaged: its {_LEVELS[tag]} is not a number (0 for its denominator, or NaN)")
     # The pointer to the next directory may be missing at the very end of a file.
     following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
-    return Directory(values, order, frozenset(tags), wide_cfa), following
+    return Directory(values, order, entries, tuple(starts)), following
 
 
 def _opcodes(path: Path, file: IO[bytes], place: range, budget: _Budget) -> Iterator[Fraction]:

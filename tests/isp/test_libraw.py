@@ -11,7 +11,7 @@ import rawpy
 from eldata.errors import ArgumentError, RawFileError
 from eldata.isp.libraw import render_libraw, sixteen_to_eight_bits
 from eldata.raw.dng import write_dng
-from tests.raw.helpers import BAYER, EXPOSURE, NONA, QUAD, XTRANS, levels_of, make_sensor, random_mosaic
+from tests.raw.helpers import BAYER, EXPOSURE, NONA, QUAD, XTRANS, add_tags, levels_of, make_sensor, random_mosaic
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -41,6 +41,16 @@ def test_it_is_the_published_call(cfa: Cfa, height: int, width: int, tmp_path: P
     # The published code's way to 8 bits: share of the range, times 255, to the nearest.
     np.testing.assert_array_equal(eight, np.rint(np.float32(theirs / 65535.0) * 255.0))
     assert np.unique(eight).size > 100
+
+
+@pytest.mark.parametrize("orientation", [3, 6, 8])
+def test_it_is_never_turned(orientation: int, tmp_path: Path) -> None:
+    """A prediction is as large as the mosaic, and so is what ``sid2018`` compares it with."""
+    upright = render_libraw(written(tmp_path / "frame.dng"))
+    add_tags(tmp_path / "frame.dng", (274, "H", 1, orientation, True))
+    with rawpy.imread(str(tmp_path / "frame.dng")) as raw:
+        assert raw.sizes.flip == {3: 3, 6: 6, 8: 5}[orientation]
+    np.testing.assert_array_equal(render_libraw(tmp_path / "frame.dng"), upright)
 
 
 def test_eight_bits_are_the_nearest_of_every_value() -> None:

@@ -212,7 +212,7 @@ def test_companions_of_macos_are_passed_over_everywhere(tmp_path: Path, demo_tre
         path.with_name(f"._{path.name}").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X        ")
     count = len(tree.manifest.records)
     assert verify(tree.csv.parent, tree.root).ok
-    assert len(sort_own_set(tree.data, "mine").records) == len(CleanFrames(tree.data)) == count
+    assert (len(sort_own_set(tree.data, "mine").records), len(CleanFrames(tree.data))) == (count, 8)
     assert len(raw_files([tree.data], ".dng")) == count
     assert find_predictions(tmp_path / "copy", ["IMG_0004.dng"]).files == {
         "IMG_0004.dng": tmp_path / "copy" / "IMG_0004.npy"

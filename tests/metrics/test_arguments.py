@@ -95,6 +95,21 @@ def test_inputs_stay_as_they_are(metric: Metric) -> None:
 
 
 @pytest.mark.parametrize("metric", METRICS)
+def test_a_reference_on_another_scale_is_refused(metric: Metric) -> None:
+    """Images of 0 to 255 on data range 1 got -48 dB, or a factor of a prediction that was clamped to 1."""
+    p, g = images(2, 42, 43)
+    with pytest.raises(ArgumentError, match=r"the reference reaches 25[45].*, and data_range is 1: divide"):
+        metric(255 * p, 255 * g)
+    assert metric(p, 1.9 * g) is not None
+
+
+def test_the_range_of_another_scale_is_given() -> None:
+    p, g = images(2, 42, 43)
+    assert metrics.psnr(255 * p, 255 * g, data_range=255) == pytest.approx(metrics.psnr(p, g), abs=1e-4)
+    assert metrics.ssim(255 * p, 255 * g, data_range=255) == pytest.approx(metrics.ssim(p, g), abs=1e-5)
+
+
+@pytest.mark.parametrize("metric", METRICS)
 @pytest.mark.parametrize("shape", [(4, 611, 331), (3, 260, 257)])
 def test_threads_do_not_change_a_bit(metric: Metric, shape: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     p, g = images(*shape)

@@ -8,10 +8,21 @@ from skimage.color import rgb2xyz
 from skimage.color.colorconv import xyz_from_rgb
 
 from eldata.errors import ArgumentError
+from eldata.isp import render_libraw
+from eldata.raw import read_raw
 from eldata.raw.colour import SRGB_TO_XYZ, camera_to_srgb
+from tests.raw.helpers import add_tags, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
     from eldata.records import Matrix3
+    from tests.raw.helpers import Tag
+
+    Array = NDArray[np.float64]
 
 # ColorMatrix (D65) of a Sony A7S II, a Nikon D850 and a Fujifilm X-T2 as LibRaw's table has them.
 CAMERAS: dict[str, tuple[str, Matrix3]] = {
@@ -57,3 +68,69 @@ def test_the_matrix_of_srgb_itself_is_the_identity() -> None:
 def test_what_is_no_cameras_matrix_is_refused(matrix: Matrix3) -> None:
     with pytest.raises(ArgumentError, match="xyz_to_camera"):
         camera_to_srgb(matrix)
+
+
+# --- AsShotWhiteXY ----------------------------------------------------------------------------------------------------
+
+D50 = (0.3457, 0.3585)
+AT_A, AT_D65 = (7, -2, -1, -4, 12, 2, -1, 2, 6), (9, -3, -1, -5, 13, 1, -1, 3, 5)  # tenths
+
+
+def tenths(tag: int, numbers: Sequence[int]) -> Tag:
+    return tag, "2i", len(numbers), tuple(part for number in numbers for part in (number, 10)), True
+
+
+def share_of(kelvin: float) -> float:
+    """Of the second of two matrices, for illuminant A (2850 K in the DNG SDK) and D65."""
+    return (1 / kelvin - 1 / 2850) / (1 / 6500 - 1 / 2850)
+
+
+def multipliers(white: tuple[float, float], matrix: Array) -> list[float]:
+    x, y = white
+    red, green, blue = matrix @ [x / y, 1, (1 - x - y) / y]
+    return [green / red, 1, green / blue, 1]
+
+
+@pytest.mark.parametrize(
+    ("white", "share", "more", "scale"),
+    [
+        (D50, 0.0, [], np.eye(3)),  # one matrix
+        ((0.4476, 0.4074), share_of(2856), [21], np.eye(3)),  # illuminant A
+        ((0.3127, 0.3290), 1.0, [21], np.eye(3)),  # D65
+        ((0.2990, 0.3149), 1.0, [21], np.eye(3)),  # D75, beyond it
+        (D50, share_of(5003), [21], np.eye(3)),
+        (D50, 0.0, [0], np.eye(3)),  # for a light that is not known
+        (D50, 0.0, ["balance", "calibration"], np.diag([1.2, 1.0, 0.8]) @ np.diag([1.1, 1.0, 0.9])),
+    ],
+)
+def test_a_white_point_gives_the_white_balance(
+    white: tuple[float, float], share: float, more: Sequence[int | str], scale: Array, tmp_path: Path
+) -> None:
+    """DNG specification 1.7.1, chapter 6: AnalogBalance * CameraCalibration * ColorMatrix * XYZ is the neutral."""
+    tags = [tenths(50721, AT_A), (50778, "H", 1, 17, True)]
+    for name in more:
+        if name == "balance":
+            tags.append((50727, "2I", 3, (12, 10, 1, 1, 8, 10), True))
+        elif name == "calibration":
+            tags.append(tenths(50723, (11, 0, 0, 0, 10, 0, 0, 0, 9)))
+        else:
+            tags += [tenths(50722, AT_D65), (50779, "H", 1, name, True)]
+    path = tmp_path / "a.dng"
+    write_plain_dng(path, random_mosaic(64, 64), ("RG", "GB"), *tags)
+    assert read_raw(path).sensor.white_balance is None
+    add_tags(path, (50729, "2I", 2, (round(white[0] * 10**4), 10**4, round(white[1] * 10**4), 10**4), True))
+    first, second = (np.array(numbers).reshape(3, 3) / 10 for numbers in (AT_A, AT_D65))
+    expected = multipliers(white, scale @ ((1 - share) * first + share * second))
+    found = read_raw(path).sensor.white_balance
+    # McCamy's temperature is off by some kelvin, which moves the share by a thousandth.
+    assert found == pytest.approx(expected, rel=1e-3)
+    if 21 not in more:
+        assert found == pytest.approx(expected, abs=1e-6)
+    if not more:
+        assert found == pytest.approx((2.495, 1, 1.636, 1), abs=5e-4)
+    # LibRaw does not read the tag: its rendering is that of the same neutral.
+    rendering = render_libraw(path, bits=16)
+    assert found is not None
+    add_tags(path, (50728, "2I", 3, (10**9, round(found[0] * 10**9), 1, 1, 10**9, round(found[2] * 10**9)), True))
+    # Multipliers in float32 against six decimals move a value by one of 65,536, and AHD's choices by a few.
+    np.testing.assert_allclose(rendering.astype(float), render_libraw(path, bits=16), rtol=0, atol=16)

@@ -156,11 +156,11 @@ def test_more_pixels_than_the_file_can_hold(tmp_path: Path) -> None:
     write_plain_dng(path, random_mosaic(64, 66), ("RG", "GB"))
     size = path.stat().st_size
     add_tags(path, *((tag, "I", 1, sides, True) for tag in (256, 257, 278)))
-    refused(path, r"cannot hold 3600000000 pixels")
+    refused(path, "its rows take 7200000000; the file has 8448 bytes there")
     offsets, lengths = ((tag, "I", sides, (value,) * sides, True) for tag, value in ((273, 8), (279, size - 8)))
     add_tags(path, offsets, lengths, (278, "I", 1, 1, True))
     assert read_directories(path)[0].pixels == 3_600_000_000
-    with pytest.raises(RawFileError, match=r"cannot hold 3600000000 pixels|LibRaw cannot decode it"):
+    with pytest.raises(RawFileError, match="its rows take 120000"):
         read_raw(path)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import struct
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -281,3 +282,15 @@ def test_a_raf_without_pixels_is_not_decoded(tmp_path: Path) -> None:
     for read in (read_raw, read_header):
         with pytest.raises(RawFileError, match=r"a\.RAF"):
             read(tmp_path / "a.RAF")
+
+
+def test_a_maker_that_is_no_utf_8(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """exifread warned of it without the file's name, and the maker was lost."""
+    write_dng(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(make="Acme?"), EXPOSURE)
+    content = (tmp_path / "a.dng").read_bytes()
+    (tmp_path / "a.dng").write_bytes(content.replace(b"Acme?\0", b"Acm\xe9!\0"))
+    monkeypatch.setattr(logging.root, "handlers", [])  # pytest's, without which Python prints
+    assert read_header(tmp_path / "a.dng").make == "Acmé!"
+    assert capsys.readouterr().err == ""

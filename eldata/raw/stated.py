@@ -1,11 +1,13 @@
 """Mosaics in files that hold pixels and nothing else: NumPy, MATLAB and TIFF arrays, and numbers without a header.
 
 What a raw file states of itself, a dataset's card and the rows of its manifest state of them (:class:`MosaicFacts`).
-Nothing is guessed: a file of which nothing is stated is refused.
+Nothing is guessed: a file of which nothing is stated is refused, and so is one whose values cannot be of the stated
+levels (:func:`level_misfit`).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -29,6 +31,19 @@ MOSAIC_CFAS = ("RGGB", "GRBG", "GBRG", "BGGR")
 _AGAIN = "copy or download it again"
 _LARGEST_DN = (1 << 16) - 1
 _VALUES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")
+
+# When values cannot be of the stated levels. Darkness and glare must pass. Noise lies on both sides of black: however
+# strong it is and however little the light, hardly more than half of a frame is below black. A quiet sensor's dark
+# frame may be all at it, and a stated black a little off.
+_BLACK_ERROR = 0.01  # of the range: as much as makes a wrong black a finding of capture's check
+_MOSTLY = 0.75  # of a frame: more than noise, padding and corners without picture put below black
+# (how many ranges from black, what part of the values.) A blown-out frame lies where its converter ends, by what makers
+# state up to a quarter of the range above white; fractions may be fused of several exposures and go on behind that.
+_FAR_WHOLE, _FAR_FRACTIONS = ((1.5, 0.01),), ((2.0, 0.25), (64.0, 0.01))
+# Fractions that are all within this are shares of white: what else could be so small, a mean of dark frames less their
+# black, has noise below it.
+_SHARES, _LEAST_WHITE_DN = (-0.1, 1.1), 64.0
+_LOOKED_AT = 1 << 17  # pixels, in whole rows of both parities
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +114,7 @@ class StatedFile:
 
         if self._has_header:
             declared = declared_array(self.path, name=self.facts.array, error=RawFileError, advice=_AGAIN)
-            _check_declared(self.path, declared)
+            _check_declared(self, declared)
         else:
             self._held()
 
@@ -110,7 +125,7 @@ class StatedFile:
     def _array(self) -> NDArray[Any]:
         from eldata.base.array_files import read_array
 
-        check = partial(_check_declared, self.path)
+        check = partial(_check_declared, self)
         return read_array(self.path, check, name=self.facts.array, error=RawFileError, advice=_AGAIN)
 
     def _checked(self, array: NDArray[Any]) -> NDArray[Any]:
@@ -122,6 +137,7 @@ class StatedFile:
             mosaic = np.ascontiguousarray(array, np.float32)
             if not np.isfinite(mosaic).all():
                 raise RawFileError(self.path, f"damaged: holds values that are not finite; {_AGAIN}")
+            self._check_levels(mosaic)
             return mosaic
         low, high = int(array.min()), int(array.max())
         if low < 0 or high > _LARGEST_DN:
@@ -130,7 +146,13 @@ class StatedFile:
         fault = mosaic_fault(mosaic, self.facts.black_level_dn, self.facts.white_level_dn)
         if fault is not None:
             raise RawFileError(self.path, f"damaged, or its black level is another: {fault}")
+        self._check_levels(mosaic)
         return mosaic
+
+    def _check_levels(self, mosaic: NDArray[Any]) -> None:
+        misfit = level_misfit(mosaic, self.facts.black_level_dn, self.facts.white_level_dn)
+        if misfit is not None:
+            raise _misfit_error(self, *misfit)
 
     def _numbers(self) -> NDArray[Any]:
         """Return the pixels of a file without a header."""
@@ -162,8 +184,76 @@ class StatedFile:
         return shape
 
 
-def _check_declared(path: Path, declared: Declared) -> None:
+def _check_declared(file: StatedFile, declared: Declared) -> None:
+    import numpy as np
+
     if len(declared.shape) != 2 or 0 in declared.shape or declared.values not in _VALUES:
         raise RawFileError(
-            path, f"expected a mosaic of numbers, (H, W); found {declared.values} of shape {declared.shape}"
+            file.path, f"expected a mosaic of numbers, (H, W); found {declared.values} of shape {declared.shape}"
         )
+    white = file.facts.white_level_dn
+    if "int" in declared.values and np.iinfo(declared.values).max < (1 - _BLACK_ERROR) * white:
+        largest = int(np.iinfo(declared.values).max)
+        fitting = _scaled(file.facts.black_level_dn, white, largest / white, f"values to {largest}")
+        raise _misfit_error(file, f"{declared.values}, which ends at {largest}", fitting)
+
+
+def _misfit_error(file: StatedFile, found: str, fitting: str) -> UnusableRawError:
+    black = _in_words(file.facts.black_level_dn)
+    found += f", where its card states black {black} and white {file.facts.white_level_dn:g}"
+    return UnusableRawError(file.path, found, f"{fitting} would fit: put right what the card's mosaics state of it")
+
+
+def level_misfit(mosaic: NDArray[Any], black_dn: tuple[float, ...], white_dn: float) -> tuple[str, str] | None:
+    """Return what of a mosaic (H, W) cannot be of these levels, and which would fit; ``None`` if it may be of them."""
+    import numpy as np
+
+    seen = mosaic[:: mosaic.size // _LOOKED_AT | 1].astype(np.float32)
+    black, range_dn = min(black_dn), white_dn - min(black_dn)
+    whole = bool((seen == np.rint(seen)).all())
+    shares = not whole and white_dn >= _LEAST_WHITE_DN and _within(seen, *_SHARES) and _within(mosaic, *_SHARES)
+    far = any(
+        np.mean(np.abs(seen - black) > ranges * range_dn) >= part
+        for ranges, part in (_FAR_WHOLE if whole else _FAR_FRACTIONS)
+    )
+    if shares:
+        why = "which are shares of white"
+    elif np.mean(seen < black - _BLACK_ERROR * range_dn) >= _MOSTLY:
+        why = "most of them below black"
+    elif far:
+        why = "many of them far outside"
+    else:
+        return None
+    low, high = float(mosaic.min()), float(mosaic.max())
+    return f"values from {low:.4g} to {high:.4g}, {why}", _fitting(mosaic if whole else None, high, black_dn, white_dn)
+
+
+def _within(values: NDArray[Any], low: float, high: float) -> bool:
+    return bool(low <= values.min() and values.max() <= high)
+
+
+def _fitting(whole: NDArray[Any] | None, high: float, black_dn: tuple[float, ...], white_dn: float) -> str:
+    """Return the levels that would fit, in words, of values up to ``high`` that do not; ``whole`` if they are that."""
+    import numpy as np
+
+    if high <= 1 or (whole is None and high <= _SHARES[1]):
+        return "black 0 and white 1 (shares of white)"
+    if high > white_dn:
+        bits = 0 if whole is None else int(np.bitwise_or.reduce(np.clip(whole, 0, 1 << 30).astype(np.int64), axis=None))
+        step = bits & -bits
+        if step > 1 and high <= step * (white_dn + 1):
+            return _scaled(black_dn, white_dn, step, f"all are multiples of {step}")
+        depth = max(8, 2 * math.ceil(math.log2(high + 1) / 2))
+        return f"white {(1 << depth) - 1} (values of {depth} bits), with the black level in DN,"
+    fitting = f"black 0 and white {white_dn - min(black_dn):g} (values less their black)"
+    if high < 1 << 8 < white_dn:
+        fitting += f", or {_scaled(black_dn, white_dn, 256 / (white_dn + 1), 'values of 8 bits')},"
+    return fitting
+
+
+def _scaled(black_dn: tuple[float, ...], white_dn: float, scale: float, why: str) -> str:
+    return f"black {_in_words(tuple(level * scale for level in black_dn))} and white {white_dn * scale:g} ({why})"
+
+
+def _in_words(levels: tuple[float, ...]) -> str:
+    return " ".join(f"{level:.4g}" for level in dict.fromkeys(levels))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
@@ -16,9 +17,11 @@ import scipy.io
 import tifffile
 
 from eldata import evaluate
+from eldata.base.files import sha256_of
 from eldata.cli.main import main
 from eldata.datasets import CalibrationFrames, CleanClips, CleanFrames, DarkFrames, PairDataset, SyntheticPairs
-from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileError
+from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError, RawFileError, UnusableRawError
+from eldata.evaluation import scored_pairs
 from eldata.manifest import load_manifest, verify
 from eldata.manifest.card import CameraCard, Card, load_card, save_card
 from eldata.manifest.catalogue import FrameFiles
@@ -196,6 +199,106 @@ def test_what_is_no_mosaic_is_named(mosaic: NDArray[Any], word: str, tmp_path: P
     np.save(tmp_path / "x.npy", mosaic)
     with pytest.raises(RawFileError, match=word):
         read_raw(StatedFile(tmp_path / "x.npy", FACTS))
+
+
+def shares_of(mosaic: NDArray[Any]) -> NDArray[np.float32]:
+    return ((mosaic - np.float32(BLACK)) / np.float32(WHITE - BLACK)).astype(np.float32)
+
+
+def save_as(dtype: str, values: NDArray[Any], path: Path) -> StatedFile:
+    """Write TIFF, as CRVD has it, or what the name says, as SIDD and LRID have it."""
+    WRITERS[path.suffix[1:]](path, np.asarray(values, dtype))
+    return StatedFile(path, FACTS)
+
+
+CLEAN, DARK = mosaic_of(REFERENCE, 1).astype(np.float64), mosaic_of(NOISY, 1).astype(np.float64)
+
+
+@pytest.mark.parametrize(
+    ("values", "dtype", "name", "levels", "fitting"),
+    [
+        (shares_of(CLEAN), "float32", "x.npy", (64, 1023), r"\d, which are shares of white, .* black 0 and white 1 "),
+        (shares_of(DARK), "float64", "x.mat", (64, 1023), "black 0 and white 1 "),
+        (shares_of(DARK), "float32", "x.npy", (0, 16383), "black 0 and white 1 "),
+        (CLEAN, "float64", "x.mat", (0, 1), r"white 4095 \(values of 12 bits\)"),
+        (CLEAN / 4, "uint16", "x.mat", (0, 1), r"white 1023 \(values of 10 bits\)"),
+        (np.where(DARK > 270, 300.5, 0.3), "float32", "x.npy", (0, 1), r"white 1023 \(values of 10 bits\)"),
+        (DARK - BLACK, "float32", "x.npy", (0, 1), r"values of \d+ bits"),
+        (CLEAN / 16, "uint8", "x.tiff", (240, 4095), r"uint8, which ends at 255, .* black 14\.95 and white 255 "),
+        (CLEAN / 16, "uint16", "x.tiff", (240, 4095), r"most .* below black, .* black 15 and white 255\.\d+ \("),
+        (CLEAN * 16, "uint16", "x.tiff", (240, 4095), r"black 3840 and white 65520 \(all are multiples of 16\)"),
+        (CLEAN * 16, "float32", "x.tiff", (240, 4095), "black 3840 and white 65520 "),
+        (CLEAN, "uint16", "x.npy", (64, 1023), r"white 4095 \(values of 12 bits\)"),
+        (np.maximum(DARK - BLACK, 0), "uint16", "x.npy", (240, 4095), "black 0 and white 3855 .*, or black 15 "),
+    ],
+)  # fmt: skip
+def test_values_that_cannot_be_of_the_cards_levels_are_refused_with_those_that_would_fit(
+    values: NDArray[Any], dtype: str, name: str, levels: tuple[float, float], fitting: str, tmp_path: Path
+) -> None:
+    file = save_as(dtype, values, tmp_path / name)
+    file = replace(file, facts=replace(FACTS, black_level_dn=levels[:1], white_level_dn=levels[1]))
+    stated = f"where its card states black {levels[0]} and white {levels[1]}"
+    with pytest.raises(UnusableRawError, match=rf"x\.\w+: .*{stated}; ") as refused:
+        file.read()
+    assert re.search(fitting, str(refused.value))
+    if dtype == "uint8":
+        with pytest.raises(UnusableRawError, match=stated):
+            file.check()
+
+
+NOISE = np.random.default_rng(3).normal(0, 1, (480, 640))
+
+
+@pytest.mark.parametrize(
+    ("values", "dtype", "levels"),
+    [
+        (np.full(SHAPE, 64), "uint16", (64, 1023)),  # a quiet sensor's bias frame
+        (np.zeros(SHAPE), "uint16", (0, 16383)),  # one whose black is clipped
+        (511.4 + 0.3 * NOISE, "uint16", (512, 16383)),
+        (512 - 100 + 40 * NOISE, "uint16", (512, 16383)),  # at the highest ISO, black off by half a percent
+        (2048 + 900 * NOISE.clip(-2, 9), "uint16", (2048, 15520)),  # x300: half of it below black
+        (np.full(SHAPE, 16383), "uint16", (2048, 13583)),  # blown out: converters end above the stated white
+        (np.where(NOISE > -1, 65535, 300), "uint16", (256, 60000)),
+        (np.where(NOISE > 0, 1, 0.1 * NOISE), "float32", (0, 1)),
+        (np.where(NOISE > 1, 3, 0.2), "float32", (0, 1)),  # fused of several exposures
+        (0.05 * NOISE, "float32", (0, 16383)),  # a mean of dark frames less their black
+        (64 + 0.05 * NOISE, "float32", (64, 1023)),
+        (np.rint(NOISE), "float32", (0, 16383)),
+        (16 * np.rint(250 + 5 * NOISE), "uint16", (4000, 65520)),  # 12 bits in 16
+        (np.where(np.arange(640) < 300, 0, 600 + 5 * NOISE), "float32", (512, 16383)),  # padding
+        (np.full(SHAPE, 255), "uint8", (16, 256)),
+        (np.where(NOISE > 0, 1, 0), "uint8", (0, 1)),  # photons or none
+    ],
+)
+def test_darkness_and_glare_are_of_the_cards_levels(
+    values: NDArray[Any], dtype: str, levels: tuple[float, float], tmp_path: Path
+) -> None:
+    file = save_as(dtype, values, tmp_path / "x.npy")
+    file = replace(file, facts=replace(FACTS, black_level_dn=levels[:1], white_level_dn=levels[1]))
+    file.check()
+    assert file.read().sensor.white_level_dn == levels[1]
+
+
+def test_levels_that_do_not_fit_are_found_by_verify_and_never_scored(tmp_path: Path) -> None:
+    """Shares of white, noise of 0.02, were scored as PSNR inf; a recorded hash says nothing of what the card states."""
+    path = own_set(tmp_path, "npy", replace(FACTS, black_level_dn=(64,), white_level_dn=1023))
+    generator = np.random.default_rng(0)
+    for file in (tmp_path / "data" / "own").glob("*/*.npy"):
+        values = np.linspace(0.2, 0.7, 48 * 64).reshape(SHAPE) + 0.02 * generator.normal(size=SHAPE)
+        np.save(file, values.astype(np.float32))
+    loaded, root = load_manifest(path), tmp_path / "data"
+    hashed = [replace(row, sha256=sha256_of(root / "own" / row.path)) for row in loaded.records]
+    save_manifest(path, loaded.card, hashed)
+    report = verify([load_manifest(path)], root, level="full")
+    assert [problem.field for problem in report.problems] == ["content"] * 4
+    assert "black 0 and white 1" in report.problems[0].advice
+    with pytest.raises(UnusableRawError, match="black 0 and white 1"):
+        PairDataset(root / "own", path)[0]
+    result = evaluate(None, "own", manifest=path, root=root, baseline="input")
+    assert result.images == ()
+    assert all("black 0 and white 1" in str(problem) for problem in result.problems)
+    with pytest.raises(EldataError, match="black 0 and white 1"):
+        list(scored_pairs(None, "own", manifest=path, root=root, baseline="input"))
 
 
 @pytest.mark.parametrize("size", [1, 2 * 48 * 64 - 1, 2 * 48 * 64 + 2, 48 * 64 * 10 // 8])

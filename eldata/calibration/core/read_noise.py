@@ -200,8 +200,8 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     deviation = math.sqrt(variance / model.own)
     fit = residual_fit(cells, model, start)
     shape, sigma = fit.shape, fit.scale
-    # Never below what residuals give that are independent but for each pixel's mean: groups of rows scatter themselves.
-    errors = np.sqrt(np.maximum(np.diag(fit.covariance), np.diag(fit.information) / max(1 - 1 / histogram.frames, 0.5)))
+    # Never below what independent residuals give: the groups' scatter, of which errors are made, scatters itself.
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), np.diag(fit.information)))
 
     # What the same probability plot says of the fitted model, whose truth is known.
     expected = _expected(histogram, model, fit)

@@ -166,7 +166,7 @@ def calibrated_frames(folder: str, camera: str) -> Any:
     from eldata.datasets import CalibrationFrames
     from eldata.demo.calibration_frames import DEMO_GAMMA, make_calibration_frames
 
-    make_calibration_frames(Path("made"), isos=(400, 1600), bias_frames=6, flat_levels=4, size=(256, 256))
+    make_calibration_frames(Path("made"), isos=(400, 800, 1600), bias_frames=6, flat_levels=4, size=(256, 256))
     Path(folder).mkdir(parents=True)
     (Path("made/data/calibration") / DEMO_GAMMA.name).rename(Path(folder) / camera)
     frames = CalibrationFrames(folder, camera)

@@ -252,7 +252,6 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -
     pairs, singles = None, None
     used: list[PairLevels] = []
     remarks: list[str] = []
-    gaps = 0.0
     for pair, first, second in _pairs(reader, chosen.pairs):
         if pairs is None or singles is None:
             sensor = first.sensor
@@ -270,13 +269,11 @@ def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -
             pairs.add(first.mosaic, second.mosaic)
             singles.add(first.mosaic)
             singles.add(second.mosaic)
-            gaps = max(gaps, missing_codes(first.mosaic, pairs.pattern))
         del first, second  # before the next ones are decoded
     reader.refuse()
     if pairs is not None:
         step = code_step(pairs.counts[:, : math.ceil(pairs.limit_dn)])
-        gaps = 1 - (1 - gaps) * max(step, 1)  # a step of the whole file is no curve
-    said = (*remarks, *flat_remarks(chosen, gaps))
+    said = (*remarks, *flat_remarks(chosen))
     if pairs is None or singles is None or not pairs.frames:
         return found(said, _no_line("no pair of flats is usable"))
     try:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.audit.bias_checks import GAPS
 from eldata.calibration.audit.frames import ADVISED_BIAS_FRAMES
 from eldata.calibration.core.findings import BLACK, LIGHT
 from eldata.calibration.iso_results import usual_gain_per_iso
@@ -24,7 +23,6 @@ _DRIFT_DN = 0.25  # of the error that it makes
 _OF_DEFECTS_DN = 0.1
 _LEAST_PAIRS = 4
 _DISAGREEMENT = 6.0  # of K with what was stated, standard errors
-_POOR_PLOT = 0.995  # R^2 of the Tukey-lambda probability plot; simulated cameras stay above from 1.5 megapixels on
 _GAIN_TOLERANCE = 0.1  # of K / ISO around its median
 _FAR, _JUMP = 0.03, 0.001  # of white: a colour bias, and its distance from that of other ISOs
 _OF_OTHERS = 5.0  # times what the other ISOs' differ by
@@ -32,7 +30,7 @@ _OF_OTHERS = 5.0  # times what the other ISOs' differ by
 
 def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) -> tuple[str, ...]:
     """Return what the bias frames and the figures from them show."""
-    read, rows, columns = found.read, found.rows.rows, found.rows.columns
+    rows, columns = found.rows.rows, found.rows.columns
     remarks = []
     if found.bias_frames < ADVISED_BIAS_FRAMES - 1:
         remarks.append(f"{found.bias_frames} bias frames were used; {ADVISED_BIAS_FRAMES} or more are advised")
@@ -43,14 +41,6 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
         )
     if lossy is not None:
         remarks.append(f"the files have {lossy}, which changes noise: no figure here is the sensor's own")
-    if read is None or "read noise" in found.withheld:
-        pass  # a finding says more
-    elif read.r_squared_tl < _POOR_PLOT - 1 / (12 * (found.bias_frames * read.sigma_gauss_dn) ** 2):
-        # Residuals are multiples of 1/n DN; those steps alone take 1/(12 n^2 sigma^2) from R^2.
-        remarks.append(
-            f"R2 of the Tukey-lambda plot is {read.r_squared_tl:.4f}: residuals do not lie on its line (look at it for "
-            "outliers, steps and a second slope)"
-        )
     if "row noise" in found.withheld:
         pass
     elif rows.sigma_dn == 0:
@@ -98,7 +88,7 @@ def no_pairs(chosen: IsoFrames) -> str:
     return f"{what}, so K is not known: this ISO does not take part in the fits; take flats in pairs of equal exposure"
 
 
-def flat_remarks(chosen: IsoFrames, gaps: float) -> tuple[str, ...]:
+def flat_remarks(chosen: IsoFrames) -> tuple[str, ...]:
     """Return what the flats show."""
     remarks = []
     if chosen.single:
@@ -109,8 +99,6 @@ def flat_remarks(chosen: IsoFrames, gaps: float) -> tuple[str, ...]:
         remarks.append(
             f"K comes from {counted(len(chosen.pairs), 'pair')} of flats; {_LEAST_PAIRS} levels or more are advised"
         )
-    if gaps > GAPS:
-        remarks.append(f"{gaps:.0%} of the DN values between others never occur in a flat: lossy compression?")
     return tuple(remarks)
 
 

@@ -105,9 +105,8 @@ def test_telegraph_pixels_are_in_the_colour_bias() -> None:
     camera = Camera(shape=(258, 384), hot_share=0.0)
     body = Body(camera, np.random.default_rng(3))
     jumping = body.generator.random(camera.shape) < 0.01
-    frames = body.bias_frames(8)
-    for frame in frames:
-        frame += (27 * (jumping & (body.generator.random(camera.shape) < 0.5))).astype(np.uint16)
+    jump = np.uint16(27) * jumping
+    frames = [frame + jump * (body.generator.random(camera.shape) < 0.5) for frame in body.bias_frames(8)]
     found = calibrated(camera, frames).bias
     added = 13.5 * np.array([jumping[camera.channel == channel].mean() for channel in range(4)])
     truth = np.array(body.colour_bias_dn) + added

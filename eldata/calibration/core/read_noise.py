@@ -200,8 +200,10 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     deviation = math.sqrt(variance / model.own)
     fit = residual_fit(cells, model, start)
     shape, sigma = fit.shape, fit.scale
-    # Never below what residuals give that are independent but for each pixel's mean: groups of rows scatter themselves.
-    errors = np.sqrt(np.maximum(np.diag(fit.covariance), np.diag(fit.information) / max(1 - 1 / histogram.frames, 0.5)))
+    # The groups' scatter, of which errors are made, scatters itself: never below what independent residuals give. Of a
+    # pixel's n only n - 1 are: measured, their variances are between those of n and of n - 1.
+    dependence = math.sqrt(1 - 1 / histogram.frames) if histogram.frames > 1 else 1.0
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), np.diag(fit.information) / dependence))
 
     # What the same probability plot says of the fitted model, whose truth is known.
     expected = _expected(histogram, model, fit)

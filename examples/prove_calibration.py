@@ -290,11 +290,12 @@ class Tally:
     def _take(self, where: str, case: Case, one: Any, truths: dict[str, tuple[float, ...]], *, verbose: bool) -> None:
         missing = defaultdict(list)
         for name, (attribute, kind) in FIGURES.items():
-            figure = getattr(one, attribute)
+            figure = getattr(one, attribute, None)  # of flats alone there is K
             values = figure if isinstance(figure, tuple) else (figure,) * (figure is not None)
             if not values:
                 of_it = [finding for finding in one.findings if finding.effect == "withheld"]
-                missing[tuple(finding.text for finding in of_it if kind in finding.figures)].append(name)
+                texts = tuple(finding.text for finding in of_it if kind in finding.figures)
+                missing[texts or one.remarks].append(name)
             for value, truth in zip(values, truths.get(name, (math.nan,) * len(values)), strict=False):
                 line = f"{where}: {value.value:.5g} +- {value.error:.2g} for {truth:.5g}"
                 if verbose:

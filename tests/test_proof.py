@@ -101,3 +101,19 @@ def test_the_documented_tables_are_those_of_the_records(folder: str, capsys: pyt
     """What docs/proof.md shows is what the command prints of the records beside it."""
     runpy.run_path(str(STUDY))["main"]([str(ROOT / "docs" / folder), "--table"])
     assert capsys.readouterr().out.strip() in (ROOT / "docs" / "proof.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.study
+def test_the_study_of_calibration_tells_right_from_wrong(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One simulated camera at three ISOs, whose figures hold; and against another K, which then do not."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    study: Any = importlib.import_module("prove_calibration")
+    few = ["silent", "--isos", "800", "1600", "3200"]
+    assert study.main(few) == 0
+    assert capsys.readouterr().out.startswith("3 cases of a camera at an ISO\n")
+    truths = study.Specimen.truths
+    monkeypatch.setattr(study.Specimen, "truths", lambda self: truths(self) | {"K": (1.1 * self.case.gain,)})
+    assert study.main(few) == 1
+    assert capsys.readouterr().out.count("FAR OFF, K, ") == 3

@@ -88,7 +88,7 @@ class CleanFrames:
     --------
     >>> from eldata.datasets import CleanFrames
     >>> len(CleanFrames("eldata-demo/data/ELD-demo/DemoAlpha"))
-    16
+    4
     """
 
     def __init__(

@@ -354,7 +354,7 @@ def test_a_missing_folder_says_where_to_get_the_files(name: str, tmp_path: Path)
     """As an item is read: records need no files, but DRV's, whose names of frames are not published."""
     if name != "drv":
         dataset = open_dataset(name, tmp_path / "nowhere")
-        assert len(dataset) == len(dataset.records) == len(dataset.frame) > 100
+        assert len(dataset) == len(dataset.records) == len(dataset.frame) > 0
     with pytest.raises(DatasetError) as raised:
         open_dataset(name, tmp_path / "nowhere")[0]
     for words in ("nowhere", shipped_manifest(name).card.homepage, f"eldata info {name}", f"eldata download {name}"):

@@ -257,20 +257,21 @@ def picture_crop(frames: CalibrationFrames, chosen: Sequence[IsoFrames]) -> Crop
     """Return what of the first bias frame and the first flat that can be read holds picture; ``None``: everything."""
     from eldata.raw.damage import picture_area
 
-    found, whole = [], True
+    parts = []
     for records in ([one.bias for one in chosen], [[pair.first for pair in one.pairs] for one in chosen]):
         for record in chain.from_iterable(records):
             with suppress(RawFileError):  # who measures says why
                 mosaic = frames.read(record).mosaic
-                found.append(picture_area(mosaic))
-                whole = whole and mosaic[found[-1]].shape == mosaic.shape
+                area = zip(picture_area(mosaic), mosaic.shape, strict=True)
+                parts.append([(part.start, part.stop - side) for part, side in area])
                 break
-    if whole:
-        return None
+    # Counted from both ends: a frame of another size must keep it, to be found.
     rows, columns = (
-        slice(max(p.start for p in parts), min(p.stop for p in parts)) for parts in zip(*found, strict=True)
+        slice(max(start for start, _ in ends), min(stop for _, stop in ends) or None)
+        for ends in zip(*parts or [[(0, 0)] * 2], strict=True)
     )
-    return rows, columns
+    crop = slice(rows.start or None, rows.stop), slice(columns.start or None, columns.stop)
+    return None if crop == (slice(None), slice(None)) else crop
 
 
 def checked_crop(crop: Crop) -> Crop:

@@ -330,10 +330,11 @@ def _stated_findings(file: StatedFile, record: FrameRecord, *, decode: bool) -> 
     product = None if iso is None or exposure_s is None else iso * exposure_s
     try:
         file.check()
-        decoded = file.read().sensor if decode else None
+        frame = file.read() if decode else None
     except RawFileError as error:
         return CheckedFile([_unreadable(record, error, "a mosaic as its card states it")])
-    return CheckedFile(_decoded_findings(record, decoded), product, levels_dn=file.header.levels_dn)
+    findings = _decoded_findings(record, None if frame is None else frame.sensor)
+    return CheckedFile(findings, product, () if frame is None else frame.remarks, file.header.levels_dn)
 
 
 def header_findings(

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from eldata.errors import RawFileError
-from eldata.raw.tiff import ACTIVE_AREA, TILE_HEIGHT, TILE_WIDTH, UNCOMPRESSED
+from eldata.raw.tiff import ACTIVE_AREA, HEIGHT, TILE_HEIGHT, TILE_WIDTH, UNCOMPRESSED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -70,8 +70,9 @@ def check_damage(
     black_dn, white_dn
         Black levels and white level in DN.
     """
-    fault = mosaic_fault(mosaic, black_dn, white_dn)
-    fault = fault or tiles_fault(directories, mosaic, black_dn) or data_fault(path, directories, mosaic)
+    rows = _between_zeros(mosaic) if min(black_dn) > 0 else slice(0, len(mosaic))
+    fault = mosaic_fault(mosaic, black_dn, white_dn) or lost_rows_fault(directories, rows, len(mosaic))
+    fault = fault or tiles_fault(directories, mosaic, black_dn) or data_fault(path, directories, mosaic, rows)
     if fault is not None:
         raise RawFileError(path, f"damaged: {fault}; {_AGAIN}")
 
@@ -170,10 +171,14 @@ def _damaged_header(path: Path, offset: int, what: str) -> RawFileError:
     return RawFileError(path, f"damaged: its image data, from byte {offset} of the file on, {what}; {_AGAIN}")
 
 
-def data_fault(path: Path, directories: Sequence[Directory], mosaic: NDArray[Any]) -> str | None:
+def data_fault(
+    path: Path, directories: Sequence[Directory], mosaic: NDArray[Any], rows: slice = slice(None)
+) -> str | None:
     """Return what shows in the compressed data of a TIFF-based file that some were lost; None if nothing does.
 
-    ``mosaic``: (H, W) uint16 as decoded: whether it has clipped areas decides what its data may look like.
+    ``mosaic``: (H, W) uint16 as decoded: whether it has clipped areas decides what its data may look like. ``rows``:
+    those between a border's rows of zeros, which lost data decode to, but for those of a lossless JPEG: they go on with
+    the value before them.
 
     Raises
     ------
@@ -200,7 +205,7 @@ def data_fault(path: Path, directories: Sequence[Directory], mosaic: NDArray[Any
             start = 0 if stream is None else stream.start
             run = _lost_run(content[start:])
             sure = directory.compression == _NIKON if stream is None else not stream.zeros_mean_no_difference
-            if run is not None and (sure or not _has_flat_area(mosaic)):
+            if run is not None and (sure or not _has_flat_area(mosaic[rows] if stream is None else mosaic)):
                 first, behind = run
                 return (
                     f"its image data, at byte {offset + start + first} of the file, has {behind - first} bytes of "
@@ -324,6 +329,29 @@ def _without_border(mosaic: NDArray[Any]) -> tuple[slice, slice]:
     if behind == 1 or (behind and mosaic[rows.stop - 1, -1] == mosaic[-1, -1]):
         rows = slice(rows.start, len(mosaic))
     return rows, columns
+
+
+def _between_zeros(mosaic: NDArray[Any]) -> slice:
+    """Return the rows between those of zeros that are a border."""
+    rows, _ = _without_border(mosaic)
+    return slice(0 if mosaic[0].any() else rows.start, len(mosaic) if mosaic[-1].any() else rows.stop)
+
+
+def lost_rows_fault(directories: Sequence[Directory], rows: slice, height: int) -> str | None:
+    """Return that the rows of zeros around these of an uncompressed mosaic begin or end with a sector of the disk.
+
+    As those do that a disk or a download has lost; of a border's it is chance, but where all rows are whole sectors.
+    """
+    for found in directories:
+        of_image = found.number(HEIGHT, 0)
+        if not (found.is_mosaic and found.compression == UNCOMPRESSED and found.extents and of_image > 0):
+            continue
+        row_bytes = sum(count for _, count in found.extents) // of_image
+        first = min(found.extents)[0] + found.number(ACTIVE_AREA, 0) * row_bytes
+        for row in {rows.start, rows.stop} - {0, height}:
+            if (first + row * row_bytes) % _LEAST_RUN == 0:
+                return f"its rows of 0 DN, {'up to' if row == rows.start else 'from'} row {row}, are whole sectors"
+    return None
 
 
 def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[Any], black_dn: Sequence[float]) -> str | None:

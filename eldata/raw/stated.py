@@ -101,12 +101,14 @@ class StatedFile:
             fit it.
         """
         from eldata.raw.cfa import bayer_cfa
+        from eldata.raw.damage import border_remarks
 
         black = self.facts.black_level_dn
         mosaic = self._checked(self._array() if self._has_header else self._numbers())
         levels = black * 4 if len(black) == 1 else black
         cfa, white = bayer_cfa(self.facts.cfa), self.facts.white_level_dn
-        return RawFrame(self.path, mosaic, Sensor("", "", cfa, levels, white, *mosaic.shape), self.exposure)
+        sensor = Sensor("", "", cfa, levels, white, *mosaic.shape)
+        return RawFrame(self.path, mosaic, sensor, self.exposure, remarks=border_remarks(mosaic))
 
     def check(self) -> None:
         """Look at what the file declares, without its pixels; raises like :meth:`read`."""
@@ -236,7 +238,7 @@ def _fitting(whole: NDArray[Any] | None, high: float, black_dn: tuple[float, ...
     """Return the levels that would fit, in words, of values up to ``high`` that do not; ``whole`` if they are that."""
     import numpy as np
 
-    if high <= 1 or (whole is None and high <= _SHARES[1]):
+    if high <= 1 or (whole is None and high <= _FAR_FRACTIONS[0][0]):  # with their noise
         return "black 0 and white 1 (shares of white)"
     if high > white_dn:
         bits = 0 if whole is None else int(np.bitwise_or.reduce(np.clip(whole, 0, 1 << 30).astype(np.int64), axis=None))

@@ -612,8 +612,11 @@ def test_a_border_is_left_out_and_named_once(tmp_path: Path) -> None:
         found = calibrate(tree.frames())
         assert (found.isos[0].sensor.height, found.isos[0].sensor.width) == (263, 387)
         assert found.isos[0].as_dict() == expected.isos[0].as_dict()
-        said = "rows and columns 0:263,13:400 are used, around them there is no picture (--crop states another area)"
+        said = "rows and columns :-9,13: are used, around them there is no picture (--crop states another area)"
         assert [remark for remark in found.all_remarks if "picture" in remark] == [said]
+    rewritten(tree.files("bias", 1600)[2], mosaic=lambda mosaic: np.vstack([mosaic[:8], mosaic]))
+    with pytest.raises(FramesError, match=r"height: expected 263 as in .*, found 271"):  # not cut to one size
+        calibrate(tree.frames())
 
 
 def test_a_crop_that_is_none(pristine: FrameTree) -> None:

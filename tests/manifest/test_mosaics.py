@@ -211,6 +211,7 @@ def save_as(dtype: str, values: NDArray[Any], path: Path) -> StatedFile:
     return StatedFile(path, FACTS)
 
 
+LOUD = np.random.default_rng(4).normal(0, 0.2, SHAPE)  # noise, in shares of white
 CLEAN, DARK = mosaic_of(REFERENCE, 1).astype(np.float64), mosaic_of(NOISY, 1).astype(np.float64)
 
 
@@ -220,6 +221,7 @@ CLEAN, DARK = mosaic_of(REFERENCE, 1).astype(np.float64), mosaic_of(NOISY, 1).as
         (shares_of(CLEAN), "float32", "x.npy", (64, 1023), r"\d, which are shares of white, .* black 0 and white 1 "),
         (shares_of(DARK), "float64", "x.mat", (64, 1023), "black 0 and white 1 "),
         (shares_of(DARK), "float32", "x.npy", (0, 16383), "black 0 and white 1 "),
+        (shares_of(CLEAN) + LOUD, "float32", "x.npy", (64, 1023), "black 0 and white 1 "),
         (CLEAN, "float64", "x.mat", (0, 1), r"white 4095 \(values of 12 bits\)"),
         (CLEAN / 4, "uint16", "x.mat", (0, 1), r"white 1023 \(values of 10 bits\)"),
         (np.where(DARK > 270, 300.5, 0.3), "float32", "x.npy", (0, 1), r"white 1023 \(values of 10 bits\)"),
@@ -299,6 +301,18 @@ def test_levels_that_do_not_fit_are_found_by_verify_and_never_scored(tmp_path: P
     assert all("black 0 and white 1" in str(problem) for problem in result.problems)
     with pytest.raises(EldataError, match="black 0 and white 1"):
         list(scored_pairs(None, "own", manifest=path, root=root, baseline="input"))
+
+
+def test_borders_of_arrays_are_named_once_and_read(tmp_path: Path) -> None:
+    path = own_set(tmp_path, "npy", FACTS)
+    for file in (tmp_path / "data").rglob("*.npy"):
+        mosaic = np.load(file)
+        mosaic[-4:] = 0
+        np.save(file, mosaic)
+    report = verify([load_manifest(path)], tmp_path / "data", level="full")
+    (remark,) = report.datasets[0].remarks
+    assert (report.problems, remark.files) == ((), 4)
+    assert "4 at the bottom (of 0 DN) of its 48 rows and 64 columns hold no picture" in remark.text
 
 
 @pytest.mark.parametrize("size", [1, 2 * 48 * 64 - 1, 2 * 48 * 64 + 2, 48 * 64 * 10 // 8])

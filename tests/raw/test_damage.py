@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import imagecodecs
 import numpy as np
 import pytest
+import tifffile
 
 from eldata.demo.tree import make_tree
 from eldata.errors import ArgumentError, RawFileError
@@ -418,6 +419,37 @@ def test_rows_and_columns_without_picture_are_no_damage(kind: str, tmp_path: Pat
     assert mosaic_fault(lost, BLACK, 15871.0) is None
     lost[-13, -100:] = 0
     assert "3124 pixels in a row, from row 179, column 152 on, are 0 DN" in str(mosaic_fault(lost, BLACK, 15871.0))
+
+
+@pytest.mark.parametrize(("at", "lost"), [(4096, True), (4096 - 512, True), (4096 - 160, False)])
+def test_rows_of_zeros_that_are_whole_sectors_are_lost(at: int, lost: bool, tmp_path: Path) -> None:
+    """Where the image data and all rows begin with a sector, a lost tail is whole rows, and no border is believed."""
+    path, mosaic = tmp_path / "a.dng", photograph(3.0, 3000.0).repeat(2, axis=1)[:, :256]
+    mosaic[-12:] = 0
+    write_plain_dng(path, mosaic, ("RG", "GB"), (50714, "I", 1, 512, True))
+    content = path.read_bytes()
+    with tifffile.TiffFile(path) as file:
+        offset = file.pages.first.tags[273]
+        (first,) = offset.value
+    assert first + mosaic.nbytes == len(content), "the pixels are last"
+    moved = bytearray(content[:first].ljust(at, b"\1") + mosaic.tobytes())
+    moved[offset.valueoffset : offset.valueoffset + 4] = at.to_bytes(4, "little")
+    path.write_bytes(moved)
+    if lost:
+        refused(path, "its rows of 0 DN, from row 180, are whole sectors")
+    else:
+        np.testing.assert_array_equal(read_raw(path).mosaic, mosaic)
+
+
+def test_rows_of_zeros_are_no_flat_area_of_codes_that_are_lost(tmp_path: Path) -> None:
+    """As of Sony's, whose zero bytes are zeros; in a lossless JPEG they are what comes before them once more."""
+    path, mosaic = tmp_path / "a.arw", photograph(3.0, 3000.0)
+    mosaic[-12:] = 0
+    path.write_bytes(b"\1" * 5000 + bytes(PAGE))
+    values = {259: (32767,), 262: (32803,), 273: (0,), 279: (5000 + PAGE,)}
+    codes = Directory({tag: tuple(map(Fraction, numbers)) for tag, numbers in values.items()})
+    assert data_fault(path, [codes], mosaic) is None
+    assert data_fault(path, [codes], mosaic, slice(0, HEIGHT - 12)) is not None
 
 
 def test_what_is_no_border() -> None:

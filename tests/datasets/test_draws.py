@@ -26,7 +26,7 @@ from eldata.datasets.ranks import Rank, ShuffledSampler
 from eldata.raw.cfa import XTRANS_CFA
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
-from tests.datasets.methods import METHODS
+from tests.datasets.methods import FORK
 from tests.datasets.test_synthetic import Mosaics
 from tests.raw.helpers import BAYER, random_mosaic
 from tests.waiting import PATIENCE_S
@@ -80,8 +80,12 @@ def test_each_pass_of_a_plain_loader_is_the_next_epoch(kind: str, pristine: Tree
         assert np.mean(unlike) > 0.5  # of a grid one in eight is turned as before
 
 
-@pytest.mark.parametrize("persistent", [False, True])
-@pytest.mark.parametrize("method", METHODS)
+SPAWN = pytest.param("spawn", True, marks=pytest.mark.study)
+
+
+@pytest.mark.parametrize(
+    ("method", "persistent"), [*(pytest.param("fork", kept, marks=FORK.marks) for kept in (False, True)), SPAWN]
+)
 def test_workers_do_not_matter(method: str, persistent: bool, store: Path) -> None:
     """One or two, kept or not: the items of no worker. Those left at the end of a pass were asked for once alike."""
     wanted = passes(DataLoader(KINDS["synthetic"](None, store), batch_size=5))

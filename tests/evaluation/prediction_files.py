@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     Writer: TypeAlias = Callable[[Path, NDArray[Any]], None]
 
-SMALL, LARGE = (hostile.HEIGHT, hostile.WIDTH), (2000, 3000)
+SMALL, LARGE = (hostile.HEIGHT, hostile.WIDTH), (1400, 2100)
 
 
 def sensor_of(size: tuple[int, int]) -> Sensor:

@@ -125,6 +125,12 @@ def manifests(inputs: Path, folder: Path) -> None:
 ELD = "--root ../inputs/tree/data --manifest ../inputs/tree/manifests/eld-demo.csv"
 CASES = {
     "pack": Case("eldata", f"pack eld-demo -o store.h5 {ELD} --jobs {JOBS}", demo_tree),
+    **{
+        f"pack-{codec}": Case(
+            "eldata", f"pack ../inputs/clean -o store.h5 --compression {codec} --jobs {JOBS}", clean_raws
+        )
+        for codec in ("lz4", "zstd")
+    },
     "lock": Case(
         "eldata", f"lock manifests/eld-demo.csv --root ../inputs/tree/data --jobs {JOBS}", demo_tree, manifests
     ),

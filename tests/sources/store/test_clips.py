@@ -52,7 +52,7 @@ def test_rgb_frames_are_held_as_decoded(drv: SmallDrv, packed: Path) -> None:
 
 
 def test_parts_of_rgb_frames(drv: SmallDrv, packed: Path) -> None:
-    reader = PixelReader(packed)
+    reader = PixelReader(open_store(packed))
     for frame in open_store(packed).frames:
         pixels = read_rgb16(drv.data / frame.path).transpose(2, 0, 1)
         part = slice(3, 290), slice(200, 270)

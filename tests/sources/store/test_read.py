@@ -184,7 +184,9 @@ def test_other_and_missing_pixels_are_found(own: Path) -> None:
         "0.dng": ("4 chunks", "2 chunks"),
         "2.dng": ("one piece", "nothing"),
     }
-    refused(own, "frame 000002 is damaged .*it has no pixels", all_pixels)
+    for number, problem in ((0, "4 chunks, found 2 chunks"), (2, "one piece, found nothing")):
+        read = lambda path, number=number: StoreFrames(path).frame(f"{number}.dng").whole()  # noqa: E731
+        refused(own, rf"frame 00000{number} is damaged \(expected {problem}\)", read)
 
 
 def test_a_frame_under_another_name_is_missing(own: Path) -> None:
@@ -223,7 +225,7 @@ def test_an_uncompressed_store_is_mapped_and_not_written_to(clean: Packed, tmp_p
 
 
 def test_threads_may_read_at_once(clean: Packed) -> None:
-    reader = PixelReader(clean.store)
+    reader = PixelReader(open_store(clean.store))
     frames = open_store(clean.store).frames
     wrong: list[str] = []
 
@@ -247,7 +249,7 @@ def open_descriptors(path: Path) -> int:
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs /proc")
 def test_no_handle_is_shared_over_a_fork_or_pickled(clean: Packed) -> None:
-    reader = PixelReader(clean.store)
+    reader = PixelReader(open_store(clean.store))
     assert open_descriptors(clean.store) == 0
     wanted = reader.read("000000", slice(5), slice(5)).copy()
     assert open_descriptors(clean.store) > 0

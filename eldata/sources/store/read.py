@@ -190,8 +190,8 @@ class PixelReader:
         with self._problems(key), _LOCK:
             if self._opened is None:
                 self._opened = _Opened(self.path, self._identity)
-            frame = self._opened.frame(key)
             self._opened.check_size()
+            frame = self._opened.frame(key)
             if isinstance(frame, np.ndarray):
                 return frame[..., rows, columns]
             pixels = scratch("stored", (*frame.shape[:-2], *part_shape(frame.shape, rows, columns)), frame.dtype)

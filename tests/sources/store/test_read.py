@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import shutil
+import signal
 import struct
 import threading
 import zlib
@@ -21,6 +22,7 @@ from eldata.sources.store import build_store, open_store, verify_store
 from eldata.sources.store.format import VERSION, StoreError
 from eldata.sources.store.read import PixelReader, StoreFrames
 from tests.sources.store.helpers import SHAPES, Packed, pack_folder, write_clean
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -265,3 +267,63 @@ def test_no_handle_is_shared_over_a_fork_or_pickled(clean: Packed) -> None:
     reader.close()
     copy.close()
     assert open_descriptors(clean.store) == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_forks_while_threads_read(clean: Packed) -> None:
+    """Each child reads, and no thread of the parent finds its file closed."""
+    source, ended, wrong = StoreFrames(clean.store), threading.Event(), list[str]()
+    frames = [source.frame(held.path) for held in source.store.frames]
+
+    def read(number: int) -> None:
+        while not ended.is_set():
+            number = (number + 1) % len(frames)
+            try:
+                frames[number].read(slice(9, 50), slice(9, 50))
+            except StoreError as error:
+                wrong.append(str(error))
+
+    threads = [threading.Thread(target=read, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in range(30):
+            child = os.fork()
+            if child == 0:
+                signal.alarm(int(PATIENCE_S))  # ends a child that waits for ever
+                frames[0].read(slice(5), slice(5))
+                os._exit(0)
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+    assert wrong == []
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4"])
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_a_store_that_changes_under_an_open_dataset(
+    share: float, compression: Any, clean: Packed, tmp_path: Path
+) -> None:
+    """To touch the pages that a mapping has lost would end the process by SIGBUS."""
+    path = tmp_path / "store.h5"
+    build_store(clean.source, path, compression=compression)
+    frame = StoreFrames(path).frame("0.dng")
+    frame.whole()
+    size = path.stat().st_size
+    os.truncate(path, int(size * share))
+    refused(
+        path, f"had {size} bytes when it was opened and has {int(size * share)} now; .*renaming", lambda _: frame.whole()
+    )
+
+
+def test_a_store_that_is_replaced_by_renaming(own: Path, tmp_path: Path) -> None:
+    """The open file is read on; a process that opens the name for the first time is not given other pixels."""
+    source = StoreFrames(own)
+    before = source.frame("0.dng").whole().copy()
+    other = pack_folder(write_clean(tmp_path / "raws", 5), tmp_path / "other.h5")
+    other.store.replace(own)
+    np.testing.assert_array_equal(source.frame("0.dng").whole(), before)
+    copy = pickle.loads(pickle.dumps(source))
+    refused(own, "is another store than the one that was opened", lambda _: copy.frame("0.dng").whole())

@@ -314,7 +314,9 @@ def test_a_store_that_changes_under_an_open_dataset(
     size = path.stat().st_size
     os.truncate(path, int(size * share))
     refused(
-        path, f"had {size} bytes when it was opened and has {int(size * share)} now; .*renaming", lambda _: frame.whole()
+        path,
+        f"had {size} bytes when it was opened and has {int(size * share)} now; .*renaming",
+        lambda _: frame.whole(),
     )
 
 

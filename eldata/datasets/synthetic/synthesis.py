@@ -22,6 +22,7 @@ import numpy as np
 from eldata import __version__
 from eldata.base.fields import TextFile
 from eldata.base.files import atomic_write, check_same_work, json_text, remove_leftovers, write_json
+from eldata.base.outputs import refuse_among
 from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import CleanScene, clean_scenes
@@ -168,7 +169,8 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
         If ``clean`` holds no raw file, or what may be clips and may be none; if the frames of a clip differ in size,
         CFA, camera or exposure; or if ``out`` holds something else.
     ArgumentError
-        If ``out`` was begun with another recipe or other clean files, or a split leaves nothing to train or to test on.
+        If ``out`` was begun with another recipe or other clean files, or lies in ``clean``; if a split leaves nothing
+        to train or to test on.
     RawFileError
         If a clean file cannot be read, states no ISO or exposure time, or something that a DNG cannot hold.
     EldataError
@@ -176,6 +178,8 @@ def synthesize(clean: Path | Sequence[Path], out: Path, recipe: Recipe, *, worke
     """
     workers = Workers.of(workers)
     folders = [Path(clean)] if isinstance(clean, (str, Path)) else list(map(Path, clean))
+    for folder in folders:
+        refuse_among(out, folder)  # noisy frames would be clean ones when the same call goes on
     sources, dark = clean_scenes(folders, recipe.clips), recipe.dark()
     splits = draw_splits(recipe.seed, recipe.split, sources[-1].drawn_for + 1)
     name = re.sub(r"[^\w.+-]", "-", out.resolve().name) or "synthetic"

@@ -272,7 +272,6 @@ class Bench:
     def _be(self, log: Path, number: int, step: int) -> NoReturn:
         code = 99
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
         steps = Steps(number, step)
         try:
             os.setsid()
@@ -283,6 +282,7 @@ class Bench:
             os.dup2(nowhere, 0)
             os.dup2(nowhere, 1)
             os.dup2(os.open(log, os.O_WRONLY), 2)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # what it raises is in the log
             sys.argv = [self.case.program, *self.case.command(1)]
             sys.addaudithook(steps.see)
             code = main_of(self.case.program)(None)

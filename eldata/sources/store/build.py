@@ -160,20 +160,24 @@ def write_frames(
         If not all that was written is there: the file is not to be used.
     """
     with _Disk(path, "w+") as disk:
-        with disk.step():
-            store = h5py.File(disk, "w", **_OPTIONS)
+        store = None
         try:
-            pixel_bytes = _write(store, source, compression, frames, disk)
-        finally:
             with disk.step():
-                store.close()
-    for problem in structure_problems(open_store(path)):
+                store = h5py.File(disk, "w", **_OPTIONS)
+            pixel_bytes = _write_and_close(store, source, compression, frames, disk)
+        finally:
+            if store is not None:
+                with disk.step():
+                    store.close()
+    with hold_signals():  # one that h5py is told of while it reads is another error
+        problems = list(structure_problems(open_store(path)))
+    for problem in problems:
         if problem.field == "pixels":
             raise StoreError(path, f"{problem.path}: expected {problem.expected}, found {problem.found}; pack it again")
     return pixel_bytes
 
 
-def _write(
+def _write_and_close(
     store: h5py.File,
     source: Source,
     compression: Compression,
@@ -205,6 +209,7 @@ def _write(
             store.create_dataset(name, data=np.frombuffer(content, np.uint8))
         for name, value in header.items():
             store.attrs[name] = np.bytes_(value) if isinstance(value, str) else value
+        store.close()  # before a signal may come
     return pixel_bytes
 
 

@@ -6,7 +6,7 @@ import hashlib
 import io
 import zlib
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -159,42 +159,37 @@ def write_frames(
     StoreError
         If not all that was written is there: the file is not to be used.
     """
+    known: dict[str, int] = {}
+    lines, pixel_bytes, store = [], 0, None
     with _Disk(path, "w+") as disk:
-        store = None
         try:
             with disk.step():
                 store = h5py.File(disk, "w", **_OPTIONS)
-            pixel_bytes = _write_and_close(store, source, compression, frames, disk)
+            for pixels, frame in frames:
+                with disk.step():
+                    store.create_dataset(f"frames/{frame.key}", data=pixels, **layout(pixels.shape, compression))
+                lines.append(facts_line(frame, known))
+                pixel_bytes += pixels.nbytes
+            with disk.step():
+                _write_facts(store, source, compression, b"".join(lines))
+                store.close()  # before a signal may come
         finally:
             if store is not None:
                 with disk.step():
                     store.close()
     with hold_signals():  # one that h5py is told of while it reads is another error
-        problems = list(structure_problems(open_store(path)))
-    for problem in problems:
-        if problem.field == "pixels":
-            raise StoreError(path, f"{problem.path}: expected {problem.expected}, found {problem.found}; pack it again")
+        lacking = [one for one in structure_problems(open_store(path)) if one.field == "pixels"]
+    if lacking:
+        raise StoreError(path, f"{lacking[0].path}: expected {lacking[0].expected}, found {lacking[0].found}")
     return pixel_bytes
 
 
-def _write_and_close(
-    store: h5py.File,
-    source: Source,
-    compression: Compression,
-    frames: Iterable[tuple[NDArray[np.uint16], StoredFrame]],
-    disk: _Disk,
-) -> int:
-    known: dict[str, int] = {}
-    lines, pixel_bytes = [], 0
-    for pixels, frame in frames:
-        with disk.step():
-            store.create_dataset(f"frames/{frame.key}", data=pixels, **layout(pixels.shape, compression))
-        lines.append(facts_line(frame, known))
-        pixel_bytes += pixels.nbytes
-    facts = b"".join(lines)
+def _write_facts(store: h5py.File, source: Source, compression: Compression, facts: bytes) -> None:
     arrays = {"facts": facts}
     if source.listing is not None:
         arrays |= zip(("manifest/csv", "manifest/json"), source.listing, strict=True)
+    for name, content in arrays.items():
+        store.create_dataset(name, data=np.frombuffer(content, np.uint8))
     header = {
         "format": FORMAT,
         "version": VERSION,
@@ -204,13 +199,7 @@ def _write_and_close(
         "files": len(source.files),
         "facts_crc32": zlib.crc32(facts),
     }
-    with disk.step():
-        for name, content in arrays.items():
-            store.create_dataset(name, data=np.frombuffer(content, np.uint8))
-        for name, value in header.items():
-            store.attrs[name] = np.bytes_(value) if isinstance(value, str) else value
-        store.close()  # before a signal may come
-    return pixel_bytes
+    store.attrs.update({name: np.bytes_(value) if isinstance(value, str) else value for name, value in header.items()})
 
 
 def _decoded(files: FrameFiles, unit: tuple[int, tuple[str, Role]]) -> tuple[NDArray[np.uint16], StoredFrame]:
@@ -266,7 +255,7 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     problems = list(structure_problems(store))
     count = len(store.frames)
     if level == "full":
-        work = partial(_pixels, store.dataset, PixelReader(replace(store, path=store.path.absolute())))
+        work = partial(_pixels, store.dataset, PixelReader(store.path.absolute(), store.facts_crc32))
         bar = tqdm(total=count, desc=f"{store.dataset} (full)", unit="frame", disable=None, leave=False)
         with bar:
             for found in workers.read_ahead(work, store.frames):

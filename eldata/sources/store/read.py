@@ -8,7 +8,6 @@ import os
 import threading
 import weakref
 import zlib
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -36,7 +35,7 @@ from eldata.sources.store.format import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -167,11 +166,8 @@ class PixelReader:
     not grow with the store.
     """
 
-    def __init__(self, store: Store) -> None:
-        self.path, self._identity = store.path, store.facts_crc32
-        self._begin()
-
-    def _begin(self) -> None:
+    def __init__(self, path: Path, facts_crc32: int) -> None:
+        self.path, self._identity = path, facts_crc32
         self._opened: _Opened | None = None
         with _LOCK:
             _READERS.add(self)
@@ -187,25 +183,20 @@ class PixelReader:
         StoreError
             If the store cannot be read, lacks some of the frame's pixels, or is not the one that was opened any more.
         """
-        with self._problems(key), _LOCK:
-            if self._opened is None:
-                self._opened = _Opened(self.path, self._identity)
-            self._opened.check_size()
-            frame = self._opened.frame(key)
-            if isinstance(frame, np.ndarray):
-                return frame[..., rows, columns]
-            pixels = scratch("stored", (*frame.shape[:-2], *part_shape(frame.shape, rows, columns)), frame.dtype)
-            if pixels.size:
-                frame.read_direct(pixels, (..., rows, columns))
-            return pixels
-
-    @contextmanager
-    def _problems(self, key: str) -> Iterator[None]:
         try:
-            yield
+            with _LOCK:
+                self._opened = self._opened or _Opened(self.path, self._identity)
+                self._opened.check_size()
+                frame = self._opened.frame(key)
+                if isinstance(frame, np.ndarray):
+                    return frame[..., rows, columns]
+                pixels = scratch("stored", (*frame.shape[:-2], *part_shape(frame.shape, rows, columns)), frame.dtype)
+                if pixels.size:
+                    frame.read_direct(pixels, (..., rows, columns))
+                return pixels
+        except EldataError:
+            raise
         except (OSError, RuntimeError, KeyError, IndexError, ValueError, TypeError) as error:
-            if isinstance(error, EldataError):
-                raise
             raise StoreError(self.path, f"frame {key} is damaged ({error}); copy or pack it again") from error
 
     def close(self) -> None:
@@ -215,12 +206,8 @@ class PixelReader:
                 self._opened.file.close()
             self._opened = None
 
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_opened": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._begin()
+    def __reduce__(self) -> tuple[Any, ...]:
+        return PixelReader, (self.path, self._identity)  # opened again where it is unpickled
 
 
 class _Opened:
@@ -302,7 +289,7 @@ class StoreFrames:
     def __init__(self, path: Path | str) -> None:
         self.store = open_store(path)
         self.path = self.store.path
-        self._reader = PixelReader(self.store)
+        self._reader = PixelReader(self.path, self.store.facts_crc32)
         self._held = {frame.path: frame for frame in self.store.frames}
         self._before = f"{self.path.as_posix()}/"
 

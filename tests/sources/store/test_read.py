@@ -20,7 +20,7 @@ import pytest
 from eldata.raw import read_raw
 from eldata.sources.store import build_store, open_store, verify_store
 from eldata.sources.store.format import VERSION, StoreError
-from eldata.sources.store.read import PixelReader, StoreFrames
+from eldata.sources.store.read import StoreFrames
 from tests.sources.store.helpers import SHAPES, Packed, pack_folder, write_clean
 from tests.waiting import PATIENCE_S
 
@@ -227,7 +227,7 @@ def test_an_uncompressed_store_is_mapped_and_not_written_to(clean: Packed, tmp_p
 
 
 def test_threads_may_read_at_once(clean: Packed) -> None:
-    reader = PixelReader(open_store(clean.store))
+    reader = StoreFrames(clean.store)._reader
     frames = open_store(clean.store).frames
     wrong: list[str] = []
 
@@ -251,7 +251,7 @@ def open_descriptors(path: Path) -> int:
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs /proc")
 def test_no_handle_is_shared_over_a_fork_or_pickled(clean: Packed) -> None:
-    reader = PixelReader(open_store(clean.store))
+    reader = StoreFrames(clean.store)._reader
     assert open_descriptors(clean.store) == 0
     wanted = reader.read("000000", slice(5), slice(5)).copy()
     assert open_descriptors(clean.store) > 0

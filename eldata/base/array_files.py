@@ -285,7 +285,7 @@ def _read_tiff(path: Path, check: Check, name: str) -> NDArray[Any]:
     plain: dict[str, Any] = {f"is_{kind}": False for kind in tifffile.TIFF.FILE_FLAGS - {"shaped", "uniform"}}
     with tifffile.TiffFile(path, **plain) as file:
         if not file.pages or not file.series:
-            raise _UnfitError(f"holds no image; write it again, or give the file that {path.name} should be")
+            raise _UnfitError("holds no image; write it again")
         series = file.series[0]
         check(Declared(tuple(series.shape), str(np.dtype(series.dtype))))
         pages: list[Any] = list(series.pages)

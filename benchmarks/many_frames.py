@@ -7,7 +7,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import h5py
 import numpy as np
 
 from eldata.manifest.card import CameraCard, Card, card_text
@@ -65,8 +64,7 @@ def write_small_store(path: Path, frames: int) -> Path:
             stated = record.role, _sensor(number), exposure, digest, PackedFile(3000, digest, "none")
             yield mosaic, StoredFrame(frame_key(number), record.path, *stated)
 
-    with h5py.File(path, "w", libver="earliest") as store:
-        write_frames(store, source, "none", decoded())
+    write_frames(path, source, "none", decoded())
     return path
 
 

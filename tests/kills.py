@@ -125,6 +125,12 @@ def manifests(inputs: Path, folder: Path) -> None:
 ELD = "--root ../inputs/tree/data --manifest ../inputs/tree/manifests/eld-demo.csv"
 CASES = {
     "pack": Case("eldata", f"pack eld-demo -o store.h5 {ELD} --jobs {JOBS}", demo_tree),
+    **{
+        f"pack-{codec}": Case(
+            "eldata", f"pack ../inputs/clean -o store.h5 --compression {codec} --jobs {JOBS}", clean_raws
+        )
+        for codec in ("lz4", "zstd")
+    },
     "lock": Case(
         "eldata", f"lock manifests/eld-demo.csv --root ../inputs/tree/data --jobs {JOBS}", demo_tree, manifests
     ),
@@ -266,7 +272,6 @@ class Bench:
     def _be(self, log: Path, number: int, step: int) -> NoReturn:
         code = 99
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
         steps = Steps(number, step)
         try:
             os.setsid()
@@ -277,6 +282,7 @@ class Bench:
             os.dup2(nowhere, 0)
             os.dup2(nowhere, 1)
             os.dup2(os.open(log, os.O_WRONLY), 2)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # what it raises is in the log
             sys.argv = [self.case.program, *self.case.command(1)]
             sys.addaudithook(steps.see)
             code = main_of(self.case.program)(None)

@@ -5,20 +5,22 @@ for more than that. So each reader here looks at the header alone and hands that
 and imagecodecs read.
 
 npy
-    The header is matched, not evaluated; the file holds as many bytes as it declares.
+    The header is matched, not evaluated; the file holds as many bytes as it declares, and no more: bytes that were
+    inserted shift all that follow.
 npz
     So does the member. Members are stored or deflated; no more is decompressed than is declared.
 h5, mat of MATLAB 7.3
     One data set of numbers in the file itself: no links, no external or virtual storage, every chunk written, and
-    filters that every copy of HDF5 has.
+    filters that every copy of HDF5 has. The file ends where its superblock says.
 tif, tiff
-    Pages whose strips or tiles are all there and inside the file, without compression or with a lossless one. Formats
-    within TIFF that refer to other files are taken for plain TIFF.
+    Pages whose strips or tiles are all there and inside the file, without compression or with a lossless one; of
+    uncompressed ones each has the bytes of its rows. Nothing follows the pixels that no tag or page accounts for.
+    Formats within TIFF that refer to other files are taken for plain TIFF.
 mat of MATLAB 5 to 7
     The table of variables says shape and type; scipy reads the one that is wanted. Of either format an array has the
     shape that MATLAB shows.
 png
-    Size and depth from the header; no more compressed data than such pixels can need.
+    Size and depth from the header; no more compressed data than such pixels can need, and nothing after the last chunk.
 """
 
 from __future__ import annotations
@@ -191,8 +193,22 @@ def _read_h5(path: Path, check: Check, name: str) -> NDArray[Any]:
         declared = Declared(held.shape or (), _h5_values(held.id))
         check(declared)
         _check_h5(held.id)
+        _check_h5_end(path, file)
         array: NDArray[Any] = held[()]
         return array
+
+
+def _check_h5_end(path: Path, file: h5py.File) -> None:
+    """Raise ``ValueError`` if a file is longer than its superblock says (HDF5's format, II.A): HDF5 asks for less."""
+    with path.open("rb") as content:
+        content.seek(file.userblock_size)
+        block = content.read(64)
+        version = min(block[8], 2)
+        width = block[13 if version < 2 else 9]
+        at = (24, 28, 12)[version] + 2 * width
+        end, size = int.from_bytes(block[at : at + width], "little"), content.seek(0, os.SEEK_END)
+    if end < size:
+        raise ValueError(f"{size} bytes, of which it accounts for {end}: were bytes inserted?")
 
 
 def _h5_values(dataset: h5py.h5d.DatasetID) -> str:
@@ -281,6 +297,7 @@ _COMPRESSIONS = {  # of which a decoder can be told how much to make: none that 
     50000: "Zstandard",
 }
 _LARGEST_TILE = 1 << 20  # pixels, where the image is smaller
+_PADDED = 16  # bytes: Pillow fills the last of several pages up to a multiple
 
 
 def _read_tiff(path: Path, check: Check, name: str) -> NDArray[Any]:
@@ -291,19 +308,26 @@ def _read_tiff(path: Path, check: Check, name: str) -> NDArray[Any]:
         tifffile.logger().addHandler(logging.NullHandler())
     plain: dict[str, Any] = {f"is_{kind}": False for kind in tifffile.TIFF.FILE_FLAGS - {"shaped", "uniform"}}
     with tifffile.TiffFile(path, **plain) as file:
+        if not file.pages or not file.series:
+            raise _UnfitError("holds no image; write it again")
         series = file.series[0]
         check(Declared(tuple(series.shape), str(np.dtype(series.dtype))))
         pages: list[Any] = list(series.pages)
         if not all(pages) or math.prod(series.shape) != sum(math.prod(page.shape) for page in pages):
             raise ValueError("its pages do not hold as many values as it declares")
-        for page in pages:
-            _check_page(page, os.fstat(file.filehandle.fileno()).st_size)
+        size = os.fstat(file.filehandle.fileno()).st_size
+        end = max(_end_of_page(page, size) for page in pages)
+        if len(file.series) == 1 and not any(_is_behind(page, end) for page in file.pages):
+            file.filehandle.seek(end)
+            rest = file.filehandle.read(_PADDED)
+            if len(rest) not in (0, end % 2, -end % _PADDED) or any(rest):
+                raise ValueError(f"{size - end} bytes follow its pixels that nothing in it accounts for: inserted?")
         array: NDArray[Any] = series.asarray(maxworkers=1, buffersize=1 << 24)
     return array
 
 
-def _check_page(page: Any, size: int) -> None:
-    """Raise ``ValueError`` unless all strips or tiles of a page are in a file of so many bytes."""
+def _end_of_page(page: Any, size: int) -> int:
+    """Return where a page's pixels end; ``ValueError`` unless all strips or tiles are in a file of so many bytes."""
     keyframe, (offsets, counts) = page.keyframe, (page.dataoffsets, page.databytecounts)
     if int(keyframe.compression) not in _COMPRESSIONS:
         known = ", ".join(dict.fromkeys(_COMPRESSIONS.values()))
@@ -311,14 +335,43 @@ def _check_page(page: Any, size: int) -> None:
     tile = keyframe.tilewidth * keyframe.tilelength * max(keyframe.tiledepth, 1) if keyframe.is_tiled else 0
     if tile > max(4 * keyframe.imagewidth * keyframe.imagelength, _LARGEST_TILE):
         raise ValueError(f"tiles of {keyframe.tilewidth} x {keyframe.tilelength} pixels in a smaller page")
-    if keyframe.is_contiguous or len(offsets) == 1:  # tifffile joins strips that follow each other
-        whole = int(keyframe.compression) != 1 or sum(counts) >= int(keyframe.nbytes)
-    else:
-        whole = len(offsets) == len(counts) == math.prod(keyframe.chunked)
-    if not (whole and min(offsets, default=0) > 0 and min(counts, default=0) > 0):
+    pieces = math.prod(keyframe.chunked)
+    if not len(offsets) == len(counts) in (1, pieces) or min(offsets) <= 0 or min(counts) <= 0:
         raise ValueError("strips or tiles are missing")
-    if max(map(sum, zip(offsets, counts, strict=True))) > size:
+    if int(keyframe.compression) == 1:
+        _check_counts(keyframe, counts, pieces)
+    end = max(map(sum, zip(offsets, counts, strict=True)))
+    if end > size:
         raise ValueError("its data lie beyond the end of the file: truncated?")
+    return end
+
+
+def _check_counts(keyframe: Any, counts: Sequence[int], pieces: int) -> None:
+    """Raise ``ValueError`` unless strips or tiles without compression have the bytes of their rows.
+
+    The last strip may be as long as the others; tifffile joins strips that follow each other.
+    """
+    bits = keyframe.bitspersample * (keyframe.samplesperpixel if keyframe.planarconfig == 1 else 1)
+    row = -(-(keyframe.tilewidth if keyframe.is_tiled else keyframe.imagewidth) * bits // 8)
+    if keyframe.is_tiled:
+        piece = last = max(keyframe.tiledepth, 1) * keyframe.tilelength * row
+        total = pieces * piece
+    else:
+        height, rows = keyframe.imagelength, min(keyframe.rowsperstrip, keyframe.imagelength)
+        piece, last = rows * row, ((height - 1) % rows + 1) * row
+        total = pieces // -(-height // rows) * height * row
+    joined = len(counts) == 1 and counts[0] == total
+    if not joined and not ({*counts} <= {piece, last} and sum(counts) in (total, pieces * piece)):
+        raise ValueError(f"its strips or tiles have {sum(counts)} bytes, and its rows {total}")
+
+
+_POINTERS = (330, 34665, 34853, 40965)  # to further directories: SubIFDs, EXIF, GPS, interoperability
+
+
+def _is_behind(page: Any, end: int) -> bool:
+    """Whether a page, its tags or what they point to may lie behind the end of pixels."""
+    tags = getattr(page, "tags", ())  # of a page that is like the one before only the offset is known
+    return page.offset >= end or any(tag.valueoffset >= end or tag.code in _POINTERS for tag in tags)
 
 
 _READERS: dict[str, Reader] = {

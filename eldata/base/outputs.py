@@ -10,7 +10,7 @@ from eldata.base.files import write_problem
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
 _NAMES = ("N", "NAME")  # metavars of what is never a file
 
@@ -87,3 +87,28 @@ def _is_same(path: Path, other: str | Path) -> bool:
         return path.samefile(other)
     except (OSError, ValueError):  # one of them is not there, or no path at all
         return False
+
+
+def refuse_among(output: Path, folder: Path, files: Iterable[str] | None = None) -> None:
+    """Refuse a folder for outputs that holds what is read.
+
+    Parameters
+    ----------
+    output
+        Where files are written.
+    folder
+        A dataset's folder, which may not get any.
+    files
+        What it holds, below it: the folders of these may not either. Without, no folder in it may: all are searched.
+
+    Raises
+    ------
+    ArgumentError
+        If so.
+    """
+    try:
+        place = output.resolve().relative_to(folder.resolve()).as_posix()
+    except ValueError:
+        return  # it lies elsewhere
+    if files is None or place == "." or any(file.startswith(f"{place}/") for file in files):
+        raise ArgumentError(f"cannot write into {output}: the files of the set {folder} lie there; give another folder")

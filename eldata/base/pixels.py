@@ -121,7 +121,7 @@ def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None]) -> 
     Raises
     ------
     NpyError
-        If it is not a .npy file, does not hold numbers, or ends before its last value.
+        If it is not a .npy file, does not hold numbers, or has fewer bytes than its values or more.
     OSError
         If it cannot be read.
     """
@@ -129,8 +129,9 @@ def read_npy(file: IO[bytes], size: int, check: Callable[[NpyHeader], None]) -> 
     header = read_npy_header(file)
     check(header)
     held = size - (file.tell() - start)
-    if held < header.value_bytes:
-        raise NpyError(f"declares {header.value_bytes} bytes of values and has {held}: truncated?")
+    if held != header.value_bytes:
+        what = "truncated" if held < header.value_bytes else "were bytes inserted"
+        raise NpyError(f"declares {header.value_bytes} bytes of values and has {held}: {what}?")
     file.seek(start)
     try:
         array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False, max_header_size=_MOST_HEADER_BYTES)
@@ -175,10 +176,7 @@ class NpzArchive:
             raise NpyError(f"compressed by method {member.compress_type}; expected numpy's savez_compressed")
         with _damage_named(), self._archive.open(member) as content:
             array = read_npy(content, member.file_size, check)
-            if content.read(1):  # at the end zipfile compares the checksum
-                raise NpyError("the member goes on after its array")
-            if content.tell() != member.file_size:
-                raise NpyError(f"a member of {content.tell()} bytes that declares {member.file_size}")
+            content.read(1)  # at the end zipfile compares the checksum
         return array
 
 
@@ -290,7 +288,8 @@ def read_png(path: Path, check: Callable[[PngHeader], None] | None = None) -> ND
     Raises
     ------
     ValueError
-        If it is not a PNG file, is truncated or damaged, or holds more compressed data than its pixels can need.
+        If it is not a PNG file, is truncated, damaged or goes on after its end, or holds more compressed data than its
+        pixels can need.
     OSError, RuntimeError
         If it cannot be read or decoded.
     """
@@ -316,6 +315,8 @@ def _pixel_chunks(content: memoryview) -> Iterator[memoryview]:
         if kind in _OF_PIXELS:
             yield content[at : at + length + 12]
         at += length + 12
+    if at != len(content):
+        raise ValueError(f"{len(content) - at} bytes follow its last chunk")
 
 
 def rgb_frame(path: Path) -> NDArray[np.float32]:

@@ -34,6 +34,25 @@ _GRACE_S = 5.0  # for work that is ended in its middle to unwind
 _ONE_JOB = "one job (--jobs 1, workers=1) needs none"
 
 
+@contextmanager
+def hold_signals() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM wait for the end of a block: a library in C loses what is raised where it calls Python."""
+    held: list[int] = []
+    handlers: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():  # no other is sent any
+        handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        handlers = {number: handler for number, handler in handlers.items() if handler is not None}
+    try:
+        for number in handlers:
+            signal.signal(number, lambda number, _: held.append(number))
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number in held[:1]:
+            signal.raise_signal(number)
+
+
 class Ended(SystemExit):  # quiet, where nothing catches it
     """A worker was told to end; its work unwinds."""
 

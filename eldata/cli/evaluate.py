@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldata.base import console
-from eldata.base.outputs import add_output
+from eldata.base.outputs import add_output, refuse_among
 from eldata.base.tables import FORMATS
 from eldata.cli.baseline import add_excluded, add_pairs, add_set
 from eldata.errors import ArgumentError
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from eldata.base.tables import Format
     from eldata.base.workers import Workers
     from eldata.evaluation.comparison import Comparison
+    from eldata.evaluation.request import Request
     from eldata.evaluation.results import EvaluationResult
 
 
@@ -123,6 +124,7 @@ def run(arguments: console.Arguments) -> int:
     predictions = next(iter(arguments.predictions), None)
     with console.chosen_workers(arguments) as workers:
         request = make_request(predictions, **_options(arguments, workers))
+        _check_places(request, *(Path(name).parent for _, _, name in arguments.outputs.values() if name))
         result = perform(request)
 
         def write_page() -> None:
@@ -143,6 +145,12 @@ def run(arguments: console.Arguments) -> int:
             arguments.html and write_page,  # last, because it takes longest
         )
     return console.OK if result.scored and not result.problems else console.PROBLEMS
+
+
+def _check_places(request: Request, *folders: Path) -> None:
+    """Refuse to write among the set's own files."""
+    for folder in folders:
+        refuse_among(folder, request.folder, (record.path for record in request.manifest.records))
 
 
 def _options(arguments: console.Arguments, workers: Workers) -> dict[str, Any]:
@@ -180,6 +188,7 @@ def _run_several(arguments: console.Arguments) -> int:
         options = _options(arguments, workers)
         requests = [make_request(folder, **options) for folder in folders.values()]
         if out is not None:
+            _check_places(requests[0], out)
             results_folder(out, folders)
         methods = ScoredMethods.of(dict(zip(folders, perform_each(requests), strict=True)))
     comparison = methods.comparison

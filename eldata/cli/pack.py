@@ -12,12 +12,13 @@ the folder (that of DATASET calibration).
 from __future__ import annotations
 
 import shlex
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base import console
 from eldata.base.files import folder_problem
 from eldata.base.numbers import counted
-from eldata.base.outputs import add_output
+from eldata.base.outputs import add_output, refuse_among
 from eldata.cli.baseline import add_part
 from eldata.errors import ArgumentError
 
@@ -58,6 +59,7 @@ def run(arguments: console.Arguments) -> int:
     from eldata.sources.store.build import build_store
 
     source = _source(arguments)
+    refuse_among(Path(arguments.output).parent, source.folder, (path for path, _ in source.files))
     with console.chosen_workers(arguments) as workers:
         report = build_store(source, arguments.output, compression=arguments.compression, workers=workers)
     print(
@@ -69,8 +71,6 @@ def run(arguments: console.Arguments) -> int:
 
 
 def _source(arguments: console.Arguments) -> Source:
-    from pathlib import Path
-
     from eldata.sources.store.sources import source_of_dataset, source_of_folder
 
     if not Path(arguments.dataset).is_dir() or arguments.manifest is not None:

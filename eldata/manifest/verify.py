@@ -386,8 +386,8 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[Problem]:
             held = path.stat().st_size - file.tell()
         found = f"{header.values} {header.shape}"
         good = len(header.shape) == 3 and str(header.dtype) == "float32"
-        if good and held < header.value_bytes:
-            found, good = f"{found} of {header.value_bytes} bytes, {held} of which are there", False
+        if good and held != header.value_bytes:
+            found, good = f"{found} of {header.value_bytes} bytes, and {held} are there", False
     except (OSError, NpyError) as error:
         found, good = str(error), False
     return [] if good else [row_fault(record.path, "content", "packed float32 (C, h, w)", found, _PACK_AGAIN)]

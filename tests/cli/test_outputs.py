@@ -13,7 +13,7 @@ import pytest
 from capture.cli.main import main as capture_main
 from capture.cli.main import parser as capture_parser
 from eldata.base.console import each_of, running_options
-from eldata.base.outputs import Output
+from eldata.base.outputs import Output, refuse_among
 from eldata.cli.main import main as eldata_main
 from eldata.cli.main import parser as eldata_parser
 from eldata.errors import EldataError
@@ -130,6 +130,26 @@ def test_the_card_beside_a_manifest_replaces_no_plan(capsys: pytest.CaptureFixtu
     problem = "is what PLAN names, and this command reads it"
     assert f"-o {tmp_path / 'mine.csv'}: its {plan} {problem}" in capsys.readouterr().err
     assert plan.read_bytes() == before
+
+
+@pytest.mark.parametrize("place", [".", "DemoAlpha", "DemoAlpha/scene-1"])
+def test_nothing_is_written_among_a_sets_own_files(place: str, eldata: Cli, tree: Tree, predictions: Path) -> None:
+    """A folder of its own in the set's may be written to, unless the set is searched through for raws."""
+    held, folder = sorted(tree.files.rglob("*")), tree.files / place
+    scoring = ("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root)
+    for command in (
+        (*scoring, "-o", folder),
+        *((*scoring, f"--{kind}", folder / f"x.{kind}") for kind in ("csv", "json", "html")),
+        ("pack", tree.files, "-o", folder / "x.h5"),
+        ("synthesize", tree.files, "--camera", "SonyA7S2", "-o", folder),
+        ("synthesize", tree.files, "--camera", "SonyA7S2", "-o", folder / "new"),
+    ):
+        outcome = eldata(*command)
+        assert (outcome.code, outcome.out) == (2, "")
+        assert f"cannot write into {folder}" in outcome.err
+    assert sorted(tree.files.rglob("*")) == held
+    refuse_among(tree.files / "results", tree.files, ["DemoAlpha/scene-1/IMG_0001.dng"])
+    refuse_among(tree.files.parent, tree.files)
 
 
 # --- before the work ----------------------------------------------------------------------------------------------

@@ -64,6 +64,7 @@ NPY: dict[str, bytes] = {
     "shape-of-a-thousand-sides": npy(described(f"({'1,' * 1000})"), bytes(4)),
     "right-shape-and-no-data": npy(described(str(PACKED))),
     "right-shape-and-one-byte-less": npy(described(str(PACKED)), bytes(4 * 4 * 32 * 48 - 1)),
+    "right-shape-and-one-byte-more": npy(described(str(PACKED)), bytes(4 * 4 * 32 * 48 + 1)),
     "header-of-gigabytes": npy(described(str(PACKED)), version=b"\x02\x00", length=0xFFFFFFFF),
     "header-of-60000-brackets": npy("(" * 60_000),
     "header-of-60000-signs": npy(f"{{'descr': {'-' * 60_000}1, 'fortran_order': False, 'shape': (), }}"),

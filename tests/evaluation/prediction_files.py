@@ -16,6 +16,7 @@ import h5py
 import imagecodecs
 import numpy as np
 import tifffile
+from PIL import Image
 
 from eldata.evaluation.predictions import load_prediction
 from eldata.records import Sensor
@@ -45,14 +46,34 @@ def save_fortran(path: Path, array: NDArray[Any]) -> None:
     save_npy(path, np.asfortranarray(array))
 
 
-def save_with_more(path: Path, array: NDArray[Any]) -> None:
-    save_npy(path, array)
-    path.write_bytes(path.read_bytes() + b"more")
-
-
 def with_header(header: str) -> Writer:
     def save(path: Path, array: NDArray[Any]) -> None:
         path.write_bytes(hostile.npy(header, array.tobytes()))
+
+    return save
+
+
+def save_behind_a_user_block(path: Path, array: NDArray[Any]) -> None:
+    with h5py.File(path, "w", userblock_size=512) as file:  # as MATLAB does
+        file["prediction"] = array
+
+
+def save_with_a_comment_behind(path: Path, array: NDArray[Any]) -> None:
+    tif()(path, array)
+    tifffile.tiffcomment(path, "rewritten " * 99)
+
+
+def save_with_another_image(path: Path, array: NDArray[Any]) -> None:
+    tif()(path, array)
+    tifffile.imwrite(path, np.zeros((5, 7), np.uint8), append=True)
+
+
+def pillow(**options: Any) -> Writer:
+    """A writer of one page, or of several: Pillow fills them up to 16 bytes."""
+
+    def save(path: Path, array: NDArray[Any]) -> None:
+        first, *more = [Image.fromarray(plane) for plane in (array if array.ndim == 3 else array[None])]
+        first.save(path, append_images=more, **{"save_all": bool(more)} | options)
 
     return save
 
@@ -112,7 +133,6 @@ FILES: dict[str, tuple[str, Writer]] = {
     "big-endian-float64.npy": (">f8", save_npy),
     "big-endian-uint16.npy": (">u2", save_npy),
     "big-endian-fortran.npy": (">u2", save_fortran),
-    "more-after-it.npy": ("<f4", save_with_more),
     "one.npz": ("<f4", save_npz),
     "several.npz": ("<f8", save_npz_several),
     "deflated.npz": ("<f4", save_deflated),
@@ -122,6 +142,7 @@ FILES: dict[str, tuple[str, Writer]] = {
     "big-endian.h5": (">f8", h5()),
     "gzip.h5": ("<f4", h5(compression="gzip")),
     "one-chunk-gzip-shuffle-checksum.h5": ("<f4", h5(whole=True, compression="gzip", shuffle=True, fletcher32=True)),
+    "user-block.h5": ("<f4", save_behind_a_user_block),
     "lzf.h5": ("<f8", h5(compression="lzf")),
     "lzf-shuffle.h5": ("<f4", h5(compression="lzf", shuffle=True)),
     "one-chunk-lzf.h5": ("<u2", h5(whole=True, compression="lzf")),
@@ -141,6 +162,13 @@ FILES: dict[str, tuple[str, Writer]] = {
     "imagej.tif": ("<f4", tif(imagej=True)),
     "ome.tif": ("<f4", tif(ome=True)),
     "big.tif": ("<f4", tif(bigtiff=True, byteorder=">")),
+    "plain-tiles.tif": ("<f4", tif(tile=(48, 64))),
+    "plain-strips.tif": ("<f4", tif(rowsperstrip=5)),
+    "comment-behind.tif": ("<f4", save_with_a_comment_behind),
+    "another-image-behind.tif": ("<f4", save_with_another_image),
+    "pillow.tif": ("<f4", pillow()),
+    "pillow-lzw.tif": ("<f4", pillow(compression="tiff_lzw")),
+    "pillow-pages.tif": ("<f4", pillow(save_all=True)),
     "16-bit.png": ("<u2", save_png),
 }
 OF_PACKED: dict[str, tuple[str, Writer]] = {

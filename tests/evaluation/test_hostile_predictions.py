@@ -66,7 +66,7 @@ def test_no_other_file_is_shown(outcomes: dict[str, Any]) -> None:
         ("named-pipe.npy", ["is a named pipe, not a file"]),
         ("link-to-a-device.h5", ["is a device, not a file"]),
         ("folder.tif", ["is a folder, not a file"]),
-        ("bomb-after-the-array.npz", ["goes on after its array"]),
+        ("bomb-after-the-array.npz", ["declares 24576 bytes of values and has 67108864: were bytes inserted?"]),
         ("fill-values-of-gigabytes.h5", ["found (4, 30000, 30000)", "whole frame"]),
         ("right-shape-half-written.h5", ["2 of its 4 chunks were written"]),
         ("external-link.h5", ["'prediction' is a link", "copy it into the file"]),
@@ -76,6 +76,7 @@ def test_no_other_file_is_shown(outcomes: dict[str, Any]) -> None:
         ("30000-by-30000.png", ["found (30000, 30000)"]),
         ("30000-by-30000.tif", ["found (30000, 30000)"]),
         ("strips-missing.tif", ["strips or tiles are missing"]),
+        ("no-pages.tif", ["holds no image"]),
     ],
 )
 def test_what_is_wrong_is_said(name: str, words: list[str], outcomes: dict[str, Any]) -> None:

@@ -19,7 +19,19 @@ from eldata.raw.reading import read_raw
 from eldata.records import Exposure
 from tests.evaluation import oracle
 from tests.evaluation.helpers import SIZE, Tree, place
-from tests.evaluation.prediction_files import FILES, OF_PACKED, h5, quantised, save_npy, save_npz, save_png, tif
+from tests.evaluation.hostile_predictions import with_tags
+from tests.evaluation.prediction_files import (
+    FILES,
+    OF_PACKED,
+    h5,
+    pillow,
+    quantised,
+    save_behind_a_user_block,
+    save_npy,
+    save_npz,
+    save_png,
+    tif,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -102,6 +114,24 @@ def cut(write: Callable[[Path, NDArray[Any]], None], share: float = 0.6) -> Call
         path.write_bytes(content[: int(len(content) * share)])
 
     return save
+
+
+def longer(write: Callable[[Path, NDArray[Any]], None], share: float = 0.75, count: int = 6) -> Callable[[Path], None]:
+    """A writer of a file in which bytes were inserted: without a checksum all that follow are read shifted."""
+
+    def save(path: Path) -> None:
+        write(path, np.rint(oracle_mosaic() * 65535).astype(np.uint16))
+        content = path.read_bytes()
+        place = int(len(content) * share)
+        path.write_bytes(content[:place] + b"\7" * count + content[place:])
+
+    return save
+
+
+def longer_strip(path: Path) -> None:
+    """A strip that states the inserted bytes."""
+    with_tags(path, {279: (4, 1, 2 * SIZE[0] * SIZE[1] + 6)})
+    path.write_bytes(path.read_bytes() + b"\7" * 6)
 
 
 def damaged(write: Callable[[Path, NDArray[Any]], None]) -> Callable[[Path], None]:
@@ -212,6 +242,22 @@ BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "tif-cut": (".tif", cut(tif()), ["cannot be read as tif", "write it again"]),
     "tiff-cut": (".tiff", cut(DEFLATED), ["cannot be read as tiff", "write it again"]),
     "png-cut": (".png", cut(save_png), ["cannot be read as png", "write it again"]),
+    "npy-longer": (".npy", longer(save_npy), ["declares 12288 bytes of values and has 12294", "inserted?"]),
+    "h5-longer": (".h5", longer(h5()), ["bytes, of which it accounts for", "inserted?"]),
+    "h5-longer-behind-a-user-block": (".h5", longer(save_behind_a_user_block), ["inserted?"]),
+    **{
+        f"tif-longer-{name}": (".tif", longer(write), ["6 bytes follow its pixels", "inserted?"])
+        for name, write in {
+            "": tif(),
+            "tiles": tif(tile=(32, 32)),
+            "strips": tif(rowsperstrip=5),
+            "big": tif(bigtiff=True),
+            "pillow": pillow(),
+        }.items()
+    },
+    "tif-longer-zeros": (".tif", longer(tif(), 1.0, 16), ["16 bytes follow its pixels"]),
+    "tif-longer-strip": (".tif", longer_strip, ["its strips or tiles have 12294 bytes, and its rows 12288"]),
+    "png-longer": (".png", longer(save_png, 1.0), ["6 bytes follow its last chunk"]),
     "npz-damaged": (".npz", damaged(save_npz), ["cannot be read as npz", "write it again"]),
     "tiff-damaged": (".tiff", damaged(DEFLATED), ["cannot be read as tiff", "write it again"]),
     "png-damaged": (".png", damaged(save_png), ["cannot be read as png", "write it again"]),

@@ -29,6 +29,7 @@ from eldata.base.files import (
     visible_below,
     write_json,
 )
+from eldata.base.outputs import refuse_among
 from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import CleanScene, clean_scenes
@@ -180,7 +181,8 @@ def synthesize(
         the frames of a clip differ in size, CFA, camera or exposure; if a file has other bits than those that the
         profile's figures are of; or if ``out`` holds something else.
     ArgumentError
-        If ``out`` was begun with another recipe or other clean files, or a split leaves nothing to train or to test on.
+        If ``out`` was begun with another recipe or other clean files, or lies in ``clean``; if a split leaves nothing
+        to train or to test on.
     RawFileError
         If a clean file cannot be read, states no ISO or exposure time, or something that a DNG cannot hold.
     EldataError
@@ -188,6 +190,8 @@ def synthesize(
     """
     workers = Workers.of(workers)
     folders = [Path(clean)] if isinstance(clean, (str, Path)) else list(map(Path, clean))
+    for folder in folders:
+        refuse_among(out, folder)  # noisy frames would be clean ones when the same call goes on
     sources, dark = clean_scenes(folders, recipe.clips, reference), recipe.dark()
     splits = draw_splits(recipe.seed, recipe.split, sources[-1].drawn_for + 1)
     name = re.sub(r"[^\w.+-]", "-", out.resolve().name) or "synthetic"

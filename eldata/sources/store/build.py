@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import math
+import io
 import zlib
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.files import atomic_write, inside
 from eldata.base.pixels import read_rgb16
+from eldata.base.processes import hold_signals
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import EldataError
 from eldata.manifest.patterns import is_png
@@ -34,7 +35,7 @@ from eldata.sources.store.format import (
     layout,
     rgb_sensor,
 )
-from eldata.sources.store.read import PixelReader, open_store, opened
+from eldata.sources.store.read import PixelReader, open_store, opened, stored_parts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -101,37 +102,94 @@ def build_store(
         raise EldataError(f"{path}: is there already; remove it, or name another file")
     decoded = workers.read_ahead(partial(_decoded, source.frame_files.absolute()), [*enumerate(source.files)])
     bar = tqdm(decoded, total=len(source.files), desc="packing", unit="file", disable=None, leave=False)
-    with closing(decoded), bar, atomic_write(path) as new, Path(new.name).open("r+b") as file:  # type: ignore[type-var]
-        store = h5py.File(file, "w", **_OPTIONS)  # by a file of Python's, which says in plain words what a disk has
-        try:
-            pixel_bytes = write_frames(store, source, compression, bar)
-        except BaseException:
-            with suppress(OSError, RuntimeError, ValueError):  # its last tables are not to be written any more
-                store.close()
-            raise
-        store.close()
+    with closing(decoded), bar, atomic_write(path) as new:  # type: ignore[type-var]
+        pixel_bytes = write_frames(Path(new.name), source, compression, bar)
     return BuildReport(path, len(source.files), pixel_bytes, path.stat().st_size)
 
 
+class _Disk(io.FileIO):
+    """The file that HDF5 writes to; of a write that fails HDF5 hears nothing, and its caller after the step.
+
+    Told of one, or of a signal, HDF5 leaves chunks out without a word, or ends the process by SIGSEGV as it closes.
+    """
+
+    failure: OSError | None = None
+
+    def write(self, data: Any, /) -> int:
+        """Write all of the bytes, unless writing has failed."""
+        rest = memoryview(data)
+        try:
+            while rest and self.failure is None:
+                rest = rest[super().write(rest) :]
+        except OSError as error:
+            self.failure = error
+        return len(data)
+
+    def truncate(self, size: int | None = None, /) -> int:
+        """Set the file's size, unless writing has failed."""
+        try:
+            return super().truncate(size) if self.failure is None else 0
+        except OSError as error:
+            self.failure = error
+            return 0
+
+    @contextmanager
+    def step(self) -> Iterator[None]:
+        """Let signals wait while HDF5 writes in a block, and raise what was wrong with the disk."""
+        try:
+            with hold_signals():
+                yield
+        finally:
+            if self.failure is not None:
+                raise self.failure
+
+
 def write_frames(
-    store: h5py.File,
+    path: Path,
     source: Source,
     compression: Compression,
     frames: Iterable[tuple[NDArray[np.uint16], StoredFrame]],
 ) -> int:
-    """Fill a new store with decoded frames, in the order of the source's files; return the bytes of their pixels."""
+    """Fill a file with decoded frames, in the order of the source's files; return the bytes of their pixels.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    StoreError
+        If not all that was written is there: the file is not to be used.
+    """
     known: dict[str, int] = {}
-    lines, pixel_bytes = [], 0
-    store.create_group("frames")
-    for pixels, frame in frames:
-        store["frames"].create_dataset(frame.key, data=pixels, **layout(pixels.shape, compression))
-        lines.append(facts_line(frame, known))
-        pixel_bytes += pixels.nbytes
-    facts = b"".join(lines)
-    store.create_dataset("facts", data=np.frombuffer(facts, np.uint8))
+    lines, pixel_bytes, store = [], 0, None
+    with _Disk(path, "w+") as disk:
+        try:
+            with disk.step():
+                store = h5py.File(disk, "w", **_OPTIONS)
+            for pixels, frame in frames:
+                with disk.step():
+                    store.create_dataset(f"frames/{frame.key}", data=pixels, **layout(pixels.shape, compression))
+                lines.append(facts_line(frame, known))
+                pixel_bytes += pixels.nbytes
+            with disk.step():
+                _write_facts(store, source, compression, b"".join(lines))
+                store.close()  # before a signal may come
+        finally:
+            if store is not None:
+                with disk.step():
+                    store.close()
+    with hold_signals():  # one that h5py is told of while it reads is another error
+        lacking = [one for one in structure_problems(open_store(path)) if one.field == "pixels"]
+    if lacking:
+        raise StoreError(path, f"{lacking[0].path}: expected {lacking[0].expected}, found {lacking[0].found}")
+    return pixel_bytes
+
+
+def _write_facts(store: h5py.File, source: Source, compression: Compression, facts: bytes) -> None:
+    arrays = {"facts": facts}
     if source.listing is not None:
-        for name, content in zip(("csv", "json"), source.listing, strict=True):
-            store.create_dataset(f"manifest/{name}", data=np.frombuffer(content, np.uint8))
+        arrays |= zip(("manifest/csv", "manifest/json"), source.listing, strict=True)
+    for name, content in arrays.items():
+        store.create_dataset(name, data=np.frombuffer(content, np.uint8))
     header = {
         "format": FORMAT,
         "version": VERSION,
@@ -142,7 +200,6 @@ def write_frames(
         "facts_crc32": zlib.crc32(facts),
     }
     store.attrs.update({name: np.bytes_(value) if isinstance(value, str) else value for name, value in header.items()})
-    return pixel_bytes
 
 
 def _decoded(files: FrameFiles, unit: tuple[int, tuple[str, Role]]) -> tuple[NDArray[np.uint16], StoredFrame]:
@@ -198,7 +255,7 @@ def verify_store(path: Path | str, *, level: Level = "quick", workers: AnyWorker
     problems = list(structure_problems(store))
     count = len(store.frames)
     if level == "full":
-        work = partial(_pixels, store.dataset, PixelReader(store.path.absolute()))
+        work = partial(_pixels, store.dataset, PixelReader(store.path.absolute(), store.facts_crc32))
         bar = tqdm(total=count, desc=f"{store.dataset} (full)", unit="frame", disable=None, leave=False)
         with bar:
             for found in workers.read_ahead(work, store.frames):
@@ -223,11 +280,7 @@ def structure_problems(store: Store) -> Iterator[Problem]:
             if found != expected:
                 yield Problem(store.dataset, frame.path, "pixels", expected, found, _ADVICE)
                 continue
-            if dataset.chunks is None:
-                expected, found = "one piece", "nothing" if dataset.id.get_offset() is None else "one piece"
-            else:
-                chunks = math.prod(-(-side // of_chunk) for side, of_chunk in zip(shape, dataset.chunks, strict=True))
-                expected, found = f"{chunks} chunks", f"{dataset.id.get_num_chunks()} chunks"
+            expected, found = stored_parts(dataset)
             if found != expected:
                 yield Problem(store.dataset, frame.path, "pixels", expected, found, _ADVICE)
     if store.manifest is not None:

@@ -112,6 +112,8 @@ class Store:
 
     Attributes
     ----------
+    facts_crc32
+        Of what it states of its frames, checksums of their pixels among it: tells it from another store.
     manifest
         ``None`` for a store of clean frames.
     frames
@@ -121,6 +123,7 @@ class Store:
     path: Path
     dataset: str
     compression: Compression
+    facts_crc32: int
     manifest: Manifest | None
     frames: tuple[StoredFrame, ...]
 

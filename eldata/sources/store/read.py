@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import mmap
 import os
 import threading
 import weakref
 import zlib
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -35,7 +35,7 @@ from eldata.sources.store.format import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -50,6 +50,7 @@ _LOCKING = (False, None, True, "best-effort")
 _CHUNK_CACHE_BYTES = 1 << 20
 # Frames that a process keeps open: to look one up takes HDF5 a tenth of a millisecond.
 _MOST_OPEN = 4096
+_BEGIN_AGAIN = "; replace a store by renaming the new one, and begin again"
 
 
 def open_store(path: Path | str) -> Store:
@@ -69,12 +70,12 @@ def open_store(path: Path | str) -> Store:
             frames = frames_in(_facts(file))
             listed, there = int(file.attrs["files"]), len(file["frames"])
             header = texts_of(file.attrs)
-            dataset, compression = header["dataset"], header["compression"]
+            told = header["dataset"], header["compression"], int(header["facts_crc32"])
         except (OSError, RuntimeError, ValueError, LookupError, TypeError, EldataError) as error:
             raise _damaged(path, error) from error
     if not len(frames) == listed == there:
         raise _damaged(path, f"expected {listed} frames, found {min(len(frames), there)}")
-    return Store(path, dataset, compression, manifest, Records(frames))
+    return Store(path, *told, manifest, Records(frames))
 
 
 def opened(path: Path) -> h5py.File:
@@ -152,19 +153,24 @@ def _manifest(path: Path, file: h5py.File) -> Manifest | None:
 # --- pixels -------------------------------------------------------------------------------------------------------
 
 
+# Held while frames are looked up, while HDF5 reads, and over a fork: a child has no thread that would let it go.
+_LOCK = threading.RLock()
+_READERS: weakref.WeakSet[PixelReader] = weakref.WeakSet()
+
+
 class PixelReader:
     """Reads parts of a store's frames, in any process and in several threads at once.
 
-    An uncompressed store is mapped. HDF5 reads a compressed one, under its lock. Either way the file is opened in each
-    process that reads, on its first read: a fork closes HDF5's, and a pickled reader opens it again. Memory does not
-    grow with the store.
+    An uncompressed store is mapped. HDF5 reads a compressed one, one thread at a time. Either way the file is opened in
+    each process that reads, on its first read: a fork closes HDF5's, and a pickled reader opens it again. Memory does
+    not grow with the store.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, facts_crc32: int) -> None:
+        self.path, self._identity = path, facts_crc32
         self._opened: _Opened | None = None
-        self._lock = threading.Lock()
-        _READERS.add(self)
+        with _LOCK:
+            _READERS.add(self)
 
     def read(self, key: str, rows: slice, columns: slice) -> NDArray[np.uint16]:
         """Return a part of a frame, (..., rows, columns) in DN, not to be written to.
@@ -175,81 +181,95 @@ class PixelReader:
         Raises
         ------
         StoreError
-            If the store cannot be read.
+            If the store cannot be read, lacks some of the frame's pixels, or is not the one that was opened any more.
         """
-        with self._problems(key):
-            with self._lock:
-                self._opened = self._opened or _Opened(self.path)
-                frame = self._opened.frame(key)
-            if isinstance(frame, np.ndarray):
-                return frame[..., rows, columns]
-            pixels = scratch("stored", (*frame.shape[:-2], *part_shape(frame.shape, rows, columns)), frame.dtype)
-            if pixels.size:
-                frame.read_direct(pixels, (..., rows, columns))
-            return pixels
-
-    @contextmanager
-    def _problems(self, key: str) -> Iterator[None]:
         try:
-            yield
+            with _LOCK:
+                self._opened = self._opened or _Opened(self.path, self._identity)
+                self._opened.check_size()
+                frame = self._opened.frame(key)
+                if isinstance(frame, np.ndarray):
+                    return frame[..., rows, columns]
+                pixels = scratch("stored", (*frame.shape[:-2], *part_shape(frame.shape, rows, columns)), frame.dtype)
+                if pixels.size:
+                    frame.read_direct(pixels, (..., rows, columns))
+                return pixels
+        except EldataError:
+            raise
         except (OSError, RuntimeError, KeyError, IndexError, ValueError, TypeError) as error:
-            if isinstance(error, EldataError):
-                raise
             raise StoreError(self.path, f"frame {key} is damaged ({error}); copy or pack it again") from error
 
     def close(self) -> None:
         """Close the file; the next read opens it again."""
-        with self._lock:
+        with _LOCK:
             if self._opened is not None:
                 self._opened.file.close()
             self._opened = None
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(state["path"])  # type: ignore[misc] # a pickled reader is a path
+    def __reduce__(self) -> tuple[Any, ...]:
+        return PixelReader, (self.path, self._identity)  # opened again where it is unpickled
 
 
 class _Opened:
-    """A store's file, and its mapping if it is not compressed, which lives as long as arrays on it."""
+    """A store's file, and its mapping, which lives as long as arrays on it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, identity: int) -> None:
         self.file = file = opened(path)
+        if file.attrs["facts_crc32"] != identity:
+            file.close()
+            raise StoreError(path, f"is another store than the one that was opened{_BEGIN_AGAIN}")
         with path.open("rb") as descriptor:
-            content = mmap.mmap(descriptor.fileno(), 0, access=mmap.ACCESS_READ)
+            self._content = content = mmap.mmap(descriptor.fileno(), 0, access=mmap.ACCESS_READ)
+        self._path, self._size = path, content.size()
 
         def frame(key: str) -> NDArray[np.uint16] | h5py.Dataset:
             dataset = file["frames"][key]
+            expected, found = stored_parts(dataset)
+            if found != expected:
+                raise ValueError(f"expected {expected}, found {found}")
             if dataset.chunks is not None:
-                _check_chunks(dataset)
                 return dataset
-            offset = dataset.id.get_offset()
-            if offset is None:
-                raise ValueError("it has no pixels")
-            return np.ndarray(dataset.shape, dataset.dtype, content, offset)
+            return np.ndarray(dataset.shape, dataset.dtype, content, dataset.id.get_offset())
 
         self.frame = lru_cache(_MOST_OPEN)(frame)
 
+    def check_size(self) -> None:
+        """Refuse a file whose size is another now: to touch what a mapping has lost ends the process by SIGBUS."""
+        now = self._content.size()
+        if now != self._size:
+            raise StoreError(self._path, f"had {self._size} bytes when it was opened and has {now} now{_BEGIN_AGAIN}")
 
-def _check_chunks(dataset: h5py.Dataset) -> None:
-    """Refuse a chunk of no bytes, whose checksum HDF5 looks for before its beginning."""
+
+def stored_parts(dataset: h5py.Dataset) -> tuple[str, str]:
+    """Return in how many parts a frame's pixels lie, and how many are there: HDF5 reads zeros for what is not.
+
+    A chunk of no bytes is not there; HDF5 would look for its checksum before its beginning.
+    """
+    if dataset.chunks is None:
+        return "one piece", "nothing" if dataset.id.get_offset() is None else "one piece"
+    expected = math.prod(-(-side // of_chunk) for side, of_chunk in zip(dataset.shape, dataset.chunks, strict=True))
     sizes: list[int] = []
     dataset.id.chunk_iter(lambda chunk: sizes.append(chunk.size))
-    if not all(sizes):
-        raise ValueError("a chunk has no bytes")
-
-
-_READERS: weakref.WeakSet[PixelReader] = weakref.WeakSet()
+    return f"{expected} chunks", f"{sum(map(bool, sizes))} chunks"
 
 
 def _before_fork() -> None:
+    _LOCK.acquire()
     for reader in list(_READERS):
         reader.close()
 
 
+def _in_parent() -> None:
+    _LOCK.release()
+
+
+def _in_child() -> None:
+    global _LOCK  # noqa: PLW0603 # it is this process's
+    _LOCK = threading.RLock()
+
+
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(before=_before_fork)
+    os.register_at_fork(before=_before_fork, after_in_parent=_in_parent, after_in_child=_in_child)
 
 
 # --- the source of frames -----------------------------------------------------------------------------------------
@@ -269,7 +289,7 @@ class StoreFrames:
     def __init__(self, path: Path | str) -> None:
         self.store = open_store(path)
         self.path = self.store.path
-        self._reader = PixelReader(self.path)
+        self._reader = PixelReader(self.path, self.store.facts_crc32)
         self._held = {frame.path: frame for frame in self.store.frames}
         self._before = f"{self.path.as_posix()}/"
 

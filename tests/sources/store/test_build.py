@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import signal
 import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,8 @@ import pytest
 
 from eldata.errors import ArgumentError, DatasetError, EldataError, ManifestError, RawFileError
 from eldata.raw import read_raw
-from eldata.sources.store import build_store, open_store, source_of_dataset, source_of_folder
+from eldata.sources.store import build, build_store, open_store, source_of_dataset, source_of_folder
+from eldata.sources.store.format import StoreError
 from tests.sources.store.helpers import Packed, contents, pack_folder, pack_tree, start_packing, write_clean
 from tests.syncing import OnDisk
 from tests.trees import Tree, tree_in
@@ -162,16 +164,21 @@ def test_a_killed_command_leaves_no_half_store_and_starts_anew(jobs: int, tree: 
 
 
 @pytest.mark.kill
-@pytest.mark.parametrize("kilobytes", [0, 1, 90, 200, 300, 400])
-def test_a_full_disk_is_one_line_and_leaves_nothing(kilobytes: int, clean: Packed, tmp_path: Path) -> None:
-    """Files that cannot grow beyond so many kilobytes stand for it; the whole store takes more."""
+@pytest.mark.parametrize(
+    ("kilobytes", "compression"),
+    [*((size, "none") for size in (0, 1, 90, 400)), (1, "zstd"), (90, "zstd"), (300, "lz4")],
+)
+def test_a_full_disk_is_one_line_and_leaves_nothing(
+    kilobytes: int, compression: str, clean: Packed, tmp_path: Path
+) -> None:
+    """Files that cannot grow beyond so many kilobytes stand for it; the whole store takes more, compressed or not."""
     assert clean.store.stat().st_size > 1000 * kilobytes
     code = (
         "import resource, signal, sys; from eldata.cli.main import main; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, (1000 * {kilobytes},) * 2); sys.exit(main(sys.argv[1:]))"
     )
     command = [sys.executable, "-c", code, "pack", str(clean.source.folder), "-o", str(tmp_path / "store.h5")]
-    done = subprocess.run([*command, "--jobs", "1"], capture_output=True, text=True)
+    done = subprocess.run([*command, "--jobs", "1", "--compression", compression], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"eldata pack: cannot write {tmp_path / 'store.h5'}: File too large\n"
     assert list(tmp_path.iterdir()) == []
@@ -188,6 +195,56 @@ def test_ctrl_c_leaves_nothing(clean: Packed, tmp_path: Path, monkeypatch: pytes
     assert list(tmp_path.iterdir()) == []
     build_store(clean.source, tmp_path / "store.h5")
     assert contents(tmp_path / "store.h5") == contents(clean.store)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("compression", "call"), [("none", 3), ("lz4", 1), ("lz4", 12), ("zstd", 6), ("zstd", 25)])
+def test_a_signal_while_hdf5_writes_comes_after_it_and_leaves_nothing(
+    number: int, compression: Any, call: int, clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """HDF5 calls Python for each write, and goes on without the chunk if that raises."""
+
+    class EndedError(BaseException):
+        pass
+
+    def end(*_: object) -> None:
+        raise EndedError
+
+    class Disk(build._Disk):
+        calls = 0
+
+        def seek(self, *place: int) -> int:  # as the file is opened, and before each write
+            self.calls += 1
+            if self.calls == call:
+                os.kill(os.getpid(), number)
+            return super().seek(*place)
+
+    handler, opened = signal.signal(number, end), h5py.h5f.get_obj_count()
+    monkeypatch.setattr(build, "_Disk", Disk)
+    try:
+        with pytest.raises(EndedError):
+            build_store(clean.source, tmp_path / "store.h5", compression=compression)
+        assert signal.getsignal(number) is end
+        assert h5py.h5f.get_obj_count() == opened
+    finally:
+        signal.signal(number, handler)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_store_gets_its_name_once_every_chunk_is_counted(
+    clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = h5py.Group.create_dataset
+
+    def lacking(self: h5py.Group, name: str, *, data: Any, **options: Any) -> Any:
+        if not name.startswith("frames/"):
+            return whole(self, name, data=data)
+        return whole(self, name, data.shape, data.dtype, **options).write_direct(data, np.s_[:60], np.s_[:60])
+
+    monkeypatch.setattr(h5py.Group, "create_dataset", lacking)
+    with pytest.raises(StoreError, match=r"0\.dng: expected 4 chunks, found 2 chunks"):
+        build_store(clean.source, tmp_path / "store.h5", compression="lz4")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_that_cannot_be_read_is_named_and_not_the_store(

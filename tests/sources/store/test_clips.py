@@ -17,7 +17,7 @@ from eldata.records import Exposure
 from eldata.sources.store import build_store, open_store, source_of_dataset, verify_store
 from eldata.sources.store.build import pixels_digest
 from eldata.sources.store.format import PackedFile, StoredFrame, rgb_sensor
-from eldata.sources.store.read import PixelReader
+from eldata.sources.store.read import StoreFrames
 from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
 from tests.sources.store.helpers import pack_tree
 
@@ -52,7 +52,7 @@ def test_rgb_frames_are_held_as_decoded(drv: SmallDrv, packed: Path) -> None:
 
 
 def test_parts_of_rgb_frames(drv: SmallDrv, packed: Path) -> None:
-    reader = PixelReader(packed)
+    reader = StoreFrames(packed)._reader
     for frame in open_store(packed).frames:
         pixels = read_rgb16(drv.data / frame.path).transpose(2, 0, 1)
         part = slice(3, 290), slice(200, 270)

@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import shutil
+import signal
 import struct
 import threading
 import zlib
@@ -19,8 +20,9 @@ import pytest
 from eldata.raw import read_raw
 from eldata.sources.store import build_store, open_store, verify_store
 from eldata.sources.store.format import VERSION, StoreError
-from eldata.sources.store.read import PixelReader, StoreFrames
+from eldata.sources.store.read import StoreFrames
 from tests.sources.store.helpers import SHAPES, Packed, pack_folder, write_clean
+from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -184,7 +186,9 @@ def test_other_and_missing_pixels_are_found(own: Path) -> None:
         "0.dng": ("4 chunks", "2 chunks"),
         "2.dng": ("one piece", "nothing"),
     }
-    refused(own, "frame 000002 is damaged .*it has no pixels", all_pixels)
+    for number, problem in ((0, "4 chunks, found 2 chunks"), (2, "one piece, found nothing")):
+        read = lambda path, number=number: StoreFrames(path).frame(f"{number}.dng").whole()  # noqa: E731
+        refused(own, rf"frame 00000{number} is damaged \(expected {problem}\)", read)
 
 
 def test_a_frame_under_another_name_is_missing(own: Path) -> None:
@@ -223,7 +227,7 @@ def test_an_uncompressed_store_is_mapped_and_not_written_to(clean: Packed, tmp_p
 
 
 def test_threads_may_read_at_once(clean: Packed) -> None:
-    reader = PixelReader(clean.store)
+    reader = StoreFrames(clean.store)._reader
     frames = open_store(clean.store).frames
     wrong: list[str] = []
 
@@ -247,7 +251,7 @@ def open_descriptors(path: Path) -> int:
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="needs /proc")
 def test_no_handle_is_shared_over_a_fork_or_pickled(clean: Packed) -> None:
-    reader = PixelReader(clean.store)
+    reader = StoreFrames(clean.store)._reader
     assert open_descriptors(clean.store) == 0
     wanted = reader.read("000000", slice(5), slice(5)).copy()
     assert open_descriptors(clean.store) > 0
@@ -263,3 +267,65 @@ def test_no_handle_is_shared_over_a_fork_or_pickled(clean: Packed) -> None:
     reader.close()
     copy.close()
     assert open_descriptors(clean.store) == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_forks_while_threads_read(clean: Packed) -> None:
+    """Each child reads, and no thread of the parent finds its file closed."""
+    source, ended, wrong = StoreFrames(clean.store), threading.Event(), list[str]()
+    frames = [source.frame(held.path) for held in source.store.frames]
+
+    def read(number: int) -> None:
+        while not ended.is_set():
+            number = (number + 1) % len(frames)
+            try:
+                frames[number].read(slice(9, 50), slice(9, 50))
+            except StoreError as error:
+                wrong.append(str(error))
+
+    threads = [threading.Thread(target=read, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in range(30):
+            child = os.fork()
+            if child == 0:
+                signal.alarm(int(PATIENCE_S))  # ends a child that waits for ever
+                frames[0].read(slice(5), slice(5))
+                os._exit(0)
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+    assert wrong == []
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4"])
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_a_store_that_changes_under_an_open_dataset(
+    share: float, compression: Any, clean: Packed, tmp_path: Path
+) -> None:
+    """To touch the pages that a mapping has lost would end the process by SIGBUS."""
+    path = tmp_path / "store.h5"
+    build_store(clean.source, path, compression=compression)
+    frame = StoreFrames(path).frame("0.dng")
+    frame.whole()
+    size = path.stat().st_size
+    os.truncate(path, int(size * share))
+    refused(
+        path,
+        f"had {size} bytes when it was opened and has {int(size * share)} now; .*renaming",
+        lambda _: frame.whole(),
+    )
+
+
+def test_a_store_that_is_replaced_by_renaming(own: Path, tmp_path: Path) -> None:
+    """The open file is read on; a process that opens the name for the first time is not given other pixels."""
+    source = StoreFrames(own)
+    before = source.frame("0.dng").whole().copy()
+    other = pack_folder(write_clean(tmp_path / "raws", 5), tmp_path / "other.h5")
+    other.store.replace(own)
+    np.testing.assert_array_equal(source.frame("0.dng").whole(), before)
+    copy = pickle.loads(pickle.dumps(source))
+    refused(own, "is another store than the one that was opened", lambda _: copy.frame("0.dng").whole())

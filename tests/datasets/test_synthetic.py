@@ -664,23 +664,25 @@ def test_the_range_of_the_simulated_camera_decides_the_noise() -> None:
 def test_files_of_other_bits_are_refused_with_both_ranges(black: float, white: float, tmp_path: Path) -> None:
     """Under levels that are stated for them as well; 14 bits that end at 13583 are on the profile's scale."""
     sensor = make_sensor(black_level_dn=(black,) * 4, white_level_dn=white)
-    write_dng(tmp_path / "a.dng", np.full((60, 64), round(black + 0.2 * (white - black)), np.uint16), sensor, EXPOSURE)
+    clean = tmp_path / "clean"
+    clean.mkdir()
+    write_dng(clean / "a.dng", np.full((60, 64), round(black + 0.2 * (white - black)), np.uint16), sensor, EXPOSURE)
     out, recipe = tmp_path / "out", Recipe(CameraProfile.load("SonyA7S2"))
     if white == 13583:
-        assert pairs(CleanFrames(tmp_path))[0]["target"].mean() == pytest.approx(0.2, abs=1e-4)
-        assert synthesize(tmp_path, out, recipe).card.counts["noisy"] == 1
+        assert pairs(CleanFrames(clean))[0]["target"].mean() == pytest.approx(0.2, abs=1e-4)
+        assert synthesize(clean, out, recipe).card.counts["noisy"] == 1
         return
     for levels in ("metadata", "published"):
         words = rf"a.dng: has {white - black:g} DN .* SonyA7S2 .* have 15871; range_dn=15871 makes"
         with pytest.raises(DatasetError, match=words):
-            pairs(CleanFrames(tmp_path, levels=levels))[0]
+            pairs(CleanFrames(clean, levels=levels))[0]
     with pytest.raises(DatasetError, match=rf"a.dng: has {white - black:g} DN .* 15871; the noisy files are like"):
-        synthesize(tmp_path, out, recipe)
-    given = pairs(CleanFrames(tmp_path), range_dn=15871.0)[0]
+        synthesize(clean, out, recipe)
+    given = pairs(CleanFrames(clean), range_dn=15871.0)[0]
     shares = np.full((1, 4, 30, 32), given["target"][0, 0, 0], np.float32)
     wanted = pairs(arrays(shares, range_dn=15871.0))[0]
     assert torch.allclose(given["input"], wanted["input"], atol=1e-3)
-    assert pairs(CleanFrames(tmp_path), "CanonEOS5D4")[0]["input"].shape == (4, 8, 8)  # whose levels are not known
+    assert pairs(CleanFrames(clean), "CanonEOS5D4")[0]["input"].shape == (4, 8, 8)  # whose levels are not known
 
 
 def test_the_repr_says_what_is_made() -> None:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 CELLS_PER_SIGMA = 20
 _CORE = 6 * CELLS_PER_SIGMA  # cells that stay as they are; beyond, they merge to ever wider ones
 _GROWTH = 1.05
+_NEAR = 0.1  # to the end, in errors that the parameters would have if all residuals were independent
 _LEAST_IN_TAIL = 20  # residuals in the outermost cell of the likelihood
 
 
@@ -199,7 +200,9 @@ class _Likelihood:
         value, scores = float(self.counts @ np.log(probabilities)), self.scores(at)
         for _ in range(60):
             information = (scores * probabilities) @ scores.T * self.number
-            move = np.linalg.solve(information, scores @ self.counts)
+            ascent = scores @ self.counts
+            move = np.linalg.solve(information, ascent)
+            is_near = float(ascent @ move) < _NEAR**2
             length = min(1.0, 0.1 / float(np.abs(move).max()))
             while length > 1e-4:
                 proposed = _inside(at + length * move)
@@ -209,12 +212,12 @@ class _Likelihood:
                     break
                 length /= 2
             else:
-                return at, probabilities, scores, False
+                break
             moved = float(np.abs(proposed - at).max())
             at, value, probabilities, scores = proposed, reached, found, self.scores(proposed)
             if moved < 1e-6:
                 return at, probabilities, scores, True
-        return at, probabilities, scores, False
+        return at, probabilities, scores, is_near
 
 
 def centred(by_group: Values, sizes: Values | Counts) -> Values:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -76,6 +78,18 @@ def test_as_accurate_as_scipys(shape: float, scale: float) -> None:
     read = read_noise(histogram)
     assert abs(read.tukey_lambda - shape) < 4 * read.tukey_lambda_error < 0.02
     assert abs(read.sigma_tl_dn - scale) < 4 * read.sigma_tl_error_dn < 0.02 * scale
+
+
+def test_values_that_end_below_do_not_enter() -> None:
+    """Cut off at three standard deviations: what is above 0 tells lambda and both sigmas within four errors."""
+    values = integers(-0.1, 3.0, 600_000)
+    deviation = 3.0 * float(stats.tukeylambda(-0.1).std())
+    histogram = counted(np.maximum(values, round(-3 * deviation)))
+    assert abs(read_noise(histogram).tukey_lambda + 0.1) > 0.01
+    found = read_noise(replace(histogram, is_cut=True))
+    assert abs(found.tukey_lambda + 0.1) < 4 * found.tukey_lambda_error < 0.02
+    assert abs(found.sigma_tl_dn - 3.0) < 4 * found.sigma_tl_error_dn < 0.1
+    assert abs(found.sigma_gauss_dn - deviation) < 4 * found.sigma_gauss_error_dn < 0.1
 
 
 def test_plain_routes_are_biased() -> None:

@@ -175,8 +175,8 @@ class Residuals:
             self._step / frames,
             frames,
             float(self._pixels.sum(axis=1).mean()),
-            reach_dn=fixed.reach_dn,
-            squares_dn2=self._squares / frames**2,
+            is_cut=fixed.floor_dn is not None,
+            squares_dn2=None if fixed.floor_dn is not None else self._squares / frames**2,
             level_waves=self._level_waves(),
         )
 

@@ -27,7 +27,7 @@ MINIMUM_FRAMES = 4
 
 _MOST_FRAMES = 16_384  # twice their sum fits 31 bits
 _CLIPPED_SHARE = 0.01  # of pixels that reach the floor
-_REACHING_SHARE, _PILE = 1e-4, 100  # of pixels, and how many at least, that end at a floor
+_REACHING_SHARE, _PILE = 1e-4, 40  # of pixels, and how many at least, that end at a floor
 _EXPECTED_BELOW, _BELOW = 30, 0.02  # pixels that would lie below it, and the share of them that may
 _OUTER = (0.9, 1.645), (0.99, 2.576)  # shares of normal values, and how many standard deviations they lie within
 _LEAST_REACH = 2.0  # standard deviations below its mean that a residual must be able to go

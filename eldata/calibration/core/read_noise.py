@@ -194,7 +194,7 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     plain_lambda, plain_sigma, curve = ppcc(values, inner)
 
     model = ResidualModel(histogram.frames, histogram.row_pixels, histogram.rounding_dn)
-    cells = ResidualCells.of(counts, histogram.cell_dn, histogram.reach_dn)
+    cells = ResidualCells.of(histogram)
     variance = float(inner @ values**2) / float(inner.sum())
     start = (min(max(plain_lambda, LOWEST + 0.1), HIGHEST - 0.1), max(plain_sigma, 0.05 * math.sqrt(variance)))
     deviation = math.sqrt(variance / model.own)
@@ -402,11 +402,9 @@ def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:
 
 def _expected(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualFit) -> Values:
     """Return the probability of each inner cell of the histogram."""
-    from eldata.calibration.core._residual_fit import folded
-
-    both = folded(histogram.counts).sum(axis=0)
+    both = histogram.folded.sum(axis=0)
     half = histogram.counts.shape[1] // 2
-    cells = min(half, int(np.count_nonzero(both[:half].cumsum() < histogram.counts[:, 1:-1].sum())) + 1)
+    cells = min(half, int(np.count_nonzero(both[:half].cumsum() < both[:half].sum())) + 1)
     starts = np.arange(cells + 1)
     edges = np.maximum(starts - 0.5, 0.0) * histogram.cell_dn
     probabilities = model.probabilities(edges, fit.shape, fit.scale)
@@ -421,15 +419,15 @@ def _standard_deviation(histogram: ResidualHistogram, model: ResidualModel, fit:
     The mean square of the residuals is the measured one up to where :data:`_TAIL` lie further out, and the fitted one
     beyond: the mean square of heavy tails hangs on a few pixels, and of shapes below -1/4 it has no error.
     """
-    from eldata.calibration.core._residual_fit import centred, folded
+    from eldata.calibration.core._residual_fit import centred
 
-    both = folded(histogram.counts)
+    both = histogram.folded
     numbers = both.sum(axis=1)
     number = float(numbers.sum())
     tail = np.cumsum(both.sum(axis=0)[::-1])[::-1]
     # Tails lighter than a normal distribution's decide nothing, and are often what rounding has left of the noise.
     far = int(np.count_nonzero(tail >= _TAIL)) if fit.shape < _NEARLY_NORMAL else both.shape[1]
-    far = max(1, int(min(far, histogram.reach_dn / histogram.cell_dn, both.shape[1] - 1)))
+    far = max(1, int(min(far, both.shape[1] - 1)))
     squares_of_cells = (np.arange(both.shape[1]) * histogram.cell_dn) ** 2
     if histogram.squares_dn2 is None:
         # A cell's width adds its own twelfth of a square.

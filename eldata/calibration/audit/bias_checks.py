@@ -365,7 +365,11 @@ def coarse_values(seen: BiasSeen) -> Iterator[Finding]:
         + f"; rounding adds {added:.2g} DN^2 more than the model's; use a raw mode with all bits, or leave this ISO out"
     )
     share = _OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(seen.read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
-    yield from COARSE.judged(step, _UNEVEN, text, seen.of_read_noise(share))
+    shares = seen.of_read_noise(share)
+    if not step.is_integer():  # the mean does not follow the level evenly
+        line = seen.rows.rows
+        shares["row noise"] = (share / _OF_LIGHTER_TAILS, line.sigma_error_dn / max(line.sigma_dn, 1e-12))
+    yield from COARSE.judged(step, _UNEVEN, text, shares)
 
 
 def read_noise_in_steps(residuals: ResidualHistogram, step: int) -> ReadNoise | None:

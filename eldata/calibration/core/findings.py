@@ -144,7 +144,7 @@ _TOO_WIDE: Final = 0.1
 
 LIGHT: Final = Check("light", (*READ, "colour bias"), is_acceptable=True)
 CORRELATED: Final = Check("correlated noise", (*READ, "row noise"), is_acceptable=True)
-COARSE: Final = Check("coarse values", (*READ, "gain"), is_acceptable=True)
+COARSE: Final = Check("coarse values", (*READ, "row noise", "gain"), is_acceptable=True)
 NO_LINE: Final = Check("uneven flats", ("gain",), _TOO_WIDE, is_acceptable=True)
 FLATS_CORRELATED: Final = Check("correlation in flats", ("gain",), _TOO_WIDE, is_acceptable=True)
 SATURATION: Final = Check("saturation", ("gain",))

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from eldata.calibration.core._frames import Values
     from eldata.calibration.core._residual_fit import ResidualFit, ResidualHistogram
     from eldata.calibration.core._tukey_lambda import ResidualModel
-    from eldata.calibration.core.findings import Finding
+    from eldata.calibration.core.findings import Figure, Finding
     from eldata.calibration.core.row_noise import ColourBias, LineNoise
 
 _TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
@@ -320,26 +320,23 @@ def _rounding(read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: float
         f"the read noise is quiet ({sigma:.2g} DN): rounding to {steps} DN {changed} the mean by up to {shift:.2g} "
         "DN; use a raw mode of more bits"
     )
-    of_shape = _OF_RIPPLE * width + _OF_SQUARE * ripple.variance**2
-    of_sigma = _OF_RIPPLE_IN_SIGMA * width + _OF_SQUARE_IN_SIGMA * ripple.variance**2
-    of_rows = 2 * math.pi * shift / step_dn
-    if not width <= _MOST_RIPPLE:
-        yield ROUNDING.seen(width, _MOST_RIPPLE, text).of("withheld", READ)
-    elif of_shape > _MOST_ERROR:
-        yield ROUNDING.seen(of_shape, _MOST_ERROR, text).of("withheld", ("shape",))
-    elif of_shape > read.largest_error:
-        yield ROUNDING.seen(of_shape, read.largest_error, text).of("wider", ("shape",), of_shape)
-    least = read.sigma_gauss_error_dn / max(sigma, 1e-12)
-    if width <= _MOST_RIPPLE and of_sigma > least:
-        yield ROUNDING.seen(of_sigma, least, text).of("wider", ("read noise",), of_sigma)
-    least = rows.sigma_error_dn / max(rows.sigma_dn, 1e-12)
-    if not of_rows <= (_MOST_IN_ROWS if read.converged else least) or math.isinf(width):
-        yield ROUNDING.seen(of_rows, _MOST_IN_ROWS, text).of("withheld", ("row noise",))
-    elif of_rows > least:
-        yield ROUNDING.seen(of_rows, least, text).of("wider", ("row noise",), of_rows)
-    errors = [error for error in bias.standard_error_dn if math.isfinite(error)]
-    if errors and shift > min(errors):
-        yield ROUNDING.seen(shift, min(errors), text).of("wider", ("colour bias",), shift)
+    square, of_rows = ripple.variance**2, rows.sigma_error_dn / max(rows.sigma_dn, 1e-12)
+    off: dict[Figure, tuple[float, float, float]] = {  # by so much; what is too much, and what is in the error
+        "shape": (_OF_RIPPLE * width + _OF_SQUARE * square, _MOST_ERROR, read.largest_error),
+        "read noise": (
+            *(_OF_RIPPLE_IN_SIGMA * width + _OF_SQUARE_IN_SIGMA * square, math.inf),
+            read.sigma_gauss_error_dn / max(sigma, 1e-12),
+        ),
+        "row noise": (2 * math.pi * shift / step_dn, _MOST_IN_ROWS if read.converged else of_rows, of_rows),
+        "colour bias": (shift, math.inf, min(filter(math.isfinite, bias.standard_error_dn), default=math.inf)),
+    }
+    of_width = () if width <= _MOST_RIPPLE else READ if math.isfinite(width) else (*READ, "row noise")
+    lost = tuple(figure for figure, (share, most, _) in off.items() if share > most or figure in of_width)
+    if lost:
+        yield ROUNDING.seen(width, _MOST_RIPPLE, text).of("withheld", lost)
+    for figure, (share, _, least) in off.items():
+        if figure not in lost and share > least:
+            yield ROUNDING.seen(share, least, text).of("wider", (figure,), share)
 
 
 def probability_plot(histogram: ResidualHistogram, read: ReadNoise) -> ProbabilityPlot:

@@ -52,8 +52,8 @@ CAUSES = {
     "step": (READ, r"step by|steps of|fewer bits"),
     "clipped": ((*READ, "sigma_row", "bias"), r"clip|\bend at|subtracted black"),
     "cut tails": (READ, r"clip|\bend at"),
-    "light": ((*READ, "bias"), r"light or dark|dark current|viewfinder|is the lens capped"),
-    "telegraph": (READ, r"telegraph|another family|not of this family|of the pixels are defects"),
+    "light": ((*READ, "bias"), r"light or dark|dark current|viewfinder"),
+    "telegraph": (READ, r"telegraph|another family|not of this family"),
     "lossy": (tuple(FIGURES), r"lossy|with loss|compress|tone curve"),
     "smoothed": (tuple(FIGURES), r"filter|smooth|noise reduction|resampl|share noise"),
     "saturated": (("K",), r"saturat"),
@@ -101,8 +101,9 @@ class Case:
     @property
     def planted(self) -> set[str]:
         """The causes that there are."""
+        apart = 2 * math.sqrt(self.black * self.white) / self.codes if self.codes else self.step  # codes, at black
         facts = {
-            "quiet": self.sigma < 0.7 * self.step, "rounded": self.sigma < 1.3 * self.step, "step": self.step > 1,
+            "quiet": self.sigma < 0.7 * apart, "rounded": self.sigma < 1.3 * apart, "step": self.step > 1,
             "clipped": self.floor is not None, "cut tails": 0 < self.black < 10 * self.sigma, "light": self.leak > 0,
             "telegraph": self.telegraph > 0, "lossy": self.codes > 0, "smoothed": self.eater,
             "saturated": self.top < self.white, "black": self.black_off > 100, "columns": self.columns > 0,

@@ -104,6 +104,24 @@ def test_the_documented_tables_are_those_of_the_records(folder: str, capsys: pyt
 
 
 @pytest.mark.study
+@pytest.mark.parametrize(
+    "case",
+    [
+        "rooted --isos 100 200",  # codes of a curve, wider than the noise
+        "twelve --isos 100 --seed 2",  # and even ones
+        "plain --isos 6400 --repeat 3",  # a distribution that ends
+        "telegraph --isos 200 400",  # row noise holds, whatever the shape of the read noise
+        "silent --isos 100",
+        "smoothed --isos 100 800",
+    ],
+)
+def test_what_the_study_of_calibration_found(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES)
+    study: Any = importlib.import_module("prove_calibration")
+    assert study.main(case.split()) == 0
+
+
+@pytest.mark.study
 def test_the_study_of_calibration_tells_right_from_wrong(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

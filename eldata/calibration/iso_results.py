@@ -265,7 +265,7 @@ class IsoCalibration(IsoGain):
             return self
         text = f"the values step by {self.step_dn} DN: fewer bits than the file has room for; the read noise is without"
         seen = COARSE.seen(self.step_dn, 1.0, f"{text} that rounding, which is component U's (quantisation_step_dn)")
-        of_steps = read_noise_findings(self.stepped, self.bias, self.rows.rows, self.step_dn)
+        of_steps = read_noise_findings(self.stepped, self.bias, self.rows.rows, self.step_dn, self.step_dn)
         others = (one for one in self.findings if one.check not in {COARSE.name, FIT.name, SHAPE.name, ROUNDING.name})
         findings = (*others, *of_steps, seen)
         return replace(self, read=self.stepped, findings=findings, quantisation_step_dn=float(self.step_dn))

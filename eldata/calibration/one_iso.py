@@ -20,7 +20,7 @@ from eldata.calibration.audit.bias_checks import (
     BiasStatistics,
     bias_findings,
     code_step,
-    missing_codes,
+    mean_step,
     read_noise_in_steps,
 )
 from eldata.calibration.audit.flat_checks import flat_findings, saturation, uneven_steps
@@ -29,6 +29,7 @@ from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
 from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.core.findings import CLIPPED, NO_LINE, SHAPE, TRANSFER, with_accepted
 from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
+from eldata.calibration.core.read_noise import read_noise_findings
 from eldata.calibration.core.single_frame import FlatFrames, power_spectrum, single_frame_plot, spatial_photon_transfer
 from eldata.calibration.frames import FrameReader, FramesError
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
@@ -143,10 +144,10 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     sensor, is_clipped = reader.sensor, fixed.clips_at_black
     bias_sums, audit = BiasSums(fixed), BiasAudit(fixed)
     sums = [bias_sums, audit]
-    spectrum, single, gaps = None, None, 0.0
+    spectrum, single = None, None
     for _, frame in reader.read(estimated):
         if spectrum is None:
-            spectrum, gaps = power_spectrum(frame.mosaic, fixed), missing_codes(frame.mosaic, fixed.pattern)
+            spectrum = power_spectrum(frame.mosaic, fixed)
             single = None if is_clipped else single_frame_plot(frame.mosaic, fixed)
         in_threads(methodcaller("add", frame.mosaic), sums, reader.workers.jobs)
         del frame
@@ -180,8 +181,12 @@ def _calibrated(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
         step_dn=step,
         stepped=None if found.residuals is None else read_noise_in_steps(found.residuals, step),
     )
-    of_audit = () if found.read is None else bias_findings(BiasSeen(seen, dark.bias, dark.rows, found.read, step, gaps))
-    of_bias = with_accepted((*dark.findings, *of_audit), chosen.accept)
+    of_bias = dark.findings
+    if found.read is not None:
+        step_dn = float(step) if step > 1 else mean_step(seen.codes)
+        of_read = read_noise_findings(found.read, dark.bias, dark.rows.rows, step_dn)
+        of_audit = bias_findings(BiasSeen(seen, dark.bias, dark.rows, found.read, step_dn))
+        of_bias = with_accepted((*of_read, *of_audit), chosen.accept)
     whole = replace(dark, findings=(*of_bias, *of_flats.findings))
     parameters = whole.in_steps.parameters
     if held_out is not None and parameters is not None:

@@ -67,7 +67,9 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
         )
     if found.pattern.defects > 0.01 * found.pattern.pixels:
         remarks.append(
-            f"{found.pattern.defects / found.pattern.pixels:.1%} of the pixels are defects; is the lens capped?"
+            f"{found.pattern.defects / found.pattern.pixels:.1%} of the pixels were left out: "
+            f"{found.pattern.stuck / found.pattern.pixels:.1%} never change, "
+            f"{found.pattern.off_level / found.pattern.pixels:.1%} are off the level of those around them"
         )
     compared = found.reproduction
     if compared is not None and compared.histogram_distance > max(4 * compared.histogram_distance_by_chance, 0.02):

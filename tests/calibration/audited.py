@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.audit.bias_checks import BiasAudit, BiasSeen, bias_findings, code_step, missing_codes
+from eldata.calibration.audit.bias_checks import BiasAudit, BiasSeen, bias_findings, code_step, mean_step
 from eldata.calibration.core.findings import given, with_accepted
 from tests.calibration import draws
 from tests.calibration.chain import calibrated, figures_of
@@ -49,10 +49,10 @@ def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]], *, accept: Seq
     audit = BiasAudit(found.fixed)
     for frame in frames:
         audit.add(frame)
-    pattern = found.fixed.pattern
-    statistics, gaps = audit.statistics(), missing_codes(frames[0], pattern)
+    statistics = audit.statistics()
     step = code_step(statistics.codes)
-    seen = BiasSeen(statistics, found.bias, found.rows, found.read, step, gaps)
+    step_dn = float(step) if step > 1 else mean_step(statistics.codes)
+    seen = BiasSeen(statistics, found.bias, found.rows, found.read, step_dn)
     findings = with_accepted(bias_findings(seen), accept)
     before, after, truth = {}, {}, {}
     for name, (figure, value, error, true, scale) in figures_of(found, camera).items():

@@ -18,6 +18,7 @@ from eldata.calibration import (
     fixed_pattern,
     photon_transfer,
 )
+from eldata.calibration.core.read_noise import read_noise_findings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,7 +54,8 @@ def calibrated(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Calibrat
         sums.add(frame)
     found = sums.figures([camera.black] * len(camera.bias))
     assert found.read is not None
-    return Calibration(fixed, found.rows, found.read, found.bias, found.findings)
+    findings = read_noise_findings(found.read, found.bias, found.rows.rows)
+    return Calibration(fixed, found.rows, found.read, found.bias, findings)
 
 
 def figures_of(found: Calibration, camera: Camera) -> dict[str, tuple[Figure, float, float, float, float]]:

@@ -46,11 +46,10 @@ _MOST_OF_BIAS = 0.2
 _OF_LIGHTER_TAILS = 2.0  # what is added to the noise makes its tails lighter: sigma_TL goes up by so much of sigma_G's
 _MOST_RIPPLE = 0.02  # of the variance
 
-GAPS = 0.02
-"""Share of DN values that never occur, from which on it is told."""
-
 _CENTRAL = (0.05, 0.95)
 _FEW = 30  # occurrences per code, below which a gap may be chance
+_WIDE = 4  # times the most frequent gap
+_UNEVEN = 1.02  # DN
 _COARSEST = 64  # DN: the largest step that is looked for
 _STRAY = 1e-3  # of these: pixels that the camera has made up
 _FEWEST_CHANGED = 1000
@@ -170,26 +169,20 @@ class BiasSeen:
         What :class:`BiasAudit` has summed up.
     bias, rows, read
         The figures from the same frames, with their errors: a finding that matters less is a remark.
-    step, gaps
-        What :func:`code_step` says of the ISO's frames, and :func:`missing_codes` of a bias frame.
+    step_dn
+        By how many DN the values step: what :func:`code_step` says, or of uneven steps :func:`mean_step`.
     """
 
     statistics: BiasStatistics
     bias: ColourBias
     rows: RowNoise
     read: ReadNoise
-    step: int = 1
-    gaps: float = 0.0
+    step_dn: float = 1.0
 
     @cached_property
     def ripple(self) -> Ripple:
         """What rounding does to the noise."""
         return Ripple.of(self.read.tukey_lambda, self.read.sigma_tl_dn / self.step_dn)
-
-    @property
-    def step_dn(self) -> float:
-        """How far recorded values lie apart in the mean."""
-        return self.step if self.step > 1 else 1 / (1 - self.gaps)
 
     def of_read_noise(self, share: float) -> dict[Figure, tuple[float, float]]:
         """Return by which share its figures may be off, with the smallest relative error among them."""
@@ -305,23 +298,29 @@ def _sum_of(near: NeighbourStatistics, chosen: Mask | bool = True) -> float:
     return max(float(near.correlation[seen].sum()), -0.49)
 
 
-def missing_codes(mosaic: Mosaic, pattern: Counts) -> float:
-    """Return the largest share, of any CFA site, of DN values that never occur though their neighbours do.
+def mean_step(codes: Counts) -> float:
+    """Return by how many DN the values of frames step in the mean over the pixels, in the channel where that is most.
 
-    A plain converter gives 0. Lossy compression by a curve leaves gaps in bright frames; multiplication after the
-    conversion (the highest ISOs of some cameras, white balance) leaves them everywhere.
+    1 of a plain converter. Lossy compression by a curve, multiplication after the conversion and fewer bits than the
+    file has room for leave out values between others. Wider gaps lie between two levels.
+
+    Parameters
+    ----------
+    codes
+        (channels, values) pixels by value.
     """
-    worst = 0.0
-    period = len(pattern)
-    for row in range(min(period, 2)):
-        for column in range(min(period, 2)):
-            counts = np.bincount(mosaic[row :: 2 * period, column::period].ravel())
-            below = np.cumsum(counts)
-            low, high = (int(np.searchsorted(below, share * int(below[-1]))) for share in _CENTRAL)
-            inner = counts[low : high + 1]
-            if inner.size < 8 or int(inner.sum()) < _FEW * inner.size:
-                continue  # too few values, or too few of each, to tell a gap from chance
-            worst = max(worst, float(np.count_nonzero(inner == 0)) / inner.size)
+    worst = 1.0
+    for counts in codes:
+        below = np.cumsum(counts)
+        low, high = (int(np.searchsorted(below, share * int(below[-1]))) for share in _CENTRAL)
+        if int(counts[low : high + 1].sum()) < _FEW * (high + 1 - low):
+            continue  # too few of each to tell a gap from chance
+        used = np.flatnonzero(counts > _STRAY * int(counts.max()))
+        used = used[max(0, np.searchsorted(used, low) - 1) : np.searchsorted(used, high, "right") + 1]
+        gaps, pixels = np.diff(used), counts[used[1:]] + counts[used[:-1]]
+        if gaps.size:
+            near = gaps <= _WIDE * gaps[np.argmax(pixels)]
+            worst = max(worst, float(np.average(gaps[near], weights=pixels[near])))
     return worst
 
 
@@ -348,25 +347,29 @@ def code_step(codes: Counts) -> int:
 
 
 def coarse_values(seen: BiasSeen) -> Iterator[Finding]:
-    """Yield a finding if the values step by more than a DN: by some DN everywhere, or leave a share of gaps.
+    """Yield a finding if the values step by more than a DN: by some DN everywhere, or unevenly.
 
     Rounding to steps of s adds ``(s^2 - 1) / 12`` more to the variance than the model's rounding to whole DN.
     """
-    step, gaps, size = seen.step, seen.gaps, seen.step_dn
-    if step <= 1 and gaps <= GAPS:
+    step = seen.step_dn
+    if step <= _UNEVEN:
         return
-    added = (size**2 - 1) / 12
+    added = (step**2 - 1) / 12
     text = (
-        f"the values step by {step} DN: fewer bits than the file has room for, or multiplied after conversion"
-        if step > 1
-        else f"{gaps:.0%} of the DN values between others never occur in a bias frame: the camera multiplies after "
-        "conversion at this ISO, or compresses with loss"
-    )
-    text += (
-        f"; rounding adds {added:.2g} DN^2 more than the model's; use a raw mode with all bits, or leave this ISO out"
+        f"the bias frames' values step by {step:.3g} DN"
+        + (
+            ": fewer bits than the file has room for, or multiplied after conversion"
+            if step.is_integer()
+            else " in the mean, unevenly: multiplied after conversion, or compressed with loss"
+        )
+        + f"; rounding adds {added:.2g} DN^2 more than the model's; use a raw mode with all bits, or leave this ISO out"
     )
     share = _OF_LIGHTER_TAILS * (1 - math.sqrt(max(1 - added / max(seen.read.sigma_gauss_dn, 1e-12) ** 2, 0.0)))
-    yield from COARSE.judged(size, 1 / (1 - GAPS), text, seen.of_read_noise(share))
+    shares = seen.of_read_noise(share)
+    if not step.is_integer():  # the mean does not follow the level evenly
+        line = seen.rows.rows
+        shares["row noise"] = (share / _OF_LIGHTER_TAILS, line.sigma_error_dn / max(line.sigma_dn, 1e-12))
+    yield from COARSE.judged(step, _UNEVEN, text, shares)
 
 
 def read_noise_in_steps(residuals: ResidualHistogram, step: int) -> ReadNoise | None:

@@ -141,8 +141,8 @@ def _line(transfer: PhotonTransfer) -> Iterator[Finding]:
     text = (
         f"the flats' noise does not follow one line over their light: medians over the frame give a K that is off by "
         f"{slopes.mean() / gain - 1:+.1%}, and a line that bends by {bends.mean():+.1%} to where there is no light. "
-        "Edges that moved within a pair (a chart without a tripod), saturation by degrees or a sensor that is not "
-        "linear do this: shoot an even wall, from a tenth to a half of the range"
+        "Edges that moved within a pair (a chart without a tripod), saturation by degrees, a filter or a sensor that "
+        "is not linear do this: shoot an even wall, from a tenth to a half of the range"
     )
     yield from NO_LINE.judged(share / error, _SIGNIFICANT, text, {"gain": (max(test[0] for test in tests), 0.0)})
 

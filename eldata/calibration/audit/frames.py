@@ -57,7 +57,8 @@ class Copies:
         if first is record:
             return None
         self.remarks.append(
-            f"{record.path} has the same pixels as {first.path} and was left out: copies hide noise; shoot each anew"
+            f"{record.path} has the same pixels as {first.path} and was left out: a copy, or noise too small for the "
+            "values' steps"
         )
         return first
 

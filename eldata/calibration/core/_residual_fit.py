@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 CELLS_PER_SIGMA = 20
 _CORE = 6 * CELLS_PER_SIGMA  # cells that stay as they are; beyond, they merge to ever wider ones
 _GROWTH = 1.05
+_NEAR = 0.1  # to the end, in errors that the parameters would have if all residuals were independent
 _LEAST_IN_TAIL = 20  # residuals in the outermost cell of the likelihood
 
 
@@ -48,8 +49,8 @@ class ResidualHistogram:
     rounding_dn
         Step that the values had been rounded to before other things were taken off; 0 if the cells are that rounding
         (whole DN, counted as they are).
-    reach_dn
-        Residuals beyond, of either sign, count as "beyond" only: there recorded values end.
+    is_cut
+        Whether recorded values end below, so that the residuals above 0 alone tell the noise.
     squares_dn2
         (groups,) exact sums of the squared residuals; without, the counts tell them.
     level_waves
@@ -62,9 +63,20 @@ class ResidualHistogram:
     frames: int = 1
     row_pixels: float = math.inf
     rounding_dn: float = 1.0
-    reach_dn: float = math.inf
+    is_cut: bool = False
     squares_dn2: Values | None = field(default=None, repr=False)
     level_waves: NDArray[np.complexfloating[Any, Any]] = field(repr=False, default_factory=lambda: np.zeros(1, complex))
+
+    @property
+    def folded(self) -> Counts:
+        """Counts of abs(residual), as the distribution is symmetric; where it is cut, of half of them."""
+        centre = self.counts.shape[1] // 2
+        both: Counts = self.counts[:, centre:].copy()
+        if self.is_cut:
+            both[:, 0] //= 2
+        else:
+            both[:, 1:] += self.counts[:, :centre][:, ::-1]
+        return both
 
     @property
     def values_dn(self) -> Values:
@@ -92,11 +104,11 @@ class ResidualCells:
     cell_dn: float
 
     @classmethod
-    def of(cls, counts: Counts, cell_dn: float, reach_dn: float) -> ResidualCells:
-        """Merge the cells of a histogram; beyond the reach all is one cell."""
-        both = folded(counts)
-        starts = _cell_starts(both.sum(axis=0), reach_dn / cell_dn)
-        return cls(starts, np.add.reduceat(both, starts, axis=1).astype(np.float64), cell_dn)
+    def of(cls, histogram: ResidualHistogram) -> ResidualCells:
+        """Merge the cells of a histogram."""
+        both = histogram.folded
+        starts = _cell_starts(both.sum(axis=0))
+        return cls(starts, np.add.reduceat(both, starts, axis=1).astype(np.float64), histogram.cell_dn)
 
     @property
     def edges_dn(self) -> Values:
@@ -146,14 +158,6 @@ class ResidualFit:
         return float(misfit.sum()) / freedom, freedom
 
 
-def folded(counts: Counts) -> Counts:
-    """Return the counts of abs(residual): the distribution is symmetric."""
-    centre = counts.shape[1] // 2
-    both = counts[:, centre:].copy()
-    both[:, 1:] += counts[:, :centre][:, ::-1]
-    return both
-
-
 def residual_fit(cells: ResidualCells, model: ResidualModel, start: tuple[float, float]) -> ResidualFit:
     """Fit shape and scale to what was counted, from a shape and a scale to begin with."""
     likelihood = _Likelihood(cells, model)
@@ -199,7 +203,9 @@ class _Likelihood:
         value, scores = float(self.counts @ np.log(probabilities)), self.scores(at)
         for _ in range(60):
             information = (scores * probabilities) @ scores.T * self.number
-            move = np.linalg.solve(information, scores @ self.counts)
+            ascent = scores @ self.counts
+            move = np.linalg.solve(information, ascent)
+            is_near = float(ascent @ move) < _NEAR**2
             length = min(1.0, 0.1 / float(np.abs(move).max()))
             while length > 1e-4:
                 proposed = _inside(at + length * move)
@@ -209,12 +215,12 @@ class _Likelihood:
                     break
                 length /= 2
             else:
-                return at, probabilities, scores, False
+                break
             moved = float(np.abs(proposed - at).max())
             at, value, probabilities, scores = proposed, reached, found, self.scores(proposed)
             if moved < 1e-6:
                 return at, probabilities, scores, True
-        return at, probabilities, scores, False
+        return at, probabilities, scores, is_near
 
 
 def centred(by_group: Values, sizes: Values | Counts) -> Values:
@@ -226,7 +232,7 @@ def _inside(at: Values) -> Values:
     return np.array([min(max(float(at[0]), LOWEST + 1e-3), HIGHEST), float(at[1])])
 
 
-def _cell_starts(both: Counts, reach: float) -> Counts:
+def _cell_starts(both: Counts) -> Counts:
     """Return where the cells of the likelihood start: one by one in the core, then ever wider; the last is open."""
     starts = list(range(min(_CORE, len(both) - 1)))
     width = 1.0
@@ -234,5 +240,5 @@ def _cell_starts(both: Counts, reach: float) -> Counts:
         starts.append(starts[-1] + math.ceil(width))
         width *= _GROWTH
     tail = np.cumsum(both[::-1])[::-1]
-    kept = [start for start in starts if start == 0 or (tail[start] >= _LEAST_IN_TAIL and start <= reach)]
+    kept = [start for start in starts if start == 0 or tail[start] >= _LEAST_IN_TAIL]
     return np.array(kept, dtype=np.int64)

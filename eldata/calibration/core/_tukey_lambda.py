@@ -87,11 +87,12 @@ class TailTable:
     """
 
     def __init__(self, unit: float, shape: float, scale: float, nodes: Nodes = NOTHING) -> None:
-        from scipy.interpolate import CubicSpline
+        from scipy.interpolate import PchipInterpolator
 
         self.unit = unit
         tails = smoothed_tails(unit * np.sinh(_TABLE), shape, scale, *nodes)
-        self._logs = CubicSpline(_TABLE, np.log(np.maximum(tails, 1e-40)))
+        # Monotone, as tails of a positive shape end: a spline would ring there.
+        self._logs = PchipInterpolator(_TABLE, np.log(np.maximum(tails, 1e-40)))
 
     def tails(self, edges: Values, others: Nodes = NOTHING, own: float = 1.0) -> Values:
         """Return P(own times the sum + Z > edge) for each edge, Z discrete."""
@@ -118,7 +119,7 @@ class Ripple:
     def of(cls, shape: float, sigma_steps: float) -> Ripple:
         """Work it out for a Tukey-lambda distribution of this shape, and scale in steps of the values."""
         if not sigma_steps > _LEAST_SIGMA_STEPS:
-            return cls(math.inf, math.inf, math.inf)
+            return cls(1.0, math.inf, math.inf)
         if sigma_steps > _MANY_STEPS:
             return cls(0.0, 0.0, 0.0)
         levels, values, chances = _recorded(shape, sigma_steps)

@@ -15,7 +15,7 @@ import numpy as np
 from eldata.calibration.core._frames import groups_of_rows, sums_by_row
 from eldata.calibration.core._residual_fit import CELLS_PER_SIGMA, ResidualHistogram
 from eldata.calibration.core.findings import CLIPPED, Finding
-from eldata.calibration.core.read_noise import probability_plot, read_noise, read_noise_findings
+from eldata.calibration.core.read_noise import probability_plot, read_noise
 from eldata.calibration.core.row_noise import (
     ColourBias,
     LineMeans,
@@ -49,7 +49,7 @@ class BiasFigures:
     bias, rows
         Colour bias, row (and column) noise.
     findings
-        What the estimates show of their own assumptions.
+        That values end at a floor.
     read
         Read noise; ``None`` where values end at a floor.
     plot
@@ -103,7 +103,7 @@ class BiasSums:
         residuals = self._residuals.histogram()
         read = read_noise(residuals)
         plot = probability_plot(residuals, read)
-        return BiasFigures(bias, rows, read_noise_findings(read, bias, rows.rows), read, plot, residuals)
+        return BiasFigures(bias, rows, (), read, plot, residuals)
 
     def _clipped(self) -> Finding:
         """Return that values end at the floor, so that the noise below is gone."""
@@ -175,8 +175,8 @@ class Residuals:
             self._step / frames,
             frames,
             float(self._pixels.sum(axis=1).mean()),
-            reach_dn=fixed.reach_dn,
-            squares_dn2=self._squares / frames**2,
+            is_cut=fixed.floor_dn is not None,
+            squares_dn2=None if fixed.floor_dn is not None else self._squares / frames**2,
             level_waves=self._level_waves(),
         )
 

@@ -27,7 +27,7 @@ MINIMUM_FRAMES = 4
 
 _MOST_FRAMES = 16_384  # twice their sum fits 31 bits
 _CLIPPED_SHARE = 0.01  # of pixels that reach the floor
-_REACHING_SHARE, _PILE = 1e-4, 100  # of pixels, and how many at least, that end at a floor
+_REACHING_SHARE, _PILE = 1e-4, 40  # of pixels, and how many at least, that end at a floor
 _EXPECTED_BELOW, _BELOW = 30, 0.02  # pixels that would lie below it, and the share of them that may
 _OUTER = (0.9, 1.645), (0.99, 2.576)  # shares of normal values, and how many standard deviations they lie within
 _LEAST_REACH = 2.0  # standard deviations below its mean that a residual must be able to go
@@ -103,20 +103,16 @@ class FixedPattern:
     summary: PatternSummary
 
     @property
-    def reach_dn(self) -> float:
-        """How far below its mean a residual can go before some pixels' recorded values end, by any frame's.
+    def clips_at_black(self) -> bool:
+        """Whether the noise reaches the floor, where values end, so that residuals are not those of the noise.
 
         A residual is (1 - 1/n) of its own value less what the other frames put in, within five standard deviations.
         """
         if self.floor_dn is None:
-            return math.inf
-        own, variance = 1 - 1 / self.frames, max(self.temporal_variance_dn2)
-        return own * (min(self.level_dn) - self.floor_dn) - 5 * math.sqrt(own * (1 - own) * variance)
-
-    @property
-    def clips_at_black(self) -> bool:
-        """Whether the noise reaches the floor, where values end, so that residuals are not those of the noise."""
-        return self.reach_dn < _LEAST_REACH * math.sqrt(max(self.temporal_variance_dn2))
+            return False
+        own, sigma = 1 - 1 / self.frames, math.sqrt(max(self.temporal_variance_dn2))
+        reach = own * (min(self.level_dn) - self.floor_dn) - 5 * math.sqrt(own * (1 - own)) * sigma
+        return reach < _LEAST_REACH * sigma
 
 
 class BiasStack(FrameSums):

@@ -378,8 +378,8 @@ def _weighted_line(
             break
     if not gain > 0:
         raise DatasetError(
-            f"the variance of channel {channel} does not grow with its signal (slope {gain:.3g}): these are not pairs "
-            "of flats at different exposures, or the camera has filtered them"
+            f"the variance of channel {channel} does not grow with its signal (slope {gain:.3g}): take pairs at four "
+            "exposures or more, from a tenth to nine tenths of the range"
         )
     # Heavy tails of the read noise scatter more. They are left out of the weights: a level whose variance came out high
     # by a few pixels would have less weight for it, and the line a bias.

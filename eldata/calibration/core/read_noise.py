@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from eldata.calibration.core._frames import Values
     from eldata.calibration.core._residual_fit import ResidualFit, ResidualHistogram
     from eldata.calibration.core._tukey_lambda import ResidualModel
-    from eldata.calibration.core.findings import Effect, Finding
+    from eldata.calibration.core.findings import Figure, Finding
     from eldata.calibration.core.row_noise import ColourBias, LineNoise
 
 _TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
@@ -194,7 +194,7 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     plain_lambda, plain_sigma, curve = ppcc(values, inner)
 
     model = ResidualModel(histogram.frames, histogram.row_pixels, histogram.rounding_dn)
-    cells = ResidualCells.of(counts, histogram.cell_dn, histogram.reach_dn)
+    cells = ResidualCells.of(histogram)
     variance = float(inner @ values**2) / float(inner.sum())
     start = (min(max(plain_lambda, LOWEST + 0.1), HIGHEST - 0.1), max(plain_sigma, 0.05 * math.sqrt(variance)))
     deviation = math.sqrt(variance / model.own)
@@ -241,8 +241,12 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     )
 
 
-def read_noise_findings(read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: int = 1) -> tuple[Finding, ...]:
-    """Return what the fit shows of its own assumptions, and what rounding (to steps of so many DN) does to the figures.
+def read_noise_findings(
+    read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: float = 1.0, rounding_dn: float = 1.0
+) -> tuple[Finding, ...]:
+    """Return what the fit shows of its own assumptions, and what rounding does to the figures.
+
+    It is to steps of ``step_dn`` in the mean; the read noise is beside one to steps of ``rounding_dn``.
 
     The fit's chi^2 has as many degrees of freedom as cells, less the parameters. What it is above 1 per degree, the
     errors are to be larger: a misfit of that size along the direction that a parameter moves would shift it so far.
@@ -252,19 +256,21 @@ def read_noise_findings(read: ReadNoise, bias: ColourBias, rows: LineNoise, step
     limit = float(chdtri(read.chi2_freedom, _BY_CHANCE)) / read.chi2_freedom
     misfit = math.sqrt(read.chi2_per_dof - 1) if read.chi2_per_dof > limit else 0.0
     error = math.hypot(1.0, misfit) * read.largest_error
-    found = list(_rounding(read, bias, rows, step_dn))
-    if not read.converged or not error < _MOST_ERROR:
-        found.append(
-            SHAPE.seen(
-                error if read.converged else math.inf,
-                _MOST_ERROR,
-                f"{read.residuals} residuals do not tell the shape of the read noise: lambda is uncertain by "
-                f"{read.tukey_lambda_error:.2g}, sigma_TL by {read.sigma_tl_error_dn / read.sigma_tl_dn:.1%}"
-                + (f", {math.hypot(1, misfit):.1f} times as much by their misfit" if misfit else "")
-                + ("" if read.converged else ", and the fit came to no end")
-                + "; look at its plots, and use more frames or a higher ISO",
-            ).of("withheld", READ if read.converged else SHAPE.figures)
+    found = list(_rounding(read, bias, rows, step_dn, math.sqrt(max(step_dn**2 - rounding_dn**2, 0.0) / 12)))
+    if not read.converged:
+        text = (
+            f"the fit of a Tukey-lambda distribution to {read.residuals} residuals came to no end: lambda and its "
+            "error are not known; look at its plots"
         )
+        found.append(SHAPE.seen(math.inf, _MOST_ERROR, text).of("withheld", READ))
+    elif not error < _MOST_ERROR:
+        text = (
+            f"{read.residuals} residuals do not tell the shape of the read noise: lambda is uncertain by "
+            f"{read.tukey_lambda_error:.2g}, sigma_TL by {read.sigma_tl_error_dn / read.sigma_tl_dn:.1%}"
+            + (f", {math.hypot(1, misfit):.1f} times as much by their misfit" if misfit else "")
+            + "; look at its plots, and use more frames or a higher ISO"
+        )
+        found.append(SHAPE.seen(error, _MOST_ERROR, text).of("withheld", READ))
     elif misfit:
         text = (
             f"the residuals do not follow the fitted Tukey-lambda distribution (chi2 per degree of freedom "
@@ -275,8 +281,8 @@ def read_noise_findings(read: ReadNoise, bias: ColourBias, rows: LineNoise, step
     return tuple(found)
 
 
-def _rounding(read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: int) -> Iterator[Finding]:
-    """Yield what rounding to steps of so many DN does to figures of quiet noise.
+def _rounding(read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: float, added_dn: float) -> Iterator[Finding]:
+    """Yield what rounding to steps of so many DN, which adds so much to the read noise, does to figures of quiet noise.
 
     It adds a twelfth to the variance, whatever the noise, only where the pixels' levels lie everywhere between two
     steps, or the noise is wide. Where they share a fraction of one, it makes noise smaller or larger, moves the mean,
@@ -284,15 +290,17 @@ def _rounding(read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: int) 
     """
     from eldata.calibration.core._tukey_lambda import Ripple
 
-    sigma, quietest = read.sigma_gauss_dn, _QUIETEST * step_dn
+    sigma, quietest = math.sqrt(max(read.sigma_gauss_dn**2 - added_dn**2, 0.0)), _QUIETEST * step_dn
+    steps = f"steps of {step_dn:.3g}" if step_dn > 1 else "whole"
     if not sigma >= quietest:
         text = (
-            f"the read noise is {sigma:.2g} DN, below {quietest:g} DN, where rounding to "
-            f"{f'steps of {step_dn}' if step_dn > 1 else 'whole'} DN decides what is recorded, and the shape of the "
-            "noise is not seen: use a raw mode of more bits, or the figures of a higher ISO"
+            f"the read noise is {sigma:.2g} DN, below {quietest:.2g} DN, where rounding to {steps} DN decides what is "
+            "recorded, and the shape of the noise is not seen: use a raw mode of more bits, or the figures of a higher "
+            "ISO"
         )
         yield ROUNDING.seen(sigma, quietest, text).of("withheld", ("shape",))
-    alike = read.alike * math.exp(-2 * (math.pi * rows.sigma_dn / step_dn) ** 2)
+    # How alike the levels' fractions of a DN are says nothing of wider steps.
+    alike = (1.0 if step_dn > 1 else read.alike) * math.exp(-2 * (math.pi * rows.sigma_dn / step_dn) ** 2)
     # Rounding itself makes tails light: lighter ones than a normal distribution's are not taken for the noise's.
     shape = min(read.tukey_lambda, _NEARLY_NORMAL)
     scale = sigma / math.sqrt(tukey_lambda_variance(shape)) / step_dn
@@ -302,32 +310,33 @@ def _rounding(read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: int) 
         lower = math.sqrt(max(1 - ripple.variance * alike / 2 * recorded, 0.1))
         ripple = Ripple.of(shape, lower * scale)
     width, shift = ripple.variance * alike, ripple.mean_steps / 2 * step_dn * alike
-    text = (
-        f"the read noise is quiet ({sigma:.2g} DN): rounding changes the variance of a pixel's noise by up to "
-        f"{ripple.variance / 2:.1%}, as its level lies between two values, that of all by up to {width / 2:.1%}, and "
-        f"their mean by up to {shift:.2g} DN; use a raw mode of more bits"
+    changed = (
+        f"changes the variance of a pixel's noise by up to {ripple.variance / 2:.1%}, as its level lies between two "
+        f"values, that of all by up to {width / 2:.1%}, and"
+        if math.isfinite(width)
+        else "decides whether a pixel changes at all, and changes"
     )
-    of_shape = _OF_RIPPLE * width + _OF_SQUARE * ripple.variance**2
-    of_sigma = _OF_RIPPLE_IN_SIGMA * width + _OF_SQUARE_IN_SIGMA * ripple.variance**2
-    of_rows = 2 * math.pi * shift / step_dn
-    if not width <= _MOST_RIPPLE:
-        yield ROUNDING.seen(width, _MOST_RIPPLE, text).of("withheld", READ)
-    elif of_shape > _MOST_ERROR:
-        yield ROUNDING.seen(of_shape, _MOST_ERROR, text).of("withheld", ("shape",))
-    elif of_shape > read.largest_error:
-        yield ROUNDING.seen(of_shape, read.largest_error, text).of("wider", ("shape",), of_shape)
-    least = read.sigma_gauss_error_dn / max(sigma, 1e-12)
-    if width <= _MOST_RIPPLE and of_sigma > least:
-        yield ROUNDING.seen(of_sigma, least, text).of("wider", ("read noise",), of_sigma)
-    least = rows.sigma_error_dn / max(rows.sigma_dn, 1e-12)
-    if not of_rows <= _MOST_IN_ROWS:
-        yield ROUNDING.seen(of_rows, _MOST_IN_ROWS, text).of("withheld", ("row noise",))
-    elif of_rows > least:
-        yield ROUNDING.seen(of_rows, least, text).of("wider", ("row noise",), of_rows)
-    errors = [error for error in bias.standard_error_dn if math.isfinite(error)]
-    if errors and shift > min(errors):
-        effect: Effect = "wider" if math.isfinite(shift) else "withheld"
-        yield ROUNDING.seen(shift, min(errors), text).of(effect, ("colour bias",), shift)
+    text = (
+        f"the read noise is quiet ({sigma:.2g} DN): rounding to {steps} DN {changed} the mean by up to {shift:.2g} "
+        "DN; use a raw mode of more bits"
+    )
+    square, of_rows = ripple.variance**2, rows.sigma_error_dn / max(rows.sigma_dn, 1e-12)
+    off: dict[Figure, tuple[float, float, float]] = {  # by so much; what is too much, and what is in the error
+        "shape": (_OF_RIPPLE * width + _OF_SQUARE * square, _MOST_ERROR, read.largest_error),
+        "read noise": (
+            *(_OF_RIPPLE_IN_SIGMA * width + _OF_SQUARE_IN_SIGMA * square, math.inf),
+            read.sigma_gauss_error_dn / max(sigma, 1e-12),
+        ),
+        "row noise": (2 * math.pi * shift / step_dn, _MOST_IN_ROWS if read.converged else of_rows, of_rows),
+        "colour bias": (shift, math.inf, min(filter(math.isfinite, bias.standard_error_dn), default=math.inf)),
+    }
+    of_width = () if width <= _MOST_RIPPLE else READ if math.isfinite(width) else (*READ, "row noise")
+    lost = tuple(figure for figure, (share, most, _) in off.items() if share > most or figure in of_width)
+    if lost:
+        yield ROUNDING.seen(width, _MOST_RIPPLE, text).of("withheld", lost)
+    for figure, (share, _, least) in off.items():
+        if figure not in lost and share > least:
+            yield ROUNDING.seen(share, least, text).of("wider", (figure,), share)
 
 
 def probability_plot(histogram: ResidualHistogram, read: ReadNoise) -> ProbabilityPlot:
@@ -390,11 +399,9 @@ def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:
 
 def _expected(histogram: ResidualHistogram, model: ResidualModel, fit: ResidualFit) -> Values:
     """Return the probability of each inner cell of the histogram."""
-    from eldata.calibration.core._residual_fit import folded
-
-    both = folded(histogram.counts).sum(axis=0)
+    both = histogram.folded.sum(axis=0)
     half = histogram.counts.shape[1] // 2
-    cells = min(half, int(np.count_nonzero(both[:half].cumsum() < histogram.counts[:, 1:-1].sum())) + 1)
+    cells = min(half, int(np.count_nonzero(both[:half].cumsum() < both[:half].sum())) + 1)
     starts = np.arange(cells + 1)
     edges = np.maximum(starts - 0.5, 0.0) * histogram.cell_dn
     probabilities = model.probabilities(edges, fit.shape, fit.scale)
@@ -409,15 +416,15 @@ def _standard_deviation(histogram: ResidualHistogram, model: ResidualModel, fit:
     The mean square of the residuals is the measured one up to where :data:`_TAIL` lie further out, and the fitted one
     beyond: the mean square of heavy tails hangs on a few pixels, and of shapes below -1/4 it has no error.
     """
-    from eldata.calibration.core._residual_fit import centred, folded
+    from eldata.calibration.core._residual_fit import centred
 
-    both = folded(histogram.counts)
+    both = histogram.folded
     numbers = both.sum(axis=1)
     number = float(numbers.sum())
     tail = np.cumsum(both.sum(axis=0)[::-1])[::-1]
     # Tails lighter than a normal distribution's decide nothing, and are often what rounding has left of the noise.
     far = int(np.count_nonzero(tail >= _TAIL)) if fit.shape < _NEARLY_NORMAL else both.shape[1]
-    far = max(1, int(min(far, histogram.reach_dn / histogram.cell_dn, both.shape[1] - 1)))
+    far = max(1, int(min(far, both.shape[1] - 1)))
     squares_of_cells = (np.arange(both.shape[1]) * histogram.cell_dn) ** 2
     if histogram.squares_dn2 is None:
         # A cell's width adds its own twelfth of a square.

@@ -19,7 +19,7 @@ from tests.waiting import PATIENCE_S
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# What computes: each step in one process, since all kernels are compiled anew.
+# What computes: each step in one process, since all kernels are compiled again.
 SCRIPT = """
 import sys
 from pathlib import Path

@@ -130,7 +130,7 @@ def with_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, .
     """Return the ISOs, with a finding on each whose colour bias is not like that of the others.
 
     It is beyond 3 % of white, or jumps: by more than a thousandth of white, the noise, and five times what the others
-    differ by.
+    differ by. One that jumps is withheld.
     """
     given = [one for one in isos if one.colour_bias is not None]
     means = {one.iso: float(np.mean(one.bias.bias_dn)) for one in given}
@@ -142,11 +142,12 @@ def with_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, .
             continue
         usual, white, mean = float(np.median(others)), one.sensor.white_level_dn, means[one.iso]
         noise = 0.0 if one.read is None else one.read.sigma_gauss_dn
-        jump = max(_JUMP * white, noise, _OF_OTHERS * max(abs(other - usual) for other in others))
-        statistic, threshold = max(
-            ((abs(mean), _FAR * white), (abs(mean - usual), jump)), key=lambda test: test[0] / test[1]
+        moved, limit = (
+            abs(mean - usual),
+            max(_JUMP * white, noise, _OF_OTHERS * max(abs(other - usual) for other in others)),
         )
-        if statistic <= threshold:
+        jumps = moved > limit and abs(mean) > abs(usual)
+        if not jumps and abs(mean) <= _FAR * white:
             found.append(one)
             continue
         black = float(np.mean(one.sensor.black_level_dn))
@@ -154,9 +155,14 @@ def with_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, .
             f"the bias frames' own black is {black + mean:.1f} DN, the files state {black:g} (a colour bias of "
             f"{mean:.3g} DN; at the other ISOs {usual:.3g})"
         )
-        if all(finding.check != LIGHT.name for finding in one.findings):
+        is_lit = any(finding.check == LIGHT.name for finding in one.findings)
+        if not is_lit:
             text += ": the stated black is probably wrong at this ISO; look it up, and state it where you use the files"
-        found.append(replace(one, findings=(*one.findings, BLACK.seen(statistic, threshold, text))))
+        seen = BLACK.seen(moved, limit, text) if jumps else BLACK.seen(abs(mean), _FAR * white, text)
+        # What other ISOs do not show is drawn with the gain of any (row="any").
+        found.append(
+            replace(one, findings=(*one.findings, seen.of("withheld", BLACK.figures) if jumps and not is_lit else seen))
+        )
     return tuple(found)
 
 

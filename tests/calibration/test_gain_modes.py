@@ -163,9 +163,15 @@ def test_a_stated_black_that_is_wrong(isos: list[IsoCalibration]) -> None:
     for shift, black in ((512.0, "1024.0"), (-40.0, "472.0")):
         found = joined("Black", [*isos[:-1], moved(isos[-1], shift)], modes=())
         (said,) = [one for iso in found.isos for one in iso.findings]
-        assert (said.check, said.effect, found.isos[-1].findings) == ("stated black", "remark", (said,))
+        assert (said.check, said.figures, found.isos[-1].findings) == ("stated black", ("colour bias",), (said,))
+        assert found.isos[-1].colour_bias is None
+        assert len(found.profile.rows) == len(isos) - 1
         assert f"own black is {black} DN, the files state 512 (a colour bias of" in said.text
         assert "the stated black is probably wrong at this ISO" in said.text
+    (said,) = [one for iso in joined("Two", [isos[0], moved(isos[1], -40.0)]).isos for one in iso.findings]
+    assert "own black is 471.9 DN" in said.text
+    alike = joined("Alike", [moved(one, 512.0) for one in isos], modes=())  # as every file of that camera is off
+    assert {one.effect for iso in alike.isos for one in iso.findings} == {"remark"}
     lit = replace(moved(isos[-1], 600.0), findings=(LIGHT.seen(9.0, 5.0, "light"),))
     assert "probably wrong" not in joined("Lit", [*isos[:-1], lit], modes=()).isos[-1].findings[-1].text
     for many in (isos, [moved(one, 3 * 2.0**place) for place, one in enumerate(isos[:4])], [moved(isos[0], 600.0)]):

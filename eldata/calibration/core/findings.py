@@ -155,7 +155,7 @@ FIT: Final = Check("fit of the read noise", READ)
 ROUNDING: Final = Check("rounding", (*READ, "row noise", "colour bias"))
 CLIPPED: Final = Check("clipped black", (*READ, "row noise", "colour bias"))
 STEP: Final = Check("a step over the ISOs")
-BLACK: Final = Check("stated black")
+BLACK: Final = Check("stated black", ("colour bias",))
 
 CHECKS: Final = (
     *(LIGHT, CORRELATED, COARSE, NO_LINE, FLATS_CORRELATED, SATURATION),

@@ -57,7 +57,7 @@ CAUSES = {
     "lossy": (tuple(FIGURES), r"lossy|with loss|compress|tone curve"),
     "smoothed": (tuple(FIGURES), r"filter|smooth|noise reduction|resampl|share noise"),
     "saturated": (("K",), r"saturat"),
-    "black": ((), r"stated black|black is|black jumps"),
+    "black": (("bias",), r"stated black|black is|black jumps"),
     "columns": ((), r"columns have noise"),
     "gain step": ((), r"conversion gain|gain mode|--mode|extended ISO"),
     "movement": ((), r"moved|tripod"),  # this one and the next are in no camera

@@ -1,12 +1,17 @@
-"""Small datasets of real DNG files for tests: made once, copied where a test damages them."""
+"""Small datasets of real DNG files for tests: made once, copied where a test damages them.
+
+``python -m tests.trees NAME FOLDER`` writes the small files of a shipped manifest into a folder.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
+import sys
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 import numpy as np
@@ -23,8 +28,6 @@ from eldata.records import Exposure, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
-    from pathlib import Path
-
     import pytest
 
     from eldata.records import FrameRecord
@@ -196,3 +199,7 @@ def interrupt_manifest(patch: pytest.MonkeyPatch, suffix: str) -> None:
                 raise KeyboardInterrupt
 
     patch.setattr("eldata.manifest.writing.atomic_write", write)
+
+
+if __name__ == "__main__":
+    build_published_tree(shipped_manifest(sys.argv[1]), Path(sys.argv[2]))

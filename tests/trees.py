@@ -28,6 +28,7 @@ from eldata.records import Exposure, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
+
     import pytest
 
     from eldata.records import FrameRecord

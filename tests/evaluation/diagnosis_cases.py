@@ -23,7 +23,7 @@ from eldata.baselines.classical import BASELINES, SignalNoise
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch, suspicions_of
-from eldata.evaluation.diagnosis.places import Circumstances
+from eldata.evaluation.mistakes import Circumstances
 from eldata.isp.preview import preview
 from eldata.metrics.image_score import score_by
 from eldata.protocols.named import PROTOCOLS

@@ -10,5 +10,5 @@ from .predictions import save_prediction as save_prediction
 from .published import comparison_table as comparison_table
 from .published.tables import published_rows as published_rows
 from .results import EvaluationResult as EvaluationResult
-from .saved import load_result as load_result
+from .results import load_result as load_result
 from .tasks import Task as Task

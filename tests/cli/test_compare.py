@@ -11,7 +11,7 @@ import pytest
 
 from eldata.base.console import Parser, add_module, run
 from eldata.cli import compare as command
-from eldata.evaluation.saved import saved_result
+from eldata.evaluation.results import saved_result
 from eldata.protocols import PROTOCOLS
 from tests.cli.conftest import Outcome, assert_golden
 from tests.cli.test_usage import assert_one_line

@@ -14,7 +14,7 @@ from eldata import __version__
 from eldata.base.tables import FORMATS
 from eldata.errors import FileError
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.saved import load_result, saved_result
+from eldata.evaluation.results import load_result, saved_result
 from eldata.protocols.protocol import StatedProtocol
 from tests.reports.evaluations import result_data, written
 

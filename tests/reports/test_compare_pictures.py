@@ -15,7 +15,7 @@ from eldata.cli.main import main
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import images_of, place_of_difference, units_again
-from eldata.evaluation.saved import load_result
+from eldata.evaluation.results import load_result
 from eldata.evaluation.scores import cameras_in_order, natural
 from eldata.evaluation.statistics import holm
 from eldata.reports import pictures

@@ -16,7 +16,7 @@ from eldata.evaluation.published.tables import (
     load_published,
     shipped_published,
 )
-from eldata.evaluation.saved import saved_result
+from eldata.evaluation.results import saved_result
 from eldata.evaluation.scores import TableRow
 from eldata.manifest.catalogue import shipped_manifest, shipped_names
 from eldata.manifest.pairs import select_pairs

@@ -300,7 +300,7 @@ SHOWN = (
         "eldata.reports",
     ),
     # Words of results and protocols; what of a result is chosen, grouped and decoded to be looked at.
-    *("eldata.evaluation.scores", "eldata.evaluation.comparison.tables", "eldata.evaluation.looking"),
+    *("eldata.evaluation.scores", "eldata.evaluation.comparison", "eldata.evaluation.looking"),
     *("eldata.protocols.kinds", "eldata.protocols.words"),
 )
 LIBRARIES = {"numpy", "matplotlib", "jinja2", "PIL"}

@@ -69,8 +69,7 @@ def add_options(parser: console.Parser) -> None:
 
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
-    from eldata.evaluation.comparison import Method, compare
-    from eldata.evaluation.comparison.tables import format_comparison
+    from eldata.evaluation.comparison import Method, compare, format_comparison
     from eldata.evaluation.results import load_result
 
     if arguments.pictures and not arguments.html:

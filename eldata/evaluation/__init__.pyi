@@ -1,9 +1,9 @@
 from .comparison import Comparison as Comparison
 from .comparison import Method as Method
 from .comparison import compare as compare
-from .comparison.folders import evaluate_methods as evaluate_methods
 from .evaluate import evaluate as evaluate
 from .evaluate import scored_pairs as scored_pairs
+from .methods import evaluate_methods as evaluate_methods
 from .predictions import load_prediction as load_prediction
 from .predictions import save_clip_prediction as save_clip_prediction
 from .predictions import save_prediction as save_prediction

@@ -17,7 +17,7 @@ import pytest
 from eldata import evaluate
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation import evaluate_methods, load_prediction, units
-from eldata.evaluation.comparison.folders import named_folders
+from eldata.evaluation.methods import named_folders
 from tests.evaluation.own_set import OwnSet, build_own_set, predict
 
 if TYPE_CHECKING:

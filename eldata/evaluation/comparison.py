@@ -1,19 +1,38 @@
-"""Methods held against the first of them on the images or clips that all have scores of."""
+"""The comparison of methods with the first of them, on the images or clips that all have scores of."""
 
 from __future__ import annotations
 
 import json
 import math
 from dataclasses import asdict, dataclass, replace
-from itertools import combinations, product
+from itertools import combinations
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from eldata.base.numbers import counted
-from eldata.base.tables import block, table
+from eldata.base.tables import Strong, block, latex_table, markdown_table, markdown_text, table, text_table, wrapped
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation.scores import UnitScore, factor_text, grouped_table, groups_of, json_object, means, short_digest
-from eldata.evaluation.statistics import LEVEL, RESAMPLES, SEED, Difference, clusters_of, holm, paired_difference
+from eldata.evaluation.scores import (
+    PaperTable,
+    UnitScore,
+    factor_text,
+    grouped_table,
+    groups_of,
+    json_object,
+    means,
+    short_digest,
+)
+from eldata.evaluation.statistics import (
+    FEWEST_SCENES,
+    LEVEL,
+    RESAMPLES,
+    SEED,
+    Difference,
+    clusters_of,
+    holm,
+    over_scenes,
+    paired_difference,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -22,6 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from eldata.base import numbers
+    from eldata.base.tables import Format
     from eldata.evaluation.results import EvaluationResult
     from eldata.plots.axes import Theme
     from eldata.protocols.kinds import Kind
@@ -37,6 +57,9 @@ _NOT_DECIDING = (
 # What of it chooses the images, which does not count where the same were chosen.
 _CHOOSING = ("cameras", "subset", "ids", "ratios", "set_aside", "excluded_flags")
 _SHOWN = 10  # biggest wins, and losses
+
+LABELS = 3
+"""How many cells at the beginning of each row of a table are labels: camera, factor, how many images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,29 +96,6 @@ class Group:
         """Camera and factor in words."""
         parts = ("all" if self.camera is None else self.camera, "" if self.ratio is None else factor_text(self.ratio))
         return " ".join(part for part in parts if part)
-
-
-@dataclass(frozen=True, slots=True)
-class Pairing:
-    """Scores of one image by the first method and by another."""
-
-    first: UnitScore
-    other: UnitScore
-
-    @property
-    def gain_db(self) -> float:
-        """By how much the other's PSNR is higher; nan if both are infinite."""
-        return self.other.psnr_db - self.first.psnr_db
-
-    @property
-    def gain_ssim(self) -> float:
-        """By how much the other's SSIM is higher."""
-        return self.other.ssim - self.first.ssim
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether both have a finite PSNR."""
-        return math.isfinite(self.first.psnr_db) and math.isfinite(self.other.psnr_db)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,27 +162,31 @@ class Comparison:
         """The group of all common images."""
         return self.groups[-1]
 
-    def pairings(self, index: int) -> tuple[Pairing, ...]:
-        """Return the scores of the first method and of that of this index among all but the first, image by image."""
-        return tuple(Pairing(scores[0], scores[index + 1]) for scores in self.images)
+    def pairings(self, index: int) -> tuple[tuple[UnitScore, UnitScore], ...]:
+        """Return the scores by the first method and by the method of this index among the others, image by image."""
+        return tuple((scores[0], scores[index + 1]) for scores in self.images)
 
     def worst_first(self) -> list[int]:
-        """Return the places of the images, those first on which another method falls farthest behind the first.
+        """Return the images' indices by how far another method falls behind the first, the farthest first.
 
         Where both have an infinite PSNR, they do not differ; what is not known comes last.
         """
-        gains = [
-            [0.0 if other.psnr_db == first.psnr_db else other.psnr_db - first.psnr_db for other in others]
-            for first, *others in self.images
-        ]
-        worst = [min((gain for gain in of if not math.isnan(gain)), default=math.inf) for of in gains]
-        return sorted(range(len(worst)), key=worst.__getitem__)
 
-    def extremes(self, index: int) -> tuple[tuple[Pairing, ...], tuple[Pairing, ...]]:
-        """Return the biggest wins of that method by PSNR, the biggest first, and its biggest losses."""
-        known = sorted((one for one in self.pairings(index) if one.is_finite), key=lambda one: one.gain_db)
-        wins = tuple(one for one in known[::-1][:_SHOWN] if one.gain_db > 0)
-        return wins, tuple(one for one in known[:_SHOWN] if one.gain_db < 0)
+        def worst_gain_db(index: int) -> float:
+            first, *others = self.images[index]
+            gains = [0.0 if score.psnr_db == first.psnr_db else score.psnr_db - first.psnr_db for score in others]
+            return min((gain for gain in gains if not math.isnan(gain)), default=math.inf)
+
+        return sorted(range(len(self.images)), key=worst_gain_db)
+
+    def extremes(
+        self, index: int
+    ) -> tuple[tuple[tuple[UnitScore, UnitScore], ...], tuple[tuple[UnitScore, UnitScore], ...]]:
+        """Return the pairings with the biggest wins of a method by PSNR, and those with its biggest losses."""
+        gains = [(other.psnr_db - first.psnr_db, (first, other)) for first, other in self.pairings(index)]
+        known = sorted((gain for gain in gains if math.isfinite(gain[0])), key=lambda gain: gain[0])
+        wins = tuple(pairing for gain_db, pairing in known[::-1][:_SHOWN] if gain_db > 0)
+        return wins, tuple(pairing for gain_db, pairing in known[:_SHOWN] if gain_db < 0)
 
     def plot(self, metric: str = "psnr_db", *, ax: Axes | None = None) -> Figure:
         """Draw how far each method's mean lies above the first one's, by group, with intervals over scenes.
@@ -192,12 +196,7 @@ class Comparison:
         metric
             The name of a column that all methods have, such as ``psnr_db`` or ``ssim``.
         ax
-            Axes to draw into; by default those of a new figure, which belongs to no pyplot and shows in a notebook.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            That of the axes.
+            Axes to draw into; by default new ones, in a figure that belongs to no pyplot and shows in a notebook.
 
         Raises
         ------
@@ -232,16 +231,9 @@ class Comparison:
         return f"Comparison({len(self.images)} common {self.kind.units}; PSNR {in_line(', '.join(texts))}{warned})"
 
     def _repr_html_(self) -> str:
-        metrics = self.kind.metrics
-        heads = [f"{method.name} {metric.unit or metric.label}" for method in self.methods for metric in metrics]
-        texts = [
-            [str(group.images), *(metric.format(means[metric.name]) for means in group.means for metric in metrics)]
-            for group in self.groups
-        ]
-        groups = [(group.camera, group.ratio) for group in self.groups]
-        cells = grouped_table(groups, (self.kind.units, *heads), texts)
+        means = means_table(self)
         heading = f"{len(self.methods)} methods on {len(self.images)} common {self.kind.units}"
-        return block(heading, table(cells.header, cells.rows, cells.left), notes=self.warnings)
+        return block(heading, table(means.header, means.rows, means.left), notes=self.warnings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON types."""
@@ -282,18 +274,17 @@ def compare(methods: Sequence[Method]) -> Comparison:
     """
     if len(methods) < 2:
         raise ArgumentError(f"a comparison needs two results or more; found {len(methods)}")
+    first, *others = methods
     names = [method.name for method in methods]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise ArgumentError(f"two results are called {twice!r}; name each with --name, in the order of the files")
-    kind = _common_kind(methods)
-    units = methods[0].result.kind.units
-    for method in methods[1:]:
-        other = method.result.kind.units
-        if other != units:
-            raise ArgumentError(f"{names[0]} has scores of {units}, {method.name} of {other}; these do not compare")
+    kind, units = _common_kind(methods), first.result.kind.units
+    for other in others:
+        if (theirs := other.result.kind.units) != units:
+            raise ArgumentError(f"{first.name} has scores of {units}, {other.name} of {theirs}; these do not compare")
     scores = [{score.path: score for score in method.result.scores} for method in methods]
-    common = [path for path in scores[0] if all(path in others for others in scores[1:])]
+    common = [path for path in scores[0] if all(path in of for of in scores)]
     if not common:
         kinds = ", ".join(f"{method.name}: {method.result.scored} of {method.result.dataset}" for method in methods)
         raise EldataError(f"no {kind.unit} is common to the results ({kinds}); compare results on the same dataset")
@@ -301,7 +292,7 @@ def compare(methods: Sequence[Method]) -> Comparison:
     return Comparison(
         methods=tuple(methods),
         images=images,
-        groups=_groups(images, kind.metrics, methods[0].result),
+        groups=_groups(images, kind.metrics, first.result),
         warnings=_warnings(methods, images),
         contests=_contests(methods, images, kind.metrics) if len(methods) > 2 else (),
     )
@@ -367,43 +358,39 @@ def _differences(
 def _warnings(methods: Sequence[Method], images: Images) -> tuple[str, ...]:
     first, *others = methods
     kind, common = first.result.kind, len(images)
-    found = []
-    for other in others:
+    warnings = []
+    for index, other in enumerate(others, start=1):
+        differences = [f"protocol: {words}" for words in first.result.scored_unlike(other.result)]
+        ignored = (*_NOT_DECIDING, *(_CHOOSING if first.result.chosen == other.result.chosen else ()))
         a, b = first.result.provenance, other.result.provenance
-        fields = [f"protocol: {words}" for words in first.result.scored_unlike(other.result)]
-        fields += _differing(a, b, ignored=_CHOOSING if first.result.chosen == other.result.chosen else ())
+        differences += _differing(a, b, ignored)
         if a.get("task") is not None and b.get("task") is not None:
-            fields += [f"task {words}" for words in _differing(a["task"], b["task"])]
-        found += [f"{first.name} and {other.name} may not compare: {field}" for field in fields]
-    # The same image may be said to be another: of another manifest.
-    for (index, other), field in product(enumerate(others, start=1), ("camera", "scene", "iso", "ratio")):
-        off = [scores for scores in images if getattr(scores[0], field) != getattr(scores[index], field)]
-        if off:
-            was, now = (getattr(off[0][which], field) for which in (0, index))
-            found.append(
-                f"{first.name} and {other.name} may not compare: {field} of {len(off)} {kind.units} differs, such "
-                f"as {off[0][0].path}: {was} and {now}; the groups below are the first's"
+            differences += [f"task {words}" for words in _differing(a["task"], b["task"])]
+        for field in ("camera", "scene", "iso", "ratio"):  # of one image, in another manifest
+            off = [scores for scores in images if getattr(scores[0], field) != getattr(scores[index], field)]
+            if off:
+                was, now = (getattr(off[0][which], field) for which in (0, index))
+                differences.append(
+                    f"{field} of {len(off)} {kind.units} differs, such as {off[0][0].path}: {was} and {now}; the "
+                    "groups below are the first's"
+                )
+        warnings += [f"{first.name} and {other.name} may not compare: {words}" for words in differences]
+    for method in methods:
+        scored, expected = method.result.scored, method.result.expected
+        if scored > common:
+            warnings.append(
+                f"{method.name} has scores of {scored} {kind.units}, of which {common} are common to all and count"
             )
-    found += [
-        f"{method.name} has scores of {method.result.scored} {kind.units}, of which {common} are common to all "
-        "and count"
-        for method in methods
-        if method.result.scored > common
-    ]
-    found += [
-        f"{method.name} is incomplete: {method.result.scored} of {method.result.expected} {kind.counted} were scored"
-        for method in methods
-        if method.result.scored < method.result.expected
-    ]
-    return tuple(found)
+        if scored < expected:
+            warnings.append(f"{method.name} is incomplete: {scored} of {expected} {kind.counted} were scored")
+    return tuple(warnings)
 
 
 def _differing(first: Mapping[str, Any], second: Mapping[str, Any], ignored: Sequence[str] = ()) -> list[str]:
     return [
         f"{name.replace('_', ' ')}: {_value(first, name)} against {_value(second, name)}"
         for name in dict.fromkeys((*first, *second))
-        if name not in (*_NOT_DECIDING, *ignored)
-        and ((name in first) != (name in second) or first.get(name) != second.get(name))
+        if name not in ignored and ((name in first) != (name in second) or first.get(name) != second.get(name))
     ]
 
 
@@ -415,3 +402,154 @@ def _value(fields: Mapping[str, Any], name: str) -> str:
         return short_digest(value)
     text = json.dumps(value, ensure_ascii=False)
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def means_table(comparison: Comparison, times: str = "x") -> PaperTable:
+    """Return the means of each method by group; what prints like the best of its row is :class:`Strong`."""
+    kind = comparison.kind
+    heads = [f"{method.name} {metric.unit or metric.label}" for method in comparison.methods for metric in kind.metrics]
+    return _by_group(comparison, heads, [_mean_texts(group, kind) for group in comparison.groups], times)
+
+
+def gains_table(comparison: Comparison, index: int, times: str = "x") -> PaperTable:
+    """Return differences to the first method by group, of the method of this index among the others."""
+    kind = comparison.kind
+    heads = ["scenes", *(head for metric in kind.metrics for head in (metric.heading, f"{LEVEL:.0%} interval", "p"))]
+    texts = [[str(group.scenes), *_gain_texts(group.gains[index], kind)] for group in comparison.groups]
+    return _by_group(comparison, heads, texts, times)
+
+
+def contests_table(comparison: Comparison) -> PaperTable:
+    """Return each method against each other on all common images, with p-values corrected for their number."""
+    kind = comparison.kind
+    heads = (head for metric in kind.metrics for head in (metric.heading, f"{LEVEL:.0%} interval", "p", "p (Holm)"))
+    rows = (
+        (contest.other, contest.first, *_gain_texts(contest.gains, kind, contest.corrected))
+        for contest in comparison.contests
+    )
+    return PaperTable(("method", "minus", *heads), tuple(rows), (0, 1))
+
+
+def contests_note(comparison: Comparison) -> str:
+    """Return what the corrected p-values are, in a sentence."""
+    count = len(comparison.contests) * len(comparison.kind.metrics)
+    return (
+        f"p (Holm) is corrected for the {count} tests of this table together: of differences with p (Holm) below 0.05, "
+        "the chance that even one is none is 5% at most. The other tables are not corrected."
+    )
+
+
+def _by_group(comparison: Comparison, heads: Sequence[str], texts: Sequence[Sequence[str]], times: str) -> PaperTable:
+    counted = [(str(group.images), *cells) for group, cells in zip(comparison.groups, texts, strict=True)]
+    groups = [(group.camera, group.ratio) for group in comparison.groups]
+    return grouped_table(groups, (comparison.kind.units, *heads), counted, times)
+
+
+def _mean_texts(group: Group, kind: Kind) -> list[str]:
+    """Return the means of each method as printed."""
+    columns = []
+    for metric in kind.metrics:
+        values = [means[metric.name] for means in group.means]
+        texts = [metric.format(value) for value in values]
+        known = [value for value in values if not math.isnan(value)]
+        best = metric.format((max if metric.sign > 0 else min)(known)) if known else ""
+        columns.append([Strong(text) if text == best else text for text in texts])
+    return [text for each in zip(*columns, strict=True) for text in each]
+
+
+def _gain_texts(gains: Mapping[str, Difference], kind: Kind, corrected: Mapping[str, float] | None = None) -> list[str]:
+    """Return difference, interval, p-value and, if there is one, corrected p-value of each metric as printed."""
+    cells = []
+    for metric in kind.metrics:
+        difference, interval = gains[metric.name], gains[metric.name].interval
+        reach = f"{metric.format_difference(interval.low)} to {metric.format_difference(interval.high)}"
+        cells += [metric.format_difference(interval.mean), reach if interval.is_known else "-"]
+        cells += [_p_text(difference.p_value), *([_p_text(corrected[metric.name])] if corrected else [])]
+    return cells
+
+
+def signed_text(value: float, decimals: int) -> str:
+    """Return a difference with its sign; ``-`` for one that is not known."""
+    return f"{value:+.{decimals}f}" if not math.isnan(value) else "-"
+
+
+def _p_text(p_value: float) -> str:
+    """Return a p-value as printed: three decimals, ``<0.001`` below."""
+    if math.isnan(p_value):
+        return "-"
+    return f"{p_value:.3f}" if p_value >= 0.0005 else "<0.001"
+
+
+def format_comparison(comparison: Comparison, form: Format) -> str:
+    """Return the tables: means of every method, each method's differences to the first, and each against each."""
+    first, *others = comparison.methods
+    summary, scores = summary_of(comparison), means_table(comparison)
+    notes = [statistics_note(comparison)]
+    # What a label of LaTeX ends with, title and cells.
+    tables = [
+        (other.name, f"{other.name} minus {first.name}", gains_table(comparison, index))
+        for index, other in enumerate(others)
+    ]
+    if comparison.contests:
+        tables.append(("contests", "Each against each", contests_table(comparison)))
+        notes.append(contests_note(comparison))
+    if form == "markdown":
+        blocks = [markdown_text(summary), markdown_table(scores.header, scores.rows)]
+        for _, title, cells in tables:
+            blocks += [markdown_text(f"{title}:"), markdown_table(cells.header, cells.rows)]
+        remarks = [*notes, *(f"Warning: {text}" for text in comparison.warnings)]
+        return "\n\n".join([*blocks, *map(markdown_text, remarks)])
+    if form == "latex":
+        return "\n\n".join(_latex_tables(comparison, scores, tables, notes))
+    header, *rows = (
+        (*row[:LABELS], *(f"{cell}*" if isinstance(cell, Strong) else f"{cell} " for cell in row[LABELS:]))
+        for row in (scores.header, *scores.rows)
+    )
+    lines = [summary, "", text_table(header, rows), "* best of its row", ""]
+    for _, title, cells in tables:
+        lines += [title, "", text_table(cells.header, cells.rows), ""]
+    return "\n".join([*lines, *(line for text in notes for line in wrapped(text, ""))])
+
+
+def _latex_tables(
+    comparison: Comparison, scores: PaperTable, tables: Sequence[tuple[str, str, PaperTable]], notes: Sequence[str]
+) -> list[str]:
+    summary, result = summary_of(comparison), comparison.methods[0].result
+    label = f"tab:{result.dataset}-{result.protocol.name}"
+    metrics = [metric.label for metric in comparison.kind.metrics]
+    texts = [
+        latex_table(
+            (*scores.header[:LABELS], *metrics * len(comparison.methods)),
+            scores.rows,
+            caption=f"{summary}. PSNR in dB.",
+            label=f"{label}-methods",
+            spans=[("", LABELS), *((method.name, len(metrics)) for method in comparison.methods)],
+            rules=scores.rules,
+        )
+    ]
+    for name, title, cells in tables:
+        caption = f"{title}: {summary}. {' '.join(notes if name == 'contests' else notes[:1])}"
+        texts.append(latex_table(cells.header, cells.rows, caption=caption, label=f"{label}-{name}", rules=cells.rules))
+    return texts
+
+
+def summary_of(comparison: Comparison) -> str:
+    """Return what was compared, in a line."""
+    result, kind = comparison.methods[0].result, comparison.kind
+    count, scenes = len(comparison.images), comparison.whole.scenes
+    return (
+        f"{len(comparison.methods)} methods on {count} common {kind.unit if count == 1 else kind.units} of "
+        f"{counted(scenes, 'scene')}: {result.dataset}, protocol {result.protocol.name} "
+        f"({short_digest(result.digest)})"
+    )
+
+
+def statistics_note(comparison: Comparison) -> str:
+    """Return what interval and p are, in a sentence."""
+    return (
+        f"Interval: {LEVEL:.0%}, Student's t over {over_scenes(shared=comparison.scenes_shared)}; p: signs of whole "
+        f"scenes flipped, two-sided. With fewer than {FEWEST_SCENES} scenes there is no interval."
+    )

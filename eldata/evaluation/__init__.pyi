@@ -8,7 +8,7 @@ from .predictions import load_prediction as load_prediction
 from .predictions import save_clip_prediction as save_clip_prediction
 from .predictions import save_prediction as save_prediction
 from .published import comparison_table as comparison_table
-from .published.tables import published_rows as published_rows
+from .published import published_rows as published_rows
 from .results import EvaluationResult as EvaluationResult
 from .results import load_result as load_result
 from .tasks import Task as Task

@@ -13,8 +13,7 @@ import pytest
 from skimage.metrics import structural_similarity
 
 from eldata.errors import FileError, ManifestError
-from eldata.evaluation.published import _NEAR, comparison_table
-from eldata.evaluation.published.tables import COLUMNS, NOISY_INPUT, load_published, published_rows
+from eldata.evaluation.published import _NEAR, COLUMNS, NOISY_INPUT, comparison_table, load_published, published_rows
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import TableRow, UnitScore
 from eldata.manifest.catalogue import shipped_manifest

@@ -371,10 +371,7 @@ def _tables_by_place(
             continue
         entries: list[tuple[str, str, float, float | None, float | None]] = [
             (f"> {name}", "", mean.psnr_db, mean.ssim, mean.values.get("st_rred")),
-            *(
-                (f"  {row.method}", tables.sources[row.source].label, row.psnr_db, row.ssim, row.st_rred)
-                for row in rows
-            ),
+            *((f"  {row.method}", labels[row.source], row.psnr_db, row.ssim, row.st_rred) for row in rows),
         ]
         entries.sort(key=lambda entry: -entry[2])  # at a tie yours stays first
         header = ["  method", "source", "PSNR [dB]", "SSIM", "ST-RRED"]

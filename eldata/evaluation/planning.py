@@ -133,62 +133,56 @@ def _check_shading(protocol: Protocol, pairs: Sequence[Pair], shading: DarkShadi
 def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> ScoringPlan:
     records, subsets = request.manifest.records, request.manifest.card.subsets
     set_aside: list[str] = []
-    choice = protocol
     if request.is_own:
-        choice = _choice_of_own(request, protocol)
-        set_aside = _set_aside(protocol, choice)
-    _check_choice(request, choice)
-    cameras = choice.cameras or None if request.cameras is None else request.cameras
-    scenes, ratios, subset = choice.scenes or None, choice.ratios, choice.subset or request.subset
-    if subset is None and subsets:
-        subset = subsets[0].name
+        protocol, set_aside = _choice_of_own(request, protocol)
+    _check_choice(request, protocol)
+    subset = protocol.subset or request.subset or (subsets[0].name if subsets else None)
     if unscored and subset is not None:
         alone = unpaired(records, find_subset(subsets, subset))
-        records = tuple(replace(one, reference="") for one in alone) or records
+        records = tuple(replace(record, reference="") for record in alone) or records
     choose = partial(
-        select_pairs, records, subsets, cameras=cameras, scenes=scenes, ratios=ratios or None, subset=subset
+        select_pairs,
+        records,
+        subsets,
+        cameras=(protocol.cameras or None) if request.cameras is None else request.cameras,
+        scenes=protocol.scenes or None,
+        ratios=protocol.ratios or None,
+        subset=subset,
     )
     candidates, pairs = choose(), choose(exclude_flags=request.exclude_flags)
-    facts = {
-        "subset": subset,
-        "ratios": sorted({float(pair.ratio) for pair in pairs}),
-        "set_aside": set_aside,
-        "included_flags": _counted(pair.flags for pair in pairs),
-        "excluded_flags": _excluded(request, (pair.flags for pair in candidates)),
-    }
-    return ScoringPlan(pairs, facts)
+    facts = {"subset": subset, "ratios": sorted({float(pair.ratio) for pair in pairs}), "set_aside": set_aside}
+    flags = _flag_facts(request, (pair.flags for pair in pairs), (pair.flags for pair in candidates))
+    return ScoringPlan(pairs, facts | flags)
 
 
-def _choice_of_own(request: Request, protocol: Protocol) -> Protocol:
-    """Return the protocol with what it chooses of a set of the user's own.
+def _choice_of_own(request: Request, protocol: Protocol) -> tuple[Protocol, list[str]]:
+    """Return the protocol with what it chooses of a set of the user's own, and in words what is set aside.
 
     A shipped protocol chooses cameras, scenes and subset of a published set, which are set aside. So they are in a file
     that has them from its base, unless the set has them all; what the file states itself is applied, or refused.
     """
     noisy = [record for record in request.manifest.records if record.role == "noisy"]
-    subsets = {subset.name for subset in request.manifest.card.subsets}
-    there = {"cameras": {one.camera for one in noisy}, "scenes": {one.scene for one in noisy}, "subset": subsets}
+    known: dict[str, set[Any]] = {
+        "cameras": {record.camera for record in noisy},
+        "scenes": {record.scene for record in noisy},
+        "subset": {subset.name for subset in request.manifest.card.subsets},
+    }
     kept: dict[str, Any] = {}
-    for name, known in there.items():
+    for name, values in known.items():
         chosen = getattr(protocol, name)
         bases = [base.name for base in PROTOCOLS.values() if getattr(base, name, None) == chosen]
         wanted = {chosen} if isinstance(chosen, str) else set(chosen or ())
-        if protocol.name in bases or (bases and not wanted <= known):
+        if protocol.name in bases or (bases and not wanted <= values):
             kept[name] = None if name == "subset" else ()
-    ratios = {record.ratio for record in noisy}
-    return replace(protocol, **kept, ratios=protocol.ratios if ratios.issuperset(protocol.ratios) else ())
-
-
-def _set_aside(protocol: Protocol, choice: Protocol) -> list[str]:
-    """Return which of a protocol's choices a set of the user's own sets aside."""
-    found = [f"cameras {', '.join(protocol.cameras)}"] if choice.cameras != protocol.cameras else []
-    if choice.scenes != protocol.scenes:
-        found.append(f"{len(protocol.scenes)} scenes")
-    if choice.subset != protocol.subset:
-        found.append(f"subset {protocol.subset}")
-    if choice.ratios != protocol.ratios:
-        found.append(f"factors {', '.join(f'x{ratio:g}' for ratio in protocol.ratios)}")
-    return found
+    if not {record.ratio for record in noisy}.issuperset(protocol.ratios):
+        kept["ratios"] = ()
+    words = {
+        "cameras": f"cameras {', '.join(protocol.cameras)}",
+        "scenes": f"{len(protocol.scenes)} scenes",
+        "subset": f"subset {protocol.subset}",
+        "ratios": f"factors {', '.join(f'x{ratio:g}' for ratio in protocol.ratios)}",
+    }
+    return replace(protocol, **kept), [words[name] for name in kept if getattr(protocol, name) != kept[name]]
 
 
 def _check_choice(request: Request, protocol: Protocol) -> None:
@@ -206,15 +200,13 @@ def _check_choice(request: Request, protocol: Protocol) -> None:
         )
 
 
-def _excluded(request: Request, flags: Iterable[tuple[str, ...]]) -> dict[str, int]:
-    """Return how many have each of the flags that are to be left out."""
-    there = _counted(flags)
-    return {flag: there.get(flag, 0) for flag in request.exclude_flags}
-
-
-def _counted(flags: Iterable[tuple[str, ...]]) -> dict[str, int]:
-    """Return how many have each flag."""
-    return dict(sorted(Counter(flag for of in flags for flag in of).items()))
+def _flag_facts(
+    request: Request, chosen: Iterable[tuple[str, ...]], candidates: Iterable[tuple[str, ...]]
+) -> dict[str, dict[str, int]]:
+    """Return how many of those chosen have each flag, and how many candidates each of the flags to leave out."""
+    included, there = (Counter(flag for flags in each for flag in flags) for each in (chosen, candidates))
+    excluded = {flag: there[flag] for flag in request.exclude_flags}
+    return {"included_flags": dict(sorted(included.items())), "excluded_flags": excluded}
 
 
 # --- clips ------------------------------------------------------------------------------------------------------------
@@ -223,19 +215,21 @@ def _counted(flags: Iterable[tuple[str, ...]]) -> dict[str, int]:
 def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
     """Return the windows; the numbering of all frames of their clips is checked."""
     require_folder(request)
-    subset = _clip_subset(request)
-    manifest = request.manifest
+    manifest, subsets, subset = request.manifest, request.manifest.card.subsets, None
+    if request.ids is None and subsets:
+        subset = request.subset or subsets[0].name
+    elif request.ids is None and not request.is_own:
+        raise ArgumentError(f"{manifest.path}: its card names no subset; name the clips: {OF_CLIPS}")
     paired = {row.split for row in manifest.records if row.role == "reference"}
-    every, rows = (
+    candidates, rows = (
         choose_clips(
             [row for row in manifest.records if row.split in paired],
-            manifest.card.subsets,
+            subsets,
             Choice(cameras=request.cameras, subset=subset, exclude_flags=flags),
             ids=request.ids,
         )
         for flags in ((), request.exclude_flags)
     )
-    there, kept = ({row.scene: row.flags for row in of if row.role == "noisy"} for of in (every, rows))
     check_rows(request, rows, "quick")
     listed = expand(rows, request.folder)
     found = tuple(
@@ -255,21 +249,9 @@ def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
         if is_png(window.path) != (protocol.pixels == "rgb"):
             raise ArgumentError(f"{window.path}: protocol {protocol.name!r} scores {protocol.pixels} frames")
     ids = None if request.ids is None else sorted(request.ids)
-    flags = {
-        "included_flags": _counted(kept.values()),
-        "excluded_flags": _excluded(request, there.values()),
-    }
-    return ScoringPlan(found, {"subset": subset, "ids": ids, "layout": str(Layout.of(listed)), **flags})
-
-
-def _clip_subset(request: Request) -> str | None:
-    """Return the name of the subset whose clips are chosen; ``None`` if they are named, or all are of your own set."""
-    subsets = request.manifest.card.subsets
-    if request.ids is None and not subsets and request.is_own:
-        return None
-    if request.ids is None and not subsets:
-        raise ArgumentError(f"{request.manifest.path}: its card names no subset; name the clips: {OF_CLIPS}")
-    return None if request.ids is not None else request.subset or subsets[0].name
+    flags = ({row.scene: row.flags for row in each if row.role == "noisy"}.values() for each in (rows, candidates))
+    facts = {"subset": subset, "ids": ids, "layout": str(Layout.of(listed))}
+    return ScoringPlan(found, facts | _flag_facts(request, *flags))
 
 
 # --- the files --------------------------------------------------------------------------------------------------------

@@ -211,27 +211,27 @@ def _check_inputs(request: Request, folder: Path) -> None:
     protocol = request.protocol
     if protocol.is_of_packed and protocol.pixels == "srgb":
         for name in ("input_space", "response"):
-            stated, given = _stated(folder, name), in_words(name, getattr(protocol, name))
-            if stated not in (None, given):
+            stated, wanted = _stated(folder, name), in_words(name, getattr(protocol, name))
+            if stated not in (None, wanted):
                 raise ArgumentError(
                     f"{folder / SETTINGS} says of these predictions {FIELDS[name][0]}: {stated}, and protocol "
-                    f"{protocol.name!r} has {given} ({name}); give the protocol that they were made under"
+                    f"{protocol.name!r} has {wanted} ({name}); give the protocol that they were made under"
                 )
-    stated, given = stated_shading(folder), protocol.dark_shading
-    if stated in (None, given):
+    stated, digest = stated_shading(folder), protocol.dark_shading
+    if stated in (None, digest):
         return
-    said = "inputs as they are" if stated == NO_SHADING else f"inputs less the dark shading {stated}"
-    advice = "leave --dark-shading (dark_shading) out" if stated == NO_SHADING else "give that one with --dark-shading"
-    found = "none was given" if request.dark_shading is None else f"{request.dark_shading} is {given}"
+    said, advice = f"inputs less the dark shading {stated}", "give that one with --dark-shading"
+    if stated == NO_SHADING:
+        said, advice = "inputs as they are", "leave --dark-shading (dark_shading) out"
+    found = "none was given" if request.dark_shading is None else f"{request.dark_shading} is {digest}"
     raise ArgumentError(f"{folder / SETTINGS} says that these predictions are of {said}, and {found}: {advice}")
 
 
 def _check_task(request: Request, task: Task) -> None:
     """Check that a task can have the images that it wants, and that the workers can have it."""
     protocol = request.protocol
-    if task.images not in {"packed": ("compared", "packed", "srgb"), "srgb": ("compared", "srgb")}.get(
-        protocol.pixels, ("compared",)
-    ):
+    possible = {"packed": ("compared", "packed", "srgb"), "srgb": ("compared", "srgb")}
+    if task.images not in possible.get(protocol.pixels, ("compared",)):
         wanted = {"packed": "packed raw images", "srgb": "renderings in sRGB"}[task.images]
         raise ArgumentError(
             f"the task {task.place} wants {wanted}, which predictions under protocol {protocol.name!r} do not have; "

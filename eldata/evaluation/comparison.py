@@ -486,54 +486,45 @@ def _p_text(p_value: float) -> str:
 def format_comparison(comparison: Comparison, form: Format) -> str:
     """Return the tables: means of every method, each method's differences to the first, and each against each."""
     first, *others = comparison.methods
-    summary, scores = summary_of(comparison), means_table(comparison)
-    notes = [statistics_note(comparison)]
-    # What a label of LaTeX ends with, title and cells.
-    tables = [
-        (other.name, f"{other.name} minus {first.name}", gains_table(comparison, index))
-        for index, other in enumerate(others)
-    ]
+    summary, note = summary_of(comparison), statistics_note(comparison)
+    # What a label of LaTeX ends with, title, cells and note of each.
+    tables = [("methods", "Means", means_table(comparison), "PSNR in dB.")]
+    for index, other in enumerate(others):
+        tables.append((other.name, f"{other.name} minus {first.name}", gains_table(comparison, index), note))
+    notes = [note]
     if comparison.contests:
-        tables.append(("contests", "Each against each", contests_table(comparison)))
         notes.append(contests_note(comparison))
+        tables.append(("contests", "Each against each", contests_table(comparison), " ".join(notes)))
+    if form == "latex":
+        result = comparison.methods[0].result
+        label = f"tab:{result.dataset}-{result.protocol.name}"
+        return "\n\n".join(
+            latex_table(
+                cells.header,
+                cells.rows,
+                caption=f"{title}: {summary}. {remark}",
+                label=f"{label}-{name}",
+                rules=cells.rules,
+            )
+            for name, title, cells, remark in tables
+        )
     if form == "markdown":
-        blocks = [markdown_text(summary), markdown_table(scores.header, scores.rows)]
-        for _, title, cells in tables:
+        blocks = [markdown_text(summary)]
+        for _, title, cells, _ in tables:
             blocks += [markdown_text(f"{title}:"), markdown_table(cells.header, cells.rows)]
         remarks = [*notes, *(f"Warning: {text}" for text in comparison.warnings)]
         return "\n\n".join([*blocks, *map(markdown_text, remarks)])
-    if form == "latex":
-        return "\n\n".join(_latex_tables(comparison, scores, tables, notes))
-    header, *rows = (
-        (*row[:LABELS], *(f"{cell}*" if isinstance(cell, Strong) else f"{cell} " for cell in row[LABELS:]))
-        for row in (scores.header, *scores.rows)
-    )
-    lines = [summary, "", text_table(header, rows), "* best of its row", ""]
-    for _, title, cells in tables:
-        lines += [title, "", text_table(cells.header, cells.rows), ""]
-    return "\n".join([*lines, *(line for text in notes for line in wrapped(text, ""))])
+    lines = [summary, ""]
+    for name, title, cells, _ in tables:
+        plain = LABELS if name == "methods" else len(cells.header)
+        header, *rows = ((*row[:plain], *map(_starred, row[plain:])) for row in (cells.header, *cells.rows))
+        lines += [title, "", text_table(header, rows), ""]
+    return "\n".join([*lines, "* best of its row", *(line for text in notes for line in wrapped(text, ""))])
 
 
-def _latex_tables(
-    comparison: Comparison, scores: PaperTable, tables: Sequence[tuple[str, str, PaperTable]], notes: Sequence[str]
-) -> list[str]:
-    summary, result = summary_of(comparison), comparison.methods[0].result
-    label = f"tab:{result.dataset}-{result.protocol.name}"
-    metrics = [metric.label for metric in comparison.kind.metrics]
-    texts = [
-        latex_table(
-            (*scores.header[:LABELS], *metrics * len(comparison.methods)),
-            scores.rows,
-            caption=f"{summary}. PSNR in dB.",
-            label=f"{label}-methods",
-            spans=[("", LABELS), *((method.name, len(metrics)) for method in comparison.methods)],
-            rules=scores.rules,
-        )
-    ]
-    for name, title, cells in tables:
-        caption = f"{title}: {summary}. {' '.join(notes if name == 'contests' else notes[:1])}"
-        texts.append(latex_table(cells.header, cells.rows, caption=caption, label=f"{label}-{name}", rules=cells.rules))
-    return texts
+def _starred(cell: str) -> str:
+    """Return a cell with a star where it is the best of its row, and room for one where it is not."""
+    return f"{cell}{'*' if isinstance(cell, Strong) else ' '}"
 
 
 def summary_of(comparison: Comparison) -> str:

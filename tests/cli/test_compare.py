@@ -139,7 +139,7 @@ def test_only_common_images_count_and_that_is_said(compare: Callable[..., Outcom
 def test_best_is_what_prints_like_the_best(compare: Callable[..., Outcome], files: list[Path]) -> None:
     """Equal methods are both best, in every row."""
     outcome = compare(files[0], files[0], "--name", "a", "--name", "b", "--format", "markdown")
-    table = outcome.out.split("\n\n")[1]
+    table = outcome.out.split("\n\n")[2]
     assert table.count("**") == 2 * 2 * 2 * 7
     assert "+0.00 to +0.00" in outcome.out
     assert "1.000" in outcome.out

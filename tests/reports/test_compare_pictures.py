@@ -207,7 +207,7 @@ def test_the_command_draws_and_says_what_is_in_its_way(
         (
             *page,
             "--pictures",
-        ): "is of 'eld-demo', which is not a set that eldata knows; give its manifest with",
+        ): "no dataset is called 'eld-demo'",
         ("--pictures",): "--pictures are of a page: say where to write it with --html FILE",
         (*page, "--pictures", *own, "--predictions", str(tmp_path)): "expected a folder of predictions per method",
         (*page, "--pictures", *own, *("--predictions", str(tmp_path)) * 2): "is gone since it was scored",

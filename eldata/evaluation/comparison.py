@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from eldata.base.numbers import counted
 from eldata.base.tables import Strong, block, latex_table, markdown_table, markdown_text, table, text_table, wrapped
-from eldata.base.visible import in_line
+from eldata.base.visible import in_line, shown
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.scores import (
     PaperTable,
@@ -301,9 +300,7 @@ def compare(methods: Sequence[Method]) -> Comparison:
 def _common_kind(methods: Sequence[Method]) -> Kind:
     """Return the kind of the first with the columns that all have; a task of another label or direction is another."""
     first, *others = (method.result.kind for method in methods)
-    shared = tuple(metric for metric in first.metrics if all(metric in other.metrics for other in others))
-    left_out = {metric.name for metric in first.metrics if metric not in shared}
-    return replace(first, metrics=shared, values=tuple(name for name in first.values if name not in left_out))
+    return replace(first, metrics=tuple(one for one in first.metrics if all(one in other.metrics for other in others)))
 
 
 def _groups(images: Images, metrics: Sequence[numbers.Figure], result: EvaluationResult) -> tuple[Group, ...]:
@@ -398,10 +395,8 @@ def _value(fields: Mapping[str, Any], name: str) -> str:
     if name not in fields:
         return "not stated"
     value = fields[name]
-    if isinstance(value, str) and value.startswith("sha256:"):
-        return short_digest(value)
-    text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+    is_digest = isinstance(value, str) and value.startswith("sha256:")
+    return short_digest(value) if is_digest else shown(value)
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------

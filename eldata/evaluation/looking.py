@@ -16,8 +16,7 @@ from eldata.errors import ArgumentError, PredictionError
 from eldata.evaluation.frames import ComparedFrame, NoisyInput, Reference, ScoringJob, as_scored
 from eldata.evaluation.layouts import find_predictions
 from eldata.evaluation.originals import Originals
-from eldata.evaluation.planning import plan_scoring, require_folder
-from eldata.evaluation.request import make_request
+from eldata.evaluation.request import make_request, plan_scoring, require_folder
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import FrameScore, cameras_in_order, natural, place_of, reference_of
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes

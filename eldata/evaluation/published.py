@@ -300,9 +300,7 @@ def _other_scoring(row: PublishedRow, mine: EvaluationResult, differences: list[
     words = "; ".join(nearest[:_DIFFERENCES_SHOWN]) + more
     if name in row.protocols:
         return f"your result's {name} is not that of this version of eldata ({words}); score it again"
-    may_be_equal = "equal_choices" not in mine.provenance and all(text.startswith("levels:") for text in nearest)
-    again = "; if these came to the same, a new evaluation says so" if may_be_equal else ""
-    return f"published for {theirs}; yours is {name} ({words}){again}"
+    return f"published for {theirs}; yours is {name} ({words})"
 
 
 def _other_pairs(row: PublishedRow, mine: EvaluationResult, ways: list[Protocol]) -> str | None:

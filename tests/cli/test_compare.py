@@ -164,7 +164,7 @@ def test_another_protocol_is_warned_of(compare: Callable[..., Outcome], files: l
     ("field", "value", "words"),
     [
         ("manifest_sha256", "sha256:" + "b" * 64, "manifest sha256: sha256:aaaaaaaa against sha256:bbbbbbbb"),
-        ("dataset", "mine", 'dataset: "eld" against "mine"'),
+        ("dataset", "mine", "dataset: 'eld' against 'mine'"),
         ("scenes_shared", False, "scenes shared: true against false"),
     ],
 )
@@ -226,8 +226,8 @@ def test_perfect_predictions(compare: Callable[..., Outcome], files: list[Path],
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        ("subset", "indoor", 'subset: null against "indoor"'),
-        ("excluded_flags", {"misaligned": 6}, 'excluded flags: {} against {"misaligned": 6}'),
+        ("subset", "indoor", "subset: null against 'indoor'"),
+        ("excluded_flags", {"misaligned": 6}, "excluded flags: {} against {'misaligned': 6}"),
     ],
 )
 def test_another_choice_of_pairs_is_warned_of(

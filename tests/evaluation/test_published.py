@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
 
-from eldata.errors import FileError, ManifestError
+from eldata.errors import ManifestError
 from eldata.evaluation.published import _NEAR, COLUMNS, NOISY_INPUT, comparison_table, load_published, published_rows
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import TableRow, UnitScore
@@ -91,16 +91,6 @@ def test_the_row_stands_where_its_psnr_puts_it() -> None:
     assert sum(line.startswith("> yours") for line in text.splitlines()) == 2
 
 
-def test_every_camera_of_a_whole_result_has_its_table() -> None:
-    cameras = ("SonyA7S2", "NikonD850", "CanonEOS70D", "CanonEOS700D")
-    table = [row(camera, ratio, 30, 40.0, 0.9) for camera in cameras for ratio in (100.0, 200.0)]
-    table += [row(None, 100.0, 120, 40.0, 0.9), row(None, 200.0, 120, 40.0, 0.9), row(None, None, 240, 40.0, 0.9)]
-    text = comparison_table(result_on("eld", "eld", table), name="runs/17")
-    assert text.count("> runs/17 ") == 8
-    assert "> yours" not in text
-    assert "not in your table" not in text
-
-
 def test_the_same_numbers_are_under_the_protocols_that_score_alike() -> None:
     """What PMN published is under ``sid`` and ``pmn-sid``, and only the numbers with correction."""
     one = compared(comparison_table(result_on("sid-sony", "sid", SONY_SID, "eval-first")))
@@ -117,12 +107,6 @@ def test_a_mean_over_all_factors_of_the_only_camera() -> None:
     text = comparison_table(result_on("sid-sony", "sid2018", [row(None, None, 93, 28.5, 0.78)], "test-first"))
     assert order_in(text, "SonyA7S2 all factors") == ["SID", "yours"]
     assert "Which release of MATLAB" in compared(text)
-
-
-def test_a_mean_over_another_camera_is_not_taken_for_one() -> None:
-    table = [row("NikonD850", 100.0, 93, 28.5, 0.78), row(None, None, 93, 28.5, 0.78)]
-    text = comparison_table(result_on("sid-sony", "sid2018", table, "test-first"))
-    assert "> yours" not in text
 
 
 def test_infinity_and_nothing_are_read_as_the_json_has_them() -> None:
@@ -145,48 +129,14 @@ def test_another_protocol() -> None:
     assert "ELD (G*+P*+B+R+U)" in order_in(centre, "SonyA7S2 x100")
 
 
-@pytest.mark.parametrize(
-    ("dataset", "protocol", "was", "table", "subset", "words"),
-    [
-        (
-            "eld",
-            "led-eld",
-            {"rescaling_region": "scored"},
-            [row("SonyA7S2", 200.0, 24, 42.0, 0.98)],
-            None,
-            "factor's region: all but 2 packed pixels at each edge against full frame",
-        ),
-        (
-            "sid-sony",
-            "pmn-sid",
-            {"levels": "published"},
-            SONY_SID,
-            "eval-first",
-            "levels: white 16383, black the file's against black 512, white 16383",
-        ),
-    ],
-)
-def test_what_another_version_scored_otherwise_is_refused_in_words(
-    dataset: str,
-    protocol: str,
-    was: dict[str, Any],
-    table: list[TableRow],
-    subset: str | None,
-    words: str,
-    tmp_path: Path,
-) -> None:
-    """Under a name that is corrected since. What it scored as ``sid`` is, it compares with."""
-    result = result_on(dataset, protocol, table, subset)
-    old = replace(result, protocol=StatedProtocol(result.kind, PROTOCOLS[protocol].as_dict() | was))
-    own = [line for line in LINES if line.startswith("two,")]
-    if dataset == "sid-sony":
-        own = ["two,1,sid-sony,SonyA7S2,eval-first,pmn-sid,100,40,Second,42.54,,,"]
-        own += ["one,1,sid-sony,SonyA7S2,eval-first,sid,100,40,First,42.5,,,"]
-    write(tmp_path, own)
-    text = comparison_table(old, published=tmp_path)
-    assert f"your result's {protocol} is not that of this version of eldata ({words}); score it again" in refused(text)
-    assert ("First" in compared(text)) == (dataset == "sid-sony")
-    assert "> yours" in comparison_table(result, published=tmp_path)
+def test_what_another_version_scored_otherwise_is_refused_in_words() -> None:
+    """Under a name that is corrected since."""
+    result = result_on("eld", "led-eld", [row("SonyA7S2", 200.0, 24, 42.0, 0.98)])
+    old = StatedProtocol(result.kind, PROTOCOLS["led-eld"].as_dict() | {"rescaling_region": "scored"})
+    words = "factor's region: all but 2 packed pixels at each edge against full frame"
+    text = comparison_table(replace(result, protocol=old))
+    assert f"your result's led-eld is not that of this version of eldata ({words}); score it again" in refused(text)
+    assert "> yours" in comparison_table(result)
 
 
 def test_a_protocol_of_your_own_compares_by_what_it_does() -> None:
@@ -370,12 +320,6 @@ def test_the_text(folder: Path) -> None:
 # --- bad input ----------------------------------------------------------------------------------------------------
 
 
-def test_what_is_not_a_result_is_refused_by_field() -> None:
-    """The reader of saved results, whose tests have every field, names it."""
-    with pytest.raises(FileError, match=r"^the result: field provenance: is missing: this is not a result of eldata"):
-        comparison_table({})
-
-
 GOOD = LINES[0]
 
 
@@ -385,12 +329,7 @@ GOOD = LINES[0]
         (GOOD.replace("one,1", "three,1"), "line 2, column source: 'three' is not in sources.json"),
         (GOOD.replace("one,1", "one,9"), "line 2, column table: expected one of '1', '2', found '9'"),
         (GOOD.replace("45.25", ""), "line 2, column psnr_db: expected a finite number of 0 or more, found ''"),
-        (GOOD.replace("0.9754", "-0.9"), "line 2, column ssim: expected a finite number of 0 or more, found '-0.9'"),
-        (GOOD.replace(",30,", ",0,"), "line 2, column pairs: expected a whole number of 1 or more, found '0'"),
-        (GOOD.replace(",First,", ",,"), "line 2, column method: expected a text, found ''"),
         (GOOD.replace("eld;pmn-eld", "").replace("digits of the log", ""), "column note: is empty"),
-        (GOOD + ",more", "line 2: expected 13 fields, found 14"),
-        ('one,1,"eld', "line 2: is not CSV"),
     ],
 )
 def test_a_malformed_row_is_named(tmp_path: Path, line: str, reason: str) -> None:
@@ -404,40 +343,6 @@ def test_a_malformed_row_is_named(tmp_path: Path, line: str, reason: str) -> Non
 def test_a_number_twice(tmp_path: Path) -> None:
     write(tmp_path, [GOOD, LINES[1], GOOD.replace("45.25", "45.26")])
     with pytest.raises(ManifestError, match=r"line 4: repeats .*line 2: First, SonyA7S2 x100"):
-        load_published(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("sources", "reason"),
-    [
-        ([], "sources.json: expected an object, found []"),
-        ({"one": {**SOURCES["one"], "note": ""}}, "field one.note: is unknown; known are label, citation"),
-        ({"one": {**SOURCES["one"], "url": ""}}, "field one.url: expected a text, found ''"),
-        ({"one": {**SOURCES["one"], "tables": ["1"]}}, "field one.tables: expected an object, found ['1']"),
-    ],
-)
-def test_malformed_sources_are_named(tmp_path: Path, sources: Any, reason: str) -> None:
-    write(tmp_path, [], sources)
-    with pytest.raises(ManifestError) as caught:
-        load_published(tmp_path)
-    assert reason in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("sources", "csv", "reason"),
-    [
-        ("{}", None, "holds no published numbers"),
-        (json.dumps(SOURCES), b"method,psnr\n", r"line 1: expected the columns source,table,.*; found 'method,psnr'"),
-    ],
-)
-def test_files_that_are_not_there_or_no_tables(
-    tmp_path: Path, sources: str | None, csv: bytes | None, reason: str
-) -> None:
-    if sources is not None:
-        (tmp_path / "sources.json").write_text(sources, encoding="utf-8")
-    if csv is not None:
-        (tmp_path / "eld.csv").write_bytes(csv)
-    with pytest.raises(ManifestError, match=reason):
         load_published(tmp_path)
 
 
@@ -493,23 +398,10 @@ def test_the_published_figures_agree(dataset: str) -> None:
     ]
 
 
-def test_yours_stands_beside_them() -> None:
-    text = comparison_table(of_input("sid-sony"))
-    block = text.partition("SonyA7S2 x300, 49 pairs")[2].partition("\n\n")[0]
-    rows = [" ".join(line.split()) for line in block.splitlines()]
-    assert rows[-3:] == [
-        "noisy input less dark shading Feng 2023 (PNNP) 22.48 0.276",
-        "> yours 22.26 0.269",
-        "noisy input Feng 2022 (PMN) 22.26 0.269",
-    ]
-
-
 @pytest.mark.parametrize(
     ("moved", "words"),
     [
         ((0.0049, 0.00004), "agrees:"),
-        ((-0.0049, -0.00007), "agrees:"),
-        ((0.006, 0.0), "is near:"),
         ((0.0, 0.00009), "is near:"),
         ((0.0199, 0.00099), "is near:"),
         ((0.021, 0.0), "DOES NOT AGREE:"),

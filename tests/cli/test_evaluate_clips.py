@@ -179,7 +179,3 @@ def test_images_and_clips_do_not_compare(eldata: Cli, drv: SmallDrv, predictions
     outcome = eldata("compare", written(tmp_path / "eld.json", result_data()), tmp_path / "drv.json")
     assert outcome.code == 2
     assert "eld has scores of images, drv of videos; these do not compare" in outcome.err
-
-
-def test_published_numbers(eldata: Cli, drv: SmallDrv, predictions: Path) -> None:
-    assert "no published numbers on drv are known" in run(eldata, drv, predictions, *CHOSEN, "--compare")

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from eldata.cli.main import main
 from eldata.evaluation import evaluate, load_result
 from eldata.evaluation.diagnosis import (
     EACH,
@@ -252,21 +251,3 @@ def test_strict_refuses(larger: Tree, tmp_path: Path) -> None:
         assert result.format_text().endswith("nothing was scored: 1 problem")
     place(tmp_path, larger, lambda target, name: reordered(target, name)[[0, 1, 3, 2]])
     assert evaluate(tmp_path, **options).scored == 24
-
-
-def test_the_input_itself_is_not_looked_at(larger: Tree) -> None:
-    assert evaluate(None, **larger.where, baseline="input").suspicions == ()
-
-
-def test_on_the_command_line(larger: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A line and exit code 0; with --strict a problem, no table, and exit code 1."""
-    place(tmp_path, larger, reordered)
-    command = ["evaluate", str(tmp_path), *larger.arguments]
-    assert main(command) == 0
-    told = capsys.readouterr().out
-    assert "\nSUSPECT: as if packed R, G1, G2, B: " in told
-    assert "24 of 24 pairs" in told
-    assert main([*command, "--strict"]) == 1
-    refused = capsys.readouterr().out
-    assert refused.startswith(f"{tmp_path}: SUSPECT: as if packed R, G1, G2, B: ")
-    assert "PSNR" not in refused

@@ -356,21 +356,13 @@ def _warnings(methods: Sequence[Method], images: Images) -> tuple[str, ...]:
     first, *others = methods
     kind, common = first.result.kind, len(images)
     warnings = []
-    for index, other in enumerate(others, start=1):
+    for other in others:
         differences = [f"protocol: {words}" for words in first.result.scored_unlike(other.result)]
         ignored = (*_NOT_DECIDING, *(_CHOOSING if first.result.chosen == other.result.chosen else ()))
         a, b = first.result.provenance, other.result.provenance
         differences += _differing(a, b, ignored)
         if a.get("task") is not None and b.get("task") is not None:
             differences += [f"task {words}" for words in _differing(a["task"], b["task"])]
-        for field in ("camera", "scene", "iso", "ratio"):  # of one image, in another manifest
-            off = [scores for scores in images if getattr(scores[0], field) != getattr(scores[index], field)]
-            if off:
-                was, now = (getattr(off[0][which], field) for which in (0, index))
-                differences.append(
-                    f"{field} of {len(off)} {kind.units} differs, such as {off[0][0].path}: {was} and {now}; the "
-                    "groups below are the first's"
-                )
         warnings += [f"{first.name} and {other.name} may not compare: {words}" for words in differences]
     for method in methods:
         scored, expected = method.result.scored, method.result.expected

@@ -144,8 +144,7 @@ def make_results_folder(folder: Path, names: Iterable[str]) -> None:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise ArgumentError(f"cannot write {folder}: {error.strerror}; give a folder, in one that is there") from error
-    files = [f"{name}{suffix}" for name in names for suffix in (".json", ".csv")]
-    for name in (*files, f"{COMPARISON}.json", f"{COMPARISON}.html"):
+    for name in (*(f"{name}.json" for name in names), f"{COMPARISON}.json"):
         problem = write_problem(folder / name)
         if problem is not None:
             raise ArgumentError(f"cannot write {folder / name}: {problem}")

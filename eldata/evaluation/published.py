@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 from eldata.base.fields import Fields, TextFile, TextRow, names_of
 from eldata.base.tables import text_table, wrapped
 from eldata.base.visible import shown
-from eldata.errors import ArgumentError, ManifestError
+from eldata.errors import ManifestError
 from eldata.evaluation.results import saved_result
 from eldata.evaluation.scores import TableRow, factor_text
-from eldata.manifest.catalogue import shipped_folder, shipped_manifest, shipped_names
-from eldata.manifest.pairs import select_pairs
-from eldata.protocols.kinds import IMAGES
+from eldata.manifest.catalogue import shipped_folder
 from eldata.protocols.named import PROTOCOLS
 
 if TYPE_CHECKING:
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.evaluation.results import EvaluationResult
-    from eldata.protocols.protocol import Protocol
 
 COLUMNS = (
     *("source", "table", "dataset", "camera", "subset", "protocol", "ratio", "pairs", "method"),
@@ -238,8 +235,8 @@ def comparison_table(
 
     A number is shown only if it was scored in the same way on the same pairs, whatever the protocols are called: one of
     the number's protocols scores as the result's did, on these files (:meth:`EvaluationResult.scored_unlike`), and the
-    pairs of camera and factor are those that this protocol scores of the number's subset, each with a score. Everything
-    else that is published on the dataset is listed below with the reason why it does not compare.
+    result has as many pairs of camera and factor, of the same subset, each with a score. Everything else that is
+    published on the dataset is listed below with the reason why it does not compare.
 
     Of the noisy input itself (``baseline="input"``) it also says whether its scores are the published ones. They depend
     on nothing but the files, their levels and ratios and the metric, so they check all of these.
@@ -284,10 +281,19 @@ def _why_not(row: PublishedRow, mine: EvaluationResult) -> str | None:
     """Return why a published number does not compare with a result, or ``None`` if it does."""
     if not row.protocols:
         return f"under no protocol that is known for certain: {row.note}"
-    ways = [PROTOCOLS[name] for name in row.protocols if name in PROTOCOLS]
-    differences = [mine.scored_unlike(way) for way in ways]
-    alike = [way for way, words in zip(ways, differences, strict=True) if not words]
-    return _other_pairs(row, mine, alike) if alike else _other_scoring(row, mine, differences)
+    differences = [mine.scored_unlike(PROTOCOLS[name]) for name in row.protocols if name in PROTOCOLS]
+    if [] not in differences:
+        return _other_scoring(row, mine, differences)
+    mean, subset = _mean_for(row, mine), mine.provenance.get("subset")
+    if row.subset != subset:
+        return f"published for {_subset_text(row.subset)}; yours is {_subset_text(subset)}"
+    if mean is None:
+        return "not in your table"
+    if mean.scored < mean.pairs:
+        return f"yours has scores of {mean.scored} of {mean.pairs} pairs"
+    if row.pairs != mean.pairs:
+        return f"published over {row.pairs or 'an unknown number of'} pairs; yours is over {mean.pairs}"
+    return None
 
 
 def _other_scoring(row: PublishedRow, mine: EvaluationResult, differences: list[list[str]]) -> str:
@@ -301,53 +307,6 @@ def _other_scoring(row: PublishedRow, mine: EvaluationResult, differences: list[
     if name in row.protocols:
         return f"your result's {name} is not that of this version of eldata ({words}); score it again"
     return f"published for {theirs}; yours is {name} ({words})"
-
-
-def _other_pairs(row: PublishedRow, mine: EvaluationResult, ways: list[Protocol]) -> str | None:
-    """Return why a number that was scored alike is over other pairs, or ``None`` if it is over the same."""
-    mean = _mean_for(row, mine)
-    ours = frozenset() if mean is None else frozenset(score.path for score in mine.scores_of(mean))
-    theirs = [_pairs_of(way.name, row.dataset, row.camera, row.subset, row.ratio) for way in ways]
-    if mean is not None and mean.scored == mean.pairs and ours in theirs:
-        return None
-    subset = mine.provenance.get("subset")
-    if row.subset != subset:
-        return f"published for {_subset_text(row.subset)}; yours is {_subset_text(subset)}"
-    left_out = [f"{flag} ({count})" for flag, count in mine.provenance.get("excluded_flags", {}).items() if count]
-    if left_out:
-        return f"yours leaves out pairs: {', '.join(left_out)}"
-    if mean is None:
-        return "not in your table"
-    if mean.scored < mean.pairs:
-        return f"yours has scores of {mean.scored} of {mean.pairs} pairs"
-    if row.pairs is not None and row.pairs != mean.pairs:
-        return f"published over {row.pairs} pairs; yours is over {mean.pairs}"
-    if ours and None not in theirs:
-        return "published over other pairs than yours, as many"
-    return None
-
-
-@cache
-def _pairs_of(
-    protocol: str, dataset: str, camera: str, subset: str | None, ratio: float | None
-) -> frozenset[str] | None:
-    """Return the noisy frames that a protocol scores of one camera at one factor; ``None`` where nobody can tell."""
-    way = PROTOCOLS[protocol]
-    if way.kind is not IMAGES or dataset not in shipped_names():
-        return None
-    manifest = shipped_manifest(dataset)
-    try:
-        pairs = select_pairs(
-            manifest.records,
-            manifest.card.subsets,
-            cameras=[camera],
-            scenes=way.scenes or None,
-            ratios=way.ratios or None if ratio is None else [ratio],
-            subset=subset,
-        )
-    except ArgumentError:  # such as a camera that is not in the set
-        return None
-    return frozenset(pair.path for pair in pairs)
 
 
 def _mean_for(row: PublishedRow, mine: EvaluationResult) -> TableRow | None:

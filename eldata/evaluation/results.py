@@ -486,13 +486,7 @@ def _check_provenance(provenance: Fields, protocol: StatedProtocol) -> None:
     if provenance.text("protocol_digest") != protocol.digest:
         expected = f"the digest of the fields in protocol, {protocol.digest} (was one of them edited?)"
         raise provenance.wrong("protocol_digest", expected, provenance.data["protocol_digest"])
-    provenance.optional("subset", provenance.text)
-    provenance.inside("excluded_flags")
     provenance.flag("scenes_shared")
-    if "equal_choices" in provenance.data:
-        choices = provenance.inside("equal_choices")
-        for name in choices.data:
-            choices.texts(name)
     if "task" in provenance.data:
         task = provenance.inside("task")
         for name in ("label", "callable", "images"):

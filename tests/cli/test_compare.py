@@ -147,13 +147,6 @@ def test_other_versions_and_folders_are_not_warned_of(compare: Callable[..., Out
     assert compare(*files[:2]).err == ""
 
 
-def test_the_same_path_of_another_factor_is_warned_of(compare: Callable[..., Outcome], files: list[Path]) -> None:
-    changed(files[1], lambda data: data["images"][0].update({"ratio": 200.0}))
-    assert (
-        "ratio of 1 images differs, such as SonyA7S2/scene-1/IMG_0002.ARW: 100.0 and 200.0" in compare(*files[:2]).err
-    )
-
-
 # --- what is refused ----------------------------------------------------------------------------------------------
 
 

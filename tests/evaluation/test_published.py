@@ -152,20 +152,6 @@ def test_levels_that_came_to_the_same_compare(tmp_path: Path) -> None:
         assert (f"published for sid; yours is pmn-sid ({levels})" in text) != compares
 
 
-def test_other_pairs_of_the_same_number_are_refused() -> None:
-    """By the pairs themselves, whatever subset a result names."""
-    result = scored("sid-sony", "sid", "eval-first", 40.0)
-    assert comparison_table(result).count("> yours") == 3
-    elsewhere = {**result.provenance, "subset": "mine"}
-    assert comparison_table(replace(result, provenance=elsewhere)).count("> yours") == 3
-    first, *others = result.scores
-    other = replace(first, path=first.path.replace("_00_", "_01_"))
-    assert other.path != first.path
-    text = comparison_table(replace(result, scores=(other, *others)))
-    assert text.count("> yours") == 2
-    assert "published over other pairs than yours, as many" in refused(text)
-
-
 LOST = [SONY_ELD[0], replace(SONY_ELD[1], scored=29)]
 OTHERS = "NikonD850 x100, x200; CanonEOS70D x100, x200; CanonEOS700D x100, x200 (27.52 to 42.27 dB): not in your table"
 FUJI = [row("FujifilmXT2", 100.0, 41, 39.0, 0.95), row(None, None, 94, 38.0, 0.9)]
@@ -179,11 +165,6 @@ VIDEOS = [TableRow(None, None, 49, 49, {"psnr_db": 36.0, "ssim": 0.9, "st_rred":
         *(
             (result_on("sid-sony", "sid", SONY_SID, name), f"published for subset eval-first; yours is {words}", 0)
             for name, words in (("test-first", "subset test-first"), (None, "no named subset"), ("all", "subset all"))
-        ),
-        (
-            result_on("sid-sony", "sid", SONY_SID, "eval-first", excluded_flags={"misaligned": 5}),
-            "yours leaves out pairs: misaligned (5)",
-            0,
         ),
         (result_on("eld", "eld", SONY_ELD, excluded_flags={"misaligned": 0}), OTHERS, 2),
         # A group with a missing pair alone is not compared.

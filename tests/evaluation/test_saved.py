@@ -90,10 +90,6 @@ def changed(*keys: str | int, to: object) -> dict[str, Any]:
             changed("protocol", "region", to="border-2"),
             ["protocol_digest: expected the digest of the fields"],
         ),
-        *(
-            (changed("provenance", "equal_choices", to=choices), ["equal_choices"])
-            for choices in (["levels"], {"levels": "published"}, {"levels": [1]})
-        ),
         (changed("problems", to=[{"path": "a"}]), ["problems[0].reason", "nothing"]),
         ({"problems": [], "ok": True}, ["not a result of eldata evaluate", "provenance", "missing"]),
         ([], ["expected an object", "[]"]),

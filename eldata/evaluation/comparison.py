@@ -108,7 +108,7 @@ class Contest:
     gains
         How much the other is above the first, by the metric's name.
     corrected
-        The p-values, corrected for those of all contests and metrics together (:func:`~statistics.holm`).
+        The p-values, corrected for the number of all tests, by metric (:func:`~statistics.holm`).
     """
 
     first: str
@@ -148,7 +148,7 @@ class Comparison:
 
     @property
     def kind(self) -> Kind:
-        """What was scored: images or clips, with the numbers that every method has; a task may be of some."""
+        """Images or clips, with the metrics that every method has."""
         return _common_kind(self.methods)
 
     @property
@@ -340,7 +340,7 @@ def _contests(methods: Sequence[Method], images: Images, metrics: Sequence[numbe
 def _differences(
     first: Sequence[UnitScore], other: Sequence[UnitScore], names: Iterable[str], places: Sequence[Hashable]
 ) -> dict[str, Difference]:
-    """Return how much the other's scores are above the first's, by the name of the value."""
+    """Return the differences, the other's scores minus the first's, by the name of the value."""
     return {
         name: paired_difference(
             [score.values[name] for score in first], [score.values[name] for score in other], places
@@ -421,7 +421,7 @@ def contests_table(comparison: Comparison) -> PaperTable:
 
 
 def contests_note(comparison: Comparison) -> str:
-    """Return what the corrected p-values are, in a sentence."""
+    """Explain the corrected p-values in a sentence."""
     count = len(comparison.contests) * len(comparison.kind.metrics)
     return (
         f"p (Holm) is corrected for the {count} tests of this table together: of differences with p (Holm) below 0.05, "
@@ -515,7 +515,7 @@ def _starred(cell: str) -> str:
 
 
 def summary_of(comparison: Comparison) -> str:
-    """Return what was compared, in a line."""
+    """Summarise the comparison in a line: methods, images, dataset, protocol."""
     result, kind = comparison.methods[0].result, comparison.kind
     count, scenes = len(comparison.images), comparison.whole.scenes
     return (
@@ -526,7 +526,7 @@ def summary_of(comparison: Comparison) -> str:
 
 
 def statistics_note(comparison: Comparison) -> str:
-    """Return what interval and p are, in a sentence."""
+    """Explain interval and p-value in a sentence."""
     return (
         f"Interval: {LEVEL:.0%}, Student's t over {over_scenes(shared=comparison.scenes_shared)}; p: signs of whole "
         f"scenes flipped, two-sided. With fewer than {FEWEST_SCENES} scenes there is no interval."

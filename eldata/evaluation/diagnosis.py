@@ -1,4 +1,4 @@
-"""What is wrong with predictions, as far as references show: mistakes that, undone, would raise their scores.
+"""Mistakes in predictions that references show: undone, they would raise the scores.
 
 A few frames of each camera and factor are looked at (:func:`chosen_frames`). On some blocks of each, the orders of
 channels, shifts, flips and curves that mistakes leave behind are tried (:func:`mistake_in`); what stands out there is
@@ -239,7 +239,7 @@ _LIKE, _LIKER = 0.7, 0.3  # the correlation with another reference, at least, an
 
 
 def _exchanged(inspections: Sequence[Inspection]) -> list[Suspicion]:
-    """Return the suspicion that predictions are those of other frames, if some are like another one's reference."""
+    """Suspect predictions of belonging to other frames if some are like another frame's reference."""
     references = np.stack([one.reference for one in inspections]) if inspections else np.empty((0, 0))
     found = []
     for one in inspections:

@@ -27,7 +27,7 @@ EXTENSIONS = (".npy", ".npz", ".h5", ".tif", ".tiff", ".png", ".dng")
 
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 _EXTENSION = re.compile(r"\.[a-z][a-z0-9]{0,8}")  # not the end of 00001_00_0.1s
-_MOST_EXAMINED = 20  # files whose names are held against those of all noisy frames
+_MOST_EXAMINED = 20  # files whose names are compared with all noisy frames'
 _MOST_WORDS = 40  # of a path, at its end
 _MOST_NAMED = 3
 _FOLDERS_ABOVE = 3
@@ -165,7 +165,7 @@ def _beginning(place: str) -> frozenset[str]:
 
 
 def _likeness(one: Sequence[str], other: Sequence[str]) -> tuple[int, int]:
-    """Return how many words two names share, and how many of them in the same order."""
+    """Count the words that two names share, and those of them in the same order."""
     in_order = sum(block.size for block in SequenceMatcher(None, one, other, autojunk=False).get_matching_blocks())
     return (Counter(one) & Counter(other)).total(), in_order
 
@@ -174,7 +174,7 @@ def _likeness(one: Sequence[str], other: Sequence[str]) -> tuple[int, int]:
 
 
 def _target(place: str, name: str = "") -> str:
-    """Return where a prediction would lie: with its own extension if that is one that is read."""
+    """Return the place of a prediction, with the file's own extension if predictions may have it."""
     return stem_of(place) + (Path(name).suffix if is_read(name) else EXTENSIONS[0])
 
 
@@ -205,7 +205,7 @@ def _listed(texts: Sequence[str], word: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FoundPredictions:
-    """What lies in a folder of predictions, against those that are to be scored.
+    """The files of a folder of predictions, matched with the frames to score.
 
     Attributes
     ----------

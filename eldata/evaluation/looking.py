@@ -1,4 +1,4 @@
-"""What pages show of results: scores in groups, the worst and the best, and images decoded as they were scored."""
+"""Parts of results that pages show: scores in groups, the worst and the best, images decoded as they were scored."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ class ScoredImage:
         return Reference(self.originals, reference_of(self.pair, self.frames[0].path) or "")
 
     def compared(self, index: int, reference: Reference | None = None) -> ComparedFrame:
-        """Return what one of the methods was scored on, by its number; a reference that is decoded already is taken."""
+        """Return the frame as one of the methods was scored on it, by its number; reuses a decoded reference."""
         protocol, path = self.protocols[index], self.frames[index].path
         shading = None if protocol.dark_shading == NO_SHADING else self.dark_shading
         job = ScoringJob(Path.cwd(), self.originals, protocol, None, dark_shading=shading)
@@ -184,7 +184,7 @@ class SeenImage:
 
     @cached_property
     def brighter(self) -> float:
-        """What the pictures of input, predictions and reference are multiplied by to be seen; 1 of renderings."""
+        """The factor that makes pictures of input, predictions and reference bright enough to see; 1 of renderings."""
         return 1.0 if self.amplified is None else brightening(self.reference)
 
     def rendered(self, values: NDArray[Any]) -> NDArray[np.uint8]:
@@ -196,7 +196,7 @@ class SeenImage:
 
 
 def place_of_difference(errors: Sequence[NDArray[Any]], size: tuple[int, int]) -> tuple[slice, slice]:
-    """Return where methods differ most: the window in which their mean squared errors lie farthest apart.
+    """Find the window in which methods differ most: their mean squared errors lie farthest apart.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def images_of(
     dark_shading: Path | None = None,
     units: Mapping[str, Pair] | None = None,
 ) -> tuple[ScoredImage, ...]:
-    """Return what to decode of images that results, one of each method, have scores of.
+    """Return the files to decode for images that results, one of each method, have scores of.
 
     Parameters
     ----------
@@ -391,7 +391,7 @@ TOO_FEW = f"no interval with fewer than {FEWEST_SCENES} scenes"
 
 
 def interval_note(result: EvaluationResult) -> str:
-    """Return what the intervals are, in a sentence or two."""
+    """Explain the intervals in a sentence or two."""
     return (
         f"Intervals: {LEVEL:.0%}, Student's t over {over_scenes(shared=result.scenes_shared)}, because "
         f"{result.kind.units} of one scene err together. There is none with fewer than {FEWEST_SCENES} scenes. They "

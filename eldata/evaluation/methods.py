@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from eldata.protocols.protocol import Protocol
 
 COMPARISON = "comparison"
-"""What the files of the comparison are called, so that no method is."""
+"""The name of the comparison's files, which no method may have."""
 
 
 def evaluate_methods(

@@ -45,7 +45,7 @@ _GRID = (6, 8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Circumstances:
-    """What of a frame's evaluation decides which mistakes are possible.
+    """The facts of a frame's evaluation that decide which mistakes are possible.
 
     Attributes
     ----------
@@ -245,13 +245,13 @@ def _order_words(order: Sequence[int], sensor: Sensor | None) -> str:
 
 
 def _reordered(order: Sequence[int], first: Change | None) -> Change:
-    """Return what puts channels back into their order, after what is undone first."""
+    """Return the function that puts channels back into order, after another change is undone."""
     back = np.argsort(np.array(order))
     return lambda image: (image if first is None else first(image))[back]
 
 
 def _shifted_back(down: int, right: int) -> Change:
-    """Return what moves an image back; at the edges it is mirrored, which keeps a mosaic's phase."""
+    """Return the function that moves an image back, mirrored at the edges, which keeps a mosaic's phase."""
 
     def undo(image: Array) -> Array:
         for axis, by in ((-2, down), (-1, right)):

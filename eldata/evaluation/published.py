@@ -278,7 +278,7 @@ def comparison_table(
 
 
 def _why_not(row: PublishedRow, mine: EvaluationResult) -> str | None:
-    """Return why a published number does not compare with a result, or ``None`` if it does."""
+    """Say why a published number does not compare with a result; ``None`` if it does."""
     if not row.protocols:
         return f"under no protocol that is known for certain: {row.note}"
     differences = [mine.scored_unlike(PROTOCOLS[name]) for name in row.protocols if name in PROTOCOLS]

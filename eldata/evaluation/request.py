@@ -1,4 +1,4 @@
-"""What is to be evaluated: a request with its names resolved, and the pairs of the set that its protocol scores.
+"""A request for an evaluation, with its names resolved, and the pairs of the set that its protocol scores.
 
 A request is made once, by a public function or the command line, and passed on whole.
 """
@@ -54,10 +54,10 @@ if TYPE_CHECKING:
 Baseline = Literal["input"]
 
 OF_CLIPS = "--clip ID (in Python ids=[...])"
-"""What chooses clips, in messages: the commands that predict have another use for ``--clip``."""
+"""The option that chooses clips, in messages: the commands that predict have another use for ``--clip``."""
 
 SETTINGS = "predictions.json"
-"""What made the predictions beside it; eldata baseline and eldata predict write it."""
+"""The file in which eldata baseline and eldata predict state how they made a folder of predictions."""
 
 # How long scoring a pair takes, for itself and for each byte of its input; and what two workers take to start.
 _PAIR_S, _BYTE_S, _WORTH_S = 3e-3, 20e-9, 1.3
@@ -65,7 +65,7 @@ _PAIR_S, _BYTE_S, _WORTH_S = 3e-3, 20e-9, 1.3
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is to be evaluated, with names resolved; the options are those of :func:`eldata.evaluate`.
+    """A request for an evaluation, with names resolved; the options are as for :func:`eldata.evaluate`.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Request:
 
     @property
     def kind(self) -> Kind:
-        """What is scored: images or clips."""
+        """Images or clips."""
         return self.protocol.kind
 
     @property
@@ -132,7 +132,7 @@ def make_request(
 ) -> Request:  # fmt: skip
     """Return a request; everything that can be told without the dataset's files is checked.
 
-    The arguments are those of :func:`eldata.evaluate`.
+    The arguments are as for :func:`eldata.evaluate`.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def _check_task(request: Request, task: Task) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ScoringPlan:
-    """What a protocol scores here.
+    """The pairs that a protocol scores here.
 
     Attributes
     ----------
@@ -288,7 +288,7 @@ class ScoringPlan:
 
 
 def known_places(request: Request) -> list[str]:
-    """Return where predictions of any noisy frame of the dataset may lie."""
+    """Return the places of predictions of all noisy frames of the dataset."""
     noisy = [record for record in request.manifest.records if record.role == "noisy"]
     if request.kind is IMAGES:
         return [record.path for record in noisy]
@@ -296,7 +296,7 @@ def known_places(request: Request) -> list[str]:
 
 
 def places_elsewhere(request: Request) -> dict[str, list[str]]:
-    """Return where predictions of other sets of images may lie that come with the package, by the sets' names.
+    """Return the places of predictions of other sets of images that come with the package, by the sets' names.
 
     One folder may hold those of several, such as of SID's two cameras. Of a set of your own every prediction that is
     not its own is a mistake.
@@ -312,7 +312,7 @@ def places_elsewhere(request: Request) -> dict[str, list[str]]:
 
 
 def plan_scoring(request: Request, *, unscored: bool = False) -> ScoringPlan:
-    """Return what is scored; with ``unscored`` also what is only to be predicted, a subset without references.
+    """Return the pairs to score; with ``unscored`` also pairs to predict only, of a subset without references.
 
     Of a set that comes with the package these are the protocol's pairs or clips. A set of the user's own has its own
     pairs: those at the protocol's factors if it has every one of them, else all; of a protocol of the user's own those
@@ -437,7 +437,7 @@ def _check_choice(request: Request, protocol: Protocol) -> None:
 def _flag_facts(
     request: Request, chosen: Iterable[tuple[str, ...]], candidates: Iterable[tuple[str, ...]]
 ) -> dict[str, dict[str, int]]:
-    """Return how many of those chosen have each flag, and how many candidates each of the flags to leave out."""
+    """Count the chosen pairs with each flag, and the candidates with each of the flags to leave out."""
     included, there = (Counter(flag for flags in each for flag in flags) for each in (chosen, candidates))
     excluded = {flag: there[flag] for flag in request.exclude_flags}
     return {"included_flags": dict(sorted(included.items())), "excluded_flags": excluded}
@@ -501,7 +501,7 @@ def require_folder(request: Request) -> None:
 
 
 def require_pairs(request: Request, pairs: Iterable[Pair]) -> tuple[Originals, tuple[str, ...]]:
-    """Return where the frames of these pairs come from, and what there is to say of white levels that differ in them.
+    """Check the files of these pairs; return their frames' source, and remarks on white levels that differ.
 
     Raise :class:`DatasetError` unless the manifest means them.
     """

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 Record = TypeVar("Record", EvaluationProblem, FrameScore, Suspicion)
 
 THE_INPUT = "none: the input itself"
-"""In the provenance in place of the folder of predictions."""
+"""Stands in the provenance instead of the folder of predictions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +136,7 @@ class EvaluationResult:
 
     @property
     def kind(self) -> Kind:
-        """What was scored: images or clips, and with which numbers."""
+        """Images or clips, and the numbers of their scores."""
         return kind_of(self.protocol.kind, self.provenance)
 
     @property
@@ -196,7 +196,7 @@ class EvaluationResult:
 
     @property
     def chosen(self) -> frozenset[str]:
-        """What was to be scored: paths of noisy frames, of images; numbers of clips."""
+        """Names of all units to score: paths of noisy frames, numbers of clips."""
         return frozenset((*(score.name for score in self.scores), *self.missing))
 
     @property
@@ -245,7 +245,7 @@ class EvaluationResult:
 
     @property
     def coverage(self) -> str:
-        """Return how many of the dataset's pairs were scored, which were chosen, and what was taken off the input."""
+        """Coverage in words: pairs scored of all, their choice, and the dark shading taken off the input."""
         cameras, subset, ids = (self.provenance.get(name) for name in ("cameras", "subset", "ids"))
         parts = [f"{self.scored} of {self.expected} {self.kind.counted}"]
         parts += [f"only {', '.join(map(str, chosen))}" for chosen in (cameras, ids) if isinstance(chosen, list)]
@@ -262,7 +262,7 @@ class EvaluationResult:
 
     @property
     def caption(self) -> str:
-        """What a table is of: dataset, protocol with its digest, coverage and choice of pairs."""
+        """The table's caption: dataset, protocol with its digest, coverage and choice of pairs."""
         incomplete = "; INCOMPLETE: does not compare with others" if self.scored < self.expected else ""
         dataset = f"{self.dataset} {self.provenance.get('manifest_version', '')}".rstrip()
         return f"{dataset}, protocol {self.protocol.name} ({short_digest(self.digest)}): {self.coverage}{incomplete}."

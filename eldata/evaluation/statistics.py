@@ -98,7 +98,7 @@ class Difference:
 
 
 def clusters_of(scores: Iterable[UnitScore], *, scenes_shared: bool) -> list[Hashable]:
-    """Return what each score is one of, in the sense that it errs together with others: the scenes of this module.
+    """Return the cluster of each score, whose members err together: the scenes of this module.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def clusters_of(scores: Iterable[UnitScore], *, scenes_shared: bool) -> list[Has
 
 
 def over_scenes(*, shared: bool) -> str:
-    """Return what intervals and p-values are over, in words."""
+    """Name the clusters of intervals and p-values."""
     return "scenes" if shared else "the scenes of each camera"
 
 
@@ -156,7 +156,7 @@ def interval_of_scores(scores: Sequence[UnitScore], name: str, *, scenes_shared:
 
 
 def paired_difference(first: Values, second: Values, scenes: Sequence[Hashable]) -> Difference:
-    """Return how much better the second method is than the first on the same images.
+    """Return the mean difference of two methods on the same images, the second minus the first.
 
     What both methods find hard cancels in the difference of each image, so that the interval is often much narrower
     than those of the two means.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from eldata.evaluation import evaluate, save_prediction
-from eldata.evaluation.layouts import Expected, dataset_itself, layout_in_words
+from eldata.evaluation.layouts import Expected, layout_in_words
 from eldata.evaluation.scores import EvaluationProblem, problem_lines
 
 if TYPE_CHECKING:
@@ -143,16 +143,6 @@ def test_the_dataset_is_not_predictions_of_it(tree: Tree, predictions: Path, tmp
     assert not run(own.files / "preds", own).problems
 
 
-def test_predictions_beside_raw_files_that_are_no_predictions_are_found(tmp_path: Path) -> None:
-    paths = ["SonyA7S2/scene-1/IMG_0001.ARW", "SonyA7S2/scene-1/IMG_0004.ARW"]
-    (tmp_path / "SonyA7S2" / "scene-1").mkdir(parents=True)
-    assert dataset_itself(tmp_path, tmp_path, paths) is not None
-    (tmp_path / "SonyA7S2" / "scene-1" / "IMG_0004.npy").touch()
-    assert dataset_itself(tmp_path, tmp_path, paths) is None
-    assert dataset_itself(tmp_path, tmp_path / "ELD", paths) is None
-    assert dataset_itself(tmp_path.parent, tmp_path, paths) is not None
-
-
 def test_predictions_of_another_space_are_one_message(tree: Tree, predictions: Path, tmp_path: Path) -> None:
     """And not one for each frame that the protocol would score besides."""
     (problem,) = evaluate(predictions, **tree.where, protocol="sid2018").problems
@@ -174,16 +164,6 @@ def test_why_more_frames_are_wanted_than_were_predicted_is_said(predictions: Pat
     assert reason.startswith(
         "has no prediction, and sid scores this set's own pairs, not its factors x100, x250, x300; add it, or score "
     )
-
-
-def test_names_of_references_are_told(tree: Tree, predictions: Path, tmp_path: Path) -> None:
-    for number in (1, 6, 11, 16):
-        path = tmp_path / f"DemoAlpha/scene-1/IMG_{number:04d}.npy"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(predictions / f"{FIRST}.npy", path)
-    (problem,) = run(tmp_path, tree).problems
-    words = "DemoAlpha/scene-1/IMG_0006.npy has the name of a reference; predictions have that of their noisy frame"
-    assert f"{words}, such as {FIRST}.npy" in problem.reason
 
 
 def test_very_long_paths_and_very_many_files_are_told_apart_at_once() -> None:

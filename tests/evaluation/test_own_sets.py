@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from eldata.base.workers import Workers
-from eldata.errors import ArgumentError, EldataError
+from eldata.errors import ArgumentError
 from eldata.evaluation import evaluate, save_prediction
 from eldata.evaluation.evaluate import perform
 from eldata.evaluation.published import comparison_table
@@ -86,16 +86,6 @@ def test_frames_are_gone_before_the_next_ones_are_read(
     finally:
         gc.enable()
     assert alive == [0, 0]
-
-
-def test_what_cannot_be_scored_is_refused(own: OwnSet, preds: Path) -> None:
-    with pytest.raises(EldataError, match="no such folder"):
-        evaluate(preds / "nowhere", **own.where)
-    for arguments in ({"predictions": None}, {"predictions": preds, "baseline": "input"}):
-        with pytest.raises(ArgumentError, match="a folder of predictions or a baseline"):
-            evaluate(**own.where, **arguments)
-    with pytest.raises(ArgumentError, match="'sid2018' scores renderings"):
-        evaluate(None, **own.where, protocol="sid2018", baseline="input")
 
 
 # --- choices that come to the same ------------------------------------------------------------------------------------

@@ -381,20 +381,8 @@ def test_another_protocol_names_the_one_that_has_them() -> None:
     ]
 
 
-def test_a_group_with_a_missing_pair_is_not_checked() -> None:
-    lines = check(of_input("sid-sony", skip=1))
-    assert lines[-2] == "SonyA7S2 x100 is not checked: yours has scores of 39 of 40 pairs"
-    assert sum("agrees:" in line for line in lines) == 2
-
-
 def test_predictions_are_not_taken_for_the_input() -> None:
     assert check(of_input("eld", predictions="preds")) == []
-
-
-def test_a_set_without_published_scores_of_its_input() -> None:
-    result = of_input("eld")
-    other = replace(result, provenance=result.provenance | {"dataset": "sid-fuji"})
-    assert check(other) == ["the noisy input: no published score of it on sid-fuji is known, so this checks nothing"]
 
 
 def test_the_published_figures_are_those_of_the_tables() -> None:

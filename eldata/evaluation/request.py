@@ -179,23 +179,24 @@ def _is_own(manifest: Manifest) -> bool:
 
 
 def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:
-    """Return the protocol that is meant; it has to be of what the dataset holds, images or clips.
+    """Return the protocol to score with, which has to be for the dataset.
 
-    A set of one's own may be scored as images, and as sequences.
+    A set of one's own may be scored by any protocol of images, and as sequences.
     """
     default, is_own = default_protocol(manifest.card), _is_own(manifest)
     if isinstance(protocol, (str, Path)):
         protocol = get_protocol(protocol, manifest.name, own=is_own)
     chosen = protocol or default
     chosen.check()
-    fits_own = is_own and (chosen.kind is IMAGES or chosen.dataset == OWN_SEQUENCES)
-    if chosen.kind is not default.kind and not fits_own:
-        own = ", ".join(one.name for one in protocols_for(manifest.name))
-        raise ArgumentError(
-            f"protocol {chosen.name!r} scores {chosen.kind.units}, and {manifest.name!r} is a dataset of "
-            f"{default.kind.units}; its protocols are {own}"
-        )
-    return chosen
+    if is_own and (chosen.kind is IMAGES or chosen.dataset == OWN_SEQUENCES):
+        return chosen
+    if chosen.kind is default.kind and chosen.covers(manifest.name):
+        return chosen
+    wrong = f"is for dataset {chosen.dataset!r}, not {manifest.name!r}"
+    if chosen.kind is not default.kind:
+        wrong = f"scores {chosen.kind.units}, and {manifest.name!r} is a dataset of {default.kind.units}"
+    own = ", ".join(one.name for one in protocols_for(manifest.name))
+    raise ArgumentError(f"protocol {chosen.name!r} {wrong}; its protocols are {own}")
 
 
 def _of_inputs(protocol: Protocol, shading: Path | str | None) -> Protocol:
@@ -321,20 +322,13 @@ def plan_scoring(request: Request, *, unscored: bool = False) -> ScoringPlan:
     Raises
     ------
     ArgumentError
-        If the protocol is for another dataset, a name is unknown, nothing is left, or the dark shading is not that of
-        the inputs.
+        If a name is unknown, nothing is left, or the dark shading does not fit the inputs.
     ManifestError
         If a subset has not as many pairs as its card says.
     DatasetError
         If the files of clips are not there, or not what the manifest says.
     """
-    name, protocol = request.manifest.name, request.protocol
-    for_own = protocol.kind is IMAGES or protocol.dataset == OWN_SEQUENCES
-    if not ((request.is_own and for_own) or protocol.covers(name)):
-        raise ArgumentError(
-            f"protocol {protocol.name!r} is for dataset {protocol.dataset!r}, not {name!r}; "
-            "eldata protocols lists those for each"
-        )
+    protocol = request.protocol
     if isinstance(protocol, ClipProtocol):
         plan = _clip_plan(request, protocol)
     else:

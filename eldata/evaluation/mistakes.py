@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import permutations, product
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from eldata.metrics.image_score import Score
     from eldata.protocols.protocol import Protocol
+    from eldata.raw.cfa import CfaRows
     from eldata.records import Sensor
 
     Array: TypeAlias = NDArray[Any]
@@ -175,14 +177,15 @@ def best_place(
     candidates: list[tuple[float, Undoing]] = []
     for words, moved, undo, least_db in _moves(prediction, blocks, p, now):
         values = moved if math.isinf(high) else np.clip(moved, np.float32(low), np.float32(high))
-        agreement, power = values @ g.T, float(np.vdot(values, values))
-        error = squared_error(float(np.trace(agreement)), power)
+        power = float(np.vdot(values, values))
+        error = squared_error(float(np.vdot(values, g)), power)
         if undo is None:
             error_now = error
         else:
             candidates.append((error, (f"as if {words}", undo, least_db)))
         if least_db == SHIFT_GAIN_DB:
             continue
+        agreement = values @ g.T
         for order in _orders(agreement):
             error = squared_error(float(agreement[np.arange(len(order)), order].sum()), power)
             both = " and ".join(filter(None, (words, _order_words(order, now.sensor))))
@@ -204,17 +207,25 @@ def _moves(
             words = f"shifted by ({down}, {right}) {unit} (down, right)"
             yield words, inner_entries(p, down, right), _shifted_back(down, right), SHIFT_GAIN_DB
     if now.sensor is not None:
-        cfa = packing_sites(now.sensor.cfa).cfa  # as the packed area has it
-        mosaic = unpack(p.reshape(*p.shape[:2], -1), cfa)
-        for down, right in product((-1, 0, 1), repeat=2):
-            if (down, right) != (0, 0):
-                words = f"shifted by ({down}, {right}) pixels of the mosaic (down, right)"
-                moved = pack(np.roll(mosaic, (-down, -right), (0, 1)), cfa).reshape(p.shape)
-                yield words, inner_entries(moved), _mosaic_shifted_back(down, right, now.sensor), SHIFT_GAIN_DB
+        cfa, flat = packing_sites(now.sensor.cfa).cfa, p.ravel()  # as the packed area has it
+        for (down, right), entries in _entries_in_mosaic(cfa, p.shape).items():
+            words = f"shifted by ({down}, {right}) pixels of the mosaic (down, right)"
+            yield words, flat[entries], _mosaic_shifted_back(down, right, cfa), SHIFT_GAIN_DB
     for words, flip in _FLIPS:
         yield words, inner_entries(blocks.cut(flip(prediction))), flip, GAIN_DB
     words = "reshaped from (h, w, C), not transposed"
     yield words, inner_entries(blocks.cut(_from_channels_last(prediction))), _from_channels_last, GAIN_DB
+
+
+@lru_cache(maxsize=4)
+def _entries_in_mosaic(cfa: CfaRows, shape: tuple[int, ...]) -> dict[tuple[int, int], NDArray[np.intp]]:
+    """Return the entries of blocks that lie inside when the mosaic is moved by a pixel, which changes colours too."""
+    mosaic = unpack(np.arange(math.prod(shape), dtype=np.float64).reshape(*shape[:2], -1), cfa)
+    return {
+        (down, right): inner_entries(pack(np.roll(mosaic, (-down, -right), (0, 1)), cfa).reshape(shape)).astype(np.intp)
+        for down, right in product((-1, 0, 1), repeat=2)
+        if (down, right) != (0, 0)
+    }
 
 
 def _orders(agreement: Array) -> Iterator[Sequence[int]]:
@@ -263,8 +274,8 @@ def _shifted_back(down: int, right: int) -> Change:
     return undo
 
 
-def _mosaic_shifted_back(down: int, right: int, sensor: Sensor) -> Change:
-    back, cfa = _shifted_back(down, right), packing_sites(sensor.cfa).cfa
+def _mosaic_shifted_back(down: int, right: int, cfa: CfaRows) -> Change:
+    back = _shifted_back(down, right)
     return lambda image: pack(back(unpack(np.ascontiguousarray(image), cfa)), cfa)
 
 

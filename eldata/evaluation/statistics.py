@@ -40,7 +40,6 @@ SEED = 0
 FEWEST_SCENES = 6
 """Below, no interval is given: it would rest on the scores' being normal, and no p-value could be below 0.05."""
 
-_ENTRIES_AT_ONCE = 1 << 21  # of drawn indices: 16 MB
 _FLIPPED_IN_FULL = 14  # scenes: 16384 signs
 
 
@@ -206,12 +205,8 @@ def sign_flip_p_value(differences: Values, scenes: Sequence[Hashable]) -> float:
     if len(sums) <= _FLIPPED_IN_FULL:
         flips = 1 - 2 * ((np.arange(1 << len(sums))[:, None] >> np.arange(len(sums))) & 1)
         return float(np.mean(np.abs(flips @ sums) >= enough))
-    generator, reached = np.random.default_rng(SEED), 0
-    rows = max(1, _ENTRIES_AT_ONCE // len(sums))  # few enough to hold in memory
-    for start in range(0, RESAMPLES, rows):
-        flips = 1 - 2 * generator.integers(0, 2, (min(rows, RESAMPLES - start), len(sums)))
-        reached += int(np.count_nonzero(np.abs(flips @ sums) >= enough))
-    return (1 + reached) / (1 + RESAMPLES)
+    flips = 1 - 2 * np.random.default_rng(SEED).integers(0, 2, (RESAMPLES, len(sums)))
+    return (1 + int(np.count_nonzero(np.abs(flips @ sums) >= enough))) / (1 + RESAMPLES)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

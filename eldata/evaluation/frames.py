@@ -16,7 +16,7 @@ import numpy as np
 from eldata.base.arguments import named_object
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, ShadingError
 from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch
-from eldata.evaluation.diagnosis.places import Circumstances
+from eldata.evaluation.mistakes import Circumstances
 from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame, rendered_frame
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
 from eldata.evaluation.scores import Pair, amplified_by, ratio_of

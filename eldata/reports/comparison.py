@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from eldata.base.files import write_text
 from eldata.base.numbers import counted
 from eldata.base.tables import Strong
-from eldata.evaluation.comparison.tables import (
+from eldata.evaluation.comparison import (
     LABELS,
     contests_note,
     contests_table,
@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from eldata.base.workers import Workers
-    from eldata.evaluation.comparison import Comparison, Method, Pairing
+    from eldata.evaluation.comparison import Comparison
     from eldata.evaluation.looking import ScoredImage
+    from eldata.evaluation.results import EvaluationResult
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Difference
     from eldata.plots.axes import Theme
@@ -76,13 +77,13 @@ def write_comparison_page(
 
 def comparison_page(comparison: Comparison, drawn: DrawnImages | None = None) -> str:
     """Return the page; the same comparison gives the same text."""
-    first, *others = comparison.methods
+    first, *others = comparison.names
     return rendered_with_script(
         "compare.html",
         "compare.js",
         picture_policy="" if drawn is None else " 'self' file:",
         kind=comparison.kind,
-        title=f"{' and '.join(_names(others))} against {first.name}",
+        title=f"{' and '.join(_joined(others))} against {first}",
         summary=f"{summary_of(comparison)}.",
         warnings=comparison.warnings,
         note=statistics_note(comparison),
@@ -95,19 +96,17 @@ def comparison_page(comparison: Comparison, drawn: DrawnImages | None = None) ->
         gradient=heat_gradient(),
         rows=_rows(comparison),
         methods=[
-            {"name": method.name, "id": f"method-{index}", "fields": _fields(method)}
-            for index, method in enumerate(comparison.methods, start=1)
+            {"name": name, "id": f"method-{index}", "fields": _fields(result)}
+            for index, (name, result) in enumerate(comparison.results.items(), start=1)
         ],
     )
 
 
-def _names(methods: Sequence[Method]) -> list[str]:
-    names = [method.name for method in methods]
-    return names if len(names) < 3 else [", ".join(names[:-1]), names[-1]]
+def _joined(names: Sequence[str]) -> list[str]:
+    return list(names) if len(names) < 3 else [", ".join(names[:-1]), names[-1]]
 
 
-def _fields(method: Method) -> list[tuple[str, str]]:
-    result = method.result
+def _fields(result: EvaluationResult) -> list[tuple[str, str]]:
     return [
         ("file", result.source),
         ("scored", f"{result.scored} of {result.expected} {result.kind.counted}"),
@@ -132,12 +131,12 @@ def _means_table(comparison: Comparison) -> Table:
 
 
 def _section(comparison: Comparison, index: int) -> dict[str, Any]:
-    first, other = comparison.methods[0], comparison.methods[index + 1]
+    first, other = comparison.names[0], comparison.names[index + 1]
     wins, losses = comparison.extremes(index)
     return {
-        "title": f"{other.name} against {first.name}",
+        "title": f"{other} against {first}",
         "id": f"gain-{index + 1}",
-        "verdict": _verdict(comparison.whole.gains[index]["psnr_db"], first.name, other.name),
+        "verdict": _verdict(comparison.whole.gains[index]["psnr_db"], first, other),
         "table": _differences_table(comparison, index),
         "plots": gain_plots(comparison, index),
         "wins": _extremes_table(wins, comparison),
@@ -189,7 +188,7 @@ def _row_name(place: int) -> str:
     return f"image-{place + 1}"
 
 
-def _extremes_table(pairings: Sequence[Pairing], comparison: Comparison) -> Table | None:
+def _extremes_table(pairings: Sequence[tuple[UnitScore, UnitScore]], comparison: Comparison) -> Table | None:
     """Return a table of wins or losses; ``None`` if there are none."""
     if not pairings:
         return None
@@ -197,34 +196,33 @@ def _extremes_table(pairings: Sequence[Pairing], comparison: Comparison) -> Tabl
     places = {scores[0].path: place for place, scores in enumerate(comparison.images)}
     rows = [
         (
-            Cell(one.first.name, link=_row_name(places[one.first.path])),
-            *fact_cells(one.first, kind),
-            Cell(signed(signed_text(one.gain_db, 2))),
-            Cell(signed(signed_text(one.gain_ssim, 3))),
+            Cell(first.name, link=_row_name(places[first.path])),
+            *fact_cells(first, kind),
+            Cell(signed(signed_text(other.psnr_db - first.psnr_db, 2))),
+            Cell(signed(signed_text(other.ssim - first.ssim, 3))),
         )
-        for one in pairings
+        for first, other in pairings
     ]
     return Table((kind.unit, *(() if kind.is_of_clips else FACTS), "PSNR [dB]", "SSIM"), tuple(rows))
 
 
 def _rows(comparison: Comparison) -> Table:
     kind = comparison.kind
-    first, *others = comparison.methods
-    header = [kind.unit, "camera", "scene", *(() if kind.is_of_clips else FACTS), f"{first.name} dB"]
-    for method in others:
-        header += [f"{method.name} dB", "difference"]
+    first, *others = comparison.names
+    header = [kind.unit, "camera", "scene", *(() if kind.is_of_clips else FACTS), f"{first} dB"]
+    for name in others:
+        header += [f"{name} dB", "difference"]
     rows = []
-    every = list(zip(*(comparison.pairings(index) for index in range(len(others))), strict=True))
     for place in comparison.worst_first():
-        of_image, base = every[place], every[place][0].first
+        base, *by_others = comparison.images[place]
         row = [
             Cell(base.name, link=_row_name(place), name=_row_name(place)),
             *(Cell(text) for text in (base.camera, base.scene)),
             *fact_cells(base, kind),
             number_cell(base.psnr_db, f"{base.psnr_db:.2f}"),
         ]
-        for one in of_image:
-            psnr, gain = one.other.psnr_db, one.gain_db
+        for score in by_others:
+            psnr, gain = score.psnr_db, score.psnr_db - base.psnr_db
             row += [number_cell(psnr, f"{psnr:.2f}"), number_cell(gain, signed_text(gain, 2), _look(gain))]
         rows.append(tuple(row))
     return Table(tuple(header), tuple(rows), left=(0, 1, 2))
@@ -237,7 +235,7 @@ def _facets(comparison: Comparison) -> dict[str, list[str]]:
     """Return the columns that images are filtered by, with their values in the order of the choice."""
     scores = [of[0] for of in comparison.images]
     found = {
-        "camera": [score.camera for score in scores_in_order(scores, comparison.methods[0].result.dataset)],
+        "camera": [score.camera for score in scores_in_order(scores, comparison.first.dataset)],
         "scene": sorted((score.scene for score in scores), key=natural),
     }
     if not comparison.kind.is_of_clips:
@@ -259,8 +257,8 @@ def _looking(comparison: Comparison, drawn: DrawnImages) -> dict[str, Any]:
     panels = [
         *([("input", "Input", "", "i")] if "input" in drawn.images[0].layers else []),
         *(
-            (f"method-{index}", method.name, f"error-{index}", str(index) if index < 10 else "")
-            for index, method in enumerate(comparison.methods, start=1)
+            (f"method-{index}", name, f"error-{index}", str(index) if index < 10 else "")
+            for index, name in enumerate(comparison.names, start=1)
         ),
         ("reference", "Reference", "", "r"),
     ]
@@ -268,7 +266,7 @@ def _looking(comparison: Comparison, drawn: DrawnImages) -> dict[str, Any]:
         "panels": [dict(zip(("key", "name", "error", "digit"), panel, strict=True)) for panel in panels],
         "first": images[comparison.worst_first()[0]],
         "data": {_row_name(image["place"]): image for image in images},
-        "colours": comparison.methods[0].result.protocol.pixels,
+        "colours": comparison.first.protocol.pixels,
     }
 
 
@@ -303,14 +301,17 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
     They show the mean differences of groups with their intervals; each image by both methods; and its difference over
     the first one's score.
     """
-    finite = [one for one in comparison.pairings(index) if one.is_finite]
+    finite = [
+        (first.ratio, first.psnr_db, other.psnr_db)
+        for first, other in comparison.pairings(index)
+        if math.isfinite(first.psnr_db) and math.isfinite(other.psnr_db)
+    ]
     if not finite:
         return ()
-    kind, (first, other) = comparison.kind, (comparison.methods[at].name for at in (0, index + 1))
+    kind, (first, other) = comparison.kind, (comparison.names[at] for at in (0, index + 1))
     groups = [group for group in comparison.groups if math.isfinite(group.gains[index]["psnr_db"].interval.mean)]
-    both = [(one.first.ratio, one.first.psnr_db, one.other.psnr_db) for one in finite]
-    gains = [(one.first.ratio, one.first.psnr_db, one.gain_db) for one in finite]
-    values = [value for _, *scores in both for value in scores]
+    gains = [(ratio, first_db, other_db - first_db) for ratio, first_db, other_db in finite]
+    values = [value for _, *scores in finite for value in scores]
     margin = 0.04 * (max(values) - min(values)) + 0.1
     reach = min(values) - margin, max(values) + margin
 
@@ -321,7 +322,7 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
 
     def draw_both(axes: Axes, theme: Theme) -> None:
         axes.plot(reach, reach, color=theme.theory, linewidth=1)
-        draw_points(axes, both, theme, alpha=0.6)
+        draw_points(axes, finite, theme, alpha=0.6)
         axes.set(xlim=reach, ylim=reach)
         axes.set_xlabel(f"{short(first)} [dB]", parse_math=False)
         axes.set_ylabel(f"{short(other)} [dB]", parse_math=False)
@@ -332,7 +333,7 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
         axes.set_xlabel(f"{short(first)} [dB]", parse_math=False)
         axes.set_ylabel("difference [dB]")
 
-    better = sum(one.gain_db > 0 for one in finite)
+    better = sum(gain > 0 for _, _, gain in gains)
     low, high = min(gain for _, _, gain in gains), max(gain for _, _, gain in gains)
     words: dict[str, object] = {
         "first": first,

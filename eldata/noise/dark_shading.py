@@ -26,23 +26,64 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.files import atomic_write, json_text
+from eldata.base.fields import Fields, TextFile, names_of
+from eldata.base.files import atomic_write, file_problem, json_text
+from eldata.base.pixels import NpyError, opened_npz
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, DatasetError, ShadingError
-from eldata.noise.shading_content import (
-    ADVICE,
-    FIELDS,
-    SCHEMA,
-    SCHEMA_WITH_MODEL,
-    ShadingIso,
-    read_content,
-)
 from eldata.raw.cfa import cfa_from, pack, packed_area, packed_channels, packed_shape, packing_sites
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.base.pixels import NpyHeader, NpzArchive
     from eldata.raw.cfa import CfaRows
+
+_SCHEMA, _SCHEMA_WITH_MODEL = 1, 2
+_FIELDS = ("slope_dn", "offset_dn")
+_ADVICE = "write it again with eldata calibrate --dark-shading"
+_MOST_ABOUT_BYTES = 1 << 20
+_LONGEST_SIDE = 65_535
+_MOST_MODES = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShadingIso:
+    """What one ISO gave to a dark shading.
+
+    Attributes
+    ----------
+    iso
+        ISO speed.
+    mode
+        The number of its gain mode, from 0: whose slope and offset hold.
+    frames
+        Bias frames.
+    sigma_dn
+        Standard deviation of a pixel over time, DN.
+    level_error_dn
+        BLE: by how much the mean of each CFA channel lies over the line, DN.
+    standard_error_dn
+        Of the level, by the scatter between frames, DN.
+    """
+
+    iso: float
+    mode: int
+    frames: int
+    sigma_dn: float
+    level_error_dn: tuple[float, ...]
+    standard_error_dn: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("iso", "sigma_dn"):  # as a file gives them back: they are in the digest
+            object.__setattr__(self, name, float(getattr(self, name)))
+        for name in ("level_error_dn", "standard_error_dn"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+
+    @property
+    def weight(self) -> float:
+        """Of its mean frame in the lines, 1 / DN^2: one over the variance that noise leaves in it."""
+        return self.frames / self.sigma_dn**2
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -100,7 +141,7 @@ class DarkShading:
         if self.hot.dtype != np.bool_ or self.hot.ndim != 2:
             raise ArgumentError(f"hot is boolean (H, W); found {self.hot.dtype} {self.hot.shape}")
         expected = (len(self.slope_dn), *self.hot.shape)
-        for name in FIELDS:
+        for name in _FIELDS:
             values: NDArray[np.float32] = getattr(self, name)
             if values.dtype != np.float32 or values.shape != expected:
                 raise ArgumentError(f"{name} is float32 {expected}; found {values.dtype} {values.shape}")
@@ -118,7 +159,7 @@ class DarkShading:
     def _about(self) -> dict[str, Any]:
         modes, height, width = self.slope_dn.shape
         return {
-            "schema": SCHEMA_WITH_MODEL if self.model else SCHEMA,
+            "schema": _SCHEMA_WITH_MODEL if self.model else _SCHEMA,
             "camera": self.camera,
             **({"model": self.model} if self.model else {}),
             "source": self.source,
@@ -338,16 +379,77 @@ class DarkShading:
         ShadingError
             If it cannot be read, is damaged, or is not the file of a dark shading.
         """
-        content, stated = read_content(Path(path))
+        path = Path(path)
+        if (problem := file_problem(path)) is not None:
+            raise ShadingError(path, problem)
         try:
-            found = cls(**content)
+            with opened_npz(path) as archive:
+                shading, stated = _read(path, archive)
+        except NpyError as error:
+            raise ShadingError(path, f"is not the file of a dark shading: {error}; {_ADVICE}") from error
         except ArgumentError as error:
-            raise ShadingError(path, f"{error}; {ADVICE}") from error
-        if stated != found.digest:
+            raise ShadingError(path, f"{error}; {_ADVICE}") from error
+        except OSError as error:
+            raise ShadingError(path, f"cannot be read: {error.strerror or error}") from error
+        if stated != shading.digest:
             raise ShadingError(
-                path, f"field digest: expected {found.digest}, that of the content, found {shown(stated)}; {ADVICE}"
+                path, f"field digest: expected {shading.digest} by the content, found {shown(stated)}; {_ADVICE}"
             )
-        return found
+        return shading
+
+
+def _read(path: Path, archive: NpzArchive) -> tuple[DarkShading, str]:
+    """Read a shading, and the digest that its file states; what is declared is checked before it is loaded."""
+
+    def array(name: str, dtype: str, *shape: int) -> NDArray[Any]:
+        def check(header: NpyHeader) -> None:
+            fits = header.shape == shape or (not shape and header.shape <= (_MOST_ABOUT_BYTES,))
+            if header.values != dtype or header.fortran_order or not fits:
+                expected = f"{dtype} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
+                raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
+
+        return archive.read(name, check)
+
+    top = TextFile(path, ShadingError, _ADVICE, content=array("about", "uint8").tobytes()).json()
+    has_model = top.schema(_SCHEMA, also=(_SCHEMA_WITH_MODEL,)) == _SCHEMA_WITH_MODEL
+    known = ("schema", "camera", "source", "cfa", "modes", "height", "width", "isos", "notes", "digest")
+    top.only((*known, "model") if has_model else known)
+    modes = top.whole("modes", at_least=1, at_most=_MOST_MODES)
+    height, width = (top.whole(name, at_least=2, at_most=_LONGEST_SIDE) for name in ("height", "width"))
+    if modes * height * width * 8 > path.stat().st_size:
+        raise top.problem("height", f"the file is too small for {modes} x {height} x {width} pixels: truncated?")
+    cfa = top.each("cfa", lambda inner, name: inner.each(name, Fields.whole, at_most=3), expected="a list of rows")
+    try:
+        packed_channels(cfa)
+    except (ArgumentError, ValueError) as error:
+        raise top.problem("cfa", str(error)) from error
+    lines = {name: array(name, "float32", modes, height, width).astype(np.float32, copy=False) for name in _FIELDS}
+    hot = array("hot", "bool", height, width)
+    if hot.view(np.uint8).max() > 1:
+        raise top.problem("hot", "expected true and false alone, found other bytes")
+    shading = DarkShading(
+        camera=top.text("camera"),
+        source=top.text("source"),
+        cfa=cfa,
+        isos=tuple(map(_read_iso, top.objects("isos", fewest=1, expected="a list of at least one ISO"))),
+        hot=hot,
+        notes=top.texts("notes", empty=True),
+        model=top.text("model") if has_model else "",
+        **lines,
+    )
+    return shading, top.text("digest")
+
+
+def _read_iso(fields: Fields) -> ShadingIso:
+    fields.only(names_of(ShadingIso))
+    return ShadingIso(
+        iso=fields.number("iso", above=0),
+        mode=fields.whole("mode", at_most=_MOST_MODES),
+        frames=fields.whole("frames", at_least=1),
+        sigma_dn=fields.number("sigma_dn", above=0),
+        level_error_dn=fields.each("level_error_dn", Fields.number, expected="a list of numbers"),
+        standard_error_dn=fields.each("standard_error_dn", Fields.number, expected="a list of numbers", at_least=0),
+    )
 
 
 def dark_shading_in(path: Path) -> DarkShading:

@@ -32,13 +32,11 @@ from eldata.noise.gain_modes import (
     gains_by_iso,
     iso_between,
     modes_problem,
-    profile_path,
-    read_profile,
     rows_nearest,
     rows_of,
-    schema_of,
 )
 from eldata.noise.parameters import Generator, NoiseParameters, draw_numbers
+from eldata.noise.profile_files import profile_path, read_profile, schema_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.noise.gain_modes import shipped_profiles
+from eldata.noise.profile_files import shipped_profiles
 from eldata.noise.profile import CameraProfile
 from tests.cases import in_one_test
 

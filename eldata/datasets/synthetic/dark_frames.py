@@ -18,9 +18,7 @@ from eldata.datasets.clean import CleanFrames
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise.dark_shading import DarkShading
-from eldata.noise.exposures import DarkCrops
-from eldata.noise.mosaic import region_anywhere
-from eldata.raw.cfa import pack, packing_sites
+from eldata.raw.cfa import pack, packed_shape, packing_sites
 from eldata.raw.levels import packed_black_level_dn
 from eldata.sources.store.format import SUFFIXES
 from eldata.sources.store.read import StoreFrames
@@ -168,8 +166,10 @@ class DarkFrames:
         _check_iso(iso, self._numbers, self._where)
         return tuple(self._frames.names[number] for number in self._numbers[iso])
 
-    def draw(self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator) -> DarkCrops:
-        """Return crops (count, C, h, w) of frames of an ISO at random, from one place at random.
+    def draw(
+        self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """Draw crops (count, C, h, w) of frames of an ISO, from one place at random, in DN above black.
 
         They are of different frames as long as there are enough. This is for models that are called by themselves,
         which do not know where on the sensor the clean data lies.
@@ -215,8 +215,8 @@ class DarkFrames:
             )
         return *crop.place(frame, "dark frames are"), shape[1], shape[2]
 
-    def crops(self, iso: float, members: Sequence[int], region: Region) -> DarkCrops:
-        """Return one part of some frames of an ISO, by their number.
+    def crops(self, iso: float, members: Sequence[int], region: Region) -> NDArray[np.float32]:
+        """Read one part of some frames of an ISO, by their number, in DN above black and the shading.
 
         Raises
         ------
@@ -226,22 +226,31 @@ class DarkFrames:
             If it cannot be read.
         """
         shape = (len(members), packing_sites(self._first[iso].cfa).channels, *region[2:])
-        dn: NDArray[np.uint16] = new_arrays([Field("dark", shape, "<u2")])["dark"]
-        black = np.empty(shape[:2])
+        dark: NDArray[np.float32] = new_arrays([Field("dark", shape, "<f4")])["dark"]
+        crop = Crop.region(self._first[iso], region)
+        shading = None if self.shading is None else pack(self.shading.at(iso, *crop.slices), crop.cfa)
         for place, member in enumerate(members):
             frame = self._frames.frame(self._numbers[iso][member])
             self._check(frame, iso)
-            crop = Crop.region(frame, region)
-            pack(crop.cut(frame), crop.cfa, out=dn[place])
-            black[place] = packed_black_level_dn(crop.cfa, frame.black_level_dn)
-        if self.shading is None or not members:
-            return DarkCrops(dn, black)
-        there = pack(self.shading.at(iso, *crop.slices), crop.cfa)
-        return DarkCrops(dn, black, np.stack([there] * len(members)), np.full(len(members), self._scale[iso]))
+            black = packed_black_level_dn(crop.cfa, frame.black_level_dn)
+            np.subtract(pack(crop.cut(frame), crop.cfa), black[:, None, None], out=dark[place], dtype=np.float32)
+        if shading is not None:
+            dark -= shading
+            dark *= np.float32(self._scale[iso])
+        return dark
 
     def _anywhere(self, iso: float, shape: tuple[int, int, int], generator: np.random.Generator) -> Region:
+        """Draw a place for packed crops (C, h, w), in step with the CFA."""
         dark = self._first[iso]
-        return region_anywhere("dark frames give", dark.shape, dark.cfa, shape, generator)
+        whole, step = packed_shape(dark.shape, dark.cfa), packing_sites(dark.cfa).sub
+        _, height, width = shape
+        if shape[0] != whole[0] or height > whole[1] or width > whole[2] or height % step or width % step:
+            raise ArgumentError(f"dark frames give crops of {whole} packed pixels or less, and none of {shape}")
+        top, left = (
+            step * int(generator.integers((most - side) // step + 1))
+            for most, side in zip(whole[1:], shape[1:], strict=True)
+        )
+        return top, left, height, width
 
     def _check(self, frame: Frame, iso: float) -> None:
         """Refuse a frame that is unlike the first of all, or of its ISO, or whose pixels are no whole DN."""

@@ -35,13 +35,14 @@ from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import CleanScene, clean_scenes
 from eldata.datasets.crops import Crop
 from eldata.datasets.synthetic.dark_frames import DarkFrames
-from eldata.datasets.synthetic.draws import Turns, draw_splits
-from eldata.datasets.synthetic.noisy_items import check_scale, from_sensor
+from eldata.datasets.synthetic.pairs import check_scale, draw_dark
+from eldata.datasets.synthetic.turns import Turns, draw_splits
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
 from eldata.manifest.writing import save_manifest
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
+from eldata.noise.parameters import NoiseDraw
 from eldata.raw.cfa import cfa_from, packed_area, packed_shape, packing_sites, unpack
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import pack_normalised, packed_black_level_dn
@@ -133,12 +134,12 @@ class Recipe:
     @property
     def written_spec(self) -> str:
         """The components that are drawn; for DNG without U, because writing rounds."""
-        parts = parse_components(self.spec)
-        if self.format == "npy" or not parts.quantisation:
-            return self.spec
-        if parts.spec == "U":
+        names = parse_components(self.spec)
+        if self.format == "dng":
+            names = tuple(name for name in names if name != "U")
+        if not names:
             raise ArgumentError("noise model 'U': writing a DNG rounds to whole DN already; name another component")
-        return replace(parts, quantisation=False).spec
+        return "+".join(names)
 
     def dark(self) -> DarkFrames | None:
         """Return the dark frames, newly opened: they are looked for in their folder."""
@@ -317,7 +318,7 @@ def _write_tables(
     )
     parameters = {
         "model": recipe.spec,
-        "written_model": parse_components(recipe.written_spec).spec,
+        "written_model": recipe.written_spec,
         "profile": recipe.profile.as_dict(),
         "seed": recipe.seed,
         "ratio": list(recipe.ratio),
@@ -406,18 +407,16 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, begun: str, sour
     whole = Frame.of_raw(raw.mosaic, raw.sensor, str(path), raw.exposure)
     area = Crop.region(whole, (0, 0, *packed_shape(whole.shape, whole.cfa)[1:]))
     for copy, draw in waiting:
-        ratio = float(draw.ratio)
-        members = [] if dark is None else [_member(recipe, dark, source.number, copy)]
-        of_sensor = from_sensor(model, whole, area, recipe.iso, members, draw.generator)
-        noisy = model(
-            clean, parameters=draw.parameters, ratio=ratio, range_dn=range_dn, generator=draw.generator, **of_sensor
-        )
+        members = () if dark is None else (_member(recipe, dark, source.number, copy),)
+        of_sensor = draw_dark(model, whole, area, recipe.iso, members, draw.generator)
+        exposure = NoiseDraw(draw.parameters, float(draw.ratio), range_dn, dark=members)
+        noisy = model.apply(clean, exposure, draw.generator, dark=of_sensor)
         if recipe.format == "dng":
-            dn = draw.parameters.rounded(noisy.astype(np.float64) * (range_dn / ratio) + black)
+            dn = draw.parameters.rounded(noisy.astype(np.float64) * (range_dn / exposure.ratio) + black)
             mosaic = unpack(np.clip(dn, 0, sensor.white_level_dn).astype(np.uint16), sensor.cfa)
-            exposure = Exposure(draw.iso, draw.exposure_s, frame.exposure.f_number)
+            stated = Exposure(draw.iso, draw.exposure_s, frame.exposure.f_number)
             with _naming(path):
-                write_dng(place / draw.name, mosaic, sensor, exposure, compression="lossless-jpeg")
+                write_dng(place / draw.name, mosaic, sensor, stated, compression="lossless-jpeg")
         else:
             with atomic_write(place / draw.name) as file:
                 np.save(file, noisy, allow_pickle=False)

@@ -2,7 +2,6 @@ from .components import PAPER_MODELS as PAPER_MODELS
 from .components import parse_components as parse_components
 from .dark_shading import DarkShading as DarkShading
 from .dark_shading import ShadingIso as ShadingIso
-from .gain_modes import GainMode as GainMode
 from .model import NoiseMaker as NoiseMaker
 from .model import NoiseModel as NoiseModel
 from .parameters import Adc as Adc
@@ -10,9 +9,9 @@ from .parameters import NoiseDraw as NoiseDraw
 from .parameters import NoiseParameters as NoiseParameters
 from .parameters import tukey_lambda_variance as tukey_lambda_variance
 from .profile import CameraProfile as CameraProfile
-from .profile_files import shipped_profiles as shipped_profiles
+from .profile import GainMode as GainMode
+from .profile import shipped_profiles as shipped_profiles
 from .published import read_published as read_published
 from .virtual import LED_RANGES as LED_RANGES
 from .virtual import CameraRanges as CameraRanges
-from .virtual import FitRanges as FitRanges
 from .virtual import VirtualCameras as VirtualCameras

@@ -22,8 +22,8 @@ Draws, and how exact they are:
 Alias tables for exact Poisson draws: a sum of independent Poisson variables is Poisson with the sum of the means. So a
 mean below :data:`TABLE_LIMIT` is split into a multiple of 8, a multiple of 1/32 below 8, and a remainder below 1/32.
 The first two have an alias table each; the remainder is drawn by inversion. A table is asked with one 32-bit number:
-its high bits choose a column, the rest is compared with the column's threshold. The distribution function is rounded to a
-multiple of 2^-32 and then met exactly, because a column holds a whole number of the 2^32 possible numbers. So every
+its high bits choose a column, the rest is compared with the column's threshold. The distribution function is rounded to
+a multiple of 2^-32 and then met exactly, because a column holds a whole number of the 2^32 possible numbers. So every
 probability is within 2^-32 of the Poisson one, and values whose whole tail is below 2^-33 are never drawn (for a mean
 of 1600, those beyond 6.3 standard deviations). An entry is 8 bytes: threshold (32 bits), value from the threshold on
 (16), value below it (16).

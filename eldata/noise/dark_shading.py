@@ -128,16 +128,16 @@ class DarkShading:
     digest: str = field(init=False)
 
     def __post_init__(self) -> None:
-        speeds, modes = [one.iso for one in self.isos], [one.mode for one in self.isos]
-        if not speeds or speeds != sorted(set(speeds)):
-            raise ArgumentError(f"a dark shading has one ISO or more, each once, ascending; found {speeds}")
+        isos, modes = [row.iso for row in self.isos], [row.mode for row in self.isos]
+        if not isos or isos != sorted(set(isos)):
+            raise ArgumentError(f"a dark shading has one ISO or more, each once, ascending; found {isos}")
         if modes != sorted(modes) or sorted(set(modes)) != list(range(len(self.slope_dn))):
             raise ArgumentError(f"{len(self.slope_dn)} gain modes are numbered from 0, ascending; found {modes}")
         packed_channels(self.cfa)
         channels = max(map(max, self.cfa)) + 1
-        for one in self.isos:
-            if {len(one.level_error_dn), len(one.standard_error_dn)} != {channels}:
-                raise ArgumentError(f"ISO {one.iso:g}: expected {channels} levels, one per CFA channel")
+        for row in self.isos:
+            if {len(row.level_error_dn), len(row.standard_error_dn)} != {channels}:
+                raise ArgumentError(f"ISO {row.iso:g}: expected {channels} levels, one per CFA channel")
         if self.hot.dtype != np.bool_ or self.hot.ndim != 2:
             raise ArgumentError(f"hot is boolean (H, W); found {self.hot.dtype} {self.hot.shape}")
         expected = (len(self.slope_dn), *self.hot.shape)
@@ -191,10 +191,10 @@ class DarkShading:
         ArgumentError
             If nothing was: the black level error of an ISO follows from no other ISO's.
         """
-        for one in self.isos:
-            if one.iso == iso:
-                return one
-        listed = ", ".join(f"{one.iso:g}" for one in self.isos)
+        for row in self.isos:
+            if row.iso == iso:
+                return row
+        listed = ", ".join(f"{row.iso:g}" for row in self.isos)
         raise ArgumentError(
             f"the dark shading of {self.camera} was not measured at ISO {iso:g}, and no other ISO tells its black "
             f"level error; there are {listed}. Take bias frames at ISO {iso:g} and calibrate again"
@@ -387,7 +387,7 @@ class DarkShading:
                 shading, stated = _read(path, archive)
         except NpyError as error:
             raise ShadingError(path, f"is not the file of a dark shading: {error}; {_ADVICE}") from error
-        except ArgumentError as error:
+        except (ArgumentError, ValueError) as error:
             raise ShadingError(path, f"{error}; {_ADVICE}") from error
         except OSError as error:
             raise ShadingError(path, f"cannot be read: {error.strerror or error}") from error
@@ -419,20 +419,13 @@ def _read(path: Path, archive: NpzArchive) -> tuple[DarkShading, str]:
     if modes * height * width * 8 > path.stat().st_size:
         raise top.problem("height", f"the file is too small for {modes} x {height} x {width} pixels: truncated?")
     cfa = top.each("cfa", lambda inner, name: inner.each(name, Fields.whole, at_most=3), expected="a list of rows")
-    try:
-        packed_channels(cfa)
-    except (ArgumentError, ValueError) as error:
-        raise top.problem("cfa", str(error)) from error
     lines = {name: array(name, "float32", modes, height, width).astype(np.float32, copy=False) for name in _FIELDS}
-    hot = array("hot", "bool", height, width)
-    if hot.view(np.uint8).max() > 1:
-        raise top.problem("hot", "expected true and false alone, found other bytes")
     shading = DarkShading(
         camera=top.text("camera"),
         source=top.text("source"),
         cfa=cfa,
         isos=tuple(map(_read_iso, top.objects("isos", fewest=1, expected="a list of at least one ISO"))),
-        hot=hot,
+        hot=array("hot", "bool", height, width),
         notes=top.texts("notes", empty=True),
         model=top.text("model") if has_model else "",
         **lines,

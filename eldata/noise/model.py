@@ -26,7 +26,7 @@ from eldata.base.numbers import checked_whole
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.components import parse_components
 from eldata.noise.mosaic import pack_whole, packed_rows, unpack_whole
-from eldata.noise.parameters import Adc, Generator, NoiseDraw, NoiseParameters, key_from, tukey_lambda_variance
+from eldata.noise.parameters import Adc, Generator, NoiseDraw, NoiseParameters, key_from
 from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
@@ -243,49 +243,34 @@ class NoiseModel:
             self._check_dark(dark, (images, *clean.shape[-3:]))
         if out is not None:
             _check_out(out, clean)
+        shape = (images, *clean.shape[-3:])
+        options: dict[str, Any] = {"adc": self.adc, "limits": CLIP_RANGES[self.clip or "none"], "dark": dark}
         image: Any = clean
-        is_array = isinstance(clean, np.ndarray)
-        if not is_array:
+        noisy: Any
+        if not isinstance(clean, np.ndarray):
             import torch
 
-            image = image.detach().to(torch.float32)
-            if image.device.type != "cpu":
-                on_device: Image = self._on_device(image, each, generators, dark).to(clean.dtype)
-                return on_device
-        from eldata.noise.compiled import expose_compiled
+            image = clean.detach().to(torch.float32)
+        if isinstance(image, np.ndarray) or image.device.type == "cpu":
+            from eldata.noise.compiled import expose_compiled
 
-        shape = (images, *clean.shape[-3:])
-        noisy: Any = expose_compiled(
-            np.ascontiguousarray(image, dtype=np.float32).reshape(shape),
-            each,
-            self.formulas,
-            keys=[key_from(one) for one in generators] if images else [0],
-            adc=self.adc,
-            limits=CLIP_RANGES[self.clip or "none"],
-            dark=dark,
-            threads=threads,
-            out=None if out is None else out.reshape(shape),
-        ).reshape(clean.shape)
-        if out is None:
-            dtype: Any = clean.dtype
-            noisy = noisy.astype(dtype, copy=False) if is_array else torch.from_numpy(noisy).to(dtype)
-        result: Image = noisy
+            keys = [key_from(one) for one in generators] if images else [0]
+            flat = np.ascontiguousarray(image, dtype=np.float32).reshape(shape)
+            target = None if out is None else out.reshape(shape)
+            noisy = expose_compiled(flat, each, self.formulas, keys=keys, threads=threads, out=target, **options)
+        else:
+            from eldata.noise.on_device import expose_on_device
+
+            device, (drawing, *others) = image.device, generators
+            if others or not isinstance(drawing, torch.Generator) or drawing.device.type != device.type:
+                raise ArgumentError(f"clean is on {device}: give a torch.Generator of that device")
+            noisy = expose_on_device(image.reshape(shape), each, self.formulas, drawing, **options)
+        if not isinstance(clean, np.ndarray):
+            noisy = torch.as_tensor(noisy).to(clean.dtype)
+        elif out is None:
+            noisy = noisy.astype(clean.dtype, copy=False)
+        result: Image = noisy.reshape(clean.shape)
         return result
-
-    def _on_device(
-        self, clean: Any, draws: Sequence[NoiseDraw], generators: Sequence[Any], dark: NDArray[np.float32] | None
-    ) -> Any:
-        import torch
-
-        from eldata.noise.on_device import expose_on_device
-
-        device, (generator, *others) = clean.device, generators
-        if others or not isinstance(generator, torch.Generator) or generator.device.type != device.type:
-            raise ArgumentError(f"clean is on {device}: give a torch.Generator of that device")
-        flat = clean.reshape(-1, *clean.shape[-3:])
-        limits = CLIP_RANGES[self.clip or "none"]
-        noisy = expose_on_device(flat, draws, self.formulas, generator, adc=self.adc, limits=limits, dark=dark)
-        return noisy.reshape(clean.shape)
 
     def _draw_dark(
         self, groups: Sequence[Sequence[NoiseParameters]], packed: tuple[int, int, int], generator: Generator
@@ -334,45 +319,6 @@ class NoiseModel:
         packed = pack_whole(clean, cfa)
         noisy = self(packed, parameters=parameters, ratio=ratio, range_dn=range_dn, generator=generator)
         return unpack_whole(noisy, cfa, (clean.shape[-2], clean.shape[-1]))
-
-    def expected_mean_dn(self, signal_e: float, parameters: NoiseParameters, channel: int = 0) -> float:
-        """Compute the mean of D, in DN above black: K I, plus the bias of a Bayer channel.
-
-        Raises
-        ------
-        ArgumentError
-            If the model has dark frames, whose mean is their own.
-        """
-        self._check_closed()
-        bias = parameters.colour_bias_dn[channel] if "B" in self.components else 0.0
-        return parameters.gain_dn_per_e * signal_e + bias
-
-    def expected_variance_dn2(self, signal_e: float, parameters: NoiseParameters) -> float:
-        """Compute the variance of D over pixels and rows, in DN^2 (without saturation).
-
-        ``K (K I) + sigma_TL^2 Var(TL) + sigma_row^2 + q^2/12``, each term if its component is there. For an ``adc``
-        q^2/12 is an approximation, good where the other noise is above half a step q.
-
-        Raises
-        ------
-        ArgumentError
-            If the model has dark frames, whose variance is their own.
-        """
-        self._check_closed()
-        shot, step = parameters.gain_dn_per_e**2 * signal_e, parameters.quantisation_step_dn**2 / 12
-        terms = {
-            "P": shot,
-            "P*": shot,
-            "G": parameters.sigma_gauss_dn**2,
-            "G*": parameters.sigma_tl_dn**2 * tukey_lambda_variance(parameters.tukey_lambda),
-            "R": parameters.sigma_row_dn**2,
-            "U": step,
-        }
-        return sum(terms.get(name, 0.0) for name in self.components) + (0.0 if self.adc is None else step)
-
-    def _check_closed(self) -> None:
-        if "D" in self.components:
-            raise ArgumentError(f"noise model {self.spec!r}: there is no closed form for real dark frames")
 
 
 # --- what a call gives, one of each per image ----------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
+from eldata.noise.exposures import DarkCrops, Exposures
 from torch.utils.data import DataLoader
 
 from eldata.calibration import BiasStack, ShadingFit, fixed_pattern
@@ -20,7 +21,6 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import Adc, CameraProfile, DarkShading, NoiseModel, NoiseParameters, ShadingIso
 from eldata.noise.compiled import expose_compiled
 from eldata.noise.components import parse_components
-from eldata.noise.exposures import DarkCrops, Exposures
 from eldata.noise.on_device import expose_on_device
 from eldata.raw import pack, read_raw, write_dng
 from eldata.records import Exposure

@@ -24,7 +24,7 @@ from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
 from eldata.manifest import load_manifest, verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
-from eldata.noise.gain_modes import ProfileRow
+from eldata.noise.profile import ProfileRow
 from eldata.raw import bayer_cfa, read_raw, write_dng
 from eldata.raw.cfa import XTRANS_CFA
 from eldata.raw.levels import pack_normalised

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
+from eldata.noise.exposures import Adc, Exposures
 from scipy import stats
 
 from eldata.noise import NoiseModel, NoiseParameters, parse_components
-from eldata.noise.exposures import Adc, Exposures
 from eldata.noise.on_device import expose_on_device
 
 if TYPE_CHECKING:

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from eldata.noise.exposures import Adc, Exposures
 from scipy import stats
 
 from eldata.noise import _random_kernels, _tables, compiled
 from eldata.noise.compiled import expose_compiled
 from eldata.noise.components import Components
-from eldata.noise.exposures import Adc, Exposures
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,7 +13,7 @@ from scipy import stats
 
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile
-from eldata.noise.gain_modes import GainMode, LogLogFit, ProfileRow
+from eldata.noise.profile import GainMode, LogLogFit, ProfileRow
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
+from eldata.noise.makers import check_noise_maker, made_exposure
 
 from eldata.datasets import Arrays, CleanClips, CleanFrames, SyntheticClips, SyntheticPairs
 from eldata.errors import ArgumentError
 from eldata.examples.train_denoiser import noise_of
 from eldata.noise import NoiseMaker, NoiseModel, NoiseParameters
-from eldata.noise.makers import check_noise_maker, made_exposure
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:

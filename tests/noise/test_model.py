@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
+from eldata.noise.exposures import Adc
 
 from eldata.errors import ArgumentError
 from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters
-from eldata.noise.exposures import Adc
 from tests.cases import in_one_test
 from tests.noise.helpers import (
     PARAMETERS,

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
+from eldata.noise.exposures import Adc, Exposures
 from scipy import stats
 
 from eldata.errors import ArgumentError
 from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters
-from eldata.noise.exposures import Adc, Exposures
 from eldata.noise.on_device import expose_on_device
 from eldata.raw.cfa import XTRANS_CFA, pack, unpack
 from tests.cases import in_one_test

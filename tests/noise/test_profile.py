@@ -19,7 +19,7 @@ from eldata.baselines.classical import noise_of_parameters
 from eldata.baselines.noisy_frames import typical
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters, shipped_profiles
-from eldata.noise.gain_modes import LogLogFit, ProfileRow
+from eldata.noise.profile import LogLogFit, ProfileRow
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from eldata.sources.store.read import StoreFrames
 from eldata.sources.store.sources import calibration_place
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Collection, Sequence
 
     from numpy.typing import NDArray
 
@@ -120,7 +120,7 @@ class DarkFrames:
         check_choice("shading_from", shading_from, SHADING_FROM)
         self.place: Place = place
         self.dither = dither
-        self._where, self._frames, there = _found(frames, camera, levels, keep)
+        self._where, self._frames, there = _find_frames(frames, camera, levels, keep)
         for iso in () if isos is None else isos:
             _check_iso(iso, there, self._where)
         self._numbers = {iso: there[iso] for iso in sorted(there) if isos is None or iso in isos}
@@ -285,48 +285,41 @@ def _check_iso(iso: float, known: Collection[float], where: str) -> None:
         raise ArgumentError(f"{where}: there are no dark frames of ISO {iso:g}; there are {_listed(known)}")
 
 
-def _found(
+def _find_frames(
     frames: CalibrationFrames | Path | str, camera: str | None, levels: Levels, keep: int
 ) -> tuple[str, CleanFrames, dict[float, list[int]]]:
-    """Return what messages call them, the frames, and their numbers by ISO."""
+    """Find bias frames: what messages call them, the frames, and their numbers by ISO."""
     if isinstance(frames, (str, Path)) and Path(frames).suffix.lower() in SUFFIXES:
         source = StoreFrames(frames)
-        found = _of_camera(source, camera)
-        names = (f"{source.path.as_posix()}/{path}" for path in found)
-        return str(frames), CleanFrames(source, names=names, levels=levels, keep=keep), _numbered(found.values())
-    if not isinstance(frames, CalibrationFrames) and Path(frames).suffix.lower() == ".csv":
-        frames = CalibrationFrames(camera=camera, manifest=frames)
-    elif not isinstance(frames, CalibrationFrames):
-        folder = Path(frames)
-        frames = CalibrationFrames(folder.parent if folder.name == _BIAS else folder, camera)
-    bias = [record for record in frames.records if record.role == _BIAS and record.iso is not None]
-    if not bias:
-        raise DatasetError(f"{frames.root}: holds no bias frames of {frames.camera}")
-    files = CleanFrames([frames.file(record) for record in bias], levels=levels, keep=keep)
-    return str(frames.root), files, _numbered(record.iso for record in bias)
-
-
-def _of_camera(source: StoreFrames, camera: str | None) -> dict[str, Fraction]:
-    """Return the bias frames of a store by their paths, and the ISO of each."""
-    found: dict[str, dict[str, Fraction]] = {}
-    for frame in source.store.frames:
-        place = calibration_place(frame.path)
-        if place is not None and place.role == _BIAS:
-            found.setdefault(place.camera or source.store.dataset, {})[frame.path] = Fraction(place.iso)
-    if not found:
-        raise DatasetError(
-            f"{source.path}: holds no bias frames; eldata pack makes such a store of the folder that holds "
-            "bias/ISO<iso>/... of a camera"
-        )
-    return found[chosen_camera(camera, found, str(source.path))]
-
-
-def _numbered(isos: Iterable[Fraction | None]) -> dict[float, list[int]]:
-    by_iso: dict[float, list[int]] = {}
-    for number, iso in enumerate(isos):
-        if iso is not None:
-            by_iso.setdefault(float(iso), []).append(number)
-    return by_iso
+        paths: dict[str, dict[str, Fraction]] = {}
+        for frame in source.store.frames:
+            place = calibration_place(frame.path)
+            if place is not None and place.role == _BIAS:
+                paths.setdefault(place.camera or source.store.dataset, {})[frame.path] = Fraction(place.iso)
+        if not paths:
+            raise DatasetError(
+                f"{source.path}: holds no bias frames; eldata pack makes such a store of the folder that holds "
+                "bias/ISO<iso>/... of a camera"
+            )
+        where, isos = str(frames), paths[chosen_camera(camera, paths, str(source.path))]
+        names = [f"{source.path.as_posix()}/{path}" for path in isos]
+        files = CleanFrames(source, names=names, levels=levels, keep=keep)
+    else:
+        if isinstance(frames, (str, Path)):
+            folder = Path(frames).parent if Path(frames).name == _BIAS else Path(frames)
+            is_manifest = folder.suffix.lower() == ".csv"
+            frames = (
+                CalibrationFrames(camera=camera, manifest=frames) if is_manifest else CalibrationFrames(folder, camera)
+            )
+        records = [record for record in frames.records if record.role == _BIAS and record.iso is not None]
+        if not records:
+            raise DatasetError(f"{frames.root}: holds no bias frames of {frames.camera}")
+        where, isos = str(frames.root), {record.path: Fraction(record.iso or 0) for record in records}
+        files = CleanFrames([frames.file(record) for record in records], levels=levels, keep=keep)
+    numbers: dict[float, list[int]] = {}
+    for number, iso in enumerate(isos.values()):
+        numbers.setdefault(float(iso), []).append(number)
+    return where, files, numbers
 
 
 def _listed(isos: Collection[float]) -> str:

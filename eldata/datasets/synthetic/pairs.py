@@ -72,7 +72,7 @@ class NoisyItems(CroppedItems[Sample]):
         self.source = source
         _check_source(owner, source, method)
         super().__init__(crop, augment, crops, seed, repeats)
-        self.clip, self.model = clip, _clipped(owner, NoiseModel() if model is None else model, clip)
+        self.clip, self.model = clip, _set_clip(owner, NoiseModel() if model is None else model, clip)
         frames = self.model.dark_frames if isinstance(self.model, NoiseModel) else None
         self._dark = frames if isinstance(frames, DarkFrames) else None
         if self._dark is not None and iso is None:
@@ -81,7 +81,7 @@ class NoisyItems(CroppedItems[Sample]):
         self.range_dn = None if range_dn is None else checked_number("range_dn", range_dn, above=0)
         if self.range_dn is not None and self._dark is not None:
             raise ArgumentError(f"{owner}: dark frames are in the frames' own DN; leave range_dn out")
-        self._turns = None if self._dark is None else _turns(owner, self._dark, self.noise, self.seed, exposures)
+        self._turns = None if self._dark is None else _make_turns(owner, self._dark, self.noise, self.seed, exposures)
         records = map(getattr(source, method), range(len(source)))
         self._count_items(len(source), records if method == "frame" else (clip.frame(0) for clip in records))
         self._length = self._length_of(len(source))
@@ -198,8 +198,8 @@ def _check_source(owner: str, source: Any, method: str) -> None:
     )
 
 
-def _turns(owner: str, dark: DarkFrames, choice: NoiseChoice, seed: int, exposures: int) -> Turns:
-    """Return whose turn it is among the dark frames of the ISOs to draw from."""
+def _make_turns(owner: str, dark: DarkFrames, choice: NoiseChoice, seed: int, exposures: int) -> Turns:
+    """Order the dark frames of the ISOs to draw from."""
     if len(choice.profiles) > 1:
         raise ArgumentError(f"{owner}: dark frames are of one camera; give its profile alone")
     isos = [iso for iso in choice.isos if iso is not None]
@@ -213,7 +213,7 @@ def _turns(owner: str, dark: DarkFrames, choice: NoiseChoice, seed: int, exposur
     return Turns(seed, np.diff(choice.shares, prepend=0.0).tolist(), counts, exposures)
 
 
-def _clipped(owner: str, model: Any, clip: Clip) -> NoiseMaker:
+def _set_clip(owner: str, model: Any, clip: Clip) -> NoiseMaker:
     """Return the model with the clip of the input. The dataset decides, as for the pairs that are tested on."""
     check_choice("clip", clip, CLIP_RANGES)
     if not isinstance(model, NoiseModel):

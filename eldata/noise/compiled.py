@@ -109,7 +109,7 @@ def _figures(draws: Sequence[NoiseDraw], channels: int, *, has_shot_noise: bool)
     figures["tukey_lambda"][np.abs(figures["tukey_lambda"]) < LAMBDA_FLOOR] = LAMBDA_FLOOR
     ratio, range_dn, gain = np.array([(draw.ratio, draw.range_dn, draw.parameters.gain_dn_per_e) for draw in draws]).T
     if not has_shot_noise:
-        figures["gain_dn_per_e"] = gain = np.ones(len(draws))
+        figures["gain_dn_per_e"], gain = 1.0, np.ones(len(draws))
     figures["events"], figures["scale"] = (range_dn / (ratio * gain))[:, None], (ratio / range_dn)[:, None]
     figures["bias_dn"] = [draw.parameters.channel_bias_dn(channels) for draw in draws]
     return figures

@@ -19,8 +19,8 @@ from eldata.datasets.base import PairDataset
 from eldata.datasets.clips import ClipWindows
 from eldata.datasets.packed import PackedStore
 from eldata.datasets.synthetic import synthesis
-from eldata.datasets.synthetic.draws import draw_splits
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
+from eldata.datasets.synthetic.turns import draw_splits
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError
 from eldata.manifest import load_manifest, verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters

@@ -130,18 +130,6 @@ def test_an_iso_belongs_to_one_mode_and_nothing_is_known_between_them() -> None:
         assert drawn.tukey_lambda == nearest / 1e5
 
 
-def test_modes_whose_isos_only_the_rows_know() -> None:
-    modes = tuple(dataclasses.replace(mode, iso_range=None) for mode in TWO.modes)
-    profile = dataclasses.replace(TWO, modes=modes, iso_range=None)
-    assert exact(profile, iso=1600) == exact(TWO, iso=1600)
-    assert profile.gain_at_iso(1000) == pytest.approx(1.0)
-    with pytest.raises(ArgumentError, match="which of them the camera has between ISO 1600 and 3200"):
-        profile.gain_at_iso(2000)
-    silent = dataclasses.replace(profile, rows=tuple(dataclasses.replace(row, iso=None) for row in TWO.rows))
-    with pytest.raises(ArgumentError, match="does not say which ISO"):
-        silent.gain_at_iso(1000)
-
-
 def test_the_gain_follows_the_rows_of_its_own_mode() -> None:
     """A camera whose gain doubles where it switches, is stated to from ISO 2000 on, and has an extended ISO 12800."""
     gains = {200: 0.2, 400: 0.4, 800: 0.8, 1600: 1.6, 3200: 6.4, 6400: 12.8, 12800: 12.8}

@@ -11,16 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from eldata.noise.exposures import DarkCrops, Exposures
 from torch.utils.data import DataLoader
 
 from eldata.calibration import BiasStack, ShadingFit, fixed_pattern
 from eldata.datasets import Arrays, CleanClips, DarkFrames, SyntheticClips, SyntheticPairs
 from eldata.datasets.clean import CleanFrames
 from eldata.errors import ArgumentError, DatasetError
-from eldata.noise import Adc, CameraProfile, DarkShading, NoiseModel, NoiseParameters, ShadingIso
+from eldata.noise import Adc, CameraProfile, DarkShading, NoiseDraw, NoiseModel, NoiseParameters, ShadingIso
 from eldata.noise.compiled import expose_compiled
-from eldata.noise.components import parse_components
 from eldata.noise.on_device import expose_on_device
 from eldata.raw import pack, read_raw, write_dng
 from eldata.records import Exposure
@@ -143,12 +141,12 @@ def test_kept_frames_of_a_store_are_read_once(bias: Path, store: Path, tmp_path:
     kept, read = DarkFrames(moved, keep=5), DarkFrames(store)
     region, numbers = (2, 4, 8, 8), range(5)
     first = kept.crops(400, numbers, region)
-    assert np.array_equal(first.dn, read.crops(400, numbers, region).dn)
-    assert np.array_equal(first.dn, DarkFrames(bias, keep=2).crops(400, numbers, region).dn)
+    assert np.array_equal(first, read.crops(400, numbers, region))
+    assert np.array_equal(first, DarkFrames(bias, keep=2).crops(400, numbers, region))
     kept._frames.origin = None  # type: ignore[assignment] # nothing can be opened any more
     kept._frames._opened.clear()
     elsewhere = (0, 2, 6, 10)
-    assert np.array_equal(kept.crops(400, numbers, elsewhere).dn, read.crops(400, numbers, elsewhere).dn)
+    assert np.array_equal(kept.crops(400, numbers, elsewhere), read.crops(400, numbers, elsewhere))
     with pytest.raises(AttributeError):
         kept.crops(1600, [0], region)
     with pytest.raises(ArgumentError, match="keep must be 0 or more; found -1"):
@@ -176,17 +174,6 @@ def test_the_dither_precedes_the_converter(bias: Path) -> None:
     assert abs(added.var() - 1 / 12) < 5 * (1 / 180 / added.size) ** 0.5
     assert np.count_nonzero(made["rounded"] != made["plain"]) < 4e-4 * added.size
     assert np.array_equal(made["rounded"], np.rint(made["rounded"] + 512) - 512)
-
-
-def test_the_other_engine_adds_the_same_frame() -> None:
-    generator = np.random.default_rng(2)
-    dn = generator.integers(400, 600, (2, 4, 6, 8), dtype=np.uint16)
-    black = np.array([[512.0, 509.0, 511.0, 514.0]] * 2)
-    exposures = Exposures.of(
-        parse_components("D"), [PARAMETERS] * 2, [1.0] * 2, 4, range_dn=1.0, dark=DarkCrops(dn, black)
-    )
-    made = expose_on_device(torch.zeros(2, 4, 6, 8), exposures, torch.Generator())
-    assert np.array_equal(made.numpy(), dn - black[:, :, None, None])
 
 
 # --- in turns ---------------------------------------------------------------------------------------------------------
@@ -306,13 +293,10 @@ def test_isos_and_models_that_are_refused(bias: Path, store: Path) -> None:
         (lambda: DarkFrames(bias, isos=[]), "isos is empty; there are 400, 1600"),
         (lambda: NoiseModel("P*+D"), r"D takes real frames; give dark_frames=DarkFrames\(...\)"),
         (lambda: NoiseModel("P*+G*", dark_frames=dark), "takes no dark frames: it has no component D"),
-        (lambda: NoiseModel("P*+G*+D", dark_frames=dark), r"the frames of D have their own read noise, and G\* would"),
-        (lambda: NoiseModel("P*+D+U", dark_frames=dark), "the frames of D have their own rounding"),
         (
             lambda: NoiseModel("P*+D", dark_frames=DarkFrames(bias, dither=False), adc=Adc(512, 16383)),
             "without a dither it would round single photons away",
         ),
-        (lambda: NoiseModel("P*+D", dark_frames=dark).expected_mean_dn(1.0, PARAMETERS), "no closed form"),
         (lambda: DarkFrames(bias, place="here"), "place"),  # type: ignore[arg-type]
         (
             lambda: SyntheticPairs(
@@ -327,7 +311,10 @@ def test_isos_and_models_that_are_refused(bias: Path, store: Path) -> None:
     options: dict[str, Any] = {"ratio": 1.0, "range_dn": 1.0, "generator": np.random.default_rng(0)}
     with pytest.raises(ArgumentError, match="dark frames of the parameters' ISO, and they do not state it"):
         model(clean, parameters=replace(PARAMETERS, iso=None), **options)
-    with pytest.raises(ArgumentError, match=r"dark must be DarkCrops of shape \(1, 4, 8, 8\); found ndarray"):
+    with pytest.raises(
+        ArgumentError,
+        match=r"dark must be float32 of shape \(1, 4, 8, 8\), .*; found float32 \(4, 8, 8\)",
+    ):
         model(clean, parameters=PARAMETERS, **options | {"dark": clean})
     with pytest.raises(DatasetError, match="holds no clean frames, but 8 of other kinds"):
         CleanFrames(store)
@@ -369,10 +356,10 @@ def test_less_a_shading_the_noise_alone_is_left(tmp_path: Path) -> None:
         black = 512.0 + pack(shading.at(400), cfa)
         scale = (5 / 6) ** -0.5 if name == "these" else 1.0
         expected = (np.stack([pack(mosaic, cfa) for mosaic in frames]) - black) * scale
-        exposures = Exposures.of(parse_components("D"), [PARAMETERS] * 6, [1.0] * 6, 4, range_dn=1.0, dark=crops)
         clean = np.zeros(expected.shape, np.float32)
-        compiled = expose_compiled(clean, exposures, key=1)
-        there = expose_on_device(torch.from_numpy(clean), exposures, torch.Generator())
+        draws = [NoiseDraw(PARAMETERS, 1.0, 1.0)] * 6
+        compiled = expose_compiled(clean, draws, (), keys=[1], dark=crops)
+        there = expose_on_device(torch.from_numpy(clean), draws, (), torch.Generator(), dark=crops)
         for found in (compiled, there.numpy()):
             np.testing.assert_allclose(found, expected, atol=2e-4)
         made[name] = compiled

@@ -24,7 +24,6 @@ from eldata.raw.cfa import XTRANS_CFA
 from eldata.raw.levels import pack_normalised
 from tests.noise.helpers import Law
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
-from tests.waiting import PATIENCE_S
 
 # Python 3.12 and later warn of any fork in a process that has threads.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
@@ -171,40 +170,11 @@ def test_raw_clips_are_the_folders_with_raws(folder: Path, tmp_path: Path) -> No
         CleanClips([tmp_path])
 
 
-@pytest.mark.parametrize(
-    ("names", "message"),
-    [
-        (["1.dng", "2.dng", "5.dng"], "nothing from 3 to 4"),
-        (["1.dng", "2.dng", "2 (1).dng"], r"found 2 \(1\)\.dng"),
-        (["1.dng", "01.dng", "2.dng"], r"two of \(1,\)"),
-    ],
-)
-def test_frames_out_of_line_are_refused(names: list[str], message: str, tmp_path: Path) -> None:
-    for name in names:
-        (tmp_path / name).write_bytes(b"x")
-    with pytest.raises(DatasetError, match=message):
-        CleanClips(tmp_path)
-
-
 def test_clips_that_are_too_short(folder: Path) -> None:
     dataset = raw_clips(folder, frames=5)
     with pytest.raises(DatasetError, match="4 frames are too few for a window of 5"):
         dataset[0]
     assert dataset[1]["input"].shape[0] == 5
-
-
-def test_numbers_that_make_no_sense(folder: Path) -> None:
-    for options in ({"frames": 0}, {"windows_per_clip": 0}):
-        with pytest.raises(ArgumentError, match="must be 1 or more"):
-            raw_clips(folder, **options)
-    with pytest.raises(DatasetError, match="take a smaller crop"):
-        raw_clips(folder, crop=64)[0]
-
-
-def test_the_repr_says_what_is_made(folder: Path) -> None:
-    text = repr(raw_clips(folder))
-    for part in ("SyntheticClips(CleanClips(2 clips", "6 windows of 3 frames", "cameras: SonyA7S2", "seed=3"):
-        assert part in text
 
 
 @pytest.mark.memory
@@ -222,10 +192,12 @@ def test_one_whole_frame_is_in_memory_at_a_time(tmp_path: Path) -> None:
 
 
 def test_batches_hold_the_windows(folder: Path) -> None:
-    batches = list(DataLoader(raw_clips(folder), batch_size=4, num_workers=2, timeout=PATIENCE_S))
     dataset = raw_clips(folder)
-    for number, batch in enumerate(batches):
-        wanted = default_collate([dataset[index] for index in range(4 * number, min(4 * number + 4, len(dataset)))])
-        assert list(batch) == list(wanted)
-        for key, value in wanted.items():
-            assert torch.equal(batch[key], value) if isinstance(value, torch.Tensor) else batch[key] == value, key
+    assert "SyntheticClips(CleanClips(2 clips" in repr(dataset)
+    assert "6 windows of 3 frames, cameras: SonyA7S2" in repr(dataset)
+    dataset.set_epoch(0)
+    (batch,) = DataLoader(dataset, batch_size=6)
+    for key, value in default_collate(list(dataset)).items():
+        assert torch.equal(batch[key], value) if isinstance(value, torch.Tensor) else batch[key] == value, key
+    with pytest.raises(ArgumentError, match="must be 1 or more"):
+        raw_clips(folder, frames=0)

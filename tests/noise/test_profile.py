@@ -466,7 +466,7 @@ def test_what_a_draw_refuses(given: dict[str, Any], words: str) -> None:
 
 def test_profiles_that_are_refused() -> None:
     assert shipped_profiles() == (*CAMERAS, "SonyA7S2-PMN")
-    with pytest.raises(ProfileError, match="'Leica'; known are CanonEOS5D4, .*, SonyA7S2-PMN"):
+    with pytest.raises(ProfileError, match=r"'Leica'; known are CanonEOS5D4, .*, SonyA7S2-PMN"):
         CameraProfile.load("Leica")
     with pytest.raises(ProfileError, match="the white level, 512 DN, must lie above the black level, 512 DN"):
         dataclasses.replace(FULL, white_level_dn=512.0)

@@ -43,23 +43,25 @@ Values: TypeAlias = "NDArray[np.float64]"
 Component: TypeAlias = Callable[[Values, "NoiseParameters", np.random.Generator], Values]
 
 
-def gaussian_shot(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+def draw_gaussian_shot(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
     """P: ``K N_p`` with ``N_p ~ N(0, sqrt(I))``, the normal limit of equation 2."""
     normal = generator.standard_normal(photoelectrons.shape)
     return parameters.gain_dn_per_e * np.sqrt(photoelectrons) * normal
 
 
-def poisson_shot(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+def draw_poisson_shot(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
     """P*: ``K N_p`` with ``I + N_p ~ Poisson(I)`` (equation 2)."""
     return parameters.gain_dn_per_e * (generator.poisson(photoelectrons) - photoelectrons)
 
 
-def gaussian_read(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+def draw_gaussian_read(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
     """G: ``N_read ~ N(0, sigma_G)``, the usual assumption (section 3.1.2)."""
     return parameters.sigma_gauss_dn * generator.standard_normal(photoelectrons.shape)
 
 
-def tukey_lambda_read(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+def draw_tukey_lambda(
+    photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator
+) -> Values:
     """G*: ``N_read ~ TL(lambda; 0, sigma_TL)`` (equation 4).
 
     Its quantile is ``(u^lambda - (1 - u)^lambda) / lambda`` of a uniform u, and ``ln(u / (1 - u))`` at lambda = 0.
@@ -69,34 +71,34 @@ def tukey_lambda_read(photoelectrons: Values, parameters: NoiseParameters, gener
     return np.asarray(parameters.sigma_tl_dn * quantile)
 
 
-def colour_bias(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+def draw_colour_bias(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
     """B: ``mu_c``, the mean of the read noise in each colour (equation 5)."""
     del generator
     bias = np.array(parameters.channel_bias_dn(len(photoelectrons)))
     return np.broadcast_to(bias[:, None, None], photoelectrons.shape)
 
 
-def row_noise(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+def draw_row_noise(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
     """R: ``N_r ~ N(0, sigma_r)`` (equation 6), one draw for each row of the mosaic; packed R and G1 share one."""
     rows = mosaic_rows(*photoelectrons.shape)
     draws = generator.standard_normal(rows.max(initial=-1) + 1)
     return np.asarray(parameters.sigma_row_dn * draws[rows])
 
 
-def quantisation(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+def draw_quantisation(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
     """U: ``N_q ~ U(-q/2, q/2)`` with the quantisation step q (equation 7)."""
     half = parameters.quantisation_step_dn / 2
     return generator.uniform(-half, half, photoelectrons.shape)
 
 
 COMPONENTS: dict[str, Component] = {
-    "P": gaussian_shot,
-    "P*": poisson_shot,
-    "G": gaussian_read,
-    "G*": tukey_lambda_read,
-    "B": colour_bias,
-    "R": row_noise,
-    "U": quantisation,
+    "P": draw_gaussian_shot,
+    "P*": draw_poisson_shot,
+    "G": draw_gaussian_read,
+    "G*": draw_tukey_lambda,
+    "B": draw_colour_bias,
+    "R": draw_row_noise,
+    "U": draw_quantisation,
 }
 """The components that have a formula, by their names in the paper's table 2."""
 

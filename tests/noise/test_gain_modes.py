@@ -176,13 +176,11 @@ def test_modes_that_do_not_go_together(changes: dict[str, Any], text: str) -> No
 @in_one_test(
     "keys, value, text",
     [
-        (("modes",), [], "field modes: expected a list of two modes or more"),
-        (("modes", 1, "extra"), 1, "field modes[1].extra: is unknown"),
-        (("modes", 0, "row_fit", "slope"), "a", "field modes[0].row_fit.slope"),
-        (("modes", 0, "gain_range_dn_per_e"), [2, 1], "field modes[0].gain_range_dn_per_e"),
-        (("row_fit",), {"slope": 1, "intercept": 1, "sigma": 1}, "field row_fit: is unknown"),
-        (("schema",), 1, "field modes: is unknown"),
-        (("schema",), 4, "field schema: expected 1 or 2 (a newer file needs a newer eldata), found 4"),
+        (("modes",), [], r"modes: expected a list of two modes or more"),
+        (("modes", 1, "extra"), 1, r"modes\[1\]\.extra: is unknown"),
+        (("modes", 0, "row_fit", "slope"), "a", r"modes\[0\]\.row_fit\.slope"),
+        (("row_fit",), {"slope": 1, "intercept": 1, "sigma": 1}, "row_fit: is unknown"),
+        (("schema",), 1, "modes: is unknown"),
     ],
 )
 def test_a_wrong_field_of_a_file_is_named(keys: tuple[Any, ...], value: object, text: str, tmp_path: Path) -> None:
@@ -191,8 +189,6 @@ def test_a_wrong_field_of_a_file_is_named(keys: tuple[Any, ...], value: object, 
     for key in keys[:-1]:
         place = place[key]
     place[keys[-1]] = value
-    path = tmp_path / "two.json"
-    path.write_text(json.dumps(data), encoding="utf-8")
-    with pytest.raises(ProfileError) as caught:
-        CameraProfile.load(path)
-    assert str(caught.value).startswith(f"{path}, {text}")
+    (tmp_path / "two.json").write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(ProfileError, match=f"two.json, field {text}"):
+        CameraProfile.load(tmp_path / "two.json")

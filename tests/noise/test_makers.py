@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from eldata.datasets import Arrays, CleanClips, CleanFrames, SyntheticClips, SyntheticPairs
+from eldata.datasets import Arrays, CleanFrames, SyntheticPairs
 from eldata.errors import ArgumentError
 from eldata.examples.train_denoiser import noise_of
 from eldata.noise import NoiseDraw, NoiseModel, NoiseParameters
@@ -90,19 +90,6 @@ def test_an_object_and_the_clip_of_the_dataset() -> None:
         np.testing.assert_allclose(item["input"].numpy(), value, rtol=1e-6)
     assert "Scaled(2.0), clip='upper'" in repr(pairs(Scaled(2.0), clip="upper"))
     assert "brighter, clip='both'" in repr(pairs(brighter))
-
-
-def test_a_clip_of_frames_is_made_at_once() -> None:
-    shapes = []
-
-    def made(clean: Any, **options: Any) -> Any:
-        shapes.append(clean.shape)
-        return clean
-
-    source = CleanClips([Arrays(np.full((5, 4, 16, 16), 0.3, np.float32), range_dn=1000.0)])
-    item = SyntheticClips(source, "SonyA7S2", model=made, frames=3, crop=8)[0]
-    assert shapes == [(3, 4, 8, 8)]
-    assert torch.equal(item["input"], item["target"])
 
 
 @in_one_test(

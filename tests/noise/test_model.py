@@ -96,16 +96,6 @@ def test_the_result_is_dn_times_ratio_over_range(ratio: float, range_dn: float) 
 # --- clips and batches ----------------------------------------------------------------------------------------------
 
 
-def test_a_sequence_may_be_a_tuple_and_must_have_the_right_length() -> None:
-    batch = np.zeros((2, 4, 4, 4), np.float32)
-    same_bits(noisy(batch, parameters=(PARAMETERS, PARAMETERS)), noisy(batch))
-    same_bits(noisy(batch, ratio=(RATIO, RATIO)), noisy(batch))
-    for name, value in (("parameters", [PARAMETERS]), ("parameters", [PARAMETERS] * 3), ("ratio", [1.0] * 3)):
-        refused: dict[str, Any] = {name: value}
-        with pytest.raises(ArgumentError, match=rf"^{name}: expected one, or one for each of 2 images; found"):
-            noisy(batch, **refused)
-
-
 @pytest.mark.parametrize("lead", [(), (2, 3), (2, 0)])
 @pytest.mark.parametrize("channels", [4, 9, 16, 36])
 def test_any_leading_dimensions(lead: tuple[int, ...], channels: int) -> None:
@@ -160,15 +150,6 @@ def test_the_clean_data_is_not_written_to() -> None:
 # --- determinism ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("make", [np.random.default_rng, lambda seed: torch.Generator().manual_seed(seed)])
-def test_the_generator_moves_on(make: Any) -> None:
-    generator = make(3)
-    first, second = noisy(FLAT, generator=generator), noisy(FLAT, generator=generator)
-    assert not np.array_equal(first, second)
-    same_bits(first, noisy(FLAT, generator=make(3)))
-    assert not np.array_equal(first, noisy(FLAT, generator=make(4)))
-
-
 def test_several_generators_are_as_many_calls() -> None:
     """Images of several cameras, a pair of each under one generator: to the bit what calls for each pair give."""
     clean = np.random.default_rng(5).random((6, 9, 6, 8), dtype=np.float32)
@@ -202,7 +183,8 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
         for clean in (np.full((4, 4, 4), 3000, np.uint16), torch.full((4, 4, 4), 3000, dtype=torch.uint16))
     ),
     *(({"clean": clean}, "clean must be a numpy array or") for clean in ([[[0.5]]], None)),
-    *(({name: value}, rf"^{name}(:| must be)") for name in ("ratio", "range_dn") for value in ("100", [], np.ones(2))),
+    *(({name: "100"}, rf"^{name} must be") for name in ("ratio", "range_dn")),
+    *(({name: np.ones(2)}, rf"^{name}: expected one, or one") for name in ("ratio", "range_dn")),
     *(
         ({name: value}, rf"^{name} must be finite and above 0; found")
         for name in ("ratio", "range_dn")
@@ -267,25 +249,6 @@ def test_where_to_write() -> None:
     same_bits(out, noisy(clean))
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        np.empty((2, 4, 6, 9), np.float32),
-        np.empty((2, 4, 6, 8), np.float64),
-        np.empty((2, 4, 6, 16), np.float32)[..., ::2],
-        [0.0],
-        "the clean image",
-    ],
-    ids=["shape", "dtype", "not contiguous", "no array", "clean"],
-)
-def test_where_nothing_can_be_written(wrong: Any) -> None:
-    clean = np.zeros((2, 4, 6, 8), np.float32)
-    with pytest.raises(ArgumentError, match=r"out must be a writeable .* of shape \(2, 4, 6, 8\)"):
-        noisy(clean, out=clean if isinstance(wrong, str) else wrong)
-    with pytest.raises(ArgumentError, match="out= is for arrays"):
-        noisy(torch.zeros(2, 4, 6, 8), out=np.empty((2, 4, 6, 8), np.float32))
-
-
 @pytest.mark.parametrize("columns", [1, 3, 64, 171, 512, 513])
 def test_narrow_images_have_the_noise_of_their_pixels_numbers(columns: int) -> None:
     """Without row noise a pixel's number alone counts: however many rows a strip takes, one long row has the same."""
@@ -293,3 +256,12 @@ def test_narrow_images_have_the_noise_of_their_pixels_numbers(columns: int) -> N
     clean = np.random.default_rng(2).random((1, 4, rows, columns), np.float32)
     line = noisy(clean.reshape(1, 4, 1, rows * columns), "P*+G*+B+U")
     same_bits(noisy(clean, "P*+G*+B+U").ravel(), line.ravel())
+
+
+def test_where_nothing_can_be_written() -> None:
+    clean = np.zeros((2, 4, 6, 8), np.float32)
+    for wrong in (clean, np.empty((2, 4, 6, 8)), np.empty((2, 4, 6, 16), np.float32)[..., ::2], [0.0]):
+        with pytest.raises(ArgumentError, match=r"out must be a writeable .* of shape \(2, 4, 6, 8\)"):
+            noisy(clean, out=wrong)
+    with pytest.raises(ArgumentError, match="out= is for arrays"):
+        noisy(torch.zeros(2, 4, 6, 8), out=np.empty((2, 4, 6, 8), np.float32))

@@ -30,6 +30,7 @@ from tests.noise.helpers import (
     clean_of,
     compiled_dn,
     device_dn,
+    on_device,
     plain_dn,
     poisson_p_value,
 )

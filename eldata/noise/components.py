@@ -59,9 +59,7 @@ def draw_gaussian_read(photoelectrons: Values, parameters: NoiseParameters, gene
     return parameters.sigma_gauss_dn * generator.standard_normal(photoelectrons.shape)
 
 
-def draw_tukey_lambda(
-    photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator
-) -> Values:
+def draw_tukey_lambda(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
     """G*: ``N_read ~ TL(lambda; 0, sigma_TL)`` (equation 4).
 
     Its quantile is ``(u^lambda - (1 - u)^lambda) / lambda`` of a uniform u, and ``ln(u / (1 - u))`` at lambda = 0.

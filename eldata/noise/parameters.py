@@ -86,9 +86,15 @@ class NoiseParameters:
     quantisation_step_dn: float = field(default=1.0, compare=False)
 
     def __post_init__(self) -> None:
-        for name in _names():
-            if name != "colour_bias_dn":
-                checked_number(name, getattr(self, name), above=0 if name == "gain_dn_per_e" else -math.inf)
+        above = dict.fromkeys(("gain_dn_per_e", "range_dn", "iso", "quantisation_step_dn"), 0.0)
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if name != "colour_bias_dn" and (value is not None or name in _names()):
+                checked_number(name, value, above=above.get(name, -math.inf))
+            if name.startswith("sigma") and value < 0:
+                raise ArgumentError(f"{name} must not be negative; found {value}")
+        if (problem := shape_problem(self.tukey_lambda)) is not None:
+            raise ArgumentError(f"tukey_lambda must lie {problem}; found {self.tukey_lambda}")
         # Lists, and the arrays and tensors that samples have, become a tuple: a draw can be compared and is a key.
         bias: Any = self.colour_bias_dn
         values = bias.tolist() if hasattr(bias, "tolist") else bias
@@ -97,17 +103,6 @@ class NoiseParameters:
         for value in values:
             checked_number("colour_bias_dn", value)
         object.__setattr__(self, "colour_bias_dn", tuple(values))
-        checked_number("quantisation_step_dn", self.quantisation_step_dn, above=0)
-        if self.range_dn is not None:
-            checked_number("range_dn", self.range_dn, above=0)
-        if self.iso is not None:
-            checked_number("iso", self.iso, above=0)
-        for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
-            if getattr(self, name) < 0:
-                raise ArgumentError(f"{name} must not be negative; found {getattr(self, name)}")
-        problem = shape_problem(self.tukey_lambda)
-        if problem is not None:
-            raise ArgumentError(f"tukey_lambda must lie {problem}; found {self.tukey_lambda}")
 
     def channel_bias_dn(self, channels: int) -> tuple[float, ...]:
         """Return the colour bias of each packed channel. X-Trans has one green: the mean of G1's and G2's."""

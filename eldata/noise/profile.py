@@ -303,19 +303,15 @@ class CameraProfile:
                 f"the profile of {self.camera}: the white level, {self.white_level_dn:g} DN, must lie above the black "
                 f"level, {self.black_level_dn:g} DN"
             )
-        if (problem := self._problem_of_fits()) is not None:
+        lines = self.tukey_lambda_fit, self.gauss_fit, self.row_fit
+        problem = modes_problem(self.modes, self.gain_range_dn_per_e, self.iso_range) if self.modes else None
+        if self.modes and lines != (None, None, None):
+            problem = f"{', '.join(_LINES)} are those of the modes; leave them None"
+        for mode in self.modes:
+            if problem is None and not rows_of(mode, self.rows, self.modes):
+                problem = f"no row has a K in the mode of {mode}: lambda and colour bias are not known there"
+        if problem is not None:
             raise ProfileError(f"the profile of {self.camera}: {problem}")
-
-    def _problem_of_fits(self) -> str | None:
-        if not self.modes:
-            return None
-        if (self.tukey_lambda_fit, self.gauss_fit, self.row_fit) != (None, None, None):
-            return "tukey_lambda_fit, gauss_fit and row_fit are those of the modes; leave them None"
-        found = modes_problem(self.modes, self.gain_range_dn_per_e, self.iso_range)
-        lacking = [mode for mode in self.modes if not rows_of(mode, self.rows, self.modes)]
-        if lacking and found is None:
-            return f"no row has a K in the mode of {lacking[0]}: lambda and colour bias are not known there"
-        return found
 
     @classmethod
     def load(cls, name: str | Path) -> CameraProfile:
@@ -384,7 +380,9 @@ class CameraProfile:
         def panel(name: Sigma, axes: Axes, theme: Theme) -> None:
             line, field, _ = SIGMAS[name]
             lines = ((getattr(mode, line), *mode.gain_range_dn_per_e) for mode in self.gain_modes)
-            scale_over_gain(axes, name, [one for one in lines if one[0] is not None], self._measured(field), theme)
+            known = [(row.gain_dn_per_e, getattr(row, field)) for row in self.rows]
+            points = [(gain, scale, math.nan) for gain, scale in known if gain is not None and scale]  # no errors
+            scale_over_gain(axes, name, [one for one in lines if one[0] is not None], points, theme)
 
         if sigma is not None:
             check_choice("sigma", sigma, SIGMAS)
@@ -392,13 +390,6 @@ class CameraProfile:
         if ax is not None:
             raise ArgumentError(f"one axes has room for one sigma; give sigma, one of {', '.join(SIGMAS)}")
         return drawn_grid(self.camera, [(title, partial(panel, name)) for name, (_, _, title) in SIGMAS.items()])
-
-    def _measured(self, field: str) -> list[tuple[float, float, float]]:
-        """Return K, sigma and its error, which a profile does not state, of the rows that have both."""
-        pairs = ((row.gain_dn_per_e, getattr(row, field)) for row in self.rows)
-        return [
-            (gain, scale, math.nan) for gain, scale in pairs if gain is not None and scale is not None and scale > 0
-        ]
 
     def __repr__(self) -> str:
         low, high = self.gain_range_dn_per_e

@@ -70,8 +70,15 @@ def night(cfa: Cfa = BAYER["GRBG"], side: int = SIDE, white: float = 15871.0, co
 
 def pairs(dark: DarkFrames, source: Any = None, **options: Any) -> SyntheticPairs:
     model = NoiseModel("P*+D", dark_frames=dark)
-    given: dict[str, Any] = {"crop": 16, "crops_per_frame": 8, "ratio": 100.0, "clip": "none", **options}
-    return SyntheticPairs(night() if source is None else source, "SonyA7S2", model=model, **given)
+    given: dict[str, Any] = {
+        "profiles": "SonyA7S2",
+        "crop": 16,
+        "crops_per_frame": 8,
+        "ratio": 100.0,
+        "clip": "none",
+        **options,
+    }
+    return SyntheticPairs(night() if source is None else source, model=model, **given | options)
 
 
 def in_dn(item: Any, range_dn: float = RANGE) -> NDArray[np.float64]:
@@ -132,25 +139,6 @@ def test_files_and_store_give_the_same_items(bias: Path, store: Path) -> None:
     assert DarkFrames(bias, isos=[1600]).isos == (1600.0,)
     copy = pickle.loads(pickle.dumps(of_store))
     assert torch.equal(copy[3]["input"], of_store[3]["input"])
-
-
-def test_kept_frames_of_a_store_are_read_once(bias: Path, store: Path, tmp_path: Path) -> None:
-    """The same bits, also once the store is gone; of more frames than are kept, the last used ones stay."""
-    moved = tmp_path / "bias.h5"
-    moved.write_bytes(store.read_bytes())
-    kept, read = DarkFrames(moved, keep=5), DarkFrames(store)
-    region, numbers = (2, 4, 8, 8), range(5)
-    first = kept.crops(400, numbers, region)
-    assert np.array_equal(first, read.crops(400, numbers, region))
-    assert np.array_equal(first, DarkFrames(bias, keep=2).crops(400, numbers, region))
-    kept._frames.origin = None  # type: ignore[assignment] # nothing can be opened any more
-    kept._frames._opened.clear()
-    elsewhere = (0, 2, 6, 10)
-    assert np.array_equal(kept.crops(400, numbers, elsewhere), read.crops(400, numbers, elsewhere))
-    with pytest.raises(AttributeError):
-        kept.crops(1600, [0], region)
-    with pytest.raises(ArgumentError, match="keep must be 0 or more; found -1"):
-        DarkFrames(store, keep=-1)
 
 
 def test_the_dither_precedes_the_converter(bias: Path) -> None:
@@ -287,7 +275,6 @@ def test_isos_and_models_that_are_refused(bias: Path, store: Path) -> None:
     there = "there are no dark frames of ISO 800; there are 400, 1600"
     for wrong, words in (
         (lambda: pairs(dark, iso=800), there),
-        (lambda: pairs(dark, iso=[400, 800]), there),
         (lambda: pairs(dark, range_dn=15871.0), "leave range_dn out"),
         (lambda: DarkFrames(bias, isos=[800]), there),
         (lambda: DarkFrames(bias, isos=[]), "isos is empty; there are 400, 1600"),
@@ -298,12 +285,7 @@ def test_isos_and_models_that_are_refused(bias: Path, store: Path) -> None:
             "without a dither it would round single photons away",
         ),
         (lambda: DarkFrames(bias, place="here"), "place"),  # type: ignore[arg-type]
-        (
-            lambda: SyntheticPairs(
-                night(), ["SonyA7S2", "NikonD850"], model=NoiseModel("P*+D", dark_frames=dark), crop=16
-            ),
-            "dark frames are of one camera; give its profile alone",
-        ),
+        (lambda: pairs(dark, profiles=["SonyA7S2", "NikonD850"]), "are of one camera; give its profile alone"),
     ):
         with pytest.raises(ArgumentError, match=words):
             wrong()

@@ -22,7 +22,6 @@ from eldata.datasets import (
     set_epoch,
     training_loader,
 )
-from eldata.datasets.ranks import Rank, ShuffledSampler
 from eldata.raw.cfa import XTRANS_CFA
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
@@ -96,21 +95,6 @@ def test_workers_do_not_matter(method: str, persistent: bool, store: Path) -> No
         for one, other in zip(itertools.chain(*wanted), itertools.chain(*passes(loader)), strict=True):
             same(one, other)
         same(dataset[7], of_epoch(KINDS["synthetic"](None, store), 3)[7])  # this process counts on
-
-
-def test_a_training_goes_on_to_the_bit(store: Path) -> None:
-    """Plain passes of a loader for training, whose order goes on too, and a later run that is told of its epoch."""
-    dataset = KINDS["store"](None, store)
-    loader = training_loader(dataset, 6, workers=0, seed=2)
-    assert len(loader) * 6 == len(dataset)  # none is left over
-    plain = passes(loader)
-    for epoch, batches in enumerate(plain):
-        resumed = training_loader(KINDS["store"](None, store), 6, workers=0, seed=2)
-        set_epoch(resumed, epoch, first_batch=3)
-        for one, other in zip(batches[3:], resumed, strict=True):
-            same(one, other)
-    sampler = ShuffledSampler(9, seed=1, rank=Rank())
-    assert len({tuple(sampler) for _ in range(4)}) == 4
 
 
 def test_to_look_at_an_item_is_not_to_ask_for_it(store: Path) -> None:

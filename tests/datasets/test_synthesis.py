@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import re
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -17,7 +16,6 @@ import pytest
 from eldata.cli.main import main
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clips import ClipWindows
-from eldata.datasets.packed import PackedStore
 from eldata.datasets.synthetic import synthesis
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.datasets.synthetic.turns import draw_splits
@@ -28,10 +26,9 @@ from eldata.noise.profile import ProfileRow
 from eldata.raw import bayer_cfa, read_raw, write_dng
 from eldata.raw.cfa import XTRANS_CFA
 from eldata.raw.levels import pack_normalised
-from eldata.records import Exposure, Sensor, exact_fraction
+from eldata.records import Exposure, Sensor
 from eldata.sources.frames import Files
 from tests.noise.helpers import Law
-from tests.raw.helpers import write_plain_dng
 
 BLACK, WHITE = 512.0, 16383.0
 RANGE = WHITE - BLACK
@@ -304,24 +301,6 @@ def test_the_iso_asked_for_is_the_iso_written(tmp_path: Path) -> None:
         np.testing.assert_allclose(pair["input"].numpy(), LEVEL, atol=100 * 0.51 / RANGE)
 
 
-def test_the_iso_of_a_drawn_gain_is_the_nearest_whole_one(clean: Path, tmp_path: Path) -> None:
-    manifest = synthesize(clean, tmp_path / "out", Recipe(CALIBRATED, per_image=6))
-    noisy = {row.path: row for row in manifest.records if row.role == "noisy"}
-    for frame in recorded(tmp_path / "out"):
-        iso = noisy[frame["path"]].iso
-        assert iso is not None
-        assert read_raw(tmp_path / "out" / "data" / "out" / frame["path"]).exposure.iso == iso
-        low, high = (CALIBRATED.gain_at_iso(float(iso + off)) for off in (-0.5, 0.5))
-        assert low <= frame["gain_dn_per_e"] <= high
-
-
-def test_an_iso_that_a_dng_cannot_state(clean: Path, tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match=r"states its ISO as a whole number of 32 bits; found 112\.5"):
-        Recipe(SONY, iso=112.5)
-    manifest = synthesize(clean, tmp_path / "out", Recipe(SONY, iso=112.5, format="npy"))
-    assert {row.iso for row in load_manifest(manifest.path).records if row.role == "noisy"} == {Fraction(225, 2)}
-
-
 def test_xtrans_at_an_offset_and_odd_sizes(tmp_path: Path) -> None:
     cfa = tuple(tuple(XTRANS_CFA[(y + 2) % 6][(x + 1) % 6] for x in range(6)) for y in range(6))
     mosaic = np.random.default_rng(0).integers(2000, 9000, (101, 113), dtype=np.uint16)
@@ -369,59 +348,6 @@ def test_command(clean: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
         assert main(["synthesize", str(clean), "-o", str(tmp_path / "new"), *wrong]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "new").exists()
-
-
-# --- foreign files ------------------------------------------------------------------------------------------
-
-
-# Regression: "white_balance = 10000000000000000/20263670885562943 does not fit an EXIF fraction", and no file. The
-# neutral, levels, matrix and light are those of a GoPro Fusion's DNG (Apache-2.0 or MIT, github.com/gopro/gpr).
-def test_a_foreign_dng_makes_the_whole_journey(tmp_path: Path) -> None:
-    (tmp_path / "clean").mkdir()
-    matrix = (10344, -4210, -620, -2315, 10625, 1948, 93, 1058, 5541)
-    write_plain_dng(
-        tmp_path / "clean" / "a.dng",
-        np.random.default_rng(0).integers(2000, 9000, (64, 96), dtype=np.uint16),
-        ("RG", "GB"),
-        (33434, "2I", 1, (1, 3413), True),
-        (34855, "H", 1, 100, True),
-        (50713, "H", 2, (2, 2), True),
-        (50714, "2I", 4, (1023, 4, 256, 1, 511, 2, 1025, 4), True),
-        (50721, "2i", 9, tuple(part for value in matrix for part in (value, 10**4)), True),
-        (50728, "2I", 3, (493494, 10**6, 1, 1, 606815, 10**6), True),
-        (50778, "H", 1, 23, True),
-    )
-    source = read_raw(tmp_path / "clean" / "a.dng").sensor
-    assert main(["synthesize", str(tmp_path / "clean"), "-o", str(tmp_path / "own"), "--camera", "SonyA7S2"]) == 0
-    manifest, data = tmp_path / "own" / "manifests" / "own.csv", tmp_path / "own" / "data"
-    assert main(["verify", str(manifest), "--root", str(data), "--level", "full", "--jobs", "1"]) == 0
-    for name in ("clean", "noisy-1"):
-        found = read_raw(data / "own" / "SonyA7S2" / "scene-1" / f"{name}.dng").sensor
-        assert found == source
-        balance = [exact_fraction(value) for value in found.white_balance or ()]
-        assert balance == [Fraction(10**6, 493494), 1, Fraction(10**6, 606815), 1]
-        assert [exact_fraction(level) for level in found.black_level_dn] == [255.75, 256, 256.25, 255.5]
-        assert found.matrix_illuminant == 23
-    arguments = ["--manifest", str(manifest), "--root", str(data), "--baseline", "input", "--protocol", "eld"]
-    assert main(["evaluate", *arguments, "--jobs", "1"]) == 0
-    assert main(["pack", "own", "--manifest", str(manifest), "--root", str(data), "-o", str(tmp_path / "s.h5")]) == 0
-    sample = PackedStore(tmp_path / "s.h5", crop=16, levels="metadata")[0]
-    assert sample["input"].shape == (4, 16, 16)
-
-
-def test_what_cannot_be_written_names_the_clean_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "clean").mkdir()
-    write_plain_dng(
-        tmp_path / "clean" / "a.dng",
-        np.full((64, 96), 4000, np.uint16),
-        ("RG", "GB"),
-        (33434, "2I", 1, (1, 30), True),
-        (34855, "H", 1, 100, True),
-        (50728, "2I", 3, (1, 100, 1, 100, 42949673, 1), True),
-    )
-    assert main(["synthesize", str(tmp_path / "clean"), "-o", str(tmp_path / "own"), "--camera", "SonyA7S2"]) == 2
-    message = capsys.readouterr().err
-    assert re.search(r"clean/a\.dng: cannot be a clean frame: .*clean\.dng: white_balance \(.*\): expected", message)
 
 
 # --- clips ------------------------------------------------------------------------------------------------------------

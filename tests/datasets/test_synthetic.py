@@ -6,7 +6,6 @@ import copy
 import dataclasses
 import hashlib
 import math
-import pickle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -139,13 +138,6 @@ def test_another_seed_epoch_or_index_gives_another_item(folder: Path) -> None:
     different(first, epoch_4[0])
 
 
-def test_no_global_generator_is_touched(folder: Path) -> None:
-    before = torch.get_rng_state(), pickle.dumps(np.random.get_state())  # noqa: NPY002 - it must not have moved
-    raw_pairs(folder)[0]
-    assert torch.equal(torch.get_rng_state(), before[0])
-    assert pickle.dumps(np.random.get_state()) == before[1]  # noqa: NPY002
-
-
 def test_batches_hold_the_items(folder: Path) -> None:
     """Which are made at once; the last, smaller batch too."""
     dataset = raw_pairs(folder)
@@ -175,17 +167,6 @@ def test_an_epoch_reaches_persistent_workers(method: str, folder: Path) -> None:
 
 
 # --- length, index, collate -----------------------------------------------------------------------------------------
-
-
-def test_lengths_and_frames() -> None:
-    source = arrays(np.full((3, 4, 16, 16), 0.5, np.float32), range_dn=1000.0)
-    for crops in (1, 2, 5):
-        dataset = pairs(source, crops_per_frame=crops)
-        assert len(dataset) == 3 * crops
-        assert [item["path"] for item in items(dataset)] == [f"array {i % 3}" for i in range(3 * crops)]
-        for index in (3 * crops, -3 * crops - 1, 1000):
-            with pytest.raises(IndexError, match=rf"index {index} is outside of {3 * crops} items"):
-                dataset[index]
 
 
 # --- where the pixels come from -------------------------------------------------------------------------------------
@@ -280,15 +261,6 @@ def test_cameras_are_drawn_alike() -> None:
     for item in found:
         low, high = CameraProfile.load(item["camera"]).gain_range_dn_per_e
         assert low <= item["gain_dn_per_e"] <= high
-
-
-def test_a_profile_by_name_path_or_object(tmp_path: Path) -> None:
-    profile = CameraProfile.load("SonyA7S2")
-    profile.save(tmp_path / "mine.json")
-    wanted = flat(profiles="SonyA7S2")[0]
-    path = tmp_path / "mine.json"
-    for profiles in (profile, [profile], ("SonyA7S2",), str(path), path, [path]):
-        same(flat(profiles=profiles)[0], wanted)
 
 
 def measured_profile() -> CameraProfile:
@@ -403,18 +375,6 @@ def test_the_target_is_light_whatever_the_clip() -> None:
         assert torch.equal(pairs(source, clip=clip)[0]["target"], wanted)
 
 
-def test_the_range_of_the_noise_is_the_frames(folder: Path) -> None:
-    """A converter's codes are whole DN of the frame's own range."""
-    dataset = raw_pairs(folder, model=NoiseModel("P*+G*"), ratio=100.0)
-    for index in range(3):
-        sensor = make_sensor()
-        range_dn = sensor.white_level_dn - float(np.mean(sensor.black_level_dn))
-        assert dataset.source.frame(index).range_dn == range_dn
-        item = raw_pairs(folder, model=NoiseModel("P*"), ratio=100.0, clip="none")[index]
-        counts = item["input"].double().numpy() * range_dn / 100.0 / item["gain_dn_per_e"]
-        np.testing.assert_allclose(counts, np.rint(counts), atol=2e-3)
-
-
 # --- refusals -------------------------------------------------------------------------------------------------------
 
 
@@ -444,12 +404,6 @@ def test_the_range_of_the_noise_is_the_frames(folder: Path) -> None:
 def test_what_is_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(ArgumentError, match=words):
         flat(**options)
-
-
-def test_arrays_of_whole_numbers_are_dn() -> None:
-    mixed = arrays([np.ones((4, 8, 8), np.float32), np.ones((4, 8, 8), np.uint8)], range_dn=15871.0)
-    with pytest.raises(ArgumentError, match=r"^array 1 is uint8, whole numbers .* give \(clean - black\)"):
-        mixed.frame(1)
 
 
 @pytest.mark.parametrize("name", ["RGGB", "xtrans-00", "quad-00", "nona-00"])

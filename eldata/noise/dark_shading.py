@@ -101,7 +101,7 @@ class DarkShading:
     slope_dn, offset_dn
         k [DN per unit of ISO] and b [DN], (modes, H, W) float32. Where a mode has one ISO alone, k is 0.
     hot
-        (H, W) True where a pixel is hot, cold or stuck at one of the ISOs: its k and b are those of its neighbours of
+        (H, W) True where a pixel is hot, cold or stuck at one of the ISOs: its k and b come from its neighbours of
         the same colour, so that it stays as it is when the shading is subtracted.
     notes
         What a user should know, such as which ISOs were left out.
@@ -150,11 +150,11 @@ class DarkShading:
         object.__setattr__(self, "digest", self._digest())
 
     def _digest(self) -> str:
-        found = hashlib.sha256(json_text(self._about(), indent=None).encode())
+        digest = hashlib.sha256(json_text(self._about(), indent=None).encode())
         for values in (self.slope_dn, self.offset_dn, self.hot):
             for row in _rows(values):
-                found.update(row.astype(row.dtype.newbyteorder("<"), copy=False).tobytes())
-        return f"sha256:{found.hexdigest()}"
+                digest.update(row.astype(row.dtype.newbyteorder("<"), copy=False).tobytes())
+        return f"sha256:{digest.hexdigest()}"
 
     def _about(self) -> dict[str, Any]:
         modes, height, width = self.slope_dn.shape
@@ -167,15 +167,15 @@ class DarkShading:
             "modes": modes,
             "height": height,
             "width": width,
-            "isos": [asdict(one) for one in self.isos],
+            "isos": [asdict(row) for row in self.isos],
             "notes": list(self.notes),
         }
 
     def summary(self) -> dict[str, Any]:
-        """Return what a person asks first, as plain types: all but the pixels."""
+        """Summarise all but the pixels, as plain types."""
         return {
             "digest": self.digest,
-            "isos": [asdict(one) | {"error_dn": self.error_dn(one.iso)} for one in self.isos],
+            "isos": [asdict(row) | {"error_dn": self.error_dn(row.iso)} for row in self.isos],
             "modes": len(self.slope_dn),
             "hot": int(self.hot.sum()),
             "notes": list(self.notes),
@@ -184,7 +184,7 @@ class DarkShading:
     # --- what it says ---------------------------------------------------------------------------------------------
 
     def measured(self, iso: float) -> ShadingIso:
-        """Return what was measured at an ISO.
+        """Look up the measurements of an ISO.
 
         Raises
         ------
@@ -231,13 +231,13 @@ class DarkShading:
         """
         from eldata.noise._kernels import fill_line
 
-        one = self.measured(iso)
-        slope, offset = (values[one.mode, rows, columns] for values in (self.slope_dn, self.offset_dn))
+        row = self.measured(iso)
+        slope, offset = (values[row.mode, rows, columns] for values in (self.slope_dn, self.offset_dn))
         top, left = (part.indices(side)[0] for part, side in zip((rows, columns), self.hot.shape, strict=True))
         period, part = len(self.cfa), np.empty(slope.shape, np.float32) if out is None else out
         down, right = top + np.arange(period), left + np.arange(slope.shape[1])
         channels = np.asarray(self.cfa)[down[:, None] % period, right % period]
-        fill_line(slope, offset, np.float32(iso), np.asarray(one.level_error_dn, np.float32)[channels], part)
+        fill_line(slope, offset, np.float32(iso), np.asarray(row.level_error_dn, np.float32)[channels], part)
         return part
 
     def packed(self, iso: float, region: tuple[int, int, int, int] | None = None) -> NDArray[np.float32]:
@@ -309,9 +309,9 @@ class DarkShading:
         ArgumentError
             If the ISO was not measured.
         """
-        one = self.measured(iso)
-        mode = [other for other in self.isos if other.mode == one.mode]
-        weights, speeds = np.array([other.weight for other in mode]), np.array([other.iso for other in mode])
+        number = self.measured(iso).mode
+        mode = [row for row in self.isos if row.mode == number]
+        weights, speeds = np.array([row.weight for row in mode]), np.array([row.iso for row in mode])
         middle = float(weights @ speeds / weights.sum())
         lever = float(weights @ (speeds - middle) ** 2)
         return math.sqrt(1 / weights.sum() + ((iso - middle) ** 2 / lever if len(mode) > 1 else 0.0))

@@ -199,7 +199,7 @@ class NoiseModel:
         ratios = _one_each(ratio, images, "ratio")
         draws = [NoiseDraw(*fields) for fields in zip(each, ratios, ranges, strict=True)]
         if dark is None and self.dark_frames is not None and images:
-            groups = [each] if isinstance(parameters, NoiseParameters) else [[one] for one in each]
+            groups = [each] if isinstance(parameters, NoiseParameters) else [[image] for image in each]
             dark = self._draw_dark(groups, (clean.shape[-3], clean.shape[-2], clean.shape[-1]), generator)
         return self.apply(clean, draws, generator, dark=dark, threads=threads, out=out)
 
@@ -254,7 +254,7 @@ class NoiseModel:
         if isinstance(image, np.ndarray) or image.device.type == "cpu":
             from eldata.noise.compiled import expose_compiled
 
-            keys = [key_from(one) for one in generators] if images else [0]
+            keys = [key_from(source) for source in generators] if images else [0]
             flat = np.ascontiguousarray(image, dtype=np.float32).reshape(shape)
             target = None if out is None else out.reshape(shape)
             noisy = expose_compiled(flat, each, self.formulas, keys=keys, threads=threads, out=target, **options)
@@ -468,6 +468,6 @@ def made_exposure(
 
 
 def maker_name(maker: Any) -> str:
-    """Return what a callable is called: a function's name, or what the object says of itself."""
+    """Name a callable: a function by its name, an object by its repr."""
     name = getattr(maker, "__qualname__", None)
     return name if isinstance(name, str) else repr(maker)

@@ -87,7 +87,7 @@ class GainMode:
     tukey_lambda_fit, gauss_fit, row_fit
         Fits of sigma_TL, of the Gaussian sigma and of sigma_row over K; ``None`` where too few ISOs make a line.
     iso_range
-        Its lowest and its highest ISO, if known: those of ``gain_range_dn_per_e``, where no row has them.
+        Its lowest and its highest ISO, if known: the ISOs of ``gain_range_dn_per_e``, where no row has them.
     """
 
     gain_range_dn_per_e: tuple[float, float]
@@ -122,7 +122,7 @@ class GainMode:
         return high - low
 
     def distance(self, gain_dn_per_e: float) -> float:
-        """Return how far a gain lies from the range, as the absolute difference of logarithms; 0 within it."""
+        """Measure how far a gain lies outside of the range, in ln K; 0 within it."""
         low, high = self.gain_range_dn_per_e
         return max(0.0, math.log(low / gain_dn_per_e), math.log(gain_dn_per_e / high))
 
@@ -201,7 +201,7 @@ class ProfileRow:
 def modes_problem(
     modes: Sequence[GainMode], gain_range_dn_per_e: tuple[float, float], iso_range: tuple[float, float] | None
 ) -> str | None:
-    """Return why modes do not go together with each other and with the ranges of their camera; ``None`` if they do."""
+    """Describe a contradiction between modes, or with the ranges of their camera; ``None`` if there is none."""
     if len(modes) < 2:
         return "one mode alone is the profile's own range and fits; there must be none, or two and more"
     ranges = [("gain_range_dn_per_e", gain_range_dn_per_e, [mode.gain_range_dn_per_e for mode in modes])]
@@ -252,7 +252,7 @@ class CameraProfile:
     rows
         Measurements by ISO.
     iso_range
-        The lowest and the highest calibrated ISO, if known: those of ``gain_range_dn_per_e``, where no row has them.
+        The lowest and the highest calibrated ISO, if known: the ISOs of ``gain_range_dn_per_e``, where no row has them.
     black_level_dn, white_level_dn
         Levels of the calibrated frames, if known.
     notes
@@ -351,8 +351,8 @@ class CameraProfile:
         """Return the profile as its file holds it, as plain types: with modes, or with fits of its own."""
         usual = {"accepted": (), "quantisation_step_dn": 1}
         left_out = {*(_LINES if self.modes else ("modes",)), *(n for n in usual if getattr(self, n) == usual[n])}
-        found = {name: value for name, value in asdict(self).items() if name not in left_out}
-        return found | {"rows": tuple(row.as_dict() for row in self.rows)}
+        fields = {name: value for name, value in asdict(self).items() if name not in left_out}
+        return fields | {"rows": tuple(row.as_dict() for row in self.rows)}
 
     def plot(self, sigma: Sigma | None = None, *, ax: Axes | None = None) -> Figure:
         """Draw the lines of ln sigma over ln K with bands of one and two residual deviations, and the measured rows.
@@ -362,7 +362,7 @@ class CameraProfile:
         sigma
             ``"TL"`` or ``"G"``, the read noise by either model; ``"row"``. By default all three, an axes each.
         ax
-            Axes to draw one into; by default those of a new figure, which belongs to no pyplot and shows in a notebook.
+            Axes to draw one into; by default in a new figure, which belongs to no pyplot and shows in a notebook.
 
         Returns
         -------
@@ -382,7 +382,7 @@ class CameraProfile:
             lines = ((getattr(mode, line), *mode.gain_range_dn_per_e) for mode in self.gain_modes)
             known = [(row.gain_dn_per_e, getattr(row, field)) for row in self.rows]
             points = [(gain, scale, math.nan) for gain, scale in known if gain is not None and scale]  # no errors
-            scale_over_gain(axes, name, [one for one in lines if one[0] is not None], points, theme)
+            scale_over_gain(axes, name, [line for line in lines if line[0] is not None], points, theme)
 
         if sigma is not None:
             check_choice("sigma", sigma, SIGMAS)
@@ -502,7 +502,7 @@ class CameraProfile:
     def iso_at_gain(self, gain_dn_per_e: float) -> float | None:
         """Return the ISO at which :meth:`gain_at_iso` is K, the lowest of several; ``None`` if no ISO is known.
 
-        Beyond the measured gains, and between those of two gain modes, it is in proportion to the nearest one's.
+        Beyond the measured gains, and between two gain modes, it is in proportion to the nearest measured gain.
         """
         gains = self._gains_by_iso()
         for (below, first), (above, last) in pairwise(gains.items()):
@@ -619,7 +619,7 @@ class CameraProfile:
     def _gain_at_share(self, share: float) -> float:
         """Return the gain below which a share of all ranges of ln K lies."""
         *others, mode = self.gain_modes
-        left = share * sum(one.log_width for one in self.gain_modes)
+        left = share * sum(every.log_width for every in self.gain_modes)
         for other in others:
             if left <= other.log_width:
                 mode = other

@@ -119,7 +119,7 @@ class VirtualCameras(Sequence[CameraProfile]):
     n
         Number of cameras.
     ranges
-        What their figures are drawn from; by default those of LED.
+        What their figures are drawn from; by default LED's.
     seed
         Camera i depends on (seed, n, i) alone.
 
@@ -153,7 +153,7 @@ class VirtualCameras(Sequence[CameraProfile]):
     def __getitem__(self, index: slice) -> tuple[CameraProfile, ...]: ...
 
     def __getitem__(self, index: int | slice) -> CameraProfile | tuple[CameraProfile, ...]:
-        """Return one camera's profile, or those of a slice."""
+        """Return one camera's profile, or the profiles of a slice."""
         if isinstance(index, slice):
             return tuple(self[number] for number in range(*index.indices(self.n)))
         if not -self.n <= index < self.n:

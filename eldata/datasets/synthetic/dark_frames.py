@@ -75,7 +75,7 @@ class DarkFrames:
         then, and ``place="free"`` is right for any sensor.
     shading_from
         ``"these"``: the shading is from these frames, and has a share of their noise with it; what is left is scaled by
-        :meth:`1 / sqrt(1 - h) <eldata.noise.DarkShading.leverage>`, so that its variance is that of the noise.
+        :meth:`1 / sqrt(1 - h) <eldata.noise.DarkShading.leverage>`, which restores the variance of the noise.
         ``"others"``: it is from other frames, and what is left stays as it is.
     dither
         Add U(-1/2, 1/2), which makes up for the rounding of the frames, and with it 1/12 DN^2 to their variance.
@@ -156,7 +156,7 @@ class DarkFrames:
         return tuple(self._numbers)
 
     def names(self, iso: float) -> tuple[str, ...]:
-        """Return where the frames of an ISO come from.
+        """List the files, or places in the store, of the frames of an ISO.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class DarkFrames:
         return self.crops(iso, members.tolist(), self._anywhere(iso, shape, generator))
 
     def region(self, iso: float, frame: Frame, crop: Crop, generator: np.random.Generator) -> Region:
-        """Return where the noise of a clean crop comes from, in pixels of the packed dark frames.
+        """Choose the part of the packed dark frames whose noise a clean crop gets.
 
         Raises
         ------

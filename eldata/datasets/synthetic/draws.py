@@ -84,9 +84,9 @@ class NoiseChoice:
         weights = _weigh_isos(iso) if is_several else {one_iso: 1.0}
         loaded, isos, rows = _load_profiles(profiles), tuple(weights), []
         for profile in loaded:  # of several ISOs each has a row of its own
-            rows.append([row or (_choose_row(profile, one) if is_several else "any") for one in isos])
-            for one, how in zip(isos, rows[-1], strict=True):  # refuses now what it would refuse in each item
-                profile.sample(np.random.default_rng(0), iso=one, row=how, extrapolate=extrapolate)
+            rows.append([row or (_choose_row(profile, value) if is_several else "any") for value in isos])
+            for value, how in zip(isos, rows[-1], strict=True):  # refuses now what it would refuse in each item
+                profile.sample(np.random.default_rng(0), iso=value, row=how, extrapolate=extrapolate)
         shares = tuple(total / sum(weights.values()) for total in accumulate(weights.values()))
         return cls(loaded, (low, high), isos, shares, tuple(map(tuple, rows)), extrapolate)
 

@@ -58,7 +58,7 @@ _ONE_SCALE = 1.5  # ranges of DN less far apart are other white levels, those fa
 class NoisyItems(CroppedItems[Sample]):
     """Items whose target is read, and whose input is the target with noise.
 
-    ``method`` is what the source has beside ``len``, ``exposures`` how many frames an item has, ``repeats`` how many
+    ``method`` is the source's method besides ``len``, ``exposures`` how many frames an item has, ``repeats`` how many
     items a record has, and the name of this argument; all else is as of :class:`SyntheticPairs`.
     """
 
@@ -232,8 +232,8 @@ class NoiseFacts(TypedDict):
     """The parameters that an item's noise was made with (:class:`eldata.noise.NoiseParameters`) and its exposure ratio.
 
     ``colour_bias_dn`` is (4,) float64. ``iso`` is the ISO that was given or drawn, 0 where the gain was drawn;
-    ``camera_id`` the place of the camera among those of the dataset. ``dark_frame`` says where the dark frame of
-    component D comes from, of a clip those of its frames in order; empty: there is none.
+    ``camera_id`` the place of the camera in the dataset. ``dark_frame`` names the dark frame of component D, of a
+    clip the dark frames in order; empty: there is none.
     """
 
     ratio: float

@@ -245,7 +245,11 @@ def _digest_work(recipe: Recipe, sources: Sequence[CleanScene], dark: DarkFrames
         names = list(dark.names(dark.isos[0]))
         files += [path for path in map(Path, names) if path.is_file()] or [recipe.dark_frames]  # or a store of them
     stamps = [(str(path), status.st_size, status.st_mtime_ns) for path in files for status in [path.stat()]]
-    stated = [repr((file.facts, file.exposure)) for one in sources if isinstance(file := one.file, StatedFile)]
+    stated = [
+        repr((file.facts, file.exposure))
+        for file in (source.file for source in sources)
+        if isinstance(file, StatedFile)
+    ]
     decides = [__version__, asdict(recipe) | {"dark_frames": None}, names, stamps, stated]
     return f"sha256:{hashlib.sha256(json_text(decides).encode()).hexdigest()}"
 

@@ -61,7 +61,7 @@ class Turns:
         return group, tuple(self._member(group, turn * self.each + more) for more in range(self.each))
 
     def _counts(self, places: int) -> list[int]:
-        """Return how often each group had its turn in the first places."""
+        """Count the turns of each group in the first places."""
         counts = []
         for share in self._shares:
             counts.append(int(places * share))
@@ -97,7 +97,7 @@ class Turns:
 
 
 def fewest_members(each: int) -> int:
-    """Return how many members a group needs for turns of several that are all different.
+    """Compute the fewest members of a group for turns of several different ones.
 
     Let e be ``each - 1``. Of n members, n - 2 e stand in the middle of a round. If h of the e last ones of the round
     before stand at its head, h places in the middle must hold none of them, and e - h at most do: n - 2 e - (e - h)

@@ -51,7 +51,7 @@ class NoiseParameters:
         White level minus black level of the camera that they are of, DN, where its profile states it: what the noise
         model takes if it is not told another. Not a parameter of the noise: draws that differ in it alone are equal.
     iso
-        Their ISO, where one was given or drawn; component D takes dark frames of it. Not a parameter of the noise either.
+        Their ISO, where one was given or drawn; component D takes dark frames of it. Not a parameter of the noise.
     quantisation_step_dn
         The step q by which the camera's values go, DN, above 0 (section 3.1.3 of the paper): component U is uniform
         from -q / 2 to q / 2, and a converter rounds to it. 1 unless files hold fewer values than they have room for. It

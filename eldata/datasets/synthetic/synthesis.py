@@ -46,7 +46,6 @@ from eldata.raw.cfa import cfa_from, packed_area, packed_shape, packing_sites, u
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import pack_normalised, packed_black_level_dn
 from eldata.raw.reading import read_raw
-from eldata.raw.stated import StatedFile
 from eldata.records import Exposure, FrameRecord, RawFrame, exact_fraction
 from eldata.sources.frames import Frame
 
@@ -245,11 +244,7 @@ def _digest_work(recipe: Recipe, sources: Sequence[CleanScene], dark: DarkFrames
         names = list(dark.names(dark.isos[0]))
         files += [path for path in map(Path, names) if path.is_file()] or [recipe.dark_frames]  # or a store of them
     stamps = [(str(path), status.st_size, status.st_mtime_ns) for path in files for status in [path.stat()]]
-    stated = [
-        repr((file.facts, file.exposure))
-        for file in (source.file for source in sources)
-        if isinstance(file, StatedFile)
-    ]
+    stated = [repr(source.file) for source in sources]  # with what a card states of it
     decides = [__version__, asdict(recipe) | {"dark_frames": None}, names, stamps, stated]
     return f"sha256:{hashlib.sha256(json_text(decides).encode()).hexdigest()}"
 

@@ -72,11 +72,5 @@ class CleanCrops(Dataset[dict[str, Any]]):
     def noisy(self, batch: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return noisy exposures of a batch."""
         generators = [np.random.default_rng([0, 1, index]) for index in batch["index"].tolist()]
-        draws = [self.choice.draw(generator) for generator in generators]
-        return self.model(
-            batch["target"].numpy(),
-            parameters=[draw.parameters for draw in draws],
-            ratio=[draw.ratio for draw in draws],
-            range_dn=plain_noise.RANGE_DN,
-            generator=generators[0],
-        )
+        draws = [self.choice.draw(generator, plain_noise.RANGE_DN) for generator in generators]
+        return self.model.apply(batch["target"].numpy(), draws, generators[0])

@@ -18,8 +18,8 @@ from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation.originals import less_shading, levels_dn, normalised_frame, rendered_frame
 from eldata.evaluation.scores import amplified_by, iso_of, reference_of
 from eldata.noise.dark_shading import dark_shading_in
-from eldata.noise.gain_modes import rows_nearest, rows_of
 from eldata.noise.parameters import NoiseParameters
+from eldata.noise.profile import rows_nearest, rows_of
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import exposure_ratio, read_header, read_raw
 

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from eldata.calibration.core.single_frame import SingleFramePlot
     from eldata.calibration.reproduction import Reproduction
     from eldata.manifest.verify_report import Problem
-    from eldata.noise.gain_modes import ProfileRow
     from eldata.noise.parameters import NoiseParameters
+    from eldata.noise.profile import ProfileRow
     from eldata.records import Sensor
 
 _FRAME_DECIMALS = 4  # of a DN: a mean of three million pixels of 1 DN is not known better than to 0.0006
@@ -285,7 +285,7 @@ class IsoCalibration(IsoGain):
     @property
     def profile_row(self) -> ProfileRow | None:
         """The row of a profile; ``None`` if lambda or the colour bias, which every row has, is withheld."""
-        from eldata.noise.gain_modes import ProfileRow
+        from eldata.noise.profile import ProfileRow
 
         shape, scale, gauss, row = self.tukey_lambda, self.sigma_tl_dn, self.sigma_gauss_dn, self.sigma_row_dn
         if shape is None or scale is None or gauss is None or self.colour_bias_dn is None:

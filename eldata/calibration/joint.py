@@ -14,7 +14,7 @@ from eldata.calibration.core.figures import SCALES, SIGMA_ROW
 from eldata.calibration.core.findings import STEP
 from eldata.calibration.core.photon_transfer import straight_line
 from eldata.errors import ArgumentError, DatasetError
-from eldata.noise.gain_modes import GainMode, LogLogFit, modes_problem
+from eldata.noise.profile import GainMode, LogLogFit, modes_problem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

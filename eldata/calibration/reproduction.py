@@ -208,8 +208,8 @@ def _simulated(
 
     Pixels scatter by ``spread_dn`` around ``level_dn``, which comes on top of their channel's black level and bias.
     """
-    from eldata.noise.exposures import Adc
     from eldata.noise.model import NoiseModel
+    from eldata.noise.parameters import Adc
 
     # The model's converter has one black level: a whole one, as another would round the noise elsewhere. By what a
     # channel's own differs from it, its pixels' levels are shifted.

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
     from eldata.calibration.joint import FittedMode, LogLogEstimate
     from eldata.manifest.verify_report import Problem
-    from eldata.noise.gain_modes import GainMode
-    from eldata.noise.profile import CameraProfile
+    from eldata.noise.profile import CameraProfile, GainMode
     from eldata.plots.axes import Drawing, Theme
     from eldata.plots.gains import Point
 

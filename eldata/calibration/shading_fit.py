@@ -16,8 +16,7 @@ from eldata.calibration.core._frames import sites
 from eldata.calibration.frames import sorted_frames
 from eldata.calibration.one_iso import bias_pattern
 from eldata.errors import ArgumentError, DatasetError
-from eldata.noise.dark_shading import DarkShading
-from eldata.noise.shading_content import ShadingIso
+from eldata.noise.dark_shading import DarkShading, ShadingIso
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -156,8 +156,7 @@ def run_list(arguments: console.Arguments) -> int:
         eldata profile list
     """
     from eldata.base.tables import text_table
-    from eldata.noise.gain_modes import shipped_profiles
-    from eldata.noise.profile import CameraProfile
+    from eldata.noise.profile import CameraProfile, shipped_profiles
 
     profiles = {name: CameraProfile.load(name) for name in shipped_profiles()}
     rows = []

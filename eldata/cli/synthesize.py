@@ -102,7 +102,7 @@ def run(arguments: console.Arguments) -> int:
     from eldata.noise.components import parse_components
     from eldata.noise.profile import CameraProfile
 
-    has_dark, given = parse_components(arguments.model).dark, arguments.dark_frames
+    has_dark, given = "D" in parse_components(arguments.model), arguments.dark_frames
     if has_dark and given is None:
         raise ArgumentError(
             f"--model {arguments.model!r}: component D takes real dark frames; give --dark-frames FOLDER|STORE"

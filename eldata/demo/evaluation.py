@@ -22,9 +22,8 @@ from eldata.errors import EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import load_prediction
 from eldata.isp.preview import preview
-from eldata.noise.gain_modes import ProfileRow
 from eldata.noise.parameters import tukey_lambda_variance
-from eldata.noise.profile import CameraProfile
+from eldata.noise.profile import CameraProfile, ProfileRow
 from eldata.raw.levels import packed_frame
 from eldata.raw.reading import read_raw
 

@@ -33,44 +33,48 @@ from eldata.noise._random_kernels import (
     word_of,
     words,
 )
+from eldata.noise.components import COMPONENTS
+from eldata.noise.parameters import NoiseParameters
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-NONE, GAUSSIAN, POISSON, TUKEY_LAMBDA, UNIFORM, ADC, DITHERED_ADC = range(7)
-"""What a component can be."""
+BITS = {name: 1 << place for place, name in enumerate(COMPONENTS)}
+"""The components, as :attr:`Draw.components` holds them."""
+P, P_STAR, G, G_STAR, B, R, U = BITS.values()
 
 FIGURES = np.dtype(
     [
+        ("gain_dn_per_e", np.float32),  # 1 without shot noise
+        ("tukey_lambda", np.float32),
+        ("sigma_tl_dn", np.float32),
+        ("sigma_gauss_dn", np.float32),
+        ("sigma_row_dn", np.float32),
+        ("quantisation_step_dn", np.float32),
+        ("bias_dn", np.float32),  # colour bias of the channel
         ("events", np.float32),  # photoelectrons (DN without shot noise) for a clean value of 1
-        ("gain", np.float32),  # DN per photoelectron (1 without shot noise)
-        ("shape", np.float32),  # lambda
-        ("sigma_read", np.float32),  # DN, as all of the next ones
-        ("sigma_row", np.float32),
-        ("step", np.float32),
-        ("bias", np.float32),
-        ("black", np.float32),
-        ("white", np.float32),
         ("scale", np.float32),  # normalised output for one DN
+        ("black", np.float32),  # DN, of the converter, as the next
+        ("white", np.float32),
         ("low", np.float32),
         ("high", np.float32),
     ]
 )
 """The figures of one packed channel of one image."""
+PARAMETERS = [name for name in FIGURES.names or () if name in NoiseParameters.__slots__]
+"""The figures that are fields of :class:`~eldata.noise.parameters.NoiseParameters`."""
 
 Draw = namedtuple(  # noqa: PYI024 - numba compiles this kind
     "Draw",
     [
-        "shot",  # NONE, GAUSSIAN or POISSON
-        "read",  # NONE, GAUSSIAN or TUKEY_LAMBDA
-        "quantisation",  # NONE, UNIFORM, ADC or DITHERED_ADC
+        "components",  # the sum of their BITS
+        "converts",  # whether a converter rounds
         "figures",  # (N, C) of FIGURES
         "power",  # (N, POWER_TERMS) float32: each image's polynomial for (1 - v)^lambda
-        "dark",  # (N, C, h, w) uint16: dark frames, DN; of no pixels where there are none, as the next
-        "taken",  # (N, C, h, w) float32: what is taken off, before the rest is scaled
-        "dark_scale",  # (N,) float32
+        "dark",  # (N, C, h, w) float32: dark frames above black, DN; of no pixels where there are none
         "tables",  # of Poisson draws
-        "under",  # the mosaic's rows under packed ones (PackedRows)
+        "row_table",  # the mosaic's rows under packed ones (packed_rows), and their period
+        "row_period",
         "keys",  # (N,) uint64: each image's key
         "places",  # (N,) uint64: its number under that key
     ],
@@ -113,15 +117,9 @@ def _compose_noiseless(value: NDArray[np.float32], gain: Any, offset: NDArray[np
 
 
 @kernel
-def _add_frame(offset: NDArray[np.float32], dn: NDArray[np.uint16]) -> None:
+def _add_frame(offset: NDArray[np.float32], dark: NDArray[np.float32]) -> None:
     for j in range(offset.size):
-        offset[j] += np.float32(np.int32(dn[j]))
-
-
-@kernel
-def _take_shading(offset: NDArray[np.float32], shading: NDArray[np.float32], scale: Any) -> None:
-    for j in range(offset.size):
-        offset[j] = (offset[j] - shading[j]) * scale
+        offset[j] += dark[j]
 
 
 @kernel
@@ -183,18 +181,17 @@ def _add_noise_rows(
     """Fill rows ``first_row`` to ``last_row`` of one packed channel."""
     rows, columns = clean.shape
     # Taken out of the record once: each look into it counts references, which costs as much as many pixels.
-    shot, read, quantisation = draw.shot, draw.read, draw.quantisation
-    figures, power, under = draw.figures[image, channel], draw.power[image], draw.under.table[channel]
-    dark, taken = draw.dark[image, channel], draw.taken[image, channel]
-    dark_scale, period, (coarse_table, fine_table) = draw.dark_scale[image], draw.under.period, draw.tables
-    dithers = quantisation in (UNIFORM, DITHERED_ADC)
+    components, converts = draw.components, draw.converts
+    figures, power, under = draw.figures[image, channel], draw.power[image], draw.row_table[channel]
+    dark, period, (coarse_table, fine_table) = draw.dark[image, channel], draw.row_period, draw.tables
     key, number = draw.keys[image], draw.places[image]
     shot_1, shot_2 = stream(key, number, SHOT)
     rest_1, rest_2 = stream(key, number, SHOT_REST)
     large_1, large_2 = stream(key, number, SHOT_LARGE)
     read_1, read_2 = stream(key, number, READ)
     row_1, row_2 = stream(key, number, ROW)
-    bias, sigma_row = figures.bias, figures.sigma_row
+    bias = figures.bias_dn if components & B else _ZERO
+    sigma_row = figures.sigma_row_dn if components & R else _ZERO
     entries = np.empty((2, STRIP), np.uint64)
     integers = np.empty((7, STRIP), np.uint32)
     floats = np.empty((6, STRIP), np.float32)
@@ -222,9 +219,9 @@ def _add_noise_rows(
             mark, mark_of_8 = marks[:size], marks_of_8[: (size + 7) // 8]
             pixel = _U8(channel * rows * columns) + _U8(begin)
             _events(flat_clean[begin : begin + size], figures.events, mean)
-            if shot == POISSON or dithers:
+            if components & (P_STAR | U):
                 words(rest_number, dither, rest_1, rest_2, pixel)
-            if shot == POISSON:
+            if components & P_STAR:
                 beyond = split_means(mean, digits, rest)
                 words(high, low, shot_1, shot_2, pixel)
                 find_columns(high, low, digits, coarse, fine)
@@ -234,7 +231,7 @@ def _add_noise_rows(
                 add_rest(mark, mark_of_8, rest_number, rest, value)
                 if beyond > 0:
                     add_large(mean, value, large_1, large_2, pixel)
-            elif shot == GAUSSIAN:
+            elif components & P:
                 words(high, low, shot_1, shot_2, pixel)
                 gaussian_draws(high, low, noise)
                 _add_spread(mean, noise, value)
@@ -246,23 +243,22 @@ def _add_noise_rows(
                 _lay_offset(of_row, bias, sigma_row, under, period, here, start, row_1, row_2)
                 if dark.size > 0:
                     _add_frame(of_row, dark[here, start : start + width])
-                if taken.size > 0:
-                    _take_shading(of_row, taken[here, start : start + width], dark_scale)
 
-            if read == NONE:
-                _compose_noiseless(value, figures.gain, offset)
-            else:
+            if components & (G | G_STAR):
                 words(high, low, read_1, read_2, pixel)
-                if read == GAUSSIAN:
+                if components & G:
                     gaussian_draws(high, low, noise)
+                    _compose(value, figures.gain_dn_per_e, figures.sigma_gauss_dn, noise, offset)
                 else:
-                    tukey_lambda_draws(high, low, figures.shape, power, tail, noise)
-                _compose(value, figures.gain, figures.sigma_read, noise, offset)
+                    tukey_lambda_draws(high, low, figures.tukey_lambda, power, tail, noise)
+                    _compose(value, figures.gain_dn_per_e, figures.sigma_tl_dn, noise, offset)
+            else:
+                _compose_noiseless(value, figures.gain_dn_per_e, offset)
 
-            if dithers:
-                add_uniform(value, dither, figures.step)
-            if quantisation in (ADC, DITHERED_ADC):
-                _convert(value, figures.black, figures.white, figures.step)
+            if components & U:
+                add_uniform(value, dither, figures.quantisation_step_dn)
+            if converts:
+                _convert(value, figures.black, figures.white, figures.quantisation_step_dn)
             _finish(value, flat_out[begin : begin + size], figures.scale, figures.low, figures.high)
 
 

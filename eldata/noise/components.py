@@ -1,4 +1,9 @@
-"""The components of the noise model, by the names of the paper's ablation table.
+"""The noise model of the ELD paper, whole and in plain numpy: read this first.
+
+A raw value is ``D = K I + N`` (equation 1), with I photoelectrons and the gain K in DN per photoelectron. The noise is
+``N = K N_p + N_read + N_r + N_q`` (equation 8). Each function below draws one of these terms in DN, and
+:func:`expose` adds them up. :class:`~eldata.noise.NoiseModel` draws from the same distributions with two engines that
+are much faster (``_kernels.py`` and ``on_device.py``); tests hold both against these functions.
 
 ======  =====================================================  =========================
 ``P``   photon shot noise, Gaussian with the signal's variance  K
@@ -8,58 +13,146 @@
 ``B``   colour bias: the read noise's mean per channel          colour_bias_dn
 ``R``   row noise, one Gaussian draw per mosaic row             sigma_row_dn
 ``U``   quantisation noise, uniform over one step of the DN     quantisation_step_dn
-``D``   real dark frames, in place of G, B, R and U             gain of their ISO
+``D``   real dark frames instead of G, B, R and U               gain of their ISO
 ======  =====================================================  =========================
 
+A new component is a function here with its entry in :data:`COMPONENTS`, a step in ``_kernels.py`` and one in
+``on_device.py``.
+
 Source: K. Wei, Y. Fu, Y. Zheng and J. Yang, "Physics-based Noise Modeling for Extreme Low-light Photography", TPAMI
-2021, section 3.1 and table 2. D, real frames in place of all that a model says of the dark, is the idea of
-Y. Zhang, H. Qin, X. Wang and H. Li, "Rethinking Noise Synthesis and Modeling in Raw Denoising", ICCV 2021 (SFRN).
+2021, section 3.1 and table 2. D, real frames instead of a model of the dark, is the idea of Y. Zhang, H. Qin, X. Wang
+and H. Li, "Rethinking Noise Synthesis and Modeling in Raw Denoising", ICCV 2021 (SFRN).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
 
 from eldata.errors import ArgumentError
+from eldata.noise.mosaic import mosaic_rows
 
-Shot = Literal["none", "gaussian", "poisson"]
-Read = Literal["none", "gaussian", "tukey-lambda"]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.noise.parameters import NoiseParameters
+
+Values: TypeAlias = "NDArray[np.float64]"
+Component: TypeAlias = Callable[[Values, "NoiseParameters", np.random.Generator], Values]
+
+
+def draw_gaussian_shot(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+    """P: ``K N_p`` with ``N_p ~ N(0, sqrt(I))``, the normal limit of equation 2."""
+    normal = generator.standard_normal(photoelectrons.shape)
+    return parameters.gain_dn_per_e * np.sqrt(photoelectrons) * normal
+
+
+def draw_poisson_shot(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+    """P*: ``K N_p`` with ``I + N_p ~ Poisson(I)`` (equation 2)."""
+    return parameters.gain_dn_per_e * (generator.poisson(photoelectrons) - photoelectrons)
+
+
+def draw_gaussian_read(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+    """G: ``N_read ~ N(0, sigma_G)``, the usual assumption (section 3.1.2)."""
+    return parameters.sigma_gauss_dn * generator.standard_normal(photoelectrons.shape)
+
+
+def draw_tukey_lambda(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+    """G*: ``N_read ~ TL(lambda; 0, sigma_TL)`` (equation 4).
+
+    Its quantile is ``(u^lambda - (1 - u)^lambda) / lambda`` of a uniform u, and ``ln(u / (1 - u))`` at lambda = 0.
+    """
+    u, shape = generator.uniform(np.nextafter(0, 1), 1, photoelectrons.shape), parameters.tukey_lambda
+    quantile = (u**shape - (1 - u) ** shape) / shape if shape else np.log(u / (1 - u))
+    return np.asarray(parameters.sigma_tl_dn * quantile)
+
+
+def draw_colour_bias(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+    """B: ``mu_c``, the mean of the read noise in each colour (equation 5)."""
+    del generator
+    bias = np.array(parameters.channel_bias_dn(len(photoelectrons)))
+    return np.broadcast_to(bias[:, None, None], photoelectrons.shape)
+
+
+def draw_row_noise(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+    """R: ``N_r ~ N(0, sigma_r)`` (equation 6), one draw for each row of the mosaic; packed R and G1 share one."""
+    rows = mosaic_rows(*photoelectrons.shape)
+    draws = generator.standard_normal(rows.max(initial=-1) + 1)
+    return np.asarray(parameters.sigma_row_dn * draws[rows])
+
+
+def draw_quantisation(photoelectrons: Values, parameters: NoiseParameters, generator: np.random.Generator) -> Values:
+    """U: ``N_q ~ U(-q/2, q/2)`` with the quantisation step q (equation 7)."""
+    half = parameters.quantisation_step_dn / 2
+    return generator.uniform(-half, half, photoelectrons.shape)
+
+
+COMPONENTS: dict[str, Component] = {
+    "P": draw_gaussian_shot,
+    "P*": draw_poisson_shot,
+    "G": draw_gaussian_read,
+    "G*": draw_tukey_lambda,
+    "B": draw_colour_bias,
+    "R": draw_row_noise,
+    "U": draw_quantisation,
+}
+"""The components that have a formula, by their names in the paper's table 2."""
 
 PAPER_MODELS = ("G", "G+P", "G+P*", "G*+P*", "G*+P*+B", "G*+P*+B+R", "G*+P*+B+R+U")
 """The models that the ELD paper compares, in the order of its rows, from the simplest to the full one."""
 
-_NAMES = ("P", "P*", "G", "G*", "B", "R", "U", "D")
-_SHOTS: dict[str, Shot] = {"P": "gaussian", "P*": "poisson"}
-_READS: dict[str, Read] = {"G": "gaussian", "G*": "tukey-lambda"}
-# The others, each there or not, in the order in which a spec has them.
-_FLAGS = {"B": "colour_bias", "R": "row", "U": "quantisation", "D": "dark"}
-_EXCLUSIVE = (("P", "P*", "photon shot noise"), ("G", "G*", "read noise"))
-# What dark frames have in them.
-_IN_DARK = {"G": "read noise", "G*": "read noise", "B": "colour bias", "R": "row noise", "U": "rounding"}
+_SOURCES = {
+    "P": "photon shot noise",
+    "P*": "photon shot noise",
+    "G": "read noise",
+    "G*": "read noise",
+    "B": "colour bias",
+    "R": "row noise",
+    "U": "rounding",
+    "D": "dark frame",
+}
 
 
-@dataclass(frozen=True, slots=True)
-class Components:
-    """Which components a model has."""
+def expose(
+    clean: NDArray[Any],
+    spec: str,
+    parameters: NoiseParameters,
+    *,
+    ratio: float,
+    range_dn: float,
+    generator: np.random.Generator,
+) -> Values:
+    """Add the noise of a spec to one clean image (C, h, w), packed and normalised: the definition of the model.
 
-    shot: Shot
-    read: Read
-    colour_bias: bool
-    row: bool
-    quantisation: bool
-    dark: bool = False
+    Sections 3.1 and 3.2.3 of the paper: ``I = y range / (ratio K)``, ``D = K I + N``, and the result is
+    ``D ratio / range``, as bright as the clean image. Values below 0 count as no light.
 
-    @property
-    def spec(self) -> str:
-        """The components as a spec that :func:`parse_components` reads back."""
-        names = [name for name, shot in _SHOTS.items() if shot == self.shot]
-        names += [name for name, read in _READS.items() if read == self.read]
-        return "+".join(names + [name for name, field in _FLAGS.items() if getattr(self, field)])
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.noise import NoiseParameters
+    >>> from eldata.noise.components import expose
+    >>> parameters, generator = NoiseParameters(1.5, 0.0, 2.5, 5.0, 0.5), np.random.default_rng(0)
+    >>> dark = np.zeros((4, 256, 256))
+    >>> noisy = expose(dark, "P*+G", parameters, ratio=100.0, range_dn=15871.0, generator=generator)
+    >>> round(noisy.std() * 15871.0 / 100.0)
+    5
+    """
+    gain = parameters.gain_dn_per_e
+    photoelectrons = np.maximum(clean, 0).astype(np.float64) * (range_dn / (ratio * gain))
+    noise_dn = sum(COMPONENTS[name](photoelectrons, parameters, generator) for name in parse_components(spec))
+    return np.asarray((gain * photoelectrons + noise_dn) * (ratio / range_dn))
 
 
-def parse_components(spec: str) -> Components:
+def parse_components(spec: str) -> tuple[str, ...]:
     """Read a spec such as ``"P*+G*+B+R+U"``: names joined by ``+``, in any order; ``P^*`` means ``P*``.
+
+    Returns
+    -------
+    tuple
+        The names in the order of the table above.
 
     Raises
     ------
@@ -70,32 +163,28 @@ def parse_components(spec: str) -> Components:
     Examples
     --------
     >>> from eldata.noise import parse_components
-    >>> components = parse_components("P*+G*+B+R+U")
-    >>> components.shot, components.read, components.row
-    ('poisson', 'tukey-lambda', True)
+    >>> parse_components("G*+P^*+R")
+    ('P*', 'G*', 'R')
     """
     if not isinstance(spec, str):
         raise ArgumentError(f"a noise model's spec is a text such as 'P*+G*+B+R+U'; found {spec!r:.100}")
     names = [name.strip().replace("^", "") for name in spec.split("+")]
+    by_source: dict[str, str] = {}
     for name in names:
-        if name not in _NAMES:
-            raise ArgumentError(f"noise model {spec!r}: {name!r} is not a component; known are {', '.join(_NAMES)}")
-    for name in set(names):
+        if name not in _SOURCES:
+            raise ArgumentError(f"noise model {spec!r}: {name!r} is not a component; known are {', '.join(_SOURCES)}")
         if names.count(name) > 1:
             raise ArgumentError(f"noise model {spec!r}: {name} is in it twice; each source adds its noise once")
-    for first, second, source in _EXCLUSIVE:
-        if first in names and second in names:
+        source = _SOURCES[name]
+        other = by_source.setdefault(source, name)
+        if other != name:
             raise ArgumentError(
-                f"noise model {spec!r}: {first} and {second} are two models of the same {source}; take one"
+                f"noise model {spec!r}: {' and '.join(sorted((name, other)))} are two models of the same {source}; "
+                "take one"
             )
-    for name, source in _IN_DARK.items() if "D" in names else ():
-        if name in names:
+        if "D" in names and not name.startswith(("P", "D")):
             raise ArgumentError(
                 f"noise model {spec!r}: the frames of D have their own {source}, and {name} would add it again; take "
                 "one, as in 'P*+D'"
             )
-    return Components(
-        shot=next((shot for name, shot in _SHOTS.items() if name in names), "none"),
-        read=next((read for name, read in _READS.items() if name in names), "none"),
-        **{field: name in names for name, field in _FLAGS.items()},
-    )
+    return tuple(name for name in _SOURCES if name in names)

@@ -26,23 +26,64 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.files import atomic_write, json_text
+from eldata.base.fields import Fields, TextFile, names_of
+from eldata.base.files import atomic_write, file_problem, json_text
+from eldata.base.pixels import NpyError, opened_npz
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, DatasetError, ShadingError
-from eldata.noise.shading_content import (
-    ADVICE,
-    FIELDS,
-    SCHEMA,
-    SCHEMA_WITH_MODEL,
-    ShadingIso,
-    read_content,
-)
 from eldata.raw.cfa import cfa_from, pack, packed_area, packed_channels, packed_shape, packing_sites
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from eldata.base.pixels import NpyHeader, NpzArchive
     from eldata.raw.cfa import CfaRows
+
+_SCHEMA, _SCHEMA_WITH_MODEL = 1, 2
+_FIELDS = ("slope_dn", "offset_dn")
+_ADVICE = "write it again with eldata calibrate --dark-shading"
+_MOST_ABOUT_BYTES = 1 << 20
+_LONGEST_SIDE = 65_535
+_MOST_MODES = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShadingIso:
+    """What one ISO gave to a dark shading.
+
+    Attributes
+    ----------
+    iso
+        ISO speed.
+    mode
+        The number of its gain mode, from 0: whose slope and offset hold.
+    frames
+        Bias frames.
+    sigma_dn
+        Standard deviation of a pixel over time, DN.
+    level_error_dn
+        BLE: by how much the mean of each CFA channel lies over the line, DN.
+    standard_error_dn
+        Of the level, by the scatter between frames, DN.
+    """
+
+    iso: float
+    mode: int
+    frames: int
+    sigma_dn: float
+    level_error_dn: tuple[float, ...]
+    standard_error_dn: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("iso", "sigma_dn"):  # as a file gives them back: they are in the digest
+            object.__setattr__(self, name, float(getattr(self, name)))
+        for name in ("level_error_dn", "standard_error_dn"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+
+    @property
+    def weight(self) -> float:
+        """Of its mean frame in the lines, 1 / DN^2: one over the variance that noise leaves in it."""
+        return self.frames / self.sigma_dn**2
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -60,7 +101,7 @@ class DarkShading:
     slope_dn, offset_dn
         k [DN per unit of ISO] and b [DN], (modes, H, W) float32. Where a mode has one ISO alone, k is 0.
     hot
-        (H, W) True where a pixel is hot, cold or stuck at one of the ISOs: its k and b are those of its neighbours of
+        (H, W) True where a pixel is hot, cold or stuck at one of the ISOs: its k and b come from its neighbours of
         the same colour, so that it stays as it is when the shading is subtracted.
     notes
         What a user should know, such as which ISOs were left out.
@@ -87,20 +128,20 @@ class DarkShading:
     digest: str = field(init=False)
 
     def __post_init__(self) -> None:
-        speeds, modes = [one.iso for one in self.isos], [one.mode for one in self.isos]
-        if not speeds or speeds != sorted(set(speeds)):
-            raise ArgumentError(f"a dark shading has one ISO or more, each once, ascending; found {speeds}")
+        isos, modes = [row.iso for row in self.isos], [row.mode for row in self.isos]
+        if not isos or isos != sorted(set(isos)):
+            raise ArgumentError(f"a dark shading has one ISO or more, each once, ascending; found {isos}")
         if modes != sorted(modes) or sorted(set(modes)) != list(range(len(self.slope_dn))):
             raise ArgumentError(f"{len(self.slope_dn)} gain modes are numbered from 0, ascending; found {modes}")
         packed_channels(self.cfa)
         channels = max(map(max, self.cfa)) + 1
-        for one in self.isos:
-            if {len(one.level_error_dn), len(one.standard_error_dn)} != {channels}:
-                raise ArgumentError(f"ISO {one.iso:g}: expected {channels} levels, one per CFA channel")
+        for row in self.isos:
+            if {len(row.level_error_dn), len(row.standard_error_dn)} != {channels}:
+                raise ArgumentError(f"ISO {row.iso:g}: expected {channels} levels, one per CFA channel")
         if self.hot.dtype != np.bool_ or self.hot.ndim != 2:
             raise ArgumentError(f"hot is boolean (H, W); found {self.hot.dtype} {self.hot.shape}")
         expected = (len(self.slope_dn), *self.hot.shape)
-        for name in FIELDS:
+        for name in _FIELDS:
             values: NDArray[np.float32] = getattr(self, name)
             if values.dtype != np.float32 or values.shape != expected:
                 raise ArgumentError(f"{name} is float32 {expected}; found {values.dtype} {values.shape}")
@@ -109,16 +150,16 @@ class DarkShading:
         object.__setattr__(self, "digest", self._digest())
 
     def _digest(self) -> str:
-        found = hashlib.sha256(json_text(self._about(), indent=None).encode())
+        digest = hashlib.sha256(json_text(self._about(), indent=None).encode())
         for values in (self.slope_dn, self.offset_dn, self.hot):
             for row in _rows(values):
-                found.update(row.astype(row.dtype.newbyteorder("<"), copy=False).tobytes())
-        return f"sha256:{found.hexdigest()}"
+                digest.update(row.astype(row.dtype.newbyteorder("<"), copy=False).tobytes())
+        return f"sha256:{digest.hexdigest()}"
 
     def _about(self) -> dict[str, Any]:
         modes, height, width = self.slope_dn.shape
         return {
-            "schema": SCHEMA_WITH_MODEL if self.model else SCHEMA,
+            "schema": _SCHEMA_WITH_MODEL if self.model else _SCHEMA,
             "camera": self.camera,
             **({"model": self.model} if self.model else {}),
             "source": self.source,
@@ -126,15 +167,15 @@ class DarkShading:
             "modes": modes,
             "height": height,
             "width": width,
-            "isos": [asdict(one) for one in self.isos],
+            "isos": [asdict(row) for row in self.isos],
             "notes": list(self.notes),
         }
 
     def summary(self) -> dict[str, Any]:
-        """Return what a person asks first, as plain types: all but the pixels."""
+        """Summarise all but the pixels, as plain types."""
         return {
             "digest": self.digest,
-            "isos": [asdict(one) | {"error_dn": self.error_dn(one.iso)} for one in self.isos],
+            "isos": [asdict(row) | {"error_dn": self.error_dn(row.iso)} for row in self.isos],
             "modes": len(self.slope_dn),
             "hot": int(self.hot.sum()),
             "notes": list(self.notes),
@@ -143,17 +184,17 @@ class DarkShading:
     # --- what it says ---------------------------------------------------------------------------------------------
 
     def measured(self, iso: float) -> ShadingIso:
-        """Return what was measured at an ISO.
+        """Look up the measurements of an ISO.
 
         Raises
         ------
         ArgumentError
             If nothing was: the black level error of an ISO follows from no other ISO's.
         """
-        for one in self.isos:
-            if one.iso == iso:
-                return one
-        listed = ", ".join(f"{one.iso:g}" for one in self.isos)
+        for row in self.isos:
+            if row.iso == iso:
+                return row
+        listed = ", ".join(f"{row.iso:g}" for row in self.isos)
         raise ArgumentError(
             f"the dark shading of {self.camera} was not measured at ISO {iso:g}, and no other ISO tells its black "
             f"level error; there are {listed}. Take bias frames at ISO {iso:g} and calibrate again"
@@ -190,13 +231,13 @@ class DarkShading:
         """
         from eldata.noise._kernels import fill_line
 
-        one = self.measured(iso)
-        slope, offset = (values[one.mode, rows, columns] for values in (self.slope_dn, self.offset_dn))
+        row = self.measured(iso)
+        slope, offset = (values[row.mode, rows, columns] for values in (self.slope_dn, self.offset_dn))
         top, left = (part.indices(side)[0] for part, side in zip((rows, columns), self.hot.shape, strict=True))
         period, part = len(self.cfa), np.empty(slope.shape, np.float32) if out is None else out
         down, right = top + np.arange(period), left + np.arange(slope.shape[1])
         channels = np.asarray(self.cfa)[down[:, None] % period, right % period]
-        fill_line(slope, offset, np.float32(iso), np.asarray(one.level_error_dn, np.float32)[channels], part)
+        fill_line(slope, offset, np.float32(iso), np.asarray(row.level_error_dn, np.float32)[channels], part)
         return part
 
     def packed(self, iso: float, region: tuple[int, int, int, int] | None = None) -> NDArray[np.float32]:
@@ -268,9 +309,9 @@ class DarkShading:
         ArgumentError
             If the ISO was not measured.
         """
-        one = self.measured(iso)
-        mode = [other for other in self.isos if other.mode == one.mode]
-        weights, speeds = np.array([other.weight for other in mode]), np.array([other.iso for other in mode])
+        number = self.measured(iso).mode
+        mode = [row for row in self.isos if row.mode == number]
+        weights, speeds = np.array([row.weight for row in mode]), np.array([row.iso for row in mode])
         middle = float(weights @ speeds / weights.sum())
         lever = float(weights @ (speeds - middle) ** 2)
         return math.sqrt(1 / weights.sum() + ((iso - middle) ** 2 / lever if len(mode) > 1 else 0.0))
@@ -338,16 +379,70 @@ class DarkShading:
         ShadingError
             If it cannot be read, is damaged, or is not the file of a dark shading.
         """
-        content, stated = read_content(Path(path))
+        path = Path(path)
+        if (problem := file_problem(path)) is not None:
+            raise ShadingError(path, problem)
         try:
-            found = cls(**content)
-        except ArgumentError as error:
-            raise ShadingError(path, f"{error}; {ADVICE}") from error
-        if stated != found.digest:
+            with opened_npz(path) as archive:
+                shading, stated = _read(path, archive)
+        except NpyError as error:
+            raise ShadingError(path, f"is not the file of a dark shading: {error}; {_ADVICE}") from error
+        except (ArgumentError, ValueError) as error:
+            raise ShadingError(path, f"{error}; {_ADVICE}") from error
+        except OSError as error:
+            raise ShadingError(path, f"cannot be read: {error.strerror or error}") from error
+        if stated != shading.digest:
             raise ShadingError(
-                path, f"field digest: expected {found.digest}, that of the content, found {shown(stated)}; {ADVICE}"
+                path, f"field digest: expected {shading.digest} by the content, found {shown(stated)}; {_ADVICE}"
             )
-        return found
+        return shading
+
+
+def _read(path: Path, archive: NpzArchive) -> tuple[DarkShading, str]:
+    """Read a shading, and the digest that its file states; what is declared is checked before it is loaded."""
+
+    def array(name: str, dtype: str, *shape: int) -> NDArray[Any]:
+        def check(header: NpyHeader) -> None:
+            fits = header.shape == shape or (not shape and header.shape <= (_MOST_ABOUT_BYTES,))
+            if header.values != dtype or header.fortran_order or not fits:
+                expected = f"{dtype} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
+                raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
+
+        return archive.read(name, check)
+
+    top = TextFile(path, ShadingError, _ADVICE, content=array("about", "uint8").tobytes()).json()
+    has_model = top.schema(_SCHEMA, also=(_SCHEMA_WITH_MODEL,)) == _SCHEMA_WITH_MODEL
+    known = ("schema", "camera", "source", "cfa", "modes", "height", "width", "isos", "notes", "digest")
+    top.only((*known, "model") if has_model else known)
+    modes = top.whole("modes", at_least=1, at_most=_MOST_MODES)
+    height, width = (top.whole(name, at_least=2, at_most=_LONGEST_SIDE) for name in ("height", "width"))
+    if modes * height * width * 8 > path.stat().st_size:
+        raise top.problem("height", f"the file is too small for {modes} x {height} x {width} pixels: truncated?")
+    cfa = top.each("cfa", lambda inner, name: inner.each(name, Fields.whole, at_most=3), expected="a list of rows")
+    lines = {name: array(name, "float32", modes, height, width).astype(np.float32, copy=False) for name in _FIELDS}
+    shading = DarkShading(
+        camera=top.text("camera"),
+        source=top.text("source"),
+        cfa=cfa,
+        isos=tuple(map(_read_iso, top.objects("isos", fewest=1, expected="a list of at least one ISO"))),
+        hot=array("hot", "bool", height, width),
+        notes=top.texts("notes", empty=True),
+        model=top.text("model") if has_model else "",
+        **lines,
+    )
+    return shading, top.text("digest")
+
+
+def _read_iso(fields: Fields) -> ShadingIso:
+    fields.only(names_of(ShadingIso))
+    return ShadingIso(
+        iso=fields.number("iso", above=0),
+        mode=fields.whole("mode", at_most=_MOST_MODES),
+        frames=fields.whole("frames", at_least=1),
+        sigma_dn=fields.number("sigma_dn", above=0),
+        level_error_dn=fields.each("level_error_dn", Fields.number, expected="a list of numbers"),
+        standard_error_dn=fields.each("standard_error_dn", Fields.number, expected="a list of numbers", at_least=0),
+    )
 
 
 def dark_shading_in(path: Path) -> DarkShading:

@@ -1,10 +1,7 @@
 """The composed noise model: clean raw data in, noisy raw data out.
 
-``I = y range / (ratio K)`` photoelectrons; ``D = K shot(I) + N_read + N_row + N_q`` in DN above black; the result is
-``D ratio / range``, amplified back to the clean image's brightness (K. Wei et al., TPAMI 2021, sections
-3.1 and 3.2.3).
-
-Two engines draw the same distributions:
+What it draws is defined in :mod:`eldata.noise.components` (K. Wei et al., TPAMI 2021, sections 3.1 and 3.2.3). Two
+engines draw the same distributions:
 
 compiled
     numpy arrays and torch tensors on the CPU. Counter-based: each pixel's numbers depend on the seed, the image's place
@@ -17,32 +14,22 @@ torch
 from __future__ import annotations
 
 import copy
+import inspect
 import math
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
-from eldata.base.numbers import checked_number, checked_whole
+from eldata.base.arguments import is_tensor
+from eldata.base.numbers import checked_whole
 from eldata.errors import ArgumentError, check_choice
-from eldata.noise.components import Components, parse_components
-from eldata.noise.exposures import (
-    Adc,
-    DarkCrops,
-    DarkSource,
-    Exposures,
-    check_normalised,
-    common_range_dn,
-    drawn_dark,
-    one_each,
-    read_variance_dn2,
-)
+from eldata.noise.components import parse_components
 from eldata.noise.mosaic import pack_whole, packed_rows, unpack_whole
-from eldata.noise.parameters import Generator, NoiseParameters, key_from
+from eldata.noise.parameters import Adc, Generator, NoiseDraw, NoiseParameters, key_from
 from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import torch
     from numpy.typing import NDArray
 
@@ -50,6 +37,19 @@ if TYPE_CHECKING:
     from eldata.raw.levels import Clip
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
+
+
+class DarkSource(Protocol):
+    """Where component D of a noise model has its frames from; :class:`eldata.datasets.DarkFrames` is one."""
+
+    @property
+    def dither(self) -> bool:
+        """Whether they are dithered, by U over one step of the values."""
+
+    def draw(
+        self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """Draw crops (count, C, h, w) of as many frames of an ISO, from one place of them, in DN above black."""
 
 
 class NoiseModel:
@@ -64,7 +64,7 @@ class NoiseModel:
         published ELD loader gives a network). ``None``, the default, leaves it to who uses the model: called by itself
         it does not clip, and a dataset clips as its own ``clip`` says.
     adc
-        Round to whole DN (the parameters' step) and saturate as a converter does, in place of component U.
+        Round to whole DN (the parameters' step) and saturate as a converter does, instead of component U.
     dark_frames
         The frames of component D: :class:`eldata.datasets.DarkFrames`.
 
@@ -94,21 +94,21 @@ class NoiseModel:
         adc: Adc | None = None,
         dark_frames: DarkSource | None = None,
     ) -> None:
-        self.components: Components = parse_components(spec)
+        self.components = parse_components(spec)
         if clip is not None:
             check_choice("clip", clip, CLIP_RANGES)
         if adc is not None and not isinstance(adc, Adc):
             raise ArgumentError(f"adc must be an Adc, such as Adc(512, 16383); found {adc!r:.100}")
-        if adc is not None and self.components.quantisation:
+        if adc is not None and "U" in self.components:
             raise ArgumentError(
                 f"noise model {spec!r}: U stands for the converter's rounding; leave it out with adc=..."
             )
-        if self.components.dark and not callable(getattr(dark_frames, "draw", None)):
+        if "D" in self.components and not callable(getattr(dark_frames, "draw", None)):
             raise ArgumentError(
                 f"noise model {spec!r}: D takes real frames; give dark_frames=DarkFrames(...) of eldata.datasets; "
                 f"found {dark_frames!r:.100}"
             )
-        if dark_frames is not None and not self.components.dark:
+        if dark_frames is not None and "D" not in self.components:
             raise ArgumentError(f"noise model {spec!r} takes no dark frames: it has no component D, as 'P*+D' has")
         if adc is not None and dark_frames is not None and not dark_frames.dither:
             raise ArgumentError(
@@ -119,10 +119,21 @@ class NoiseModel:
         self.adc = adc
         self.dark_frames = dark_frames
 
+    @property
+    def spec(self) -> str:
+        """The components as :func:`parse_components` reads them."""
+        return "+".join(self.components)
+
+    @property
+    def formulas(self) -> tuple[str, ...]:
+        """The components that an engine draws; the dither of dark frames is one, U."""
+        formulas = tuple(name for name in self.components if name != "D")
+        return (*formulas, "U") if self.dark_frames is not None and self.dark_frames.dither else formulas
+
     def __repr__(self) -> str:
         names = ("clip", "adc", "dark_frames")
         options = [f", {name}={value!r}" for name in names if (value := getattr(self, name)) is not None]
-        return f"NoiseModel({self.components.spec!r}{''.join(options)})"
+        return f"NoiseModel({self.spec!r}{''.join(options)})"
 
     def with_clip(self, clip: Clip) -> NoiseModel:
         """Return this model with another clip."""
@@ -137,13 +148,13 @@ class NoiseModel:
         *,
         parameters: NoiseParameters | Sequence[NoiseParameters],
         ratio: float | Sequence[float],
-        generator: Generator | list[Generator] | tuple[Generator, ...],
+        generator: Generator,
         range_dn: float | Sequence[float] | None = None,
+        dark: NDArray[np.float32] | None = None,
         threads: int | None = None,
-        dark: DarkCrops | None = None,
         out: NDArray[np.float32] | None = None,
     ) -> Image:
-        """Return a noisy exposure of clean packed data.
+        """Make a noisy exposure of clean packed data.
 
         Parameters
         ----------
@@ -156,17 +167,16 @@ class NoiseModel:
         ratio
             Exposure ratio, above 0: one, or one for each image.
         generator
-            numpy's or torch's; for a tensor on another device than the CPU, a torch generator of that device. Several,
-            on the CPU: each for as many images in turn, whose noise is to the bit what a call for them alone gives.
+            numpy's or torch's; for a tensor on another device than the CPU, a torch generator of that device.
         range_dn
-            White level minus black level, DN, one, or one for each image; by default that of the camera whose profile
-            the parameters come from.
+            White level minus black level, DN, one, or one for each image; by default the range of the camera whose
+            profile the parameters come from.
+        dark
+            With component D: dark frames (N, C, h, w) in DN above black. By default they are drawn here, of the
+            parameters' ISO; images that have one draw of parameters together, a clip, get different frames, from one
+            place of them.
         threads
             Of the compiled engine, 1 or more; default one per CPU. The result does not depend on it.
-        dark
-            With component D: crops of dark frames that somebody drew, one for each image, of its shape. By default they
-            are drawn here, of the parameters' ISO; images that have one draw of parameters together, a clip, get
-            different frames, from one place of them.
         out
             Of an array: where to write, C-contiguous float32 of its shape, and not its memory. The pages of a new array
             cost as much as a sixth of the noise.
@@ -181,57 +191,109 @@ class NoiseModel:
         ArgumentError
             If shapes, dtype, parameters, ratio, range, generator, threads, dark frames or ``out`` do not fit.
         """
-        check_normalised(clean)
-        if clean.ndim < 3:
-            raise ArgumentError(f"expected clean data (..., C, h, w); found shape {tuple(clean.shape)}")
-        images = math.prod(clean.shape[:-3])
-        channels = int(clean.shape[-3])
-        packed_rows(channels)  # refuses another number of channels
-        drawn = one_each(parameters, images, "parameters")
-        if not all(isinstance(item, NoiseParameters) for item in drawn):
+        images = _count_images(clean)
+        each = _one_each(parameters, images, "parameters")
+        if not all(isinstance(item, NoiseParameters) for item in each):
             raise ArgumentError(f"parameters must be NoiseParameters, one or one for each image; found {parameters!r}")
-        ratios = [checked_number("ratio", value, above=0) for value in one_each(ratio, images, "ratio")]
-        given = [common_range_dn(drawn)] if range_dn is None else one_each(range_dn, max(images, 1), "range_dn")
-        ranges = [checked_number("range_dn", value, above=0) for value in given]
-        several = list(generator) if isinstance(generator, (list, tuple)) else [generator]
-        draws = dark is None and self.dark_frames is not None  # frames are drawn here once for all images
-        if len(several) != 1 and (not several or images % len(several) or draws):
+        ranges = _one_each(_common_range_dn(each) if range_dn is None else range_dn, images, "range_dn")
+        ratios = _one_each(ratio, images, "ratio")
+        draws = [NoiseDraw(*fields) for fields in zip(each, ratios, ranges, strict=True)]
+        if dark is None and self.dark_frames is not None and images:
+            groups = [each] if isinstance(parameters, NoiseParameters) else [[image] for image in each]
+            dark = self._draw_dark(groups, (clean.shape[-3], clean.shape[-2], clean.shape[-1]), generator)
+        return self.apply(clean, draws, generator, dark=dark, threads=threads, out=out)
+
+    def apply(
+        self,
+        clean: Image,
+        draws: NoiseDraw | Sequence[NoiseDraw],
+        generator: Generator | Sequence[Generator],
+        *,
+        dark: NDArray[np.float32] | None = None,
+        threads: int | None = None,
+        out: NDArray[np.float32] | None = None,
+    ) -> Image:
+        """Make the noisy exposure that was drawn: the same one for the same draws and state of the generator.
+
+        Parameters
+        ----------
+        draws
+            One for everything (a clip), or one for each image, such as ``dataset.item(index).draw``.
+        generator
+            As in a call; or several, on the CPU, each for as many images in turn, whose noise is to the bit what a call
+            for them alone gives.
+        clean, dark, threads, out
+            As in a call; with component D, dark frames must be given.
+
+        Raises
+        ------
+        ArgumentError
+            As a call does.
+        """
+        images = _count_images(clean)
+        each = _one_each(draws, images, "draws")
+        generators = list(generator) if isinstance(generator, Sequence) else [generator]
+        if len(generators) != 1 and (not generators or images % len(generators)):
             raise ArgumentError(
-                f"expected one generator, or several, each for as many of {images} images; found {len(several)}"
+                f"expected one generator, or several, each for as many of {images} images; found {len(generators)}"
             )
         if threads is not None:
             checked_whole("threads", threads, at_least=1)
-        packed = (channels, int(clean.shape[-2]), int(clean.shape[-1]))
-        if dark is not None:
-            self._check_dark(dark, images, packed)
-        elif self.dark_frames is not None and images:
-            source = np.random.default_rng(key_from(several[0]))
-            dark = drawn_dark(self.dark_frames, drawn, isinstance(parameters, NoiseParameters), packed, source)
-        exposures = Exposures.of(
-            self.components,
-            drawn,
-            ratios,
-            channels,
-            range_dn=ranges if len(set(ranges)) > 1 else ranges[0],
-            adc=self.adc,
-            limits=CLIP_RANGES[self.clip or "none"],
-            dark=dark,
-            dithers=self.dark_frames is not None and self.dark_frames.dither,
-        )
+        if dark is not None or (self.dark_frames is not None and images):
+            self._check_dark(dark, (images, *clean.shape[-3:]))
         if out is not None:
             _check_out(out, clean)
-        if isinstance(clean, np.ndarray):
-            drawn_in_numpy = _in_numpy(clean, exposures, several, threads, out)
-            return drawn_in_numpy if out is not None else drawn_in_numpy.astype(clean.dtype, copy=False)
-        noisy: Image = _in_torch(clean, exposures, several, threads)
-        return noisy
+        shape = (images, *clean.shape[-3:])
+        options: dict[str, Any] = {"adc": self.adc, "limits": CLIP_RANGES[self.clip or "none"], "dark": dark}
+        image: Any = clean
+        noisy: Any
+        if not isinstance(clean, np.ndarray):
+            import torch
 
-    def _check_dark(self, dark: Any, images: int, packed: tuple[int, int, int]) -> None:
+            image = clean.detach().to(torch.float32)
+        if isinstance(image, np.ndarray) or image.device.type == "cpu":
+            from eldata.noise.compiled import expose_compiled
+
+            keys = [key_from(source) for source in generators] if images else [0]
+            flat = np.ascontiguousarray(image, dtype=np.float32).reshape(shape)
+            target = None if out is None else out.reshape(shape)
+            noisy = expose_compiled(flat, each, self.formulas, keys=keys, threads=threads, out=target, **options)
+        else:
+            from eldata.noise.on_device import expose_on_device
+
+            device, (drawing, *others) = image.device, generators
+            if others or not isinstance(drawing, torch.Generator) or drawing.device.type != device.type:
+                raise ArgumentError(f"clean is on {device}: give a torch.Generator of that device")
+            noisy = expose_on_device(image.reshape(shape), each, self.formulas, drawing, **options)
+        if not isinstance(clean, np.ndarray):
+            noisy = torch.as_tensor(noisy).to(clean.dtype)
+        elif out is None:
+            noisy = noisy.astype(clean.dtype, copy=False)
+        result: Image = noisy.reshape(clean.shape)
+        return result
+
+    def _draw_dark(
+        self, groups: Sequence[Sequence[NoiseParameters]], packed: tuple[int, int, int], generator: Generator
+    ) -> NDArray[np.float32] | None:
+        """Draw a dark frame for each image; the images of a group get theirs from one place."""
+        source = np.random.default_rng(key_from(generator))
+        crops = []
+        for parameters, count in ((group[0], len(group)) for group in groups):
+            if parameters.iso is None:
+                raise ArgumentError(
+                    "component D takes dark frames of the parameters' ISO, and they do not state it; draw them at one, "
+                    "as profile.sample(generator, iso=800) does"
+                )
+            if self.dark_frames is not None:
+                crops.append(self.dark_frames.draw(parameters.iso, count, packed, source))
+        return np.concatenate(crops)
+
+    def _check_dark(self, dark: Any, expected: tuple[int, ...]) -> None:
         if self.dark_frames is None:
             raise ArgumentError(f"dark= is for models with component D; this is {self!r}")
-        found = dark.dn.shape if isinstance(dark, DarkCrops) else type(dark).__name__
-        if found != (images, *packed):
-            raise ArgumentError(f"dark must be DarkCrops of shape {(images, *packed)}; found {found}")
+        if not isinstance(dark, np.ndarray) or dark.dtype != np.float32 or dark.shape != expected:
+            found = f"{dark.dtype} {dark.shape}" if isinstance(dark, np.ndarray) else type(dark).__name__
+            raise ArgumentError(f"dark must be float32 of shape {expected}, in DN above black; found {found}")
 
     def on_mosaic(
         self,
@@ -242,11 +304,10 @@ class NoiseModel:
         ratio: float | Sequence[float],
         generator: Generator,
         range_dn: float | None = None,
-        threads: int | None = None,
     ) -> Image:
-        """Return a noisy exposure of clean mosaics (..., H, W), normalised, of any size and CFA phase.
+        """Make a noisy exposure of clean mosaics (..., H, W), normalised, of any size and CFA phase.
 
-        ``cfa`` is that of pixel (0, 0), as :attr:`eldata.records.Sensor.cfa`. Everything else is as for packed data:
+        ``cfa`` is the CFA of pixel (0, 0), as :attr:`eldata.records.Sensor.cfa`. Everything else is as for packed data:
         the mosaic is packed, exposed and put together again, and no pixel is left out.
 
         Raises
@@ -255,82 +316,66 @@ class NoiseModel:
             As for packed data, or if the CFA is unsupported.
         """
         check_normalised(clean)
-        noisy = self(
-            pack_whole(clean, cfa),
-            parameters=parameters,
-            ratio=ratio,
-            range_dn=range_dn,
-            generator=generator,
-            threads=threads,
-        )
+        packed = pack_whole(clean, cfa)
+        noisy = self(packed, parameters=parameters, ratio=ratio, range_dn=range_dn, generator=generator)
         return unpack_whole(noisy, cfa, (clean.shape[-2], clean.shape[-1]))
 
-    def expected_mean_dn(self, signal_e: float, parameters: NoiseParameters, channel: int = 0) -> float:
-        """Return the closed-form mean of D, in DN above black: K I, plus the bias of a Bayer channel.
 
-        Raises
-        ------
-        ArgumentError
-            If the model has dark frames, whose mean is their own.
-        """
-        self._check_closed()
-        bias = parameters.colour_bias_dn[channel] if self.components.colour_bias else 0.0
-        return parameters.gain_dn_per_e * signal_e + bias
-
-    def expected_variance_dn2(self, signal_e: float, parameters: NoiseParameters) -> float:
-        """Return the closed-form variance of D over pixels and rows, in DN^2 (without saturation).
-
-        ``K (K I) + sigma_TL^2 Var(TL) + sigma_row^2 + q^2/12``, each term if its component is there. For an ``adc``
-        q^2/12 is an approximation, good where the other noise is above half a step q.
-
-        Raises
-        ------
-        ArgumentError
-            If the model has dark frames, whose variance is their own.
-        """
-        self._check_closed()
-        parts = self.components
-        gain = parameters.gain_dn_per_e
-        shot = gain * gain * signal_e if parts.shot != "none" else 0.0
-        read = read_variance_dn2(parts, parameters)
-        row = parameters.sigma_row_dn**2 if parts.row else 0.0
-        quantisation = parameters.quantisation_step_dn**2 / 12 if parts.quantisation or self.adc is not None else 0.0
-        return shot + read + row + quantisation
-
-    def _check_closed(self) -> None:
-        if self.components.dark:
-            raise ArgumentError(f"noise model {self.components.spec!r}: there is no closed form for real dark frames")
+# --- what a call gives, one of each per image ----------------------------------------------------------------------
 
 
-def _in_numpy(
-    clean: NDArray[Any],
-    exposures: Exposures,
-    generators: Sequence[Generator],
-    threads: int | None,
-    out: NDArray[np.float32] | None = None,
-) -> NDArray[np.float32]:
-    from eldata.noise.compiled import expose_compiled
+def check_normalised(clean: Any, name: str = "clean") -> None:
+    """Refuse what cannot be normalised data.
 
-    shape = math.prod(clean.shape[:-3]), *clean.shape[-3:]
-    flat = np.ascontiguousarray(clean, dtype=np.float32).reshape(shape)
-    keys = [key_from(generator) for generator in generators] if len(flat) else [0]
-    target = None if out is None else out.reshape(shape)
-    return expose_compiled(flat, exposures, key=keys, threads=threads, out=target).reshape(clean.shape)
+    Raises
+    ------
+    ArgumentError
+        If it is neither an array nor a tensor, or of anything but floating numbers.
+    """
+    if isinstance(clean, np.ndarray):
+        is_float, is_whole = clean.dtype.kind == "f", clean.dtype.kind in "iu"
+    elif is_tensor(clean):
+        is_float, is_whole = clean.is_floating_point(), not clean.is_complex()
+    else:
+        raise ArgumentError(f"{name} must be a numpy array or a torch tensor, not {type(clean).__name__}")
+    if is_float:
+        return
+    if is_whole:
+        raise ArgumentError(
+            f"{name} is {clean.dtype}, whole numbers as a file has them, and expected is normalised data, where 0 is "
+            "black and 1 is white; give (clean - black) / (white - black) in float32, as eldata.raw.normalise makes it "
+            "of packed DN and eldata.raw.pack_normalised of a mosaic"
+        )
+    raise ArgumentError(f"{name} is {clean.dtype}; expected floating numbers, such as float32, where 1 is white")
 
 
-def _in_torch(clean: Any, exposures: Exposures, generators: Sequence[Generator], threads: int | None) -> Any:
-    import torch
+def _count_images(clean: Any) -> int:
+    """Count the images of clean packed data, and refuse other data."""
+    check_normalised(clean)
+    if clean.ndim < 3:
+        raise ArgumentError(f"expected clean data (..., C, h, w); found shape {tuple(clean.shape)}")
+    packed_rows(int(clean.shape[-3]))  # refuses another number of channels
+    return math.prod(clean.shape[:-3])
 
-    numbers = clean.detach().to(torch.float32)
-    if clean.device.type == "cpu":
-        return torch.from_numpy(_in_numpy(numbers.numpy(), exposures, generators, threads)).to(clean.dtype)
-    from eldata.noise.on_device import expose_on_device
 
-    generator = generators[0]
-    if len(generators) > 1 or not isinstance(generator, torch.Generator) or generator.device.type != clean.device.type:
-        raise ArgumentError(f"clean is on {clean.device}: give a torch.Generator of that device")
-    drawn = expose_on_device(numbers.reshape(-1, *clean.shape[-3:]), exposures, generator)
-    return drawn.reshape(clean.shape).to(clean.dtype)
+def _one_each(value: Any, images: int, name: str) -> list[Any]:
+    """Return one value for each image, of one for all or of one for each; of others raise :class:`ArgumentError`."""
+    if not isinstance(value, Sequence) and hasattr(value, "tolist"):  # an array or a tensor
+        value = value.tolist()
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        return [value] * images
+    if len(value) != images:
+        raise ArgumentError(f"{name}: expected one, or one for each of {images} images; found {len(value)}")
+    return list(value)
+
+
+def _common_range_dn(drawn: Sequence[NoiseParameters]) -> float:
+    """Return the range from black to white that the parameters bring with them."""
+    known = {item.range_dn for item in drawn}
+    if len(known) == 1 and (range_dn := known.pop()) is not None:
+        return range_dn
+    found = "differ in it" if len(known) > 1 else "do not know it (their profile states no levels)"
+    raise ArgumentError(f"give range_dn, the white level minus the black level in DN: the parameters {found}")
 
 
 def _check_out(out: Any, clean: Any) -> None:
@@ -343,3 +388,86 @@ def _check_out(out: Any, clean: Any) -> None:
             f"out must be a writeable C-contiguous float32 array of shape {clean.shape} with memory of its own; found "
             f"{found}"
         )
+
+
+# --- noise of the caller's own ---------------------------------------------------------------------------------------
+
+
+class NoiseMaker(Protocol):
+    """A callable that makes noisy exposures of clean data, for the datasets that take a noise model.
+
+    :class:`~eldata.noise.model.NoiseModel` is one. Another one is a function, or an object with ``__call__``, that can
+    be pickled if workers are to have it.
+
+    Called with one image (C, h, w) or one clip (T, C, h, w), float32, normalised, in memory that it may write to, it
+    returns an array (or a tensor on the CPU) of the same shape: the exposure, amplified by ``ratio`` back to the
+    brightness of the clean data. The dataset clips it, as it says itself. ``parameters``, the draw of the dataset's
+    camera (with its ``iso``, where one was drawn), ``ratio`` and ``range_dn``, white minus black in DN, may be used or
+    not; they stand in the sample. All random numbers are to come from ``generator``: then an item depends on (seed,
+    epoch, index) alone.
+    """
+
+    def __call__(
+        self,
+        clean: NDArray[np.float32],
+        /,
+        *,
+        parameters: NoiseParameters,
+        ratio: float,
+        range_dn: float,
+        generator: np.random.Generator,
+    ) -> Any:
+        """Return a noisy exposure."""
+
+
+def check_noise_maker(maker: Any) -> None:
+    """Refuse what cannot be called as a :class:`NoiseMaker`.
+
+    Raises
+    ------
+    ArgumentError
+        If it is not callable, or does not take these arguments.
+    """
+    if isinstance(maker, str):
+        raise ArgumentError(f"model={maker!r} is a text; give NoiseModel({maker!r})")
+    call = "model(clean, parameters=..., ratio=..., range_dn=..., generator=...)"
+    if isinstance(maker, type) or not callable(maker):
+        raise ArgumentError(f"model must be a NoiseModel, or an object to be called as {call}; found {maker!r:.100}")
+    try:
+        signature = inspect.signature(maker)
+    except ValueError:  # compiled code need not state it
+        return
+    try:
+        signature.bind(None, parameters=None, ratio=None, range_dn=None, generator=None)
+    except TypeError as error:
+        raise ArgumentError(f"{maker_name(maker)} cannot be called as {call}: {error}") from error
+
+
+def made_exposure(
+    maker: NoiseMaker, clean: NDArray[np.float32], draw: NoiseDraw, generator: np.random.Generator
+) -> NDArray[np.float32]:
+    """Call somebody's own maker with a copy of clean data; return its exposure as float32.
+
+    Raises
+    ------
+    ArgumentError
+        If that is not an array of the same shape, of floating numbers.
+    """
+    made = maker(
+        clean.copy(), parameters=draw.parameters, ratio=draw.ratio, range_dn=draw.range_dn, generator=generator
+    )
+    if is_tensor(made):
+        made = made.detach().cpu().numpy()
+    if not isinstance(made, np.ndarray) or made.shape != clean.shape or made.dtype.kind != "f":
+        is_array = isinstance(made, np.ndarray)
+        found = f"{made.dtype} of shape {made.shape}" if is_array else type(made).__name__
+        raise ArgumentError(
+            f"{maker_name(maker)} returned {found}; expected an array like the clean one, {clean.shape}"
+        )
+    return made.astype(np.float32, copy=False)
+
+
+def maker_name(maker: Any) -> str:
+    """Name a callable: a function by its name, an object by its repr."""
+    name = getattr(maker, "__qualname__", None)
+    return name if isinstance(name, str) else repr(maker)

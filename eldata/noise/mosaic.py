@@ -1,4 +1,4 @@
-"""The mosaic under packed data: its rows, places on the sensor, and packing that loses no pixel.
+"""The mosaic under packed data: its rows, and packing that loses no pixel.
 
 :func:`eldata.raw.cfa.pack` crops what does not fill a period. Here the mosaic is extended instead, and cropped again on
 the way back: noise is wanted on every pixel.
@@ -7,49 +7,34 @@ the way back: noise is wanted on every pixel.
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from eldata.errors import ArgumentError
-from eldata.raw.cfa import packed_forms, packed_layouts, packed_shape, packing_sites
+from eldata.raw.cfa import packed_forms, packed_layouts, packing_sites
 
 if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from eldata.noise.parameters import NoiseParameters
     from eldata.raw.cfa import Cfa
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
 
 
-class PackedRows(NamedTuple):
-    """Rows of the mosaic under packed data.
-
-    Attributes
-    ----------
-    table
-        (C, s, s) int64: packed entry (c, y, x) lies in mosaic row ``(y // s) * period + table[c, y % s, x % s]``.
-    period
-        Mosaic rows per s packed rows.
-    """
-
-    table: NDArray[np.int64]
-    period: int
-
-    @property
-    def sub(self) -> int:
-        """The s of the table."""
-        return int(self.table.shape[1])
-
-
 @cache
-def packed_rows(channels: int) -> PackedRows:
-    """Return which mosaic rows lie under packed data with 4 (Bayer), 9 (X-Trans), 16 (quad) or 36 (nona) channels.
+def packed_rows(channels: int) -> tuple[NDArray[np.int64], int]:
+    """Describe which mosaic rows lie under packed data with 4 (Bayer), 9 (X-Trans), 16 (quad) or 36 (nona) channels.
 
     Bayer: R and G1 share a row, B and G2 the other; quad and nona: the same, of each row of the blocks. Which come
     first depends on the phase and changes no statistic.
+
+    Returns
+    -------
+    table, period
+        (C, s, s) int64 and the mosaic rows per s packed rows: packed entry (c, y, x) lies in mosaic row
+        ``(y // s) * period + table[c, y % s, x % s]``.
 
     Raises
     ------
@@ -62,22 +47,19 @@ def packed_rows(channels: int) -> PackedRows:
     table = np.empty((channels, sites.sub, sites.sub), dtype=np.int64)
     for row, _, channel, y, x in sites.table:
         table[channel, y, x] = row
-    return PackedRows(table, sites.period)
+    return table, sites.period
 
 
-def channel_bias_dn(parameters: NoiseParameters, channels: int) -> tuple[float, ...]:
-    """Return the colour bias of each packed channel: its colour's. X-Trans has one green: the mean of G1's and G2's."""
-    sites = packed_layouts()[channels]
-    if sites.colours == (0, 1, 2, 3):  # Bayer, asked for each item of a batch: as it is
-        return parameters.colour_bias_dn
-    red, green, blue, second_green = parameters.colour_bias_dn
-    one_green = red, (green + second_green) / 2, blue
-    of_colour = one_green if sites.levels == len(one_green) else parameters.colour_bias_dn
-    return tuple(of_colour[colour] for colour in sites.colours)
+def mosaic_rows(channels: int, height: int, width: int) -> NDArray[np.int64]:
+    """Return the mosaic row of each entry of packed data (C, h, w)."""
+    table, period = packed_rows(channels)
+    sub = table.shape[1]
+    y, x = np.arange(height)[:, None], np.arange(width)
+    return np.asarray((y // sub) * period + table[:, y % sub, x % sub])
 
 
 def pack_whole(mosaic: Image, cfa: Cfa) -> Image:
-    """Return mosaics (..., H, W) packed as (..., C, h, w), extended by zeros to whole periods on all sides.
+    """Pack mosaics (..., H, W) to (..., C, h, w), extended by zeros to whole periods on all sides.
 
     Raises
     ------
@@ -98,28 +80,6 @@ def pack_whole(mosaic: Image, cfa: Cfa) -> Image:
     for in_mosaic, in_packed in sites.slices:
         packed[in_packed] = whole[in_mosaic]
     return packed
-
-
-def region_anywhere(
-    what: str, shape: tuple[int, int], cfa: Cfa, packed: tuple[int, int, int], generator: np.random.Generator
-) -> tuple[int, int, int, int]:
-    """Return a region (top, left, height, width) of packed data, drawn in step with the CFA.
-
-    Raises
-    ------
-    ArgumentError
-        If ``packed`` (C, h, w) is not within the sensor, (H, W) ``shape``; the message begins with ``what``.
-    """
-    whole, step = packed_shape(shape, cfa), packing_sites(cfa).sub
-    _, height, width = packed
-    fits = packed[0] == whole[0] and height <= whole[1] and width <= whole[2]
-    if not fits or height % step or width % step:
-        raise ArgumentError(f"{what} crops of {whole} packed pixels or less, and none of {packed}")
-    top, left = (
-        step * int(generator.integers((of_all - side) // step + 1))
-        for of_all, side in zip(whole[1:], packed[1:], strict=True)
-    )
-    return top, left, height, width
 
 
 def unpack_whole(packed: Image, cfa: Cfa, shape: tuple[int, int]) -> Image:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 
-from eldata.noise.mosaic import packed_rows
+from eldata.noise.mosaic import mosaic_rows, packed_rows
 from eldata.noise.parameters import key_from
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Sequence
 
-    from eldata.noise.exposures import DarkCrops, Exposures
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from eldata.noise.parameters import Adc, NoiseDraw
 
 # Uniforms are float64 multiples of 2^-53 from 0 on: half a step keeps them off 0; the largest must not round to 1.
 _HALF_STEP = 2.0**-54
@@ -22,54 +25,54 @@ _LARGEST = 1 - 2.0**-53
 _LARGEST_MEAN = 2.0**30
 
 
-def expose_on_device(clean: torch.Tensor, exposures: Exposures, generator: torch.Generator) -> torch.Tensor:
-    """Return noisy exposures of ``clean`` (N, C, h, w) float32 on its device."""
-    device, components, adc = clean.device, exposures.components, exposures.adc
+def expose_on_device(
+    clean: torch.Tensor,
+    draws: Sequence[NoiseDraw],
+    components: Sequence[str],
+    generator: torch.Generator,
+    *,
+    adc: Adc | None = None,
+    limits: tuple[float, float] = (-math.inf, math.inf),
+    dark: NDArray[np.float32] | None = None,
+) -> torch.Tensor:
+    """Add noise to ``clean`` (N, C, h, w) float32 on its device; other arguments are as of ``expose_compiled``."""
+    device, size = clean.device, clean.shape
 
-    def per_image(array: object) -> torch.Tensor:
-        values = torch.as_tensor(array, dtype=torch.float32, device=device)
-        return values[(...,) + (None,) * (4 - values.ndim)]
+    def per_image(values: Sequence[float], dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        return torch.tensor(values, dtype=dtype, device=device)[:, None, None, None]
 
-    gain, range_dn = per_image(exposures.gain_dn_per_e), exposures.range_dn
-    scale = (range_dn if isinstance(range_dn, float) else per_image(range_dn)) / per_image(exposures.ratio)
+    def figure(name: str, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        return per_image([getattr(draw.parameters, name) for draw in draws], dtype)
+
+    def normal() -> torch.Tensor:
+        return torch.randn(size, generator=generator, device=device)
+
+    gain, scale = figure("gain_dn_per_e"), per_image([draw.range_dn / draw.ratio for draw in draws])
     # DN above black: K I. An infinite clean value stays the largest number, which the clip then takes.
-    signal = clean.clamp(0.0, torch.finfo(torch.float32).max) * scale
-    if components.shot == "poisson":
-        dn = torch.where(signal.isnan(), signal, _poisson(torch.nan_to_num(signal / gain, nan=0.0), generator) * gain)
-    elif components.shot == "gaussian":
-        normal = torch.randn(clean.shape, generator=generator, device=device)
-        dn = signal + (gain * signal).sqrt() * normal
-    else:
-        dn = signal
-    if components.read == "tukey-lambda":
-        shape = torch.as_tensor(exposures.tukey_lambda, dtype=torch.float64, device=device)[:, None, None, None]
-        dn = dn + per_image(exposures.sigma_read_dn) * _tukey_lambda(clean.shape, shape, generator)
-    elif components.read == "gaussian":
-        dn = dn + per_image(exposures.sigma_read_dn) * torch.randn(clean.shape, generator=generator, device=device)
-    if components.colour_bias or components.dark:
-        dn = dn + per_image(exposures.bias_dn)
-    if components.row:
-        dn = dn + _row_noise(clean.shape, per_image(exposures.sigma_row_dn), generator)
-    if exposures.dark is not None:
-        dn = dn + _dark_frames(exposures.dark, per_image)
-    if components.quantisation or exposures.dithers:
-        dn = dn + (torch.rand(clean.shape, generator=generator, device=device) - 0.5) * per_image(exposures.step_dn)
+    dn = clean.clamp(0.0, torch.finfo(torch.float32).max) * scale
+    if "P*" in components:
+        dn = torch.where(dn.isnan(), dn, _poisson(torch.nan_to_num(dn / gain, nan=0.0), generator) * gain)
+    if "P" in components:
+        dn = dn + (gain * dn).sqrt() * normal()
+    if "G*" in components:
+        dn = dn + figure("sigma_tl_dn") * _tukey_lambda(size, figure("tukey_lambda", torch.float64), generator)
+    if "G" in components:
+        dn = dn + figure("sigma_gauss_dn") * normal()
+    if "B" in components:
+        bias = [draw.parameters.channel_bias_dn(size[1]) for draw in draws]
+        dn = dn + torch.tensor(bias, dtype=torch.float32, device=device).reshape(*size[:2], 1, 1)
+    if "R" in components:
+        dn = dn + _row_noise(size, figure("sigma_row_dn"), generator)
+    if dark is not None:
+        dn = dn + torch.from_numpy(dark).to(device)
+    if "U" in components:
+        uniform = torch.rand(size, generator=generator, device=device) - 0.5
+        dn = dn + uniform * figure("quantisation_step_dn")
     if adc is not None:
-        step = per_image(exposures.step_dn)
+        step = figure("quantisation_step_dn")
         codes = (((dn + adc.black_level_dn) / step).round() * step).round()
         dn = codes.clamp(0.0, adc.white_level_dn) - adc.black_level_dn
-    return (dn / scale).clamp(*exposures.limits)
-
-
-def _dark_frames(dark: DarkCrops, per_image: Callable[[object], torch.Tensor]) -> torch.Tensor:
-    """Return dark frames as what is added where their black level was taken off before."""
-    frames = per_image(dark.dn.astype(np.float32))
-    if dark.shading_dn is not None:
-        frames = frames - per_image(dark.shading_dn)
-    if dark.scale is not None:
-        black = per_image(np.negative(dark.black_level_dn))
-        frames = (frames + black) * per_image(dark.scale) - black
-    return frames
+    return (dn / scale).clamp(*limits)
 
 
 def _poisson(mean: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
@@ -102,12 +105,9 @@ def _tukey_lambda(size: torch.Size, shape: torch.Tensor, generator: torch.Genera
 def _row_noise(size: torch.Size, sigma: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
     """Return row noise (N, C, h, w): one draw per mosaic row."""
     images, channels, height, width = size
-    under = packed_rows(channels)
-    rows = -(-height // under.sub) * under.period
+    sub = packed_rows(channels)[0].shape[1]
+    row = torch.as_tensor(mosaic_rows(channels, height, min(width, sub)), device=sigma.device)
+    rows = -(-height // sub) * packed_rows(channels)[1]
     draws = torch.randn((images, rows), generator=generator, device=sigma.device)
-    table = torch.as_tensor(under.table, device=sigma.device)
-    y = torch.arange(height, device=sigma.device)[:, None]
-    x = torch.arange(min(width, under.sub), device=sigma.device)[None, :]
-    row = (y // under.sub) * under.period + table[:, y % under.sub, x % under.sub]
     noise = draws[:, row] * sigma  # (N, C, h, s): it repeats every s columns
-    return noise.repeat(1, 1, 1, -(-width // under.sub))[..., :width] if width > under.sub else noise[..., :width]
+    return noise.repeat(1, 1, 1, -(-width // sub))[..., :width] if width > sub else noise

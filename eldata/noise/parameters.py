@@ -1,4 +1,4 @@
-"""One draw of the noise model's parameters, and the random numbers that draws take: never a global generator's."""
+"""Draws of the noise model: the parameters of an exposure, and the random numbers that draws take."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
+from eldata.raw.cfa import packed_layouts
 
 if TYPE_CHECKING:
     import torch
@@ -24,7 +25,7 @@ _LAMBDA_RANGE = (-0.5, 2.0)
 
 
 def shape_problem(tukey_lambda: float) -> str | None:
-    """Return what is wrong with a Tukey-lambda shape, or ``None``."""
+    """Describe the range that a Tukey-lambda shape lies outside of; ``None`` if it lies inside."""
     low, high = _LAMBDA_RANGE
     return None if low < tukey_lambda <= high else f"above {low:g} and not above {high:g}"
 
@@ -50,7 +51,7 @@ class NoiseParameters:
         White level minus black level of the camera that they are of, DN, where its profile states it: what the noise
         model takes if it is not told another. Not a parameter of the noise: draws that differ in it alone are equal.
     iso
-        The ISO that they are of, where one was given or drawn: that of the dark frames of component D. Nor is it one.
+        Their ISO, where one was given or drawn; component D takes dark frames of it. Not a parameter of the noise.
     quantisation_step_dn
         The step q by which the camera's values go, DN, above 0 (section 3.1.3 of the paper): component U is uniform
         from -q / 2 to q / 2, and a converter rounds to it. 1 unless files hold fewer values than they have room for. It
@@ -85,28 +86,32 @@ class NoiseParameters:
     quantisation_step_dn: float = field(default=1.0, compare=False)
 
     def __post_init__(self) -> None:
-        for name in _names():
-            if name != "colour_bias_dn":
-                checked_number(name, getattr(self, name), above=0 if name == "gain_dn_per_e" else -math.inf)
+        above = dict.fromkeys(("gain_dn_per_e", "range_dn", "iso", "quantisation_step_dn"), 0.0)
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if name != "colour_bias_dn" and (value is not None or name in _names()):
+                checked_number(name, value, above=above.get(name, -math.inf))
+            if name.startswith("sigma") and value < 0:
+                raise ArgumentError(f"{name} must not be negative; found {value}")
+        if (problem := shape_problem(self.tukey_lambda)) is not None:
+            raise ArgumentError(f"tukey_lambda must lie {problem}; found {self.tukey_lambda}")
         # Lists, and the arrays and tensors that samples have, become a tuple: a draw can be compared and is a key.
         bias: Any = self.colour_bias_dn
-        values = tuple(bias) if isinstance(bias, (tuple, list)) else _values(bias)
-        if len(values) != 4:
+        values = bias.tolist() if hasattr(bias, "tolist") else bias
+        if not isinstance(values, (tuple, list)) or len(values) != 4:
             raise ArgumentError(f"colour_bias_dn has four values, for R, G1, B and G2; found {bias!r:.100}")
         for value in values:
             checked_number("colour_bias_dn", value)
-        object.__setattr__(self, "colour_bias_dn", values)
-        checked_number("quantisation_step_dn", self.quantisation_step_dn, above=0)
-        if self.range_dn is not None:
-            checked_number("range_dn", self.range_dn, above=0)
-        if self.iso is not None:
-            checked_number("iso", self.iso, above=0)
-        for name in ("sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn"):
-            if getattr(self, name) < 0:
-                raise ArgumentError(f"{name} must not be negative; found {getattr(self, name)}")
-        problem = shape_problem(self.tukey_lambda)
-        if problem is not None:
-            raise ArgumentError(f"tukey_lambda must lie {problem}; found {self.tukey_lambda}")
+        object.__setattr__(self, "colour_bias_dn", tuple(values))
+
+    def channel_bias_dn(self, channels: int) -> tuple[float, ...]:
+        """Return the colour bias of each packed channel. X-Trans has one green: the mean of G1's and G2's."""
+        sites = packed_layouts()[channels]
+        if sites.colours == (0, 1, 2, 3):  # Bayer, asked for each item of a batch: as it is
+            return self.colour_bias_dn
+        red, green, blue, second_green = self.colour_bias_dn
+        of_colour = (red, (green + second_green) / 2, blue) if sites.levels == 3 else self.colour_bias_dn
+        return tuple(of_colour[colour] for colour in sites.colours)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the parameters of the noise by name."""
@@ -117,14 +122,67 @@ class NoiseParameters:
         return np.asarray(np.rint(np.rint(dn / self.quantisation_step_dn) * self.quantisation_step_dn))
 
 
+@dataclass(frozen=True, slots=True)
+class Adc:
+    """A real analogue-to-digital converter: rounds to whole DN and saturates at 0 and at the white level.
+
+    Where parameters state another ``quantisation_step_dn`` it rounds to multiples of that, and these to whole DN.
+    """
+
+    black_level_dn: float
+    white_level_dn: float
+
+    def __post_init__(self) -> None:
+        black = checked_number("black_level_dn", self.black_level_dn)
+        if not 0 <= black < checked_number("white_level_dn", self.white_level_dn):
+            raise ArgumentError(f"expected 0 <= black level < white level; found {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseDraw:
+    """All that is drawn for one noisy exposure, or one clip, but the random numbers of its pixels.
+
+    Datasets draw it, :meth:`eldata.noise.NoiseModel.apply` adds its noise: again, to other data, by another model.
+
+    Attributes
+    ----------
+    parameters
+        Of the noise.
+    ratio
+        Exposure ratio, above 0.
+    range_dn
+        White level minus black level of the clean data, DN, above 0.
+    camera, camera_id
+        The camera, and its place among those of the dataset.
+    dark
+        Numbers of the dark frames of component D, one for each frame.
+
+    Raises
+    ------
+    ArgumentError
+        If a number is out of its range.
+    """
+
+    parameters: NoiseParameters
+    ratio: float
+    range_dn: float
+    camera: str = ""
+    camera_id: int = 0
+    dark: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("ratio", "range_dn"):
+            object.__setattr__(self, name, checked_number(name, getattr(self, name), above=0))
+
+    @property
+    def iso(self) -> float | None:
+        """The ISO that was given or drawn; ``None`` where the gain was drawn."""
+        return self.parameters.iso
+
+
 @cache
 def _names() -> tuple[str, ...]:
     return tuple(one.name for one in fields(NoiseParameters) if one.compare)
-
-
-def _values(array: Any) -> tuple[Any, ...]:
-    found = array.tolist() if hasattr(array, "tolist") else array
-    return tuple(found) if isinstance(found, list) else (found,)
 
 
 def tukey_lambda_variance(tukey_lambda: float) -> float:

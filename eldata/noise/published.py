@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from eldata.base.fields import TextFile
 from eldata.errors import ProfileError
-from eldata.noise.gain_modes import LogLogFit, ProfileRow
-from eldata.noise.profile import CameraProfile
+from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -49,34 +48,27 @@ def profiles_from_published(camera: str, data: dict[str, Any], source: str = SOU
     """
     try:
         low, high = float(data["Kmin"]), float(data["Kmax"])
-        shapes, biases = list(data["G_shape"]), list(data["color_bias"])
         names = sorted(key for key in data if key.startswith("Profile-"))
-        if len(shapes) != len(biases) or not shapes or not names:
+        if len(data["G_shape"]) != len(data["color_bias"]) or not data["G_shape"] or not names:
             raise ProfileError(f"{camera}: expected as many G_shape as color_bias rows, and a Profile-1")
-        rows = tuple(
-            ProfileRow(
-                tukey_lambda=float(shape),
-                colour_bias_dn=(float(bias[0]), float(bias[1]), float(bias[2]), float(bias[3])),
-                iso=100.0 * 2 ** (index // 2),
-                gain_dn_per_e=low * 2 ** (index // 2),
-            )
-            for index, (shape, bias) in enumerate(zip(shapes, biases, strict=True))
-        )
+        rows = []
+        for index, (shape, bias) in enumerate(zip(data["G_shape"], data["color_bias"], strict=True)):
+            red, green, blue, second_green = map(float, bias)
+            iso, gain = 100.0 * 2 ** (index // 2), low * 2 ** (index // 2)
+            rows.append(ProfileRow(float(shape), (red, green, blue, second_green), iso, gain))
         profiles = []
         for name in names:
-            fits = {
-                key: LogLogFit(float(fit["slope"]), float(fit["bias"]), float(fit["sigma"]))
-                for key, fit in data[name].items()
-            }
+            scales = (data[name][key] for key in ("G_scale", "g_scale", "R_scale"))
+            lines = [LogLogFit(*(float(line[part]) for part in ("slope", "bias", "sigma"))) for line in scales]
             profiles.append(
                 CameraProfile(
                     camera=camera,
                     source=f"{source}, {name}",
                     gain_range_dn_per_e=(low, high),
-                    tukey_lambda_fit=fits["G_scale"],
-                    gauss_fit=fits["g_scale"],
-                    row_fit=fits["R_scale"],
-                    rows=rows,
+                    tukey_lambda_fit=lines[0],
+                    gauss_fit=lines[1],
+                    row_fit=lines[2],
+                    rows=tuple(rows),
                     iso_range=(100.0, 6400.0),
                     notes=(
                         "ISO and gain of the rows, and the ISO range, are inferred: the published file names neither.",

@@ -8,35 +8,22 @@ Darkness in Two Pairs: A Calibration-Free Pipeline for RAW Denoising", ICCV 2023
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, get_args, overload
+from dataclasses import asdict, astuple, dataclass
+from typing import Any, overload
 
 import numpy as np
 
 from eldata.base.numbers import checked_number, checked_whole
 from eldata.base.seeds import checked_seed, purpose_sequence
-from eldata.errors import ArgumentError, check_choice
-from eldata.noise.gain_modes import LogLogFit, ProfileRow
+from eldata.errors import ArgumentError
 from eldata.noise.parameters import shape_problem
-from eldata.noise.profile import CameraProfile
+from eldata.noise.profile import CameraProfile, LogLogFit, ProfileRow
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-Strategy = Literal["coverage", "grid", "uniform"]
 Range = tuple[float, float]
+Lines = tuple[LogLogFit, LogLogFit]
 
 # Keeps these random numbers apart from those of items (eldata/base/seeds.py), orders and workers (1 and 2).
 _CAMERAS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class FitRanges:
-    """(lowest, highest) of what :class:`~eldata.noise.profile.LogLogFit` has."""
-
-    slope: Range
-    intercept: Range
-    sigma: Range
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +37,8 @@ class CameraRanges:
     gain_dn_per_e
         The system gains K of every camera.
     tukey_lambda_fit, gauss_fit, row_fit
-        Of the lines of sigma_TL, of the Gaussian sigma and of sigma_row over K.
+        Of the lines of sigma_TL, of the Gaussian sigma and of sigma_row over K: their lowest slope, intercept and
+        sigma, and their highest.
     tukey_lambda
         Shape of the read noise, one a camera.
     colour_bias_dn
@@ -68,9 +56,9 @@ class CameraRanges:
 
     source: str
     gain_dn_per_e: Range
-    tukey_lambda_fit: FitRanges
-    gauss_fit: FitRanges
-    row_fit: FitRanges
+    tukey_lambda_fit: Lines
+    gauss_fit: Lines
+    row_fit: Lines
     tukey_lambda: Range
     colour_bias_dn: Range
     colour_bias_spread_dn: Range
@@ -92,24 +80,24 @@ class CameraRanges:
         checked_whole("rows", self.rows, at_least=1)
 
     def named(self) -> dict[str, Any]:
-        """Return every range by its name, those of fits as ``"row_fit.slope"``."""
-        found: dict[str, Any] = {}
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if isinstance(value, FitRanges):
-                found |= {f"{one.name}.{part.name}": getattr(value, part.name) for part in fields(value)}
-            elif one.name not in ("source", "rows"):
-                found[one.name] = value
-        return found
+        """Return every range by its name, the ranges of lines as ``"row_fit.slope"``."""
+        ranges: dict[str, Any] = {
+            name: getattr(self, name)
+            for name in ("gain_dn_per_e", "tukey_lambda", "colour_bias_dn", "colour_bias_spread_dn")
+        }
+        for name in ("tukey_lambda_fit", "gauss_fit", "row_fit"):
+            low, high = map(asdict, getattr(self, name))
+            ranges |= {f"{name}.{part}": (low[part], high[part]) for part in low}
+        return ranges
 
 
 LED_RANGES = CameraRanges(
     source="LED (Srameo/LED, options/base/noise_g/noise_g_virtual.yaml, commit ee3d372): the least and the greatest of "
     "the calibrations that the ELD authors published, one a camera",
     gain_dn_per_e=(0.1, 30.0),
-    tukey_lambda_fit=FitRanges((0.462105, 0.6558756), (-0.090445, 1.5370439), (0.2392006, 0.3888189)),
-    gauss_fit=FitRanges((0.5407496, 0.6771268), (0.7994101, 2.0798639), (0.2140823, 0.2675121)),
-    row_fit=FitRanges((0.4482922, 0.7292221), (-1.7977103, -0.5917003), (0.2321799, 0.2942881)),
+    tukey_lambda_fit=(LogLogFit(0.462105, -0.090445, 0.2392006), LogLogFit(0.6558756, 1.5370439, 0.3888189)),
+    gauss_fit=(LogLogFit(0.5407496, 0.7994101, 0.2140823), LogLogFit(0.6771268, 2.0798639, 0.2675121)),
+    row_fit=(LogLogFit(0.4482922, -1.7977103, 0.2321799), LogLogFit(0.7292221, -0.5917003, 0.2942881)),
     tukey_lambda=(-0.2428571, 0.2),
     colour_bias_dn=(-1.9080039, 4.080531),
     colour_bias_spread_dn=(0.0068666, 3.0379589),
@@ -120,6 +108,9 @@ LED_RANGES = CameraRanges(
 class VirtualCameras(Sequence[CameraProfile]):
     """Camera profiles for training without a calibrated camera: a sequence, and the same one for the same arguments.
 
+    Each figure of camera i of n is drawn from the i-th of n equal shares of its range, so that together they cover it;
+    cameras with large figures have all of them large. The rows' colour biases come from their whole range.
+
     :class:`~eldata.datasets.synthetic.pairs.SyntheticPairs` takes it as its cameras; samples say which one by
     ``camera_id``.
 
@@ -128,19 +119,14 @@ class VirtualCameras(Sequence[CameraProfile]):
     n
         Number of cameras.
     ranges
-        What their figures are drawn from; by default those of LED.
-    strategy
-        ``"coverage"``: each figure of camera i of n is drawn from the i-th of n equal shares of its range, so that
-        together they cover it; cameras with large figures have all of them large. ``"grid"``: evenly spaced, the ends
-        of the range included, which is what LED's code does under the name of coverage. ``"uniform"``: each figure from
-        its whole range. The rows' colour biases come from their whole range always, as LED's do.
+        What their figures are drawn from; by default LED's.
     seed
         Camera i depends on (seed, n, i) alone.
 
     Raises
     ------
     ArgumentError
-        If an argument is out of its range; a grid has two cameras or more.
+        If an argument is out of its range.
 
     Examples
     --------
@@ -150,15 +136,11 @@ class VirtualCameras(Sequence[CameraProfile]):
     (5, 'virtual-1-of-5', (0.1, 30.0))
     """
 
-    def __init__(
-        self, n: int, ranges: CameraRanges = LED_RANGES, strategy: Strategy = "coverage", seed: int = 0
-    ) -> None:
-        check_choice("strategy", strategy, get_args(Strategy))
+    def __init__(self, n: int, ranges: CameraRanges = LED_RANGES, seed: int = 0) -> None:
         if not isinstance(ranges, CameraRanges):
             raise ArgumentError(f"ranges must be a CameraRanges, such as LED_RANGES; found {ranges!r:.100}")
-        self.n = checked_whole("n", n, at_least=2 if strategy == "grid" else 1)
+        self.n = checked_whole("n", n, at_least=1)
         self.ranges = ranges
-        self.strategy: Strategy = strategy
         self.seed = checked_seed(seed)
 
     def __len__(self) -> int:
@@ -171,7 +153,7 @@ class VirtualCameras(Sequence[CameraProfile]):
     def __getitem__(self, index: slice) -> tuple[CameraProfile, ...]: ...
 
     def __getitem__(self, index: int | slice) -> CameraProfile | tuple[CameraProfile, ...]:
-        """Return one camera's profile, or those of a slice."""
+        """Return one camera's profile, or the profiles of a slice."""
         if isinstance(index, slice):
             return tuple(self[number] for number in range(*index.indices(self.n)))
         if not -self.n <= index < self.n:
@@ -180,18 +162,16 @@ class VirtualCameras(Sequence[CameraProfile]):
 
     def _camera(self, number: int) -> CameraProfile:
         generator = np.random.default_rng(purpose_sequence(self.seed, number, _CAMERAS, self.n))
-        place = self._places(number)
         ranges = self.ranges
 
-        def drawn(limits: Range) -> float:
-            low, high = limits
-            return low + (high - low) * place(generator.random())
+        def draw(low: float, high: float) -> float:
+            return low + (high - low) * ((number + generator.random()) / self.n)
 
-        def fit(of: FitRanges) -> LogLogFit:
-            return LogLogFit(drawn(of.slope), drawn(of.intercept), drawn(of.sigma))
+        def draw_line(lines: Lines) -> LogLogFit:
+            return LogLogFit(*(draw(low, high) for low, high in zip(*map(astuple, lines), strict=True)))
 
-        fits = [fit(ranges.tukey_lambda_fit), fit(ranges.gauss_fit), fit(ranges.row_fit)]
-        shape, spread = drawn(ranges.tukey_lambda), drawn(ranges.colour_bias_spread_dn)
+        fits = [draw_line(lines) for lines in (ranges.tukey_lambda_fit, ranges.gauss_fit, ranges.row_fit)]
+        shape, spread = draw(*ranges.tukey_lambda), draw(*ranges.colour_bias_spread_dn)
         means = generator.uniform(*ranges.colour_bias_dn, ranges.rows)
         biases = means[:, None] + spread * generator.standard_normal((ranges.rows, 4))
         low, high = ranges.gain_dn_per_e
@@ -202,7 +182,7 @@ class VirtualCameras(Sequence[CameraProfile]):
         )
         return CameraProfile(
             camera=f"virtual-{number + 1}-of-{self.n}",
-            source=f"virtual camera {number + 1} of {self.n}, {self.strategy}, seed {self.seed}; {ranges.source}",
+            source=f"virtual camera {number + 1} of {self.n}, seed {self.seed}; {ranges.source}",
             gain_range_dn_per_e=(low, high),
             tukey_lambda_fit=fits[0],
             gauss_fit=fits[1],
@@ -211,13 +191,5 @@ class VirtualCameras(Sequence[CameraProfile]):
             notes=("No such camera was measured: its figures were drawn from ranges.",),
         )
 
-    def _places(self, number: int) -> Callable[[float], float]:
-        """Return what turns a number from [0, 1) into a place in a range, from 0 to 1."""
-        if self.strategy == "grid":
-            return lambda _: number / (self.n - 1)
-        if self.strategy == "uniform":
-            return lambda u: u
-        return lambda u: (number + u) / self.n
-
     def __repr__(self) -> str:
-        return f"VirtualCameras({self.n}, strategy={self.strategy!r}, seed={self.seed}; {self.ranges.source})"
+        return f"VirtualCameras({self.n}, seed={self.seed}; {self.ranges.source})"

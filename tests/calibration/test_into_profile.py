@@ -11,7 +11,7 @@ import pytest
 
 from eldata.calibration.camera import joined
 from eldata.noise import CameraProfile, NoiseModel
-from eldata.noise.gain_modes import LogLogFit
+from eldata.noise.profile import LogLogFit
 from tests.calibration.faults import coarse
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import XTRANS, Body, Camera

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eldata.noise.gain_modes import shipped_profiles
-from eldata.noise.profile import CameraProfile
+from eldata.noise.profile import CameraProfile, shipped_profiles
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:

@@ -17,10 +17,8 @@ from eldata.calibration import BiasStack, ShadingFit, fixed_pattern
 from eldata.datasets import Arrays, CleanClips, DarkFrames, SyntheticClips, SyntheticPairs
 from eldata.datasets.clean import CleanFrames
 from eldata.errors import ArgumentError, DatasetError
-from eldata.noise import Adc, CameraProfile, DarkShading, NoiseModel, NoiseParameters, ShadingIso
+from eldata.noise import Adc, CameraProfile, DarkShading, NoiseDraw, NoiseModel, NoiseParameters, ShadingIso
 from eldata.noise.compiled import expose_compiled
-from eldata.noise.components import parse_components
-from eldata.noise.exposures import DarkCrops, Exposures
 from eldata.noise.on_device import expose_on_device
 from eldata.raw import pack, read_raw, write_dng
 from eldata.records import Exposure
@@ -72,8 +70,15 @@ def night(cfa: Cfa = BAYER["GRBG"], side: int = SIDE, white: float = 15871.0, co
 
 def pairs(dark: DarkFrames, source: Any = None, **options: Any) -> SyntheticPairs:
     model = NoiseModel("P*+D", dark_frames=dark)
-    given: dict[str, Any] = {"crop": 16, "crops_per_frame": 8, "ratio": 100.0, "clip": "none", **options}
-    return SyntheticPairs(night() if source is None else source, "SonyA7S2", model=model, **given)
+    given: dict[str, Any] = {
+        "profiles": "SonyA7S2",
+        "crop": 16,
+        "crops_per_frame": 8,
+        "ratio": 100.0,
+        "clip": "none",
+        **options,
+    }
+    return SyntheticPairs(night() if source is None else source, model=model, **given | options)
 
 
 def in_dn(item: Any, range_dn: float = RANGE) -> NDArray[np.float64]:
@@ -136,25 +141,6 @@ def test_files_and_store_give_the_same_items(bias: Path, store: Path) -> None:
     assert torch.equal(copy[3]["input"], of_store[3]["input"])
 
 
-def test_kept_frames_of_a_store_are_read_once(bias: Path, store: Path, tmp_path: Path) -> None:
-    """The same bits, also once the store is gone; of more frames than are kept, the last used ones stay."""
-    moved = tmp_path / "bias.h5"
-    moved.write_bytes(store.read_bytes())
-    kept, read = DarkFrames(moved, keep=5), DarkFrames(store)
-    region, numbers = (2, 4, 8, 8), range(5)
-    first = kept.crops(400, numbers, region)
-    assert np.array_equal(first.dn, read.crops(400, numbers, region).dn)
-    assert np.array_equal(first.dn, DarkFrames(bias, keep=2).crops(400, numbers, region).dn)
-    kept._frames.origin = None  # type: ignore[assignment] # nothing can be opened any more
-    kept._frames._opened.clear()
-    elsewhere = (0, 2, 6, 10)
-    assert np.array_equal(kept.crops(400, numbers, elsewhere).dn, read.crops(400, numbers, elsewhere).dn)
-    with pytest.raises(AttributeError):
-        kept.crops(1600, [0], region)
-    with pytest.raises(ArgumentError, match="keep must be 0 or more; found -1"):
-        DarkFrames(store, keep=-1)
-
-
 def test_the_dither_precedes_the_converter(bias: Path) -> None:
     """207,360 numbers: uniform within half a DN, mean and variance to 5 standard errors; rounding takes it away.
 
@@ -176,17 +162,6 @@ def test_the_dither_precedes_the_converter(bias: Path) -> None:
     assert abs(added.var() - 1 / 12) < 5 * (1 / 180 / added.size) ** 0.5
     assert np.count_nonzero(made["rounded"] != made["plain"]) < 4e-4 * added.size
     assert np.array_equal(made["rounded"], np.rint(made["rounded"] + 512) - 512)
-
-
-def test_the_other_engine_adds_the_same_frame() -> None:
-    generator = np.random.default_rng(2)
-    dn = generator.integers(400, 600, (2, 4, 6, 8), dtype=np.uint16)
-    black = np.array([[512.0, 509.0, 511.0, 514.0]] * 2)
-    exposures = Exposures.of(
-        parse_components("D"), [PARAMETERS] * 2, [1.0] * 2, 4, range_dn=1.0, dark=DarkCrops(dn, black)
-    )
-    made = expose_on_device(torch.zeros(2, 4, 6, 8), exposures, torch.Generator())
-    assert np.array_equal(made.numpy(), dn - black[:, :, None, None])
 
 
 # --- in turns ---------------------------------------------------------------------------------------------------------
@@ -300,26 +275,17 @@ def test_isos_and_models_that_are_refused(bias: Path, store: Path) -> None:
     there = "there are no dark frames of ISO 800; there are 400, 1600"
     for wrong, words in (
         (lambda: pairs(dark, iso=800), there),
-        (lambda: pairs(dark, iso=[400, 800]), there),
         (lambda: pairs(dark, range_dn=15871.0), "leave range_dn out"),
         (lambda: DarkFrames(bias, isos=[800]), there),
         (lambda: DarkFrames(bias, isos=[]), "isos is empty; there are 400, 1600"),
         (lambda: NoiseModel("P*+D"), r"D takes real frames; give dark_frames=DarkFrames\(...\)"),
         (lambda: NoiseModel("P*+G*", dark_frames=dark), "takes no dark frames: it has no component D"),
-        (lambda: NoiseModel("P*+G*+D", dark_frames=dark), r"the frames of D have their own read noise, and G\* would"),
-        (lambda: NoiseModel("P*+D+U", dark_frames=dark), "the frames of D have their own rounding"),
         (
             lambda: NoiseModel("P*+D", dark_frames=DarkFrames(bias, dither=False), adc=Adc(512, 16383)),
             "without a dither it would round single photons away",
         ),
-        (lambda: NoiseModel("P*+D", dark_frames=dark).expected_mean_dn(1.0, PARAMETERS), "no closed form"),
         (lambda: DarkFrames(bias, place="here"), "place"),  # type: ignore[arg-type]
-        (
-            lambda: SyntheticPairs(
-                night(), ["SonyA7S2", "NikonD850"], model=NoiseModel("P*+D", dark_frames=dark), crop=16
-            ),
-            "dark frames are of one camera; give its profile alone",
-        ),
+        (lambda: pairs(dark, profiles=["SonyA7S2", "NikonD850"]), "are of one camera; give its profile alone"),
     ):
         with pytest.raises(ArgumentError, match=words):
             wrong()
@@ -327,7 +293,10 @@ def test_isos_and_models_that_are_refused(bias: Path, store: Path) -> None:
     options: dict[str, Any] = {"ratio": 1.0, "range_dn": 1.0, "generator": np.random.default_rng(0)}
     with pytest.raises(ArgumentError, match="dark frames of the parameters' ISO, and they do not state it"):
         model(clean, parameters=replace(PARAMETERS, iso=None), **options)
-    with pytest.raises(ArgumentError, match=r"dark must be DarkCrops of shape \(1, 4, 8, 8\); found ndarray"):
+    with pytest.raises(
+        ArgumentError,
+        match=r"dark must be float32 of shape \(1, 4, 8, 8\), .*; found float32 \(4, 8, 8\)",
+    ):
         model(clean, parameters=PARAMETERS, **options | {"dark": clean})
     with pytest.raises(DatasetError, match="holds no clean frames, but 8 of other kinds"):
         CleanFrames(store)
@@ -369,10 +338,10 @@ def test_less_a_shading_the_noise_alone_is_left(tmp_path: Path) -> None:
         black = 512.0 + pack(shading.at(400), cfa)
         scale = (5 / 6) ** -0.5 if name == "these" else 1.0
         expected = (np.stack([pack(mosaic, cfa) for mosaic in frames]) - black) * scale
-        exposures = Exposures.of(parse_components("D"), [PARAMETERS] * 6, [1.0] * 6, 4, range_dn=1.0, dark=crops)
         clean = np.zeros(expected.shape, np.float32)
-        compiled = expose_compiled(clean, exposures, key=1)
-        there = expose_on_device(torch.from_numpy(clean), exposures, torch.Generator())
+        draws = [NoiseDraw(PARAMETERS, 1.0, 1.0)] * 6
+        compiled = expose_compiled(clean, draws, (), keys=[1], dark=crops)
+        there = expose_on_device(torch.from_numpy(clean), draws, (), torch.Generator(), dark=crops)
         for found in (compiled, there.numpy()):
             np.testing.assert_allclose(found, expected, atol=2e-4)
         made[name] = compiled

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import ConcatDataset, DataLoader, RandomSampler, Subset
+from torch.utils.data import ConcatDataset, DataLoader, Subset
 
 from eldata import PackedStore, SyntheticClips, SyntheticPairs
 from eldata.datasets import (
@@ -22,7 +22,6 @@ from eldata.datasets import (
     set_epoch,
     training_loader,
 )
-from eldata.datasets.ranks import Rank, ShuffledSampler
 from eldata.raw.cfa import XTRANS_CFA
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
@@ -98,29 +97,6 @@ def test_workers_do_not_matter(method: str, persistent: bool, store: Path) -> No
         same(dataset[7], of_epoch(KINDS["synthetic"](None, store), 3)[7])  # this process counts on
 
 
-def test_a_training_goes_on_to_the_bit(store: Path) -> None:
-    """Plain passes of a loader for training, whose order goes on too, and a later run that is told of its epoch."""
-    dataset = KINDS["store"](None, store)
-    loader = training_loader(dataset, 6, workers=0, seed=2)
-    assert len(loader) * 6 == len(dataset)  # none is left over
-    plain = passes(loader)
-    for epoch, batches in enumerate(plain):
-        resumed = training_loader(KINDS["store"](None, store), 6, workers=0, seed=2)
-        set_epoch(resumed, epoch, first_batch=3)
-        for one, other in zip(batches[3:], resumed, strict=True):
-            same(one, other)
-    sampler = ShuffledSampler(9, seed=1, rank=Rank())
-    assert len({tuple(sampler) for _ in range(4)}) == 4
-
-
-def test_copies_of_a_sampler_with_replacement_differ(store: Path) -> None:
-    dataset = KINDS["store"](None, store)
-    generator = torch.Generator().manual_seed(0)
-    sampler = RandomSampler(range(3), replacement=True, num_samples=30, generator=generator)
-    found = [batch["target"].numpy().tobytes() for batch in DataLoader(dataset, batch_size=None, sampler=sampler)]
-    assert len(set(found)) > 20  # a frame has 8 orientations and some hundred places
-
-
 def test_to_look_at_an_item_is_not_to_ask_for_it(store: Path) -> None:
     dataset = KINDS["synthetic"](None, store)
     dataset.plot(0)
@@ -146,8 +122,3 @@ def test_items_that_fit_no_batch_are_drawn_once(reads_parts: bool, monkeypatch: 
     for one, other in zip(dataset.__getitems__([0, 1, 2, 0]), [*alone, alone[0]], strict=True):
         same(one, other)
     same(dataset[2], of_epoch(alone, 1)[2])
-
-
-def test_whole_frames_are_as_they_are(pristine: Tree) -> None:
-    dataset = PairDataset(pristine.data, pristine.csv)
-    same(dataset[0], dataset[0])

@@ -15,8 +15,8 @@ import pytest
 import torch
 from scipy import stats
 
-from eldata.noise import NoiseModel, NoiseParameters, parse_components
-from eldata.noise.exposures import Adc, Exposures
+from eldata.noise import Adc, NoiseDraw, NoiseModel, NoiseParameters, parse_components
+from eldata.noise.components import expose
 from eldata.noise.on_device import expose_on_device
 
 if TYPE_CHECKING:
@@ -119,11 +119,15 @@ def on_device(
     limits: tuple[float, float] = (-math.inf, math.inf),
 ) -> torch.Tensor:
     """Call the engine for other devices, whatever the device."""
-    components = parse_components(spec)
-    images, channels = clean.shape[:2]
-    each = [parameters] * images, [RATIO] * images
-    exposures = Exposures.of(components, *each, channels, range_dn=RANGE_DN, adc=adc, limits=limits)
-    return expose_on_device(clean, exposures, generator)
+    draws = [NoiseDraw(parameters, RATIO, RANGE_DN)] * len(clean)
+    return expose_on_device(clean, draws, parse_components(spec), generator, adc=adc, limits=limits)
+
+
+def plain_dn(spec: str, clean: NDArray[np.float32], parameters: NoiseParameters, seed: int = 0) -> NDArray[np.float64]:
+    """D in DN above black, of the definitions in numpy."""
+    generator = np.random.default_rng(seed)
+    images = [expose(one, spec, parameters, ratio=RATIO, range_dn=RANGE_DN, generator=generator) for one in clean]
+    return np.stack(images) * (RANGE_DN / RATIO)
 
 
 def device_dn(

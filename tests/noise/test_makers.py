@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import pickle
 from argparse import Namespace
 from typing import TYPE_CHECKING, Any
@@ -11,17 +10,18 @@ import numpy as np
 import pytest
 import torch
 
-from eldata.datasets import Arrays, CleanClips, CleanFrames, SyntheticClips, SyntheticPairs
+from eldata.datasets import Arrays, CleanFrames, SyntheticPairs
 from eldata.errors import ArgumentError
 from eldata.examples.train_denoiser import noise_of
-from eldata.noise import NoiseMaker, NoiseModel, NoiseParameters
-from eldata.noise.makers import check_noise_maker, made_exposure
+from eldata.noise import NoiseDraw, NoiseModel, NoiseParameters
+from eldata.noise.model import made_exposure
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 CLEAN = np.full((4, 6, 8), 0.25, np.float32)
+DRAW = NoiseDraw(NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0), 100.0, 15871.0)
 
 
 def brighter(clean: Any, *, parameters: Any, ratio: float, range_dn: float, generator: np.random.Generator) -> Any:
@@ -92,26 +92,6 @@ def test_an_object_and_the_clip_of_the_dataset() -> None:
     assert "brighter, clip='both'" in repr(pairs(brighter))
 
 
-def test_a_clip_of_frames_is_made_at_once() -> None:
-    shapes = []
-
-    def made(clean: Any, **options: Any) -> Any:
-        shapes.append(clean.shape)
-        return clean
-
-    source = CleanClips([Arrays(np.full((5, 4, 16, 16), 0.3, np.float32), range_dn=1000.0)])
-    item = SyntheticClips(source, "SonyA7S2", model=made, frames=3, crop=8)[0]
-    assert shapes == [(3, 4, 8, 8)]
-    assert torch.equal(item["input"], item["target"])
-
-
-def test_our_own_model_is_one() -> None:
-    maker: NoiseMaker = NoiseModel()
-    check_noise_maker(maker)
-    check_noise_maker(functools.partial(brighter))
-    check_noise_maker(max)  # whose arguments are not stated
-
-
 @in_one_test(
     "model, words",
     [
@@ -137,7 +117,7 @@ def test_what_cannot_make_noise_is_refused_before_the_first_item(model: Any, wor
 )
 def test_what_is_not_an_exposure(result: Any, words: str) -> None:
     with pytest.raises(ArgumentError, match=words):
-        made_exposure(lambda *_, **__: result, CLEAN)
+        made_exposure(lambda *_, **__: result, CLEAN, DRAW, np.random.default_rng(0))
 
 
 def test_a_network_of_somebody_elses() -> None:
@@ -160,6 +140,5 @@ def test_the_example_trains_on_it(demo_tree: Path) -> None:
     assert not torch.equal(sample["input"], sample["target"])
     assert torch.equal(sample["input"], pickle.loads(pickle.dumps(found))[0]["input"])
     clip = np.full((3, 4, 8, 8), 0.2, np.float32)
-    options = {"parameters": NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0), "ratio": 100.0, "range_dn": 15871.0}
-    made = made_exposure(model, clip, **options, generator=np.random.default_rng(0))
+    made = made_exposure(model, clip, DRAW, np.random.default_rng(0))
     assert len(np.unique(made.reshape(3, -1), axis=0)) == 3  # each frame of a clip has noise of its own

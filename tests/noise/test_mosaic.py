@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
 
-from eldata.errors import ArgumentError
 from eldata.noise import NoiseModel, NoiseParameters
 from eldata.noise.mosaic import pack_whole, unpack_whole
-from eldata.raw.cfa import pack
 from tests.cases import in_one_test
-from tests.raw.helpers import BAYER, CFAS, levels_of
+from tests.raw.helpers import CFAS, levels_of
 
 RANGE = 15000.0
 PARAMETERS = NoiseParameters(1.5, -0.1, 2.0, 3.0, 4.0, (10.0, 20.0, 30.0, 40.0))
@@ -27,12 +23,6 @@ def test_whole_mosaics_come_back(name: str, shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(unpack_whole(packed, CFAS[name], shape[-2:]), mosaic)  # type: ignore[arg-type] # two
     tensor = pack_whole(torch.from_numpy(mosaic), CFAS[name])
     np.testing.assert_array_equal(tensor.numpy(), packed)
-
-
-@pytest.mark.parametrize("name", BAYER)
-def test_of_even_size_it_is_the_packer(name: str) -> None:
-    mosaic = np.random.default_rng(0).random((14, 10)).astype(np.float32)
-    np.testing.assert_array_equal(pack_whole(mosaic, BAYER[name]), pack(mosaic, BAYER[name]))
 
 
 @pytest.mark.parametrize(
@@ -63,18 +53,3 @@ def test_rows_and_biases_are_those_of_the_mosaic(name: str) -> None:
     index = cfa[y % len(cfa), x % len(cfa)]
     levels = np.array([10.0, 20.0, 30.0, 40.0] if levels_of(CFAS[name]) == 4 else [10.0, 30.0, 30.0])
     np.testing.assert_allclose(bias, levels[index], rtol=1e-5)
-
-
-def test_errors() -> None:
-    options: dict[str, Any] = {
-        "parameters": PARAMETERS,
-        "ratio": 1.0,
-        "range_dn": 1.0,
-        "generator": np.random.default_rng(0),
-    }
-    with pytest.raises(ArgumentError, match=r"mosaics \(\.\.\., H, W\)"):
-        NoiseModel().on_mosaic(np.zeros(4, np.float32), cfa=BAYER["RGGB"], **options)
-    with pytest.raises(ArgumentError, match="unsupported CFA"):
-        NoiseModel().on_mosaic(np.zeros((4, 4), np.float32), cfa=((0, 0), (0, 0)), **options)
-    with pytest.raises(ArgumentError, match="numpy array or a torch tensor"):
-        NoiseModel().on_mosaic([[0.0]], cfa=BAYER["RGGB"], **options)  # type: ignore[type-var]

@@ -12,8 +12,8 @@ import torch
 from scipy import stats
 
 from eldata.errors import ArgumentError
-from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters
-from eldata.noise.exposures import Adc, Exposures
+from eldata.noise import Adc, NoiseDraw, NoiseModel, NoiseParameters
+from eldata.noise.components import COMPONENTS
 from eldata.noise.on_device import expose_on_device
 from eldata.raw.cfa import XTRANS_CFA, pack, unpack
 from tests.cases import in_one_test
@@ -31,6 +31,7 @@ from tests.noise.helpers import (
     compiled_dn,
     device_dn,
     on_device,
+    plain_dn,
     poisson_p_value,
 )
 from tests.raw.helpers import BAYER, NONA, QUAD, XTRANS_COLOURS, Cfa
@@ -50,21 +51,7 @@ def dark(*shape: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     return np.zeros(shape, dtype=np.float32)
 
 
-# --- the quantisation step, on both engines -------------------------------------------------------------------------
-
-STEPS = [0.25, 4.0, 12.5]
-
-
-@pytest.mark.parametrize("draw", ENGINES)
-@pytest.mark.parametrize("step", STEPS)
-def test_quantisation_of_another_step(step: float, draw: Callable[..., Any]) -> None:
-    """U alone: 100000 pixels, Kolmogorov-Smirnov; the whole model: see check_closed_forms; and as the model says."""
-    parameters = replace(PARAMETERS, quantisation_step_dn=step)
-    values = draw("U", dark(1, 4, 250, 100), parameters, seed=3).ravel()
-    assert stats.kstest(values, "uniform", (-step / 2, step)).pvalue > LEAST_P_VALUE
-    check_closed_forms(draw, FULL, parameters, seed=4)
-    model, law = NoiseModel(FULL), Law.of(FULL, parameters, 25.0)
-    assert model.expected_variance_dn2(25.0, parameters) == pytest.approx(law.variance + law.row_variance)
+# --- the converter, on both engines ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("draw", [compiled_dn, device_dn])
@@ -87,38 +74,44 @@ def test_a_converter_of_another_step(draw: Callable[..., Any]) -> None:
             assert {*np.unique(np.rint(codes) % 4)} == {0, white % 4}
 
 
-@pytest.mark.parametrize("draw", [compiled_dn, device_dn])
-def test_a_converter_ends_at_its_levels(draw: Callable[..., Any]) -> None:
-    parameters = NoiseParameters(1.0, 0.0, 20.0, 0.0, 5.0)
-    dn = draw("P*+G*+R", clean_of(np.array([0.0, 10.0, 70.0]), (4, 64, 64), parameters), parameters, adc=Adc(20, 100))
-    codes = np.rint(dn + 20.0)
-    np.testing.assert_allclose(dn + 20.0, codes, atol=1e-4)
-    assert np.unique(codes).tolist() == list(range(101))
-
-
-@pytest.mark.parametrize("draw", [compiled_dn, device_dn])
-@pytest.mark.parametrize("adc", [None, Adc(512.0, 16383.0)])
-def test_a_step_of_1_is_what_no_step_is(draw: Callable[..., Any], adc: Adc | None) -> None:
-    """To the bit; and images of one batch have each their own step."""
-    spec, clean = "P*+G*+B+R" + ("+U" if adc is None else ""), clean_of(np.array([3.0, 130.0]), (4, 16, 40), PARAMETERS)
-    one = draw(spec, clean, PARAMETERS, seed=5, adc=adc)
-    assert np.array_equal(one, draw(spec, clean, replace(PARAMETERS, quantisation_step_dn=1), seed=5, adc=adc))
-    other = draw(spec, clean, replace(PARAMETERS, quantisation_step_dn=8.0), seed=5, adc=adc)
-    if draw is compiled_dn:
-        mixed = [PARAMETERS, replace(PARAMETERS, quantisation_step_dn=8.0)]
-        both = draw(spec, clean, mixed, seed=5, adc=adc)
-        assert np.array_equal(both, np.stack([one[0], other[1]]))
-    assert not np.array_equal(one, other)
-
-
 # --- moments and distributions --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("draw", ENGINES)
-@pytest.mark.parametrize("spec", ["P", "G+P", FULL])
-def test_means_and_variances(spec: str, draw: Callable[..., Any]) -> None:
+@pytest.mark.parametrize("draw", [*ENGINES, plain_dn])
+@pytest.mark.parametrize(("spec", "step"), [("P", 1.0), ("G+P", 1.0), (FULL, 1.0), (FULL, 12.5)])
+def test_means_and_variances(spec: str, step: float, draw: Callable[..., Any]) -> None:
     """See check_closed_forms for sizes and tolerances."""
-    check_closed_forms(draw, spec, seed=1)
+    check_closed_forms(draw, spec, replace(PARAMETERS, quantisation_step_dn=step), seed=1)
+
+
+@pytest.mark.parametrize("draw", ENGINES)
+@pytest.mark.parametrize("name", COMPONENTS)
+def test_engines_draw_from_the_definition_of_each_component(name: str, draw: Callable[..., Any]) -> None:
+    """Kolmogorov-Smirnov of two samples, of a pixel in each of 20000 mosaic rows, per channel at three signals.
+
+    Poisson counts have ties, which make the test stricter than it says.
+    """
+    for signal_e in (0.0, 2.5, 400.0):
+        clean = clean_of(np.array([signal_e]), (4, 20_000, 1), PARAMETERS)
+        theirs, ours = plain_dn(name, clean, PARAMETERS, seed=5), draw(name, clean, PARAMETERS, seed=6)
+        for of_definition, of_engine in zip(theirs[0, ..., 0], ours[0, ..., 0], strict=True):
+            rounded = np.round(of_definition, 3), np.round(of_engine.astype(np.float64), 3)
+            assert stats.ks_2samp(*rounded).pvalue > LEAST_P_VALUE, signal_e
+
+
+def test_each_image_has_its_own_draw(device: str) -> None:
+    """16384 pixels an image: the mean and the deviation of each within 5 standard errors."""
+    draws = [
+        NoiseDraw(NoiseParameters(gain, 0.1, 1.0, 3 * gain, 0.0, (gain, 2 * gain, 3 * gain, 4 * gain)), ratio, 1000.0)
+        for gain, ratio in ((0.5, 50.0), (1.0, 100.0), (4.0, 200.0))
+    ]
+    clean = torch.full((3, 4, 128, 128), 0.25, device=device)
+    result = expose_on_device(clean, draws, ("G", "B"), torch.Generator(device).manual_seed(0)).cpu().numpy()
+    for image, draw in zip(result.astype(np.float64), draws, strict=True):
+        dn, sigma = (image - 0.25) * 1000.0 / draw.ratio, draw.parameters.sigma_gauss_dn
+        for channel, bias in zip(dn, draw.parameters.colour_bias_dn, strict=True):
+            assert abs(channel.mean() - bias) < 5 * sigma / 128
+            assert abs(channel.std() / sigma - 1) < 5 / math.sqrt(2 * 128 * 128)
 
 
 @pytest.mark.parametrize("signal_e", [0.02, 3.0, 130.0, 2000.0])
@@ -141,7 +134,7 @@ def test_shot_noise_does_not_tell_of_read_noise(signal_e: float, device: str) ->
 
 
 @pytest.mark.parametrize("draw", ENGINES)
-@pytest.mark.parametrize("mean_e", [1e9, 1e12, 9e18, 1e19, 1e30])
+@pytest.mark.parametrize("mean_e", [1e9, 9e18, 1e30])
 def test_any_number_of_photoelectrons(mean_e: float, draw: Callable[..., Any]) -> None:
     """4096 draws: none is off by more than 7 deviations and four roundings to float32, and the spread by 5 errors."""
     parameters = NoiseParameters(1.0, 0.0, 0.0, 0.0, 0.0)
@@ -159,22 +152,6 @@ def test_read_noise_is_tukey_lambda(shape: float, device: str) -> None:
     parameters = NoiseParameters(1.0, shape, 1.7, 0.0, 0.0)
     dn = device_dn("G*", dark(1, 4, 125, 200), parameters, seed=3, device=device)
     assert stats.kstest(dn.ravel() / 1.7, stats.tukeylambda(shape).cdf).pvalue > LEAST_P_VALUE
-
-
-def test_a_set_of_parameters_and_a_ratio_for_each_image(device: str) -> None:
-    """16384 pixels an image: the mean and the deviation of each within 5 standard errors."""
-    draws = [NoiseParameters(g, 0.1, 1.0, 3 * g, 0.0, (g, 2 * g, 3 * g, 4 * g)) for g in (0.5, 1.0, 4.0)]
-    model, ratios = NoiseModel("G+B"), [50.0, 100.0, 200.0]
-    exposures = Exposures.of(model.components, draws, ratios, 4, range_dn=1000.0)
-    clean = torch.full((3, 4, 128, 128), 0.25, device=device)
-    generator = torch.Generator(device).manual_seed(0)
-    result = expose_on_device(clean, exposures, generator).cpu().numpy()
-    for image, draw, ratio in zip(result.astype(np.float64), draws, ratios, strict=True):
-        dn = image * 1000.0 / ratio - 250.0 / ratio
-        sigma = draw.sigma_gauss_dn
-        for channel, bias in zip(dn, draw.colour_bias_dn, strict=True):
-            assert abs(channel.mean() - bias) < 5 * sigma / 128
-            assert abs(channel.std() / sigma - 1) < 5 / math.sqrt(2 * 128 * 128)
 
 
 # --- tails ----------------------------------------------------------------------------------------------------------
@@ -215,7 +192,7 @@ SIZES = [(1, 1), (1, 2), (2, 1), (1, 7), (7, 1), (2, 2), (3, 5), (5, 3), (4, 6),
 @pytest.mark.parametrize(
     "cfa", [BAYER["RGGB"], XTRANS_CFA, QUAD["quad-00"], NONA["nona-30"]], ids=["Bayer", "X-Trans", "quad", "nona"]
 )
-@pytest.mark.parametrize("draw", ENGINES)
+@pytest.mark.parametrize("draw", [*ENGINES, plain_dn])
 def test_rows(cfa: Cfa, height: int, width: int, draw: Callable[..., Any]) -> None:
     """Entries have the same noise just if they come from the same mosaic row."""
     whole = pack(np.repeat(np.arange(60)[:, None], 60, axis=1), cfa)
@@ -243,40 +220,6 @@ def test_row_noise_is_normal_and_independent(cfa: Cfa, shape: tuple[int, ...], d
 # --- the rest -------------------------------------------------------------------------------------------------------
 
 
-def test_the_same_state_gives_the_same_bits_and_the_generator_moves_on(device: str) -> None:
-    clean = torch.full((2, 4, 16, 16), 0.25, device=device)
-    first_generator, second_generator = (torch.Generator(device).manual_seed(9) for _ in range(2))
-    for spec in (*PAPER_MODELS, "P"):
-        first = on_device(spec, clean, PARAMETERS, first_generator)
-        assert torch.equal(first, on_device(spec, clean, PARAMETERS, second_generator))
-        assert not torch.equal(first, on_device(spec, clean, PARAMETERS, first_generator))
-        second_generator.set_state(first_generator.get_state())
-        assert first.shape == clean.shape
-        assert first.dtype == torch.float32
-        assert first.device == clean.device
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-math.inf, 1.0)])
-def test_limits(low: float, high: float, device: str) -> None:
-    clean = torch.linspace(0, 1.2, 4 * 64 * 64, device=device).reshape(1, 4, 64, 64)
-
-    def draw(limits: tuple[float, float]) -> torch.Tensor:
-        return on_device(FULL, clean, PARAMETERS, torch.Generator(device).manual_seed(0), limits=limits)
-
-    free = draw((-math.inf, math.inf))
-    assert free.min() < 0
-    assert free.max() > 1
-    assert torch.equal(draw((low, high)), free.clamp(low, high))
-
-
-@pytest.mark.parametrize("draw", ENGINES)
-def test_values_below_0_count_as_no_light(draw: Callable[..., Any]) -> None:
-    clean = np.linspace(-0.5, 0, 4 * 16 * 16, dtype=np.float32).reshape(1, 4, 16, 16)
-    clean[0, 2, 0, 0] = -np.inf
-    for spec in (*PAPER_MODELS, "P", "B"):
-        np.testing.assert_array_equal(draw(spec, clean, PARAMETERS), draw(spec, np.zeros_like(clean), PARAMETERS))
-
-
 @pytest.mark.parametrize("draw", [compiled_dn, device_dn])
 @pytest.mark.parametrize(("spec", "adc"), [("P*", None), ("P", None), ("G", Adc(0.0, 99.0)), (FULL, None)])
 def test_nan_stays_where_it_is(spec: str, adc: Adc | None, draw: Callable[..., Any]) -> None:
@@ -286,9 +229,24 @@ def test_nan_stays_where_it_is(spec: str, adc: Adc | None, draw: Callable[..., A
     np.testing.assert_array_equal(np.isnan(draw(spec, clean, PARAMETERS, adc=adc)), np.isnan(clean))
 
 
-@pytest.mark.parametrize("shape", [(0, 4, 6, 6), (1, 4, 0, 6), (1, 4, 6, 0), (2, 9, 0, 0)])
-def test_nothing_at_all(shape: tuple[int, ...], device: str) -> None:
-    assert device_dn(FULL, dark(*shape), PARAMETERS, device=device).shape == shape
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-math.inf, 1.0)])
+def test_limits_are_those_of_the_result(low: float, high: float, device: str) -> None:
+    """And the same state of the generator gives the same bits."""
+    clean = torch.linspace(0, 1.2, 4 * 64 * 64, device=device).reshape(1, 4, 64, 64)
+    free, limited = (
+        on_device(FULL, clean, PARAMETERS, torch.Generator(device).manual_seed(0), limits=limits)
+        for limits in ((-math.inf, math.inf), (low, high))
+    )
+    assert free.min() < 0 < 1 < free.max()
+    assert torch.equal(limited, free.clamp(low, high))
+
+
+@pytest.mark.parametrize("draw", ENGINES)
+def test_values_below_0_count_as_no_light(draw: Callable[..., Any]) -> None:
+    clean = np.linspace(-0.5, 0, 4 * 16 * 16, dtype=np.float32).reshape(1, 4, 16, 16)
+    clean[0, 2, 0, 0] = -np.inf
+    for spec in (FULL, "G+P"):
+        np.testing.assert_array_equal(draw(spec, clean, PARAMETERS), draw(spec, np.zeros_like(clean), PARAMETERS))
 
 
 # --- through the model ----------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import math
 import pickle
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,26 +15,18 @@ from scipy import stats
 
 from eldata.datasets import Arrays, SyntheticPairs
 from eldata.errors import ArgumentError
-from eldata.noise import LED_RANGES, CameraProfile, FitRanges, VirtualCameras, shipped_profiles
+from eldata.noise import LED_RANGES, CameraProfile, VirtualCameras, shipped_profiles
+from eldata.noise.profile import LogLogFit
 from tests.cases import in_one_test
 from tests.noise.test_profile import FITS
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 PARTS = ("slope", "intercept", "sigma")
-STRATEGIES = ("coverage", "grid", "uniform")
 FIGURES = [name for name in LED_RANGES.named() if not name.startswith(("gain", "colour_bias"))]
 
 
 def figures(profile: CameraProfile) -> dict[str, float]:
     found = {f"{fit}.{part}": getattr(getattr(profile, fit), part) for fit, part in itertools.product(FITS, PARTS)}
     return found | {"tukey_lambda": profile.rows[0].tukey_lambda}
-
-
-def spaced(name: str, count: int) -> NDArray[np.float64]:
-    low, high = LED_RANGES.named()[name]
-    return np.linspace(low, high, count)
 
 
 # --- the ranges -----------------------------------------------------------------------------------------------------
@@ -58,7 +50,7 @@ def test_leds_ranges_are_the_limits_of_the_cameras_that_eld_published() -> None:
         np.testing.assert_allclose(named[name], (min(values), max(values)), atol=2e-7, err_msg=name)
 
 
-# --- what the strategies cover --------------------------------------------------------------------------------------
+# --- what they cover ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 64])
@@ -73,31 +65,17 @@ def test_camera_i_draws_from_the_ith_share(n: int) -> None:
     assert len({value for camera in cameras for value in figures(camera).values()}) == n * len(FIGURES)
 
 
-def test_a_grid_has_both_ends() -> None:
-    for seed in (0, 1):
-        cameras = VirtualCameras(5, strategy="grid", seed=seed)
-        for name in FIGURES:
-            wanted = spaced(name, 5)
-            np.testing.assert_allclose([figures(camera)[name] for camera in cameras], wanted, rtol=0, atol=1e-12)
-    assert VirtualCameras(5, strategy="grid")[0].rows != VirtualCameras(5, strategy="grid", seed=1)[0].rows
-
-
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_figures_are_uniform_over_their_ranges(strategy: Any) -> None:
-    """150 times 5 cameras, Kolmogorov-Smirnov; on a grid as often each of its five points."""
-    cameras = [camera for seed in range(150) for camera in VirtualCameras(5, strategy=strategy, seed=seed)]
+def test_figures_are_uniform_over_their_ranges() -> None:
+    """150 times 5 cameras, Kolmogorov-Smirnov; figures have their share in common, all but 1/25 of the variance."""
+    cameras = [camera for seed in range(150) for camera in VirtualCameras(5, seed=seed)]
     for name in FIGURES:
         low, high = LED_RANGES.named()[name]
         places = (np.array([figures(camera)[name] for camera in cameras]) - low) / (high - low)
-        if strategy == "grid":
-            assert np.unique(np.rint(places * 4), return_counts=True)[1].tolist() == [150] * 5
-        else:
-            assert stats.kstest(places, "uniform").pvalue > 1e-6, name
+        assert stats.kstest(places, "uniform").pvalue > 1e-6, name
     together = np.corrcoef([[figures(camera)[name] for camera in cameras] for name in FIGURES])
+    expected = 1 - 1 / 25
     others = together[np.triu_indices(len(FIGURES), 1)]
-    # Of the variance, 1 / 12, all but 1 / (12 * 25) is that of the share, which figures have in common.
-    expected = {"coverage": 1 - 1 / 25, "grid": 1.0, "uniform": 0.0}[strategy]
-    assert np.abs(others - expected).max() < 5 * (1 - expected**2) / math.sqrt(750) + 1e-9
+    assert np.abs(others - expected).max() < 5 * (1 - expected**2) / math.sqrt(750)
 
 
 def test_colour_biases_are_those_of_the_ranges() -> None:
@@ -158,14 +136,7 @@ def test_they_are_a_sequence_of_whole_profiles(tmp_path: Any) -> None:
     assert CameraProfile.load(tmp_path / "virtual.json") == cameras[3]
     assert cameras[3].camera == "virtual-4-of-5"
     assert "Srameo/LED" in cameras[3].source
-    assert repr(cameras).startswith("VirtualCameras(5, strategy='coverage', seed=1; LED (")
-
-
-def test_another_seed_or_number_gives_others() -> None:
-    every = [VirtualCameras(5)[0], VirtualCameras(5, seed=1)[0], VirtualCameras(6)[0], VirtualCameras(5, seed=2**32)[0]]
-    every += [VirtualCameras(5, strategy="uniform")[0]]
-    assert len({figures(camera)["row_fit.slope"] for camera in every}) == 5
-    assert VirtualCameras(5)[0] == VirtualCameras(5)[0]
+    assert repr(cameras).startswith("VirtualCameras(5, seed=1; LED (")
 
 
 def test_ranges_of_ones_own() -> None:
@@ -187,8 +158,6 @@ def test_ranges_of_ones_own() -> None:
     "options, words",
     [
         ({"n": 0}, "n must be 1 or more; found 0"),
-        ({"n": 1, "strategy": "grid"}, "n must be 2 or more; found 1"),
-        ({"n": 5, "strategy": "all"}, "strategy must be one of .*; found 'all'"),
         ({"n": 5, "seed": -1}, "seed must be 0 or more"),
         ({"n": 5, "ranges": {}}, "ranges must be a CameraRanges"),
     ],
@@ -206,7 +175,7 @@ def test_cameras_that_make_no_sense(options: Any, words: str) -> None:
         ({"tukey_lambda": (-0.6, 0.2)}, "tukey_lambda must lie above"),
         ({"tukey_lambda": 0.2}, "tukey_lambda must be the lowest and the highest"),
         ({"colour_bias_spread_dn": (-1, 1)}, "colour_bias_spread_dn must not be negative"),
-        ({"row_fit": FitRanges(("a", 1), (0, 0), (0, 0))}, r"row_fit\.slope must be one number"),  # type: ignore[arg-type]
+        ({"row_fit": (LogLogFit(1, 0, 0), LogLogFit(0, 0, 0))}, r"row_fit\.slope must be the lowest"),
         ({"rows": 0}, "rows must be 1 or more"),
     ],
 )

@@ -34,7 +34,7 @@ class DarkFigure(Figure):
     is_relative
         Whether findings allow for a share of it, rather than for so much.
     fit
-        The line over K that a profile has of it (:class:`~eldata.noise.gain_modes.GainMode`); empty: none.
+        The line over K that a profile has of it (:class:`~eldata.noise.profile.GainMode`); empty: none.
     """
 
     of: Callable[[Any], float | tuple[float, float] | None]

@@ -10,7 +10,7 @@ import numpy as np
 from eldata.base.memory import scratch
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
-from eldata.noise.exposures import check_normalised
+from eldata.noise.model import check_normalised
 from eldata.raw._kernels import scatter_bayer
 from eldata.raw.cfa import packing_sites, unpack
 from eldata.sources.frames import Frame, Pixels

@@ -18,16 +18,14 @@ from eldata.datasets.clean import CleanFrames
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise.dark_shading import DarkShading
-from eldata.noise.exposures import DarkCrops
-from eldata.noise.mosaic import region_anywhere
-from eldata.raw.cfa import pack, packing_sites
+from eldata.raw.cfa import pack, packed_shape, packing_sites
 from eldata.raw.levels import packed_black_level_dn
 from eldata.sources.store.format import SUFFIXES
 from eldata.sources.store.read import StoreFrames
 from eldata.sources.store.sources import calibration_place
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Collection, Sequence
 
     from numpy.typing import NDArray
 
@@ -77,7 +75,7 @@ class DarkFrames:
         then, and ``place="free"`` is right for any sensor.
     shading_from
         ``"these"``: the shading is from these frames, and has a share of their noise with it; what is left is scaled by
-        :meth:`1 / sqrt(1 - h) <eldata.noise.DarkShading.leverage>`, so that its variance is that of the noise.
+        :meth:`1 / sqrt(1 - h) <eldata.noise.DarkShading.leverage>`, which restores the variance of the noise.
         ``"others"``: it is from other frames, and what is left stays as it is.
     dither
         Add U(-1/2, 1/2), which makes up for the rounding of the frames, and with it 1/12 DN^2 to their variance.
@@ -122,7 +120,7 @@ class DarkFrames:
         check_choice("shading_from", shading_from, SHADING_FROM)
         self.place: Place = place
         self.dither = dither
-        self._where, self._frames, there = _found(frames, camera, levels, keep)
+        self._where, self._frames, there = _find_frames(frames, camera, levels, keep)
         for iso in () if isos is None else isos:
             _check_iso(iso, there, self._where)
         self._numbers = {iso: there[iso] for iso in sorted(there) if isos is None or iso in isos}
@@ -158,7 +156,7 @@ class DarkFrames:
         return tuple(self._numbers)
 
     def names(self, iso: float) -> tuple[str, ...]:
-        """Return where the frames of an ISO come from.
+        """List the files, or places in the store, of the frames of an ISO.
 
         Raises
         ------
@@ -168,8 +166,10 @@ class DarkFrames:
         _check_iso(iso, self._numbers, self._where)
         return tuple(self._frames.names[number] for number in self._numbers[iso])
 
-    def draw(self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator) -> DarkCrops:
-        """Return crops (count, C, h, w) of frames of an ISO at random, from one place at random.
+    def draw(
+        self, iso: float, count: int, shape: tuple[int, int, int], generator: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """Draw crops (count, C, h, w) of frames of an ISO, from one place at random, in DN above black.
 
         They are of different frames as long as there are enough. This is for models that are called by themselves,
         which do not know where on the sensor the clean data lies.
@@ -187,7 +187,7 @@ class DarkFrames:
         return self.crops(iso, members.tolist(), self._anywhere(iso, shape, generator))
 
     def region(self, iso: float, frame: Frame, crop: Crop, generator: np.random.Generator) -> Region:
-        """Return where the noise of a clean crop comes from, in pixels of the packed dark frames.
+        """Choose the part of the packed dark frames whose noise a clean crop gets.
 
         Raises
         ------
@@ -215,8 +215,8 @@ class DarkFrames:
             )
         return *crop.place(frame, "dark frames are"), shape[1], shape[2]
 
-    def crops(self, iso: float, members: Sequence[int], region: Region) -> DarkCrops:
-        """Return one part of some frames of an ISO, by their number.
+    def crops(self, iso: float, members: Sequence[int], region: Region) -> NDArray[np.float32]:
+        """Read one part of some frames of an ISO, by their number, in DN above black and the shading.
 
         Raises
         ------
@@ -226,22 +226,31 @@ class DarkFrames:
             If it cannot be read.
         """
         shape = (len(members), packing_sites(self._first[iso].cfa).channels, *region[2:])
-        dn: NDArray[np.uint16] = new_arrays([Field("dark", shape, "<u2")])["dark"]
-        black = np.empty(shape[:2])
+        dark: NDArray[np.float32] = new_arrays([Field("dark", shape, "<f4")])["dark"]
+        crop = Crop.region(self._first[iso], region)
+        shading = None if self.shading is None else pack(self.shading.at(iso, *crop.slices), crop.cfa)
         for place, member in enumerate(members):
             frame = self._frames.frame(self._numbers[iso][member])
             self._check(frame, iso)
-            crop = Crop.region(frame, region)
-            pack(crop.cut(frame), crop.cfa, out=dn[place])
-            black[place] = packed_black_level_dn(crop.cfa, frame.black_level_dn)
-        if self.shading is None or not members:
-            return DarkCrops(dn, black)
-        there = pack(self.shading.at(iso, *crop.slices), crop.cfa)
-        return DarkCrops(dn, black, np.stack([there] * len(members)), np.full(len(members), self._scale[iso]))
+            black = packed_black_level_dn(crop.cfa, frame.black_level_dn)
+            np.subtract(pack(crop.cut(frame), crop.cfa), black[:, None, None], out=dark[place], dtype=np.float32)
+        if shading is not None:
+            dark -= shading
+            dark *= np.float32(self._scale[iso])
+        return dark
 
     def _anywhere(self, iso: float, shape: tuple[int, int, int], generator: np.random.Generator) -> Region:
+        """Draw a place for packed crops (C, h, w), in step with the CFA."""
         dark = self._first[iso]
-        return region_anywhere("dark frames give", dark.shape, dark.cfa, shape, generator)
+        whole, step = packed_shape(dark.shape, dark.cfa), packing_sites(dark.cfa).sub
+        _, height, width = shape
+        if shape[0] != whole[0] or height > whole[1] or width > whole[2] or height % step or width % step:
+            raise ArgumentError(f"dark frames give crops of {whole} packed pixels or less, and none of {shape}")
+        top, left = (
+            step * int(generator.integers((most - side) // step + 1))
+            for most, side in zip(whole[1:], shape[1:], strict=True)
+        )
+        return top, left, height, width
 
     def _check(self, frame: Frame, iso: float) -> None:
         """Refuse a frame that is unlike the first of all, or of its ISO, or whose pixels are no whole DN."""
@@ -276,48 +285,41 @@ def _check_iso(iso: float, known: Collection[float], where: str) -> None:
         raise ArgumentError(f"{where}: there are no dark frames of ISO {iso:g}; there are {_listed(known)}")
 
 
-def _found(
+def _find_frames(
     frames: CalibrationFrames | Path | str, camera: str | None, levels: Levels, keep: int
 ) -> tuple[str, CleanFrames, dict[float, list[int]]]:
-    """Return what messages call them, the frames, and their numbers by ISO."""
+    """Find bias frames: what messages call them, the frames, and their numbers by ISO."""
     if isinstance(frames, (str, Path)) and Path(frames).suffix.lower() in SUFFIXES:
         source = StoreFrames(frames)
-        found = _of_camera(source, camera)
-        names = (f"{source.path.as_posix()}/{path}" for path in found)
-        return str(frames), CleanFrames(source, names=names, levels=levels, keep=keep), _numbered(found.values())
-    if not isinstance(frames, CalibrationFrames) and Path(frames).suffix.lower() == ".csv":
-        frames = CalibrationFrames(camera=camera, manifest=frames)
-    elif not isinstance(frames, CalibrationFrames):
-        folder = Path(frames)
-        frames = CalibrationFrames(folder.parent if folder.name == _BIAS else folder, camera)
-    bias = [record for record in frames.records if record.role == _BIAS and record.iso is not None]
-    if not bias:
-        raise DatasetError(f"{frames.root}: holds no bias frames of {frames.camera}")
-    files = CleanFrames([frames.file(record) for record in bias], levels=levels, keep=keep)
-    return str(frames.root), files, _numbered(record.iso for record in bias)
-
-
-def _of_camera(source: StoreFrames, camera: str | None) -> dict[str, Fraction]:
-    """Return the bias frames of a store by their paths, and the ISO of each."""
-    found: dict[str, dict[str, Fraction]] = {}
-    for frame in source.store.frames:
-        place = calibration_place(frame.path)
-        if place is not None and place.role == _BIAS:
-            found.setdefault(place.camera or source.store.dataset, {})[frame.path] = Fraction(place.iso)
-    if not found:
-        raise DatasetError(
-            f"{source.path}: holds no bias frames; eldata pack makes such a store of the folder that holds "
-            "bias/ISO<iso>/... of a camera"
-        )
-    return found[chosen_camera(camera, found, str(source.path))]
-
-
-def _numbered(isos: Iterable[Fraction | None]) -> dict[float, list[int]]:
-    by_iso: dict[float, list[int]] = {}
-    for number, iso in enumerate(isos):
-        if iso is not None:
-            by_iso.setdefault(float(iso), []).append(number)
-    return by_iso
+        paths: dict[str, dict[str, Fraction]] = {}
+        for frame in source.store.frames:
+            place = calibration_place(frame.path)
+            if place is not None and place.role == _BIAS:
+                paths.setdefault(place.camera or source.store.dataset, {})[frame.path] = Fraction(place.iso)
+        if not paths:
+            raise DatasetError(
+                f"{source.path}: holds no bias frames; eldata pack makes such a store of the folder that holds "
+                "bias/ISO<iso>/... of a camera"
+            )
+        where, isos = str(frames), paths[chosen_camera(camera, paths, str(source.path))]
+        names = [f"{source.path.as_posix()}/{path}" for path in isos]
+        files = CleanFrames(source, names=names, levels=levels, keep=keep)
+    else:
+        if isinstance(frames, (str, Path)):
+            folder = Path(frames).parent if Path(frames).name == _BIAS else Path(frames)
+            is_manifest = folder.suffix.lower() == ".csv"
+            frames = (
+                CalibrationFrames(camera=camera, manifest=frames) if is_manifest else CalibrationFrames(folder, camera)
+            )
+        records = [record for record in frames.records if record.role == _BIAS and record.iso is not None]
+        if not records:
+            raise DatasetError(f"{frames.root}: holds no bias frames of {frames.camera}")
+        where, isos = str(frames.root), {record.path: Fraction(record.iso or 0) for record in records}
+        files = CleanFrames([frames.file(record) for record in records], levels=levels, keep=keep)
+    numbers: dict[float, list[int]] = {}
+    for number, iso in enumerate(isos.values()):
+        numbers.setdefault(float(iso), []).append(number)
+    return where, files, numbers
 
 
 def _listed(isos: Collection[float]) -> str:

@@ -6,27 +6,247 @@ et al., TPAMI 2021, section 4.6: parameters are drawn once per clip, noise for e
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
+import numpy as np
+import torch
+
+from eldata.base.numbers import checked_number
+from eldata.datasets.base import SIDES
+from eldata.datasets.batches import threads_here
 from eldata.datasets.crops import Crop
-from eldata.datasets.items import Part
-from eldata.datasets.synthetic.draws import NoiseFacts
-from eldata.datasets.synthetic.noisy_items import NoisyItem, NoisyItems
-from eldata.errors import ArgumentError, DatasetError
+from eldata.datasets.items import CroppedItems, DrawnItem, Part
+from eldata.datasets.synthetic.dark_frames import GAIN_SPREAD, DarkFrames
+from eldata.datasets.synthetic.draws import NoiseChoice
+from eldata.datasets.synthetic.turns import Turns, fewest_members
+from eldata.errors import ArgumentError, DatasetError, check_choice
+from eldata.noise.model import NoiseModel, check_noise_maker, made_exposure, maker_name
+from eldata.raw.levels import CLIP_RANGES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    import numpy as np
-    import torch
+    from numpy.typing import NDArray
 
     from eldata.datasets.clean import CleanSource, ClipSource
     from eldata.datasets.items import Crops
     from eldata.datasets.synthetic.draws import Cameras, Isos
-    from eldata.noise.makers import NoiseMaker
+    from eldata.noise.model import NoiseMaker
+    from eldata.noise.parameters import NoiseDraw
     from eldata.noise.profile import RowChoice
     from eldata.raw.levels import Clip
+    from eldata.records import Sensor
     from eldata.sources.frames import Frame
+
+
+@dataclass(slots=True, eq=False)
+class NoisyItem(DrawnItem):
+    """An item with its (first) clean frame, what was drawn for it, and the generator of its noise."""
+
+    frame: Frame
+    draw: NoiseDraw
+    generator: np.random.Generator
+
+
+Sample = TypeVar("Sample")
+
+_ONE_SCALE = 1.5  # ranges of DN less far apart are other white levels, those farther apart files of other bits
+
+
+class NoisyItems(CroppedItems[Sample]):
+    """Items whose target is read, and whose input is the target with noise.
+
+    ``method`` is the source's method besides ``len``, ``exposures`` how many frames an item has, ``repeats`` how many
+    items a record has, and the name of this argument; all else is as of :class:`SyntheticPairs`.
+    """
+
+    def __init__(
+        self, source: Any, method: str, profiles: Cameras, repeats: tuple[str, int], exposures: int = 1, *,
+        model: NoiseMaker | None, clip: Clip, ratio: float | tuple[float, float], iso: Isos | None,
+        range_dn: float | None, row: RowChoice | None, extrapolate: bool,
+        crop: int | None, augment: bool, crops: Crops, seed: int,
+    ) -> None:  # fmt: skip
+        owner = type(self).__name__
+        self.source = source
+        _check_source(owner, source, method)
+        super().__init__(crop, augment, crops, seed, repeats)
+        self.clip, self.model = clip, _set_clip(owner, NoiseModel() if model is None else model, clip)
+        frames = self.model.dark_frames if isinstance(self.model, NoiseModel) else None
+        self._dark = frames if isinstance(frames, DarkFrames) else None
+        if self._dark is not None and iso is None:
+            iso = self._dark.isos
+        self.noise = NoiseChoice.of(profiles, ratio, iso, row, extrapolate)
+        self.range_dn = None if range_dn is None else checked_number("range_dn", range_dn, above=0)
+        if self.range_dn is not None and self._dark is not None:
+            raise ArgumentError(f"{owner}: dark frames are in the frames' own DN; leave range_dn out")
+        self._turns = None if self._dark is None else _make_turns(owner, self._dark, self.noise, self.seed, exposures)
+        records = map(getattr(source, method), range(len(source)))
+        self._count_items(len(source), records if method == "frame" else (clip.frame(0) for clip in records))
+        self._length = self._length_of(len(source))
+
+    def __len__(self) -> int:
+        return self._length
+
+    def _noisy(
+        self,
+        place: int,
+        generator: np.random.Generator,
+        frame: Frame,
+        crop: Crop,
+        parts: Iterable[Part],
+        *frames: int,
+        **facts: int,
+    ) -> NoisyItem:
+        """Draw an item's noise; dark frames have their turn by the item's place in the sequence of all draws."""
+        range_dn, dark_frame = self.range_dn or frame.range_dn, ""
+        if self._dark is None or self._turns is None:
+            draw = self.noise.draw(generator, range_dn)
+        else:
+            draw = self.noise.draw(generator, range_dn, self._turns.at(place), gain_spread=GAIN_SPREAD)
+            names = self._dark.names(draw.iso or 0.0)
+            dark_frame = ", ".join(names[member] for member in draw.dark)
+        its = draw.parameters.range_dn
+        if self.range_dn is None and frame.sensor is not None and its is not None:  # arrays state whose range it is
+            both = f"range_dn={its:g} makes that camera's noise of it, range_dn={range_dn:g} takes its DN as they are"
+            check_scale(frame.name, frame.sensor, draw.camera, its, both)
+        parameters = draw.parameters.as_dict()
+        parameters["colour_bias_dn"] = torch.from_numpy(np.array(draw.parameters.colour_bias_dn))  # faster than tensor
+        of_noise = {"ratio": draw.ratio, "camera": draw.camera, "camera_id": draw.camera_id, "iso": draw.iso or 0.0}
+        sample = of_noise | parameters | {"dark_frame": dark_frame, "path": frame.name} | facts
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(SIDES, (*frames, *crop.packed_shape))
+        return NoisyItem(crop, shapes, parts, sample, frame.sensor, frame, draw, generator)
+
+    def _finish(self, items: Sequence[NoisyItem], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Add the noise: ours to all items at once, for the call alone costs as much as the noise of a small crop."""
+        clean, noisy, model = arrays["target"], arrays["input"], self.model
+        if isinstance(model, NoiseModel) and self._dark is None:
+            images = clean[0].size // math.prod(clean.shape[-3:])
+            draws = [item.draw for item in items for _ in range(images)]
+            model.apply(clean, draws, [item.generator for item in items], threads=threads_here(), out=noisy)
+            return
+        for item, light, exposure in zip(items, clean, noisy, strict=True):
+            draw, generator = item.draw, item.generator
+            if isinstance(model, NoiseModel):
+                dark = draw_dark(model, item.frame, item.crop, draw.iso, draw.dark, generator)
+                model.apply(light, draw, generator, dark=dark, threads=threads_here(), out=exposure)
+            else:
+                np.clip(made_exposure(model, light, draw, generator), *CLIP_RANGES[self.clip], out=exposure)
+
+    def _model_text(self) -> str:
+        return repr(self.model) if isinstance(self.model, NoiseModel) else maker_name(self.model)
+
+    def _outline(self) -> list[tuple[str, str]]:
+        """Describe the dataset by names and values."""
+        low, high = self.noise.ratio
+        return [
+            ("clean frames", repr(self.source)),
+            ("cameras", str(self.noise)),
+            ("noise", f"{self._model_text()}, clip {self.clip}"),
+            ("ratio", f"{low:g}" if low == high else f"{low:g} to {high:g}"),
+            ("items", f"{len(self)}, {'whole frames' if self.crop is None else f'{self.crop} x {self.crop}'}"),
+        ]
+
+    def _text(self, items: str) -> str:
+        """Return the repr, in which ``items`` says how many there are."""
+        clip = "" if isinstance(self.model, NoiseModel) else f", clip={self.clip!r}"
+        ranged = "" if self.range_dn is None else f", range_dn={self.range_dn:g}"
+        return (
+            f"{type(self).__name__}({self.source!r}, {items}, cameras: {self.noise}; {self._model_text()}{clip}, "
+            f"ratio={self.noise.ratio}{ranged}, {self._cut}, seed={self.seed})"
+        )
+
+
+def draw_dark(
+    model: NoiseModel,
+    frame: Frame,
+    crop: Crop,
+    iso: float | None,
+    members: Sequence[int],
+    generator: np.random.Generator,
+) -> NDArray[np.float32] | None:
+    """Read the dark frames of a crop by their numbers, from its place on the sensor; ``None`` without component D."""
+    if not isinstance(model.dark_frames, DarkFrames) or iso is None:
+        return None
+    return model.dark_frames.crops(iso, members, model.dark_frames.region(iso, frame, crop, generator))
+
+
+def check_scale(name: str, sensor: Sensor, camera: str, its_range_dn: float, advice: str) -> None:
+    """Refuse a clean file of other bits than those in whose DN a camera's noise is, by the levels that it states.
+
+    Raises
+    ------
+    DatasetError
+        With both ranges, and the advice.
+    """
+    range_dn = sensor.white_level_dn - sum(sensor.black_level_dn) / len(sensor.black_level_dn)
+    if not 1 / _ONE_SCALE < range_dn / its_range_dn < _ONE_SCALE:
+        raise DatasetError(
+            f"{name}: has {range_dn:g} DN from black to white, but the noise of {camera} is in DN of files that have "
+            f"{its_range_dn:g}; {advice}"
+        )
+
+
+def _check_source(owner: str, source: Any, method: str) -> None:
+    if hasattr(source, "__len__") and callable(getattr(source, method, None)):
+        return
+    known = {"frame": "CleanFrames and Arrays", "clip": "CleanClips"}[method]
+    raise ArgumentError(
+        f"{owner}: the source of clean data has len and {method}(index), as {known} of eldata.datasets have; found "
+        f"{type(source).__name__}"
+    )
+
+
+def _make_turns(owner: str, dark: DarkFrames, choice: NoiseChoice, seed: int, exposures: int) -> Turns:
+    """Order the dark frames of the ISOs to draw from."""
+    if len(choice.profiles) > 1:
+        raise ArgumentError(f"{owner}: dark frames are of one camera; give its profile alone")
+    isos = [iso for iso in choice.isos if iso is not None]
+    counts = [len(dark.names(iso)) for iso in isos]
+    for iso, count in zip(isos, counts, strict=True):
+        if count < fewest_members(exposures):
+            raise ArgumentError(
+                f"{owner}: windows of {exposures} frames, each with a dark frame of its own, need "
+                f"{fewest_members(exposures)} dark frames of an ISO; ISO {iso:g} has {count}"
+            )
+    return Turns(seed, np.diff(choice.shares, prepend=0.0).tolist(), counts, exposures)
+
+
+def _set_clip(owner: str, model: Any, clip: Clip) -> NoiseMaker:
+    """Return the model with the clip of the input. The dataset decides, as for the pairs that are tested on."""
+    check_choice("clip", clip, CLIP_RANGES)
+    if not isinstance(model, NoiseModel):
+        check_noise_maker(model)
+        maker: NoiseMaker = model
+        return maker
+    if model.clip not in (None, clip):
+        raise ArgumentError(
+            f"{owner}: clip={clip!r}, but the noise model's own clip is {model.clip!r}; leave it out of the model, and "
+            f"give clip= to {owner} and to the datasets that you test on"
+        )
+    return model.with_clip(clip)
+
+
+class NoiseFacts(TypedDict):
+    """The parameters that an item's noise was made with (:class:`eldata.noise.NoiseParameters`) and its exposure ratio.
+
+    ``colour_bias_dn`` is (4,) float64. ``iso`` is the ISO that was given or drawn, 0 where the gain was drawn;
+    ``camera_id`` the place of the camera in the dataset. ``dark_frame`` names the dark frame of component D, of a
+    clip the dark frames in order; empty: there is none.
+    """
+
+    ratio: float
+    camera: str
+    camera_id: int
+    iso: float
+    gain_dn_per_e: float
+    tukey_lambda: float
+    sigma_tl_dn: float
+    sigma_gauss_dn: float
+    sigma_row_dn: float
+    colour_bias_dn: torch.Tensor
+    dark_frame: str
 
 
 class SyntheticSample(NoiseFacts):
@@ -58,7 +278,7 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         Items per clean frame: the length is this times the number of frames.
     model
         The noise model: a :class:`~eldata.noise.model.NoiseModel`, by default (``None``) the full one, or a callable of
-        your own (:class:`~eldata.noise.makers.NoiseMaker`). With real dark frames it is
+        your own (:class:`~eldata.noise.model.NoiseMaker`). With real dark frames it is
         ``NoiseModel("P*+D", dark_frames=DarkFrames(...))``: each frame of an ISO is used once before any is used twice.
     clip
         Of the input, as in every dataset of pairs: give those that you test on the same. The target, which stands for
@@ -113,7 +333,6 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
             ratio=ratio, iso=iso, range_dn=range_dn, row=row, extrapolate=extrapolate, crop=crop, augment=augment,
             crops=crops, seed=seed,
         )  # fmt: skip
-        self.source = source
         self.crops_per_frame = crops_per_frame
 
     def drawn(self, place: int, generator: np.random.Generator) -> NoisyItem:
@@ -124,7 +343,7 @@ class SyntheticPairs(NoisyItems[SyntheticSample]):
         return self._noisy(place, generator, frame, crop, [Part("target", frame, is_light=True)])
 
     def __repr__(self) -> str:
-        return self._text(self.source, f"{len(self)} items")
+        return self._text(f"{len(self)} items")
 
 
 class SyntheticClipSample(NoiseFacts):
@@ -147,7 +366,7 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
 
     Camera, parameters and ratio are drawn once for a window, and so are its place, crop and orientation, which are the
     same for all of its frames. The noise is fresh in each frame. All else, draws and parameters too, is as in
-    :class:`~eldata.datasets.synthetic.pairs.SyntheticPairs`, but for:
+    :class:`SyntheticPairs`, but for:
 
     Parameters
     ----------
@@ -191,7 +410,6 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
             ratio=ratio, iso=iso, range_dn=range_dn, row=row, extrapolate=extrapolate, crop=crop, augment=augment,
             crops=crops, seed=seed,
         )  # fmt: skip
-        self.source = source
         self.frames = frames
         self.windows_per_clip = windows_per_clip
 
@@ -222,7 +440,7 @@ class SyntheticClips(NoisyItems[SyntheticClipSample]):
             del frame
 
     def __repr__(self) -> str:
-        return self._text(self.source, f"{len(self)} windows of {self.frames} frames")
+        return self._text(f"{len(self)} windows of {self.frames} frames")
 
 
 def _check_alike(frame: Frame, first: Frame) -> None:

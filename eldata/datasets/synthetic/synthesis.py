@@ -2,7 +2,7 @@
 
 ``OUT/data/<name>/<camera>/scene-<n>/clean.dng`` and ``noisy-<k>.dng`` (or ``.npy``), ``OUT/manifests/<name>.csv`` with
 its card, and ``OUT/parameters.json`` with all that the noise was made with. ``<name>`` is OUT's own name. Until all is
-written, ``OUT/.begun.json`` says what was begun. Of clips the m-th frame of the n-th is the scene
+written, ``OUT/.begun`` says what was begun. Of clips the m-th frame of the n-th is the scene
 ``clip-<n>-moment-<m>``, so that the rows are sequences (:mod:`eldata.manifest.clips`), each frame with a reference.
 """
 
@@ -20,14 +20,13 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from eldata import __version__
-from eldata.base.fields import TextFile
 from eldata.base.files import (
     atomic_write,
-    check_same_work,
     json_text,
     remove_leftovers,
     visible_below,
     write_json,
+    write_text,
 )
 from eldata.base.outputs import refuse_among
 from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
@@ -35,23 +34,23 @@ from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import CleanScene, clean_scenes
 from eldata.datasets.crops import Crop
 from eldata.datasets.synthetic.dark_frames import DarkFrames
-from eldata.datasets.synthetic.draws import Turns, draw_splits
-from eldata.datasets.synthetic.noisy_items import check_scale, from_sensor
+from eldata.datasets.synthetic.pairs import check_scale, draw_dark
+from eldata.datasets.synthetic.turns import Turns, draw_splits
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, check_choice
 from eldata.manifest.card import OWN_PROTOCOL, CameraCard, Card, cfa_word
 from eldata.manifest.writing import save_manifest
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
+from eldata.noise.parameters import NoiseDraw
 from eldata.raw.cfa import cfa_from, packed_area, packed_shape, packing_sites, unpack
 from eldata.raw.dng import write_dng
 from eldata.raw.levels import pack_normalised, packed_black_level_dn
 from eldata.raw.reading import read_raw
-from eldata.raw.stated import StatedFile
 from eldata.records import Exposure, FrameRecord, RawFrame, exact_fraction
 from eldata.sources.frames import Frame
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from eldata.manifest.catalogue import Manifest
     from eldata.noise.parameters import NoiseParameters
@@ -59,7 +58,7 @@ if TYPE_CHECKING:
 
 Format = Literal["dng", "npy"]
 _NOISE = 6  # a purpose of random numbers
-_BEGUN = ".begun.json"
+_BEGUN = ".begun"
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,12 +132,12 @@ class Recipe:
     @property
     def written_spec(self) -> str:
         """The components that are drawn; for DNG without U, because writing rounds."""
-        parts = parse_components(self.spec)
-        if self.format == "npy" or not parts.quantisation:
-            return self.spec
-        if parts.spec == "U":
+        names = parse_components(self.spec)
+        if self.format == "dng":
+            names = tuple(name for name in names if name != "U")
+        if not names:
             raise ArgumentError("noise model 'U': writing a DNG rounds to whole DN already; name another component")
-        return replace(parts, quantisation=False).spec
+        return "+".join(names)
 
     def dark(self) -> DarkFrames | None:
         """Return the dark frames, newly opened: they are looked for in their folder."""
@@ -198,16 +197,16 @@ def synthesize(
     data = out / "data" / name
     if out.exists() and not out.is_dir():
         raise DatasetError(f"{out}: is not a folder; give a new one")
-    begun = _begun(recipe, sources, dark)
+    work = _digest_work(recipe, sources, dark)
     try:
-        _begin(out, begun)
+        _begin(out, work)
         for folder in (out / "manifests", data):
             folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise EldataError(f"cannot make {error.filename}: {error.strerror}") from error
     clean_facts: list[_CleanFacts] = []
-    work = partial(_synthesize_file, Path.cwd(), data.absolute(), recipe, _digest(begun))
-    for source, facts in zip(sources, workers.run(work, sources, label="synthesizing"), strict=True):
+    make = partial(_synthesize_file, Path.cwd(), data.absolute(), recipe, work)
+    for source, facts in zip(sources, workers.run(make, sources, label="synthesizing"), strict=True):
         first = clean_facts[source.first] if source.first < len(clean_facts) else facts
         for field in fields(_CleanFacts):
             if (found := getattr(facts, field.name)) != (wanted := getattr(first, field.name)):
@@ -221,43 +220,38 @@ def synthesize(
     return manifest
 
 
-def _begin(out: Path, begun: Mapping[str, object]) -> None:
+def _begin(out: Path, work: str) -> None:
     """Begin work in a new or empty folder, or go on with the same work in it."""
     out.mkdir(parents=True, exist_ok=True)
     remove_leftovers(out)
     path = out / _BEGUN
     if path.exists():
-        check_same_work(out, TextFile(path, EldataError, f"remove {out} to start again").json().data, begun)
+        if path.read_text(encoding="utf-8", errors="replace") != work:
+            raise ArgumentError(
+                f"{out}: was begun with another recipe, other clean or dark frames, or another version of eldata; give "
+                "the same as then, or remove it to start again"
+            )
     elif visible_below(out, deep=False):
         raise DatasetError(f"{out}: holds something already; give a new folder")
     else:
-        write_json(path, begun)
+        write_text(path, work)
 
 
-def _begun(recipe: Recipe, sources: Sequence[CleanScene], dark: DarkFrames | None) -> dict[str, object]:
-    """Return what decides the content of every file, as plain types."""
-    options = asdict(recipe) | {"ratio": list(recipe.ratio), "profile": recipe.profile.camera}
-    options["split"] = recipe.split and list(recipe.split)
-    del options["dark_frames"]  # their content is compared, wherever it lies
+def _digest_work(recipe: Recipe, sources: Sequence[CleanScene], dark: DarkFrames | None) -> str:
+    """Return a digest of what decides the content of every file."""
+    files, names = [source.path for source in sources], []
     if dark is not None and recipe.dark_frames is not None:
-        names = dark.names(dark.isos[0])
-        files = [path for path in map(Path, names) if path.is_file()] or [recipe.dark_frames]  # or a store of them
-        options["digest_of_the_dark_frames"] = _digest([*names, *_stamps(files)])
-    stated = [repr((file.facts, file.exposure)) for one in sources if isinstance(file := one.file, StatedFile)]
-    return options | {
-        "written_by": f"eldata {__version__}",
-        "digest_of_the_profile": _digest(recipe.profile.as_dict()),
-        "digest_of_the_clean_files": _digest(_stamps([source.path for source in sources]) + stated),
-    }
-
-
-def _stamps(paths: Sequence[Path]) -> list[object]:
-    return [(str(path), status.st_size, status.st_mtime_ns) for path in paths for status in [path.stat()]]
+        names = list(dark.names(dark.isos[0]))
+        files += [path for path in map(Path, names) if path.is_file()] or [recipe.dark_frames]  # or a store of them
+    stamps = [(str(path), status.st_size, status.st_mtime_ns) for path in files for status in [path.stat()]]
+    stated = [repr(source.file) for source in sources]  # with what a card states of it
+    decides = [__version__, asdict(recipe) | {"dark_frames": None}, names, stamps, stated]
+    return f"sha256:{hashlib.sha256(json_text(decides).encode()).hexdigest()}"
 
 
 @lru_cache(maxsize=1)
-def _opened(path: Path, iso: float, _begun: str) -> DarkFrames:
-    """Return dark frames, which a process looks for once as long as the work is the same."""
+def _open_dark_frames(path: Path, iso: float, _work: str) -> DarkFrames:
+    """Open dark frames, once in a process as long as the work is the same."""
     return DarkFrames(path, isos=[iso])
 
 
@@ -265,10 +259,6 @@ def _member(recipe: Recipe, dark: DarkFrames, index: int, copy: int) -> int:
     """Return the number of the dark frame whose turn it is."""
     (iso,) = dark.isos
     return Turns(recipe.seed, [1.0], [len(dark.names(iso))]).at(index * recipe.per_image + copy)[1][0]
-
-
-def _digest(what: object) -> str:
-    return f"sha256:{hashlib.sha256(json_text(what).encode()).hexdigest()}"
 
 
 def _write_tables(
@@ -317,7 +307,7 @@ def _write_tables(
     )
     parameters = {
         "model": recipe.spec,
-        "written_model": parse_components(recipe.written_spec).spec,
+        "written_model": recipe.written_spec,
         "profile": recipe.profile.as_dict(),
         "seed": recipe.seed,
         "ratio": list(recipe.ratio),
@@ -370,7 +360,7 @@ class _Draw:
         return cls(f"noisy-{copy + 1}.{recipe.format}", parameters, ratio, iso, exposure_s, generator)
 
 
-def _synthesize_file(start: Path, folder: Path, recipe: Recipe, begun: str, source: CleanScene) -> _CleanFacts:
+def _synthesize_file(start: Path, folder: Path, recipe: Recipe, work: str, source: CleanScene) -> _CleanFacts:
     """Write the files of a scene that are not there yet; each has its name once it is whole."""
     path, place = source.path, folder / recipe.profile.camera / source.scene
     require_files(start / path)
@@ -401,23 +391,21 @@ def _synthesize_file(start: Path, folder: Path, recipe: Recipe, begun: str, sour
     range_dn = sensor.white_level_dn - float(black.mean())
     dark = None
     if recipe.dark_frames is not None and recipe.iso is not None:
-        dark = _opened(recipe.dark_frames, recipe.iso, begun)
+        dark = _open_dark_frames(recipe.dark_frames, recipe.iso, work)
     model = recipe.model(dark)
     whole = Frame.of_raw(raw.mosaic, raw.sensor, str(path), raw.exposure)
     area = Crop.region(whole, (0, 0, *packed_shape(whole.shape, whole.cfa)[1:]))
     for copy, draw in waiting:
-        ratio = float(draw.ratio)
-        members = [] if dark is None else [_member(recipe, dark, source.number, copy)]
-        of_sensor = from_sensor(model, whole, area, recipe.iso, members, draw.generator)
-        noisy = model(
-            clean, parameters=draw.parameters, ratio=ratio, range_dn=range_dn, generator=draw.generator, **of_sensor
-        )
+        members = () if dark is None else (_member(recipe, dark, source.number, copy),)
+        of_sensor = draw_dark(model, whole, area, recipe.iso, members, draw.generator)
+        exposure = NoiseDraw(draw.parameters, float(draw.ratio), range_dn, dark=members)
+        noisy = model.apply(clean, exposure, draw.generator, dark=of_sensor)
         if recipe.format == "dng":
-            dn = draw.parameters.rounded(noisy.astype(np.float64) * (range_dn / ratio) + black)
+            dn = draw.parameters.rounded(noisy.astype(np.float64) * (range_dn / exposure.ratio) + black)
             mosaic = unpack(np.clip(dn, 0, sensor.white_level_dn).astype(np.uint16), sensor.cfa)
-            exposure = Exposure(draw.iso, draw.exposure_s, frame.exposure.f_number)
+            stated = Exposure(draw.iso, draw.exposure_s, frame.exposure.f_number)
             with _naming(path):
-                write_dng(place / draw.name, mosaic, sensor, exposure, compression="lossless-jpeg")
+                write_dng(place / draw.name, mosaic, sensor, stated, compression="lossless-jpeg")
         else:
             with atomic_write(place / draw.name) as file:
                 np.save(file, noisy, allow_pickle=False)

@@ -1,5 +1,3 @@
-from .calibration import CalibrationPlan as CalibrationPlan
-from .calibration import plan_calibration as plan_calibration
 from .camera import CameraDescription as CameraDescription
 from .plan import Plan as Plan
 from .plan import make_plan as make_plan
@@ -8,4 +6,6 @@ from .protocol import PROTOCOLS as PROTOCOLS
 from .protocol import RELEASED as RELEASED
 from .protocol import CaptureProtocol as CaptureProtocol
 from .protocol import ProtocolFrame as ProtocolFrame
+from .shots import CalibrationPlan as CalibrationPlan
+from .shots import plan_calibration as plan_calibration
 from .shutter import Shutter as Shutter

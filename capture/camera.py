@@ -163,7 +163,7 @@ class CameraDescription:
         return next((time for time in reversed(self.shutter.times) if time.true_exact <= wanted), None)
 
 
-def wholes(fields: Fields, name: str) -> tuple[int, ...]:
+def read_wholes(fields: Fields, name: str) -> tuple[int, ...]:
     """Return a list of whole numbers above 0, at least one, each once."""
     expected = "a list of at least one whole number"
     return fields.each(name, Fields.whole, expected=expected, fewest=1, once=True, at_least=1)
@@ -176,7 +176,7 @@ def camera_from(top: Fields) -> CameraDescription:
         "name": top.text("name"),
         "models": top.texts("models"),
         "raw_extension": top.text("raw_extension"),
-        "isos": wholes(top, "isos"),
+        "isos": read_wholes(top, "isos"),
         "base_iso": top.whole("base_iso", at_least=1),
         "cfa": top.optional("cfa", top.choice, "bayer", known=get_args(Cfa)),
         "true_isos": _true_isos(top) if "true_isos" in top.data else (),

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from eldata.records import Role
 
 _MOST_ALIKE: Final = 99
-COUNTS: Final = ("repeats", "references")
-"""Fields of a protocol that say how often something is taken; 1 is neither stated nor said."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +90,7 @@ class CaptureProtocol:
 
     def __post_init__(self) -> None:
         checked_whole("base_iso", self.base_iso, at_least=1)
-        for name in COUNTS:
+        for name in ("repeats", "references"):
             if checked_whole(name, getattr(self, name), at_least=1) > _MOST_ALIKE:
                 raise ArgumentError(f"{name} must be at most {_MOST_ALIKE}, found {getattr(self, name)}")
         _check_distinct("noisy_isos", self.noisy_isos)

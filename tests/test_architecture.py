@@ -499,7 +499,7 @@ def test_imports_and_help_load_neither_torch_nor_rawpy() -> None:
         *("import eldata", "import eldata.records", "import eldata.manifest", EVERY_MANIFEST_NAME, "import capture"),
         *(EVERY_HELP.format(package=package, heavy=HEAVY) for package in ("eldata.cli", "capture.cli")),
         "from eldata.cli.main import main; main(['info']); main(['download', 'eld'])",
-        "from capture.cli import main; main(['protocol', '--metered', '4'])",
+        "from capture import RELEASED, plan_calibration; from capture.camera import EXAMPLE; RELEASED.frames()",
     ]
     *found, last = loaded_after(*light, "import rawpy")
     assert found == [[]] * len(light)

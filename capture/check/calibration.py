@@ -13,16 +13,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from capture.check.frames import ReducedFrame, Unit, file_name, map_picture, reduced_frames, scene_picture
-from capture.check.measures import Estimate, find_kind
 from capture.check.ratio import BLOCK, OF_MEDIAN, TO_SIGMA, brightness_ratios
-from capture.check.result import CheckedGroup
+from capture.check.result import CheckedGroup, Estimate, find_kind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from capture.check.cells import Cells
+    from capture.check.frames import Cells
 
 PATCHES: Final = 8  # along each side
 _PICTURES: Final = 4  # of frames without a finding

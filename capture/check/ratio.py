@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.measures import SIGMAS, Estimate
+from capture.check.result import SIGMAS, Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from capture.check.cells import Cells
+    from capture.check.frames import Cells
 
     Array = NDArray[np.float64]
 

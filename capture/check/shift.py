@@ -1,6 +1,6 @@
 """Did the camera move, or its focus? Phase correlation of tiles, and the contrast of their fine detail.
 
-Both frames are cut into the same tiles of the luminance (:func:`capture.check.cells.luminance`), windowed and
+Both frames are cut into the same tiles of the luminance (:func:`capture.check.frames.luminance`), windowed and
 transformed. For a shift d, measured in packed pixels, and independent noise, the spectra are
 ``F2(k) = B(k) F1(k) exp(-2 pi i k d) + noise``.
 
@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from capture.check.measures import Estimate
+from capture.check.result import Estimate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from capture.cli.values import name_ending
 from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, show_and_write
 from eldata.base.outputs import add_output
 
@@ -30,17 +31,17 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="only this scene, by name or number, and no calibration frames; may be repeated",
     )
     add_cameras(parser)
-    add_output(parser, "--sheet", help="write a contact sheet, an HTML page that needs no network")
+    add_output(
+        parser, "--sheet", type=name_ending(".html"), help="write a contact sheet, an HTML page that needs no network"
+    )
     add_shared(parser, run, "root", "jobs", json=True)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
     from capture.check.checking import check
-    from capture.check.result import check_sheet_name, write_sheet
+    from capture.check.result import write_sheet
 
-    if arguments.sheet:
-        check_sheet_name(arguments.sheet)  # before the work, not after it
     report = check(
         arguments.manifest,
         arguments.root,

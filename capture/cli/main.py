@@ -10,7 +10,7 @@ from eldata.base.console import command_line, run
 if TYPE_CHECKING:
     import argparse
 
-_COMMANDS = ("protocol", "camera", "plan", "checklist", "script", "manifest", "check")
+_COMMANDS = ("camera", "plan", "checklist", "script", "manifest", "check")
 
 _FIRST = ("capture camera --example cam.json", "capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json")
 _RUNNING = ("root", "json", "jobs", "debug")

@@ -6,10 +6,10 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import Final
 
-from capture.calibration import plan_calibration
 from capture.camera import EXAMPLE, CameraDescription
 from capture.plan import Plan, make_plan
 from capture.protocol import PAPER, RELEASED, CaptureProtocol
+from capture.shots import plan_calibration
 from capture.shutter import Shutter
 
 HOSTILE: Final = (

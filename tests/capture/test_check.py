@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from capture.check import CheckedGroup, CheckReport, Measure, check, write_sheet
-from capture.check.measures import Estimate, MeasureKind
+from capture.check.result import Estimate, MeasureKind
 from capture.cli import main
 from eldata.records import Exposure
 from tests.capture.simulated_scenes import ALPHA, Shot, radiance, write_scenes
@@ -283,9 +283,9 @@ def test_ratios_that_are_off_alike_are_one_line_and_a_count() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--scene", "7"), "no scene '7'; the manifest has scene-1, scene-2"),
-        (("--camera", "Other"), "no camera called 'Other'; the manifest has DemoAlpha"),
-        (("--sheet", "sheet.gif"), "the contact sheet is an HTML page"),
+        (("--scene", "7"), "no frame has scene scene-7; known are scene-1, scene-2"),
+        (("--camera", "Other"), "no frame has camera Other; known are DemoAlpha"),
+        (("--sheet", "sheet.gif"), "expected a name that ends in .html"),
         (("--root", "nowhere"), "no folder nowhere/MY: --root names the folder that holds MY"),
     ],
 )

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from capture.check.calibration import PATCHES, patch_levels, unevenness
-from capture.check.cells import Cells, luminance, reduce_to_cells, saturation_dn
-from capture.check.measures import Measure, MeasureKind
+from capture.check.frames import Cells, luminance, reduce_to_cells, saturation_dn
 from capture.check.ratio import brightness_ratios, fit_ratio
+from capture.check.result import Measure, MeasureKind
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
 from eldata.raw.cfa import XTRANS_CFA, bayer_cfa, pack
 from eldata.records import Exposure, Sensor

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from capture.check import CheckedPair, check
-from capture.check.cells import empty_share
-from capture.check.measures import (
+from capture.check import check
+from capture.check.frames import empty_share
+from capture.check.result import (
     BEST_PSNR_DB,
     LIGHT_AGAIN,
     LIGHT_LOOK,
@@ -52,8 +52,8 @@ def group_of(folder: Path, mishaps: dict[int, Callable[[Shot], Shot]], digital: 
     return group
 
 
-def pair(group: CheckedGroup, number: int) -> CheckedPair:
-    (found,) = (one for one in group.pairs if one.path.endswith(f"{number:04d}.dng"))
+def pair(group: CheckedGroup, number: int) -> str:
+    (found,) = (path for path in group.pairs if path.endswith(f"{number:04d}.dng"))
     return found
 
 
@@ -82,7 +82,7 @@ def test_light_in_a_noisy_frame_alone_counts_as_it_does_between_references(
     tmp_path: Path, light: float, verdict: str
 ) -> None:
     group = group_of(tmp_path, {2: lambda shot: shot.lit(light)})
-    assert group.verdict_of(pair(group, 2).path) == verdict
+    assert group.verdict_of(pair(group, 2)) == verdict
     assert group.row(pair(group, 2))["ratio"].value == pytest.approx(1 / light, rel=0.002)
 
 

@@ -16,8 +16,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from capture.checklist import html_checklist, markdown_checklist, plan_digest, text_checklist
-from capture.checklist_content import every_item, rows
+from capture.checklist import (
+    calibration_parts,
+    html_checklist,
+    make_rows,
+    markdown_checklist,
+    plan_digest,
+    read_items,
+    text_checklist,
+)
 from capture.cli import main
 from eldata.base.visible import visible
 from tests.capture.checklist_plans import HOSTILE, small
@@ -25,12 +32,18 @@ from tests.reports.pages import assert_well_formed, checked
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from capture.plan import Plan
 
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
     return small()
+
+
+def every_item(plan: Plan) -> list[Mapping[str, str]]:
+    return [*read_items("preparation", plan), *(item for part in calibration_parts(plan) for item in part.items)]
 
 
 @pytest.fixture(scope="module")
@@ -79,13 +92,13 @@ def test_hostile_notes_stay_text(page: str) -> None:
 def test_page_shows_every_shot(page: str, plan: Plan) -> None:
     elements = checked(page).elements
     keys = [attributes["data-row"] for _, attributes in elements if "data-row" in attributes]
-    expected = [f"{scene.name}/{row.number}" for scene in plan.scenes for row in rows(scene.shots)]
+    expected = [f"{scene.name}/{row.shot.number}" for scene in plan.scenes for row in make_rows(scene.shots)]
     assert plan.calibration is not None
-    expected += [f"calibration/{row.number}" for row in rows(plan.calibration.shots)]
+    expected += [f"calibration/{row.shot.number}" for row in make_rows(plan.calibration.shots)]
     assert keys == expected
-    assert sum(row.count for row in rows(plan.calibration.shots)) == len(plan.calibration.shots)
+    assert sum(row.count for row in make_rows(plan.calibration.shots)) == len(plan.calibration.shots)
     items = [attributes["data-item"] for _, attributes in elements if "data-item" in attributes]
-    assert items == [item.name for item in every_item(plan)]
+    assert items == [item["name"] for item in every_item(plan)]
 
 
 def test_plan_without_scenes(plan: Plan) -> None:
@@ -123,10 +136,12 @@ def test_digest_is_of_decisions(plan: Plan) -> None:
 def test_text_and_markdown_hold_what_the_page_holds(plan: Plan) -> None:
     text, markdown = text_checklist(plan), markdown_checklist(plan)
     for item in every_item(plan):
-        assert f"- [ ] {item.text}. {item.why}" in text
-        assert f"- [ ] {item.text}. {item.why}" in markdown
+        assert f"- [ ] {item['text']}. {item['why']}" in text
+        assert f"- [ ] {item['text']}. {item['why']}" in markdown
     assert plan.calibration is not None
-    found = [row for shots in (*(scene.shots for scene in plan.scenes), plan.calibration.shots) for row in rows(shots)]
+    found = [
+        row for shots in (*(scene.shots for scene in plan.scenes), plan.calibration.shots) for row in make_rows(shots)
+    ]
     lines = [line.split() for line in text.splitlines() if line.startswith("[ ]")]
     assert len(lines) == len(found)
     for line, row in zip(lines, found, strict=True):

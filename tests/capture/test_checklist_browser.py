@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from capture.checklist import html_checklist
-from capture.checklist_content import rows
+from capture.checklist import html_checklist, make_rows
 from capture.cli import main
 from capture.plan import Plan
 from tests.capture.checklist_browser import Browser, Page
@@ -277,7 +276,7 @@ def test_every_time_on_the_dial_gives_what_remeter_gives(
         assert bare.run("byId('scene-1-problem').hidden"), seconds
         capsys.readouterr()
         scene = Plan.load(tmp_path / "plan.json").scene("scene-1")
-        assert dials(bare, "scene-1") == [f"{row.dial} s" for row in rows(scene.shots)]
+        assert dials(bare, "scene-1") == [f"{row.dial} s" for row in make_rows(scene.shots)]
         assert bare.run("every('#scene-1-remarks li').map((e) => e.textContent)") == list(scene.remarks)
         assert bare.run("metered.get('scene-1')") == str(seconds)
     assert 0 < refused < len(times)
@@ -292,7 +291,7 @@ def test_a_plans_own_metered_time_is_in_the_list(bare: Page, plan: Plan) -> None
     assert bare.text("#scene-1-remarks li") == odd.scene("scene-1").remarks[0]
     meter(bare, "scene-1", "2")
     meter(bare, "scene-1", "7/4")
-    assert dials(bare, "scene-1") == [f"{row.dial} s" for row in rows(odd.scene("scene-1").shots)]
+    assert dials(bare, "scene-1") == [f"{row.dial} s" for row in make_rows(odd.scene("scene-1").shots)]
 
 
 # --- timer, screen --------------------------------------------------------------------------------------------------

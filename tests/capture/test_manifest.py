@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from capture.calibration import plan_calibration
 from capture.cli import main
+from capture.shots import plan_calibration
 from eldata.base.files import sha256_of
 from eldata.manifest import load_manifest, verify
 from tests.capture.simulated import CAMERA, Nights, Taken, plan_of, shoot, whole_plan
@@ -216,7 +216,7 @@ def test_an_edited_mapping(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         ({"file": 1}, "shots[1].file: expected a text, found 1"),
         ({"file": "nowhere.dng"}, "expected one of the files given"),
         ({"note": "x"}, "field shots[1].note: is unknown; known are scene, number, shot, file"),
-        ({"file": "FIRST"}, "each file once (scene-1 frame 1 has it)"),
+        ({"file": "FIRST"}, "expected one of the files given, each once, with"),
         ({"file": "LAST"}, "asks for ISO 800, 1/200 s, and "),
     ],
 )

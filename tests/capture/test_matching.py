@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture.calibration import plan_calibration
 from capture.mapping import explain_metering
 from capture.matching import Match, match
 from capture.observed import Observed, ObservedFrame
+from capture.shots import plan_calibration
 from tests.capture.simulated import START, Taken, as_planned, plan_of
 from tests.cases import in_one_test
 
@@ -208,7 +208,7 @@ def test_a_retake_that_is_out_of_its_order_is_named_and_left_out() -> None:
     found = match(plan, observed)
     assert names(found) == truth
     assert [remark.kind for remark in found.remarks] == ["repeated"]
-    assert "DSC0016.ARW: ISO 800, 1/200 s, as scene-1 frame 4, for which other files" in found.remarks[0].text
+    assert "DSC0016.ARW: ISO 800, 1/200 s: for scene-1 frame 4 other files" in found.remarks[0].text
 
 
 @in_one_test("time", [160, 174])  # 0.32 and 0.2 stops off

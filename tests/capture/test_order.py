@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from capture.cli import main
-from capture.matching import match, other_reading
+from capture.matching import match, match_by_numbers
 from capture.observed import observe
 from eldata.manifest import load_manifest
 from tests.capture.simulated import CAMERA, Taken, plan_of, shoot, whole_plan
@@ -71,7 +71,7 @@ def test_names_that_agree_or_say_nothing_raise_no_question(tmp_path: Path, shuff
     plan = plan_of("4", "4", "4")
     shoot(tmp_path / "card", whole_plan(plan), shuffle=shuffle)
     observed = observe(sorted((tmp_path / "card").iterdir()), CAMERA.models)
-    assert other_reading(plan, observed, match(plan, observed)) is None
+    assert match_by_numbers(plan, observed, match(plan, observed)) is None
 
 
 def test_scenes_that_exposures_tell_apart_raise_no_question(tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_scenes_that_exposures_tell_apart_raise_no_question(tmp_path: Path) -> N
     observed = observe(sorted((tmp_path / "card").iterdir()), CAMERA.models)
     assert observed.numbered is not None
     assert observed.numbered.frames != observed.frames
-    assert other_reading(plan, observed, match(plan, observed)) is None
+    assert match_by_numbers(plan, observed, match(plan, observed)) is None
 
 
 def test_the_order_of_names_that_are_no_series_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from capture.calibration import plan_calibration
 from capture.check import check
 from capture.cli import main
 from capture.plan import Plan, make_plan
 from capture.protocol import CaptureProtocol
+from capture.shots import plan_calibration
 from eldata import CalibrationFrames
 from eldata.cli.main import main as eldata_main
 from eldata.datasets import PairDataset
@@ -111,7 +111,7 @@ def test_the_pixels_have_the_ratio_of_the_true_speeds(tmp_path: Path, capsys: py
     report = check(nights.csv, tmp_path / "data")
     pairs = report.groups[0].pairs
     noisy = [shot for shot in shots if shot.role == "noisy"]
-    assert [pair.path[-8:-4] for pair in pairs] == [f"{shot.number:04d}" for shot in noisy] == ["0003", "0004", "0005"]
+    assert [pair[-8:-4] for pair in pairs] == [f"{shot.number:04d}" for shot in noisy] == ["0003", "0004", "0005"]
     for pair, shot in zip(pairs, noisy, strict=True):
         ratio = report.groups[0].row(pair)["ratio"]
         assert shot.true_ratio is not None

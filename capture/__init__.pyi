@@ -1,4 +1,5 @@
 from .camera import CameraDescription as CameraDescription
+from .camera import Shutter as Shutter
 from .plan import Plan as Plan
 from .plan import make_plan as make_plan
 from .protocol import PAPER as PAPER
@@ -8,4 +9,3 @@ from .protocol import CaptureProtocol as CaptureProtocol
 from .protocol import ProtocolFrame as ProtocolFrame
 from .shots import CalibrationPlan as CalibrationPlan
 from .shots import plan_calibration as plan_calibration
-from .shutter import Shutter as Shutter

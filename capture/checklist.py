@@ -16,7 +16,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.capture_errors import ImpossibleShotError, PlanError
+from capture.capture_errors import CaptureError, ImpossibleShotError
 from capture.observed import f_text
 from capture.shots import WARM, ScenePlan, format_minutes, scene_shots
 from eldata.base.fields import TextFile
@@ -128,7 +128,7 @@ def read_steps(plan: Plan) -> tuple[str, ...]:
 
 @cache
 def _read_words() -> Mapping[str, Any]:
-    return TextFile(TEMPLATES / "checklist.toml", PlanError).toml().data
+    return TextFile(TEMPLATES / "checklist.toml", CaptureError).toml().data
 
 
 def _fill_in(text: str, plan: Plan) -> str:

@@ -14,7 +14,7 @@ from fractions import Fraction
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Final, Literal
 
-from capture.capture_errors import MappingError
+from capture.capture_errors import CaptureError
 from capture.matching import can_be
 from capture.plan import CALIBRATION
 from capture.shots import WARM
@@ -109,7 +109,7 @@ def make_dataset(
 
     Raises
     ------
-    MappingError
+    CaptureError
         If the files share only the root of the file system; or like :meth:`ExistingSet.rows_of`.
     """
     there = {} if existing is None else existing.rows_of(plan)
@@ -121,7 +121,7 @@ def make_dataset(
         # One folder above that of the files: eldata looks for unlisted files in the folders below a dataset's own.
         folder = Path(os.path.commonpath([path.parent.parent for path in files.values()]))
         if folder == folder.parent:
-            raise MappingError(f"the files have no folder in common but {folder}; use --copy-to")
+            raise CaptureError(f"the files have no folder in common but {folder}; use --copy-to")
         paths |= {slot: path.relative_to(folder).as_posix() for slot, path in files.items()}
     else:
         for scene, shot in plan.shots:
@@ -223,16 +223,16 @@ class ExistingSet:
         ------
         ManifestError
             If manifest or card are malformed.
-        MappingError
+        CaptureError
             If the manifest does not exist, or its files are not in this folder.
         """
         if not path.exists():
-            raise MappingError(f"{path}: this set does not exist yet; leave --append out for its first files")
+            raise CaptureError(f"{path}: this set does not exist yet; leave --append out for its first files")
         card, records = load_card(path.with_suffix(".json")), load_records(path)
         lacking = [record.path for record in records if not (folder / record.path).is_file()]
         if card.folder != folder.name or lacking:
             example = f", such as {lacking[0]}" if lacking else ""
-            raise MappingError(
+            raise CaptureError(
                 f"{folder} is not where the files of {path} are: its folder is called {card.folder}, and "
                 f"{counted(len(lacking), 'file')} of {len(records)} are not in the one given{example}. Name the "
                 "folder that they were copied or linked to"
@@ -244,7 +244,7 @@ class ExistingSet:
 
         Raises
         ------
-        MappingError
+        CaptureError
             If a shot of that name has other settings: the set has another scene of this name.
         """
         rows = {PurePosixPath(record.path).with_suffix("").as_posix(): record for record in self.records}
@@ -254,7 +254,7 @@ class ExistingSet:
             if record is None:
                 continue
             if not can_be(shot, record):
-                raise MappingError(
+                raise CaptureError(
                     f"{self.path} has {record.path}, taken at ISO {record.iso}, {record.exposure_s} s, and the plan "
                     f"asks for {shot.settings} there: they are different scenes. Give those of the plan other names, "
                     "as capture plan --scenes 11-15 does, or give this one its own metered time: capture plan --remeter"
@@ -267,39 +267,37 @@ class ExistingSet:
 
         Raises
         ------
-        MappingError
+        CaptureError
             Like :meth:`rows_of`.
         """
         there = self.rows_of(plan)
-        left: dict[str, tuple[Shot, ...]] = {}
-        for name, shot in plan.shots:
-            if (name, shot.number) not in there:
-                left[name] = (*left.get(name, ()), shot)
-        if not left:
-            return None
-        scenes = tuple(replace(scene, shots=left[scene.name]) for scene in plan.scenes if scene.name in left)
-        frames = plan.calibration
-        if frames is not None:
-            frames = replace(frames, shots=left[CALIBRATION]) if CALIBRATION in left else None
-        return replace(plan, scenes=scenes, calibration=frames)
+
+        def keep(scene: str, shots: Sequence[Shot]) -> tuple[Shot, ...]:
+            return tuple(shot for shot in shots if (scene, shot.number) not in there)
+
+        parts = [replace(scene, shots=keep(scene.name, scene.shots)) for scene in plan.scenes]
+        scenes = tuple(scene for scene in parts if scene.shots)
+        calibration = plan.calibration and replace(plan.calibration, shots=keep(CALIBRATION, plan.calibration.shots))
+        calibration = calibration if calibration and calibration.shots else None
+        return replace(plan, scenes=scenes, calibration=calibration) if scenes or calibration else None
 
     def join(self, plan: Plan, records: Sequence[FrameRecord]) -> Card:
         """Return the card of the set with the plan's rows in it; what the photographer wrote into it stays.
 
         Raises
         ------
-        MappingError
+        CaptureError
             If the card contradicts the manifest, or knows the plan's camera by other names in EXIF.
         """
         name, new = plan.camera.name, make_card(plan, self.card.name, self.card.folder, records)
         known = self.card.cameras.get(name)
         if known is not None and known != new.cameras[name]:
-            raise MappingError(
+            raise CaptureError(
                 f"{self.path} has files of {name}, whose model in EXIF is {' or '.join(known.models)}, and that of the "
                 f"plan's {name} is {' or '.join(plan.camera.models)}: give the other camera a name of its own"
             )
         if self.card.counts not in (counts_of(self.records), new.counts):
-            raise MappingError(
+            raise CaptureError(
                 f"{self.path}: its card expects {self.card.counts} rows per role, and it has "
                 f"{counts_of(self.records)}: correct the one that is wrong first"
             )
@@ -324,31 +322,33 @@ def place_files(rows: Sequence[Placement], how: Literal["copy", "link"], workers
 
     Raises
     ------
-    MappingError
+    CaptureError
         If a target holds something else, which is found before anything is written; if a source changed meanwhile; or
         if a link's target lies on another file system.
     """
+    missing = []
     for row in rows:
-        if os.path.lexists(row.target) and not _holds_file(row):
-            raise MappingError(
+        if not os.path.lexists(row.target):
+            missing.append(row)
+        elif not _holds_file(row):
+            raise CaptureError(
                 f"{row.target} is there already with another content than {row.path}; nothing was copied. Choose "
                 "another folder, or move that file away"
             )
-    for _ in workers.run(_copy if how == "copy" else _link, rows, label=how):
+    for row in missing:
+        row.target.parent.mkdir(parents=True, exist_ok=True)
+    for _ in workers.run(_copy if how == "copy" else _link, missing, label=how):
         pass
 
 
 def _copy(row: Placement) -> None:
-    if _holds_file(row):
-        return
-    row.target.parent.mkdir(parents=True, exist_ok=True)
     digest = hashlib.sha256()
     with row.path.open("rb") as reading, atomic_write(row.target) as writing:
         while piece := _read_piece(reading, row.path):
             digest.update(piece)
             writing.write(piece)
         if f"sha256:{digest.hexdigest()}" != row.record.sha256:
-            raise MappingError(f"{row.path} changed while it was being copied; run this again")
+            raise CaptureError(f"{row.path} changed while it was being copied; run this again")
         times = os.fstat(reading.fileno())
     os.utime(row.target, ns=(times.st_atime_ns, times.st_mtime_ns))
 
@@ -359,13 +359,10 @@ def _read_piece(file: IO[bytes], path: Path) -> bytes:
 
 
 def _link(row: Placement) -> None:
-    if _holds_file(row):
-        return
-    row.target.parent.mkdir(parents=True, exist_ok=True)
     try:
         row.target.hardlink_to(row.path)
     except OSError as error:
-        raise MappingError(
+        raise CaptureError(
             f"{row.target} cannot be a hard link to {row.path} ({error.strerror}); use --copy-to"
         ) from error
 

@@ -11,11 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.capture_errors import MappingError
+from capture.capture_errors import CaptureError
 from capture.matching import Match, MatchRemark, can_be, describe_missing, match
 from capture.observed import f_text, same_aperture
 from eldata.base.fields import TextFile
-from eldata.base.numbers import counted
 from eldata.errors import EldataError
 
 if TYPE_CHECKING:
@@ -58,11 +57,11 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
 
     Raises
     ------
-    MappingError
+    CaptureError
         If the file is malformed, names a shot that the plan does not have, or a file that was not given, is used twice
         or has settings different from its shot's; the message says which.
     """
-    top = TextFile(path, MappingError).json()
+    top = TextFile(path, CaptureError).json()
     top.only(("schema", "shots", "unused", "remarks"))
     top.schema(SCHEMA, "capture")
     shots = {(scene, shot.number): shot for scene, shot in plan.shots}
@@ -71,12 +70,10 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
     for fields in top.objects("shots"):
         fields.only(("scene", "number", "shot", "file"))
         slot = (fields.text("scene"), fields.whole("number", at_least=1))
-        if slot not in shots:
-            raise fields.wrong("number", f"a shot of the plan ({slot[0]} has none of this number)", slot[1])
+        if slot not in shots or slot in frames:
+            raise fields.wrong("number", f"a shot of the plan's {slot[0]}, each once", slot[1])
         if fields.value("file") is None:
             continue
-        if slot in frames:
-            raise fields.wrong("number", f"each shot once ({slot[0]} frame {slot[1]} has a file already)", slot[1])
         file = Path(fields.text("file")).resolve()
         if file not in left:
             raise fields.wrong("file", "one of the files given, each once, with the camera's ISO and time", str(file))
@@ -90,7 +87,7 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
         if frame is None:
             remarks.append(MatchRemark("missing", describe_missing(scene, shot), scene, number))
         elif not can_be(shot, frame):
-            raise MappingError(
+            raise CaptureError(
                 f"mapping, {scene} frame {number}: asks for {shot.settings}, and {frame.path} was taken at "
                 f"{frame.settings}: its ratio would be wrong. Choose another file, or null to leave the frame out"
             )
@@ -106,7 +103,7 @@ def explain_metering(plan: Plan, observed: Observed, found: Match) -> Match:
     used = {frame.path for frame in found.frames.values()}
     left = replace(observed, frames=tuple(frame for frame in observed.frames if frame.path not in used), unusable=())
     settings = {
-        plan.camera.nearest(frame.exposure_s) for frame in left.frames if frame.iso == plan.protocol.base_iso
+        plan.camera.round_to_nearest(frame.exposure_s) for frame in left.frames if frame.iso == plan.protocol.base_iso
     } - {None}
     remarks: list[MatchRemark] = []
     explained: set[Path] = set()
@@ -135,23 +132,18 @@ def explain_metering(plan: Plan, observed: Observed, found: Match) -> Match:
 
 
 def compare_apertures(plan: Plan, frames: Mapping[Slot, ObservedFrame]) -> tuple[MatchRemark, ...]:
-    """Name the files with another aperture than their scene in the plan, and those that state none."""
+    """Name the files with another aperture than their scene in the plan; a lens without contacts states none."""
     remarks = []
     for scene in plan.scenes:
-        taken = {shot.number: frames.get((scene.name, shot.number)) for shot in scene.shots if scene.aperture}
-        unknown = [frame.path.name for frame in taken.values() if frame and frame.f_number is None]
-        for number, frame in taken.items():
-            if frame and frame.f_number and scene.aperture and not same_aperture(frame.f_number, scene.aperture):
+        for shot in scene.shots:
+            frame = frames.get((scene.name, shot.number))
+            if frame is None or frame.f_number is None or scene.aperture is None:
+                continue
+            if not same_aperture(frame.f_number, scene.aperture):
                 text = (
-                    f"{frame.path.name} ({scene.name} frame {number}): taken at {f_text(frame.f_number)}, where the "
-                    f"plan has {f_text(scene.aperture)}: take the scene again; or, if all of it was taken so, "
+                    f"{frame.path.name} ({scene.name} frame {shot.number}): taken at {f_text(frame.f_number)}, where "
+                    f"the plan has {f_text(scene.aperture)}: take the scene again; or, if all of it was taken so, "
                     f"correct the plan with capture plan --aperture {scene.name}={float(frame.f_number):.4g}"
                 )
-                remarks.append(MatchRemark("aperture", text, scene.name, number, frame.path))
-        if unknown and scene.aperture:
-            text = (
-                f"{scene.name}: {counted(len(unknown), 'file')} without an aperture, such as {unknown[0]}, so that "
-                f"{f_text(scene.aperture)} cannot be checked; a lens without contacts states none"
-            )
-            remarks.append(MatchRemark("note", text, scene.name))
+                remarks.append(MatchRemark("aperture", text, scene.name, shot.number, frame.path))
     return tuple(remarks)

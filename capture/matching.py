@@ -21,11 +21,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
+from capture.camera import STOPS_TOLERANCE
 from capture.plan import CALIBRATION
-from capture.shutter import STOPS_TOLERANCE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from capture.observed import Observed, ObservedFrame
     from capture.plan import Plan
@@ -46,7 +46,7 @@ _NEAR_STOPS: Final = 1.05  # a wrong setting that was meant for a shot: up to a 
 
 Repeated = Literal["last", "first"]
 # Kinds of remarks for information only: there is nothing to decide.
-_HARMLESS: Final = ("scene-order", "no-times", "copies", "note")
+_HARMLESS: Final = ("scene-order", "no-times", "copies")
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,21 +97,12 @@ class Match:
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class ShotBlock:
     """Shots that are taken in one go: a scene, or the bias frames or flats of one ISO."""
 
     scene: str
     title: str
     shots: tuple[Shot, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """A block's frames by their indices, and the range in which its forgotten shots may be: up to its neighbours'."""
-
-    block: Block
-    frames: tuple[int | None, ...]
-    window: range
 
 
 def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Match:
@@ -139,26 +130,13 @@ def match(plan: Plan, observed: Observed, *, repeated: Repeated = "last") -> Mat
         text += f", nor are {len(more)} others alike" if more else ""
         remarks.append(MatchRemark("copies", text, path=path))
     matcher = _Matcher(plan, observed, repeated)
-    places = matcher.find_places()
+    windows = matcher.find_blocks()
     matcher.choose_repeats()
-    matcher.fill_gaps(places)
-    matcher.note_missing(places)
-    matcher.note_extra(places)
+    matcher.fill_gaps(windows)
+    matcher.note_missing(windows)
+    matcher.note_extra(windows)
     frames = {(block.scene, shot.number): observed.frames[i] for i, (block, shot) in matcher.used.items()}
     return Match(frames, (*remarks, *matcher.remarks))
-
-
-def match_by_numbers(plan: Plan, observed: Observed, by_clock: Match, *, repeated: Repeated = "last") -> Match | None:
-    """Match files by their numbers, if that is another reading and no less whole than the one by the clock.
-
-    Where all scenes have equal exposures, a clock that was put back between two of them exchanges them, and nothing but
-    the camera's counter contradicts it.
-    """
-    numbered = observed.numbered if observed.by_time else None
-    if numbered is None or numbered.frames == observed.frames:
-        return None
-    other = match(plan, numbered, repeated=repeated)
-    return other if len(other.frames) >= len(by_clock.frames) and other.frames != by_clock.frames else None
 
 
 def can_be(shot: Shot, frame: ObservedFrame | FrameRecord) -> bool:
@@ -173,13 +151,13 @@ def describe_missing(title: str, shot: Shot) -> str:
     return f"{title} frame {shot.number} ({shot.role}, {shot.settings}): no file"
 
 
-def list_blocks(plan: Plan) -> tuple[Block, ...]:
+def list_blocks(plan: Plan) -> tuple[ShotBlock, ...]:
     """List what is taken in one go: scenes, then bias frames and flats by ISO."""
-    blocks = [Block(scene.name, scene.name, scene.shots) for scene in plan.scenes]
+    blocks = [ShotBlock(scene.name, scene.name, scene.shots) for scene in plan.scenes]
     groups: dict[str, list[Shot]] = defaultdict(list)
     for shot in () if plan.calibration is None else plan.calibration.shots:
         groups[f"{shot.role} frames of ISO {shot.iso}{f' ({shot.series})' if shot.series else ''}"].append(shot)
-    return (*blocks, *(Block(CALIBRATION, title, tuple(shots)) for title, shots in groups.items()))
+    return (*blocks, *(ShotBlock(CALIBRATION, title, tuple(shots)) for title, shots in groups.items()))
 
 
 class _Matcher:
@@ -190,19 +168,22 @@ class _Matcher:
         self.frames = observed.frames
         self.repeated = repeated
         self.remarks: list[MatchRemark] = []
-        self.used: dict[int, tuple[Block, Shot]] = {}
+        self.used: dict[int, tuple[ShotBlock, Shot]] = {}
         shots = {shot.settings: shot for block in self.blocks for shot in block.shots}
         self.fitting = {
             settings: {index for index, frame in enumerate(self.frames) if can_be(shot, frame)}
             for settings, shot in shots.items()
         }
-        times = [frame.taken for frame in self.frames if frame.taken is not None and observed.order == "clock"]
+        times = [frame.taken for frame in self.frames if frame.taken is not None]
         known = len(times) == len(self.frames)
         self.times_s = [(time - times[0]).total_seconds() for time in times] if known else [0.0] * len(self.frames)
 
-    def find_places(self) -> list[_Place]:
-        """Find each block's stretch of frames, in the order of time, and use these frames for its shots."""
-        kinds: dict[tuple[str, ...], list[Block]] = defaultdict(list)
+    def find_blocks(self) -> dict[ShotBlock, range]:
+        """Find each block's stretch of frames, in the order of time, and use these frames for its shots.
+
+        Returns the frames among which a block's forgotten shots may be: up to its neighbours' own.
+        """
+        kinds: dict[tuple[str, ...], list[ShotBlock]] = defaultdict(list)
         for block in self.blocks:
             kinds[tuple(shot.settings for shot in block.shots)].append(block)
         alike = list(kinds)
@@ -211,7 +192,7 @@ class _Matcher:
             lambda sequence, shot, index: index in self.fitting[alike[sequence][shot]],
             self.times_s,
         )
-        placed: list[tuple[Block, tuple[int | None, ...]]] = []
+        placed: list[tuple[ShotBlock, tuple[int | None, ...]]] = []
         for sequence, blocks in enumerate(kinds.values()):
             kept = self._most_whole([frames for number, frames in stretches if number == sequence], blocks)
             placed += zip(blocks, kept, strict=False)
@@ -236,10 +217,10 @@ class _Matcher:
         ends = [_ends(frames) for _, frames in placed]
         starts = [0, *(last + 1 for _, last in ends)]
         stops = [*(first for first, _ in ends[1:]), len(self.frames)]
-        return [_Place(*pair, range(*window)) for pair, *window in zip(placed, starts, stops, strict=False)]
+        return {block: range(*ends) for block, *ends in zip(blocks, starts, stops, strict=False)}
 
     def _most_whole(
-        self, stretches: list[tuple[int | None, ...]], blocks: Sequence[Block]
+        self, stretches: list[tuple[int | None, ...]], blocks: Sequence[ShotBlock]
     ) -> list[tuple[int | None, ...]]:
         """Keep as many stretches as there are blocks: those with the most shots; of two equal ones, the later."""
         spare = len(stretches) - len(blocks)
@@ -302,28 +283,27 @@ class _Matcher:
     def _pause(self, index: int) -> float:
         return self.times_s[index] - self.times_s[index - 1] if index else 0.0
 
-    def fill_gaps(self, places: Sequence[_Place]) -> None:
+    def fill_gaps(self, windows: Mapping[ShotBlock, range]) -> None:
         """Give shots without a frame the frame with their settings that was taken elsewhere around the scene."""
-        for place in places:
-            at = self._indices(place.block)
-            for shot in place.block.shots:
+        for block, window in windows.items():
+            at = self._indices(block)
+            for shot in block.shots:
                 if shot.number in at:
                     continue
-                spare = [i for i in self._unexplained(place.window) if i in self.fitting[shot.settings]]
+                spare = [i for i in self._unexplained(window) if i in self.fitting[shot.settings]]
                 if not spare:
                     continue
-                middle = max((i for number, i in at.items() if number < shot.number), default=_ends(place.frames)[0])
+                middle = max((i for number, i in at.items() if number < shot.number), default=min(at.values()))
                 chosen = min(spare, key=lambda i: abs(i - middle))
-                self.used[chosen] = (place.block, shot)
+                self.used[chosen] = (block, shot)
                 after = [number for number, i in at.items() if i < chosen]
                 at[shot.number] = chosen
                 where = f"after frame {max(after, key=lambda number: at[number])}" if after else "before all others"
-                text = f"{self._name(chosen)}: {place.block.title} frame {shot.number}, taken out of order ({where})"
-                self._note("out-of-order", text, (place.block, shot), chosen)
+                text = f"{self._name(chosen)}: {block.title} frame {shot.number}, taken out of order ({where})"
+                self._note("out-of-order", text, (block, shot), chosen)
 
-    def note_missing(self, places: Sequence[_Place]) -> None:
+    def note_missing(self, windows: Mapping[ShotBlock, range]) -> None:
         """Name the shots without a frame, and a frame with nearly their settings that was meant for them."""
-        windows = {place.block: place.window for place in places}
         for block in self.blocks:
             at = self._indices(block)
             for shot in block.shots:
@@ -353,12 +333,12 @@ class _Matcher:
                 return index
         return None
 
-    def note_extra(self, places: Sequence[_Place]) -> None:
+    def note_extra(self, windows: Mapping[ShotBlock, range]) -> None:
         """Name the frames that are no shot's: repeated ones, and those that are not in the plan."""
         for index in self._unexplained(range(len(self.frames))):
             frame = self.frames[index]
             kind, text = "extra", "not a shot of the plan"
-            for block in (place.block for place in places if index in place.window):
+            for block in (block for block, window in windows.items() if index in window):
                 same = [str(shot.number) for shot in block.shots if index in self.fitting[shot.settings]]
                 if same:
                     text = f"for {block.title} frame {' or '.join(same[:4])} other files in the right order are used"
@@ -366,8 +346,8 @@ class _Matcher:
                     break
             self._note(kind, f"{frame.path.name}: {frame.settings}: {text}; not used", frame=index)
 
-    def _indices(self, block: Block) -> dict[int, int]:
-        """Return the frame that each shot of a block has by now, by the shot's number."""
+    def _indices(self, block: ShotBlock) -> dict[int, int]:
+        """Return the frame of each shot of a block so far, by the shot's number."""
         return {shot.number: index for index, (owner, shot) in self.used.items() if owner is block}
 
     def _unexplained(self, among: range) -> list[int]:
@@ -375,7 +355,7 @@ class _Matcher:
         explained = {remark.path for remark in self.remarks}
         return [i for i in among if i not in self.used and self.frames[i].path not in explained]
 
-    def _note(self, kind: str, text: str, of: tuple[Block, Shot] | None = None, frame: int | None = None) -> None:
+    def _note(self, kind: str, text: str, of: tuple[ShotBlock, Shot] | None = None, frame: int | None = None) -> None:
         """Remark on something, with the shot and the frame that it concerns."""
         path = None if frame is None else self.frames[frame].path
         scene, number = ("", None) if of is None else (of[0].scene, of[1].number)
@@ -385,7 +365,7 @@ class _Matcher:
         return self.frames[index].path.name
 
 
-def _titles(blocks: Sequence[Block]) -> str:
+def _titles(blocks: Sequence[ShotBlock]) -> str:
     return ", ".join(block.title for block in blocks)
 
 

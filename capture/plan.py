@@ -11,11 +11,10 @@ import re
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.camera import CameraDescription, camera_as_dict, camera_from, read_wholes
-from capture.capture_errors import PlanError, naming
+from capture.camera import CameraDescription, camera_as_dict, parse_seconds, read_camera, read_wholes
+from capture.capture_errors import CaptureError, naming
 from capture.protocol import CaptureProtocol
 from capture.shots import CalibrationPlan, ScenePlan, Shot, check_isos, plan_calibration, plan_scene, sum_duration_s
-from capture.shutter import parse_seconds
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
@@ -46,7 +45,7 @@ class Plan:
 
     Raises
     ------
-    PlanError
+    CaptureError
         If there is nothing to take, or a scene's name is not ``scene-<n>`` or occurs twice.
     """
 
@@ -58,16 +57,16 @@ class Plan:
     def __post_init__(self) -> None:
         check_isos(self.camera, self.protocol)
         if not self.scenes and self.calibration is None:
-            raise PlanError("a plan needs at least one scene, or calibration frames; found neither")
+            raise CaptureError("a plan needs at least one scene, or calibration frames; found neither")
         names: list[str] = []
         for scene in self.scenes:
             if _SCENE.fullmatch(scene.name) is None:
-                raise PlanError(
+                raise CaptureError(
                     f"scene name: expected scene-1, scene-2 and so on, as the dataset's folders are called; found "
                     f"{scene.name!r} (what it shows belongs in its notes)"
                 )
             if scene.name in names:
-                raise PlanError(f"scene names: expected each once, found {scene.name} twice")
+                raise CaptureError(f"scene names: expected each once, found {scene.name} twice")
             names.append(scene.name)
 
     @property
@@ -92,21 +91,21 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the name is unknown; the message lists the plan's scenes.
         """
         for scene in self.scenes:
             if scene.name == name:
                 return scene
         known = ", ".join(scene.name for scene in self.scenes) or "none"
-        raise PlanError(f"the plan has no scene called {name!r}; it has {known}")
+        raise CaptureError(f"the plan has no scene called {name!r}; it has {known}")
 
     def add_scene(self, name: str, metered_s: Fraction) -> Plan:
         """Return the plan with one more scene at its end; as it is if it has that very scene.
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the name is not ``scene-<n>`` or is taken.
         ImpossibleShotError
             If one of its shots is beyond the camera.
@@ -120,7 +119,7 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the scene is unknown.
         ImpossibleShotError
             If one of its shots is beyond the camera.
@@ -134,7 +133,7 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the scene is unknown.
         """
         return self._with(replace(self.scene(name), aperture=aperture))
@@ -144,7 +143,7 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the scene is unknown.
         """
         scene = self.scene(name)
@@ -158,11 +157,11 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If a scene is unknown, or there are no calibration frames.
         """
         if CALIBRATION in names and self.calibration is None:
-            raise PlanError("the plan has no calibration frames")
+            raise CaptureError("the plan has no calibration frames")
         wanted = {self.scene(name).name for name in names if name != CALIBRATION}
         return replace(
             self,
@@ -190,15 +189,15 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the file cannot be read, a field is missing, unknown or wrong, or the shots are not those that follow
             from the rest; the message names the field, what was expected and what was found.
         """
-        top = TextFile(path, PlanError).json()
+        top = TextFile(path, CaptureError).json()
         top.only(("schema", "camera", "protocol", "scenes", "calibration"))
         top.schema(SCHEMA, "capture")
-        with naming(path, PlanError):
-            camera = camera_from(top.inside("camera"))
+        with naming(path):
+            camera = read_camera(top.inside("camera"))
             protocol = _read_protocol(top.inside("protocol"))
             check_isos(camera, protocol)
             scenes = tuple(_read_scene(scene, camera, protocol) for scene in top.objects("scenes"))
@@ -218,7 +217,7 @@ def make_plan(
 
     Raises
     ------
-    PlanError
+    CaptureError
         If there is nothing to take, a name is not ``scene-<n>``, or the camera does not have one of the ISOs.
     ImpossibleShotError
         If one of the shots is beyond the camera.

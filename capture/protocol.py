@@ -9,7 +9,6 @@ one after an ISO is also the one before the next, so three ISOs come with four r
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -160,26 +159,19 @@ def _frames(protocol: CaptureProtocol) -> tuple[ProtocolFrame, ...]:
         settings += [(iso, factor) for factor in sorted(protocol.low_light_factors) for _ in range(protocol.repeats)]
         settings += [(protocol.base_iso, None)] * protocol.references
     references = [number for number, (_, factor) in enumerate(settings, 1) if factor is None]
-    return tuple(
-        ProtocolFrame(number, "reference", iso, None, None)
-        if factor is None
-        else ProtocolFrame(number, "noisy", iso, factor, _nearest(references, number))
-        for number, (iso, factor) in enumerate(settings, 1)
-    )
-
-
-def _nearest(references: list[int], number: int) -> int:
-    # The references rise, and min() returns the first of two that are equally near: the earlier.
-    after = bisect_left(references, number)
-    near = references[max(after - 1, 0) : after + 1]
-    return min(near, key=lambda reference: abs(number - reference))
+    frames = []
+    for number, (iso, factor) in enumerate(settings, 1):
+        if factor is None:
+            frames.append(ProtocolFrame(number, "reference", iso, None, None))
+            continue
+        nearest = min(references, key=lambda reference, number=number: (abs(number - reference), reference))  # type: ignore[misc]
+        frames.append(ProtocolFrame(number, "noisy", iso, factor, nearest))
+    return tuple(frames)
 
 
 def _check_distinct(name: str, values: object) -> None:
-    if not isinstance(values, tuple):
-        raise ArgumentError(f"{name} must be a tuple of positive whole numbers, found {values!r}")
-    if not values:
-        raise ArgumentError(f"{name} must hold at least one positive whole number, found none")
+    if not isinstance(values, tuple) or not values:
+        raise ArgumentError(f"{name} must be a tuple of one or more positive whole numbers, found {values!r}")
     for index, value in enumerate(values):
         checked_whole(f"every value of {name}", value, at_least=1)
         if value in values[:index]:

@@ -24,15 +24,14 @@ from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from capture.capture_errors import ImpossibleShotError, PlanError
-from capture.shutter import ExactNumber, as_exact
+from capture.camera import ExactNumber, as_exact
+from capture.capture_errors import CaptureError, ImpossibleShotError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
-    from capture.camera import CameraDescription
+    from capture.camera import CameraDescription, ShutterTime
     from capture.protocol import CaptureProtocol, ProtocolFrame
-    from capture.shutter import ShutterTime
     from eldata.records import Role
 
 # As in eldata verify, which refuses a pair whose ratio is further off its nominal one.
@@ -139,7 +138,7 @@ def scene_shots(camera: CameraDescription, protocol: CaptureProtocol, metered_s:
 
     Raises
     ------
-    PlanError
+    CaptureError
         If the camera does not have one of the protocol's ISOs.
     ImpossibleShotError
         If a shot needs a time that the camera does not have; the message says what to change.
@@ -160,7 +159,7 @@ def check_isos(camera: CameraDescription, protocol: CaptureProtocol) -> None:
 
 def _check_iso(camera: CameraDescription, iso: int) -> None:
     if iso not in camera.isos:
-        raise PlanError(
+        raise CaptureError(
             f"{camera.name} has no ISO {iso}; it has {', '.join(map(str, camera.isos))}: choose others, or correct the "
             "camera description"
         )
@@ -177,7 +176,7 @@ def _shots_or_none(
 ) -> tuple[Shot, ...] | ProtocolFrame:
     """Return the shots, or the first frame that the camera cannot take."""
     frames = protocol.frames()
-    base = camera.named(metered_s) or camera.nearest(metered_s)
+    base = camera.find_marked(metered_s) or camera.round_to_nearest(metered_s)
     if base is None:
         return frames[0]
     shots = []
@@ -194,7 +193,7 @@ def _shots_or_none(
             shots.append(replace(before, number=frame.number, reference=frame.reference))
             continue
         light = _light_share(camera, protocol, frame)
-        setting = camera.nearest(base.true_exact * light)
+        setting = camera.round_to_nearest(base.true_exact * light)
         if setting is None:
             return frame
         ratios = (
@@ -287,21 +286,17 @@ class ScenePlan:
         base = self.shots[0].setting
         if base.nominal_s != self.metered_s:
             found.append(f"metered at {self.metered_s} s, set as {base.dial} s, the camera's nearest time")
-        far = [shot for shot in self.shots if _far_off(shot)]
+        far = []
+        for shot in self.shots:
+            ratios = [float(ratio) for ratio in (shot.true_ratio, shot.named_ratio) if ratio is not None]
+            if any(abs(ratio - (shot.factor or 0)) > RATIO_TOLERANCE * (shot.factor or 0) for ratio in ratios):
+                far.append(str(shot.number))
         if far:
-            listed = ", ".join(str(shot.number) for shot in far)
             found.append(
-                f"frames {listed}: the ratio is more than {float(100 * RATIO_TOLERANCE):.0f} % off its factor, which "
-                "eldata verify refuses; set the camera to thirds of a stop, or meter another time"
+                f"frames {', '.join(far)}: the ratio is more than {float(100 * RATIO_TOLERANCE):.0f} % off its factor, "
+                "which eldata verify refuses; set the camera to thirds of a stop, or meter another time"
             )
         return tuple(found)
-
-
-def _far_off(shot: Shot) -> bool:
-    if shot.factor is None or shot.true_ratio is None or shot.named_ratio is None:
-        return False
-    ratios = (float(shot.true_ratio), float(shot.named_ratio))
-    return any(abs(ratio - shot.factor) > RATIO_TOLERANCE * shot.factor for ratio in ratios)
 
 
 def plan_scene(
@@ -311,14 +306,14 @@ def plan_scene(
 
     Raises
     ------
-    PlanError
+    CaptureError
         If the camera does not have one of the protocol's ISOs.
     ImpossibleShotError
         If one of its shots is beyond the camera; the message names the scene and says what to change.
     """
     try:
         return ScenePlan(name, metered_s, scene_shots(camera, protocol, metered_s), notes)
-    except PlanError as error:
+    except CaptureError as error:
         raise type(error)(f"{name}: {error}") from None
 
 
@@ -397,7 +392,7 @@ def plan_calibration(
 
     Raises
     ------
-    PlanError
+    CaptureError
         If the camera lacks an ISO or a time, or a number is out of range.
     ImpossibleShotError
         If a flat needs a time that the camera does not have; the message says what to change.
@@ -414,25 +409,25 @@ def plan_calibration(
     for iso in isos:
         _check_iso(camera, iso)
     if not isos or list(isos) != sorted(set(isos)):
-        raise PlanError(f"calibration ISOs: expected one or more, rising; found {list(isos)}")
+        raise CaptureError(f"calibration ISOs: expected one or more, rising; found {list(isos)}")
     if not LEAST_BIAS_FRAMES <= bias_frames <= _MOST_FRAMES:
-        raise PlanError(f"bias frames per ISO: expected {LEAST_BIAS_FRAMES} to {_MOST_FRAMES}, found {bias_frames}")
+        raise CaptureError(f"bias frames per ISO: expected {LEAST_BIAS_FRAMES} to {_MOST_FRAMES}, found {bias_frames}")
     if (
         not flat_levels
         or list(flat_levels) != sorted(set(flat_levels))
         or not 0 < flat_levels[0] <= flat_levels[-1] < 1
     ):
-        raise PlanError(
+        raise CaptureError(
             f"flat levels: expected shares between 0 and 1, rising; found {', '.join(map(str, flat_levels))}"
         )
     shots: list[Shot] = []
     remarks: list[str] = []
-    named = camera.named(flat_clips_at_s)
+    named = camera.find_marked(flat_clips_at_s)
     clips_at = as_exact(flat_clips_at_s) if named is None else named.true_exact  # what the camera gives for it
     capped = [
         Shot(0, "bias", iso, camera.fastest.nominal_s, camera.fastest) for iso in isos for _ in range(bias_frames)
     ]
-    shots += _numbered(capped, 1)
+    shots += capped
     for iso in isos:
         taken: list[Fraction] = []
         for level in flat_levels:
@@ -446,16 +441,12 @@ def plan_calibration(
                 )
                 continue
             taken.append(setting.nominal_s)
-            numbers = range(len(shots) + 1, len(shots) + 1 + FRAMES_PER_LEVEL)
-            shots += [Shot(n, "flat", iso, target_s, setting, level=level) for n in numbers]
+            shots += [Shot(0, "flat", iso, target_s, setting, level=level)] * FRAMES_PER_LEVEL
     # Behind the others, which so keep their numbers when these are added to a plan that is being shot.
     if warm:
-        shots += _numbered((replace(shot, series=WARM) for shot in capped), len(shots) + 1)
-    return CalibrationPlan(isos, bias_frames, flat_levels, flat_clips_at_s, tuple(shots), tuple(remarks), warm)
-
-
-def _numbered(shots: Iterable[Shot], first: int) -> list[Shot]:
-    return [replace(shot, number=number) for number, shot in enumerate(shots, first)]
+        shots += (replace(shot, series=WARM) for shot in capped)
+    numbered = tuple(replace(shot, number=number) for number, shot in enumerate(shots, 1))
+    return CalibrationPlan(isos, bias_frames, flat_levels, flat_clips_at_s, numbered, tuple(remarks), warm)
 
 
 def _flat_setting(
@@ -463,7 +454,7 @@ def _flat_setting(
 ) -> ShutterTime:
     what = f"the flat of {float(100 * level):.0f} % at ISO {iso} needs {float(wanted):.3g} s"
     # Rounded down, never up: a flat that clips is of no use, a darker one is.
-    setting = camera.not_above(wanted)
+    setting = camera.round_down(wanted)
     if setting is None or setting == camera.fastest:
         second = camera.shutter.times[min(1, len(camera.shutter.times) - 1)]
         least_s = float(second.true_exact / wanted) * float(clips_at_s)

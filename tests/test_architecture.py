@@ -485,7 +485,7 @@ def commands(parser, before=()):
         if isinstance(action, argparse._SubParsersAction):
             for name, below in action.choices.items(): yield from commands(below, (*before, name))
 found = list(commands(command_line.parser()))
-if len(found) < 8: raise SystemExit(f'only {{found}}')
+if len(found) < 7: raise SystemExit(f'only {{found}}')
 for command in found:
     code = command_line.main([*command, '--help'])
     heavy = [name for name in {heavy} if name in sys.modules]

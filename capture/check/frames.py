@@ -21,7 +21,6 @@ from eldata.errors import EldataError, UnusableRawError
 from eldata.isp.preview import srgb_encode
 from eldata.raw.cfa import packing_sites
 from eldata.raw.levels import differ_in_white, mean_levels, packed_black_level_dn
-from eldata.records import FrameRecord, RawHeader, Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.workers import Workers
+    from eldata.records import Exposure, FrameRecord, Sensor
 
     Mosaic = NDArray[np.uint16]
 
@@ -208,24 +208,19 @@ class ReducedFrame:
     """
 
     record: FrameRecord
-    header: RawHeader
+    exposure: Exposure
     sensor: Sensor
     cells: Cells
     luminance: NDArray[np.float32]
     empty_share: float
 
-    def cells_beside(self, reference: Sensor) -> Cells:
+    def scale_cells_to(self, reference: Sensor) -> Cells:
         """Return the cells in a reference's DN: as large a share of white, whatever the bits of either file."""
         levels, of_reference = mean_levels(self.sensor), mean_levels(reference)
         if levels[1] == of_reference[1] or differ_in_white(levels, of_reference):
             return self.cells  # one DN scale, also where a file states a wrong black
         scale = (of_reference[1] - of_reference[0]) / (levels[1] - levels[0])
         return replace(self.cells, mean_dn=self.cells.mean_dn * np.float32(scale), range_dn=self.cells.range_dn * scale)
-
-    @property
-    def scale(self) -> int:
-        """Mosaic pixels along each side of a packed pixel."""
-        return packing_sites(self.sensor.cfa).scale
 
 
 def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
@@ -245,8 +240,7 @@ def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
             return error
         packed = pack(mosaic, frame.sensor.cfa)
         cells = reduce_to_cells(mosaic, frame.sensor, packed)
-        header = RawHeader(frame.path, frame.sensor.make, frame.sensor.model, frame.exposure)
-        return ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells), empty_share(mosaic))
+        return ReducedFrame(record, frame.exposure, frame.sensor, cells, luminance(packed, cells), empty_share(mosaic))
 
     first: tuple[str, Sensor] | None = None
     for record, frame in zip(unit.records, unit.workers.read_ahead(reduce, unit.records), strict=True):
@@ -257,23 +251,17 @@ def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
             group.remark(record.path, text, "shoot again")
             continue
         first = first or (record.path, frame.sensor)
-        problem = _other_kind(*first, frame.sensor)
-        if problem is None:
-            yield frame
+        (path, ours), theirs = first, frame.sensor
+        kinds = {
+            "camera": (theirs.model, ours.model),
+            "size": ((theirs.width, theirs.height), (ours.width, ours.height)),
+            "colour filter array": (theirs.cfa, ours.cfa),
+        }
+        problems = [f"{kind} {one}, where {path} has {other}" for kind, (one, other) in kinds.items() if one != other]
+        if problems:
+            group.remark(record.path, f"{problems[0]}; take all frames with one camera and raw format", "shoot again")
         else:
-            group.remark(record.path, problem, "shoot again")
-
-
-def _other_kind(path: str, ours: Sensor, theirs: Sensor) -> str | None:
-    """Return why a frame cannot be compared with that of ``path``, or ``None``."""
-    for name, one, two in (
-        ("camera", ours.model, theirs.model),
-        ("size", (ours.width, ours.height), (theirs.width, theirs.height)),
-        ("colour filter array", ours.cfa, theirs.cfa),
-    ):
-        if one != two:
-            return f"{name} {two}, where {path} has {one}; take all frames with one camera and raw format"
-    return None
+            yield frame
 
 
 def file_name(path: str) -> str:
@@ -286,7 +274,7 @@ def file_name(path: str) -> str:
 
 def scene_picture(frame: ReducedFrame, gain: float) -> SheetPicture:
     """Return a frame as a picture, amplified."""
-    iso, time = frame.header.exposure.iso, frame.header.exposure.exposure_s
+    iso, time = frame.exposure.iso, frame.exposure.exposure_s
     settings = f"ISO {float(iso):g}" if iso is not None else "ISO ?"
     settings += f", {exposure_text(time)}" if time is not None else ""
     amplified = f", x{gain:g}" if gain != 1 else ""

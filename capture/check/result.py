@@ -97,17 +97,14 @@ def _error_at(score_db: float) -> float:
 
 LIGHT_LOOK: Final = _error_at(LOOK_DB) / RMS_OF_SCENE
 LIGHT_AGAIN: Final = _error_at(BEST_PSNR_DB) / RMS_OF_SCENE
-LIGHT_SOURCE: Final = (
-    f"light off by that share leaves a perfect denoiser {LOOK_DB} dB, at an rms of {RMS_OF_SCENE} of full scale; to "
-    f"shoot again: {BEST_PSNR_DB} dB, the best published denoising (ELD x100)"
-)
-
 SHIFT_LOOK_PX: Final = _error_at(LOOK_DB) / RMS_GRADIENT
 SHIFT_AGAIN_PX: Final = _error_at(BEST_PSNR_DB) / RMS_GRADIENT
-SHIFT_SOURCE: Final = (
-    f"a shift of that length leaves a perfect denoiser {LOOK_DB} dB, at an rms slope of {RMS_GRADIENT} of full scale a "
-    f"pixel; to shoot again: {BEST_PSNR_DB} dB, the best published denoising (ELD x100)"
+_SOURCE: Final = (
+    f"{{}} leaves a perfect denoiser {LOOK_DB} dB, at an {{}}; to shoot again: {BEST_PSNR_DB} dB, the best published "
+    "denoising (ELD x100)"
 )
+LIGHT_SOURCE: Final = _SOURCE.format("light off by that share", f"rms of {RMS_OF_SCENE} of full scale")
+SHIFT_SOURCE: Final = _SOURCE.format("a shift of that length", f"rms slope of {RMS_GRADIENT} of full scale a pixel")
 
 # The nominal ratio only names a frame: by it frames are grouped, and swapped ones are found.
 RATIO_LOOK: Final = float(RATIO_TOLERANCE)

@@ -13,6 +13,7 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
+from capture.camera import ladder
 from capture.check.frames import ReducedFrame, Unit, change_picture, file_name, reduced_frames, scene_picture
 from capture.check.ratio import brightest_level, brightness_ratios, changed_share, fit_ratio
 from capture.check.result import (
@@ -25,11 +26,10 @@ from capture.check.result import (
     Estimate,
     find_kind,
 )
-from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
+from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles, shift_length
 from capture.observed import f_text, same_aperture
-from capture.shutter import ladder
-from eldata.errors import RawFileError
 from eldata.manifest.pairs import UNCERTAIN_ISO
+from eldata.raw.cfa import packing_sites
 from eldata.raw.levels import mean_levels, white_remark
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from capture.check.ratio import RatioFit
     from capture.check.result import MeasureKind
     from capture.check.shift import Tiles
-    from eldata.records import Exposure, FrameRecord, RawHeader
+    from eldata.records import Exposure, FrameRecord
 
 _STEPS: Final = (Fraction(1, 3), Fraction(1, 2))
 
@@ -73,7 +73,7 @@ def check_scene(unit: Unit) -> CheckedGroup:
         shown = [frame for frame in later if frame is later[-1] or group.verdict_of(frame.record.path) != "keep"]
         group.pictures[:0] = [
             *(scene_picture(frame, 1.0) for frame in (first, *later[-1:])),
-            *(change_picture(first, replace(frame, cells=frame.cells_beside(first.sensor))) for frame in shown),
+            *(change_picture(first, replace(frame, cells=frame.scale_cells_to(first.sensor))) for frame in shown),
         ]
         if not later:
             text = "is the only reference: whether the light changed or the camera moved cannot be told"
@@ -83,7 +83,7 @@ def check_scene(unit: Unit) -> CheckedGroup:
 
 def _compare_aperture(frame: ReducedFrame, known: list[tuple[str, Fraction]], group: CheckedGroup) -> None:
     """Remark on a frame whose EXIF states another aperture than the scene's first file that states one."""
-    path, f_number = frame.record.path, frame.header.exposure.f_number
+    path, f_number = frame.record.path, frame.exposure.f_number
     if f_number is None:
         return
     known.append((path, f_number))
@@ -101,7 +101,7 @@ def _compare_aperture(frame: ReducedFrame, known: list[tuple[str, Fraction]], gr
 
 def _compare_references(first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, group: CheckedGroup) -> None:
     """Measure a later reference against the first: light, place and focus, and what moved."""
-    frame = replace(frame, cells=frame.cells_beside(first.sensor))
+    frame = replace(frame, cells=frame.scale_cells_to(first.sensor))
     path, against = frame.record.path, file_name(first.record.path)
     brightness = _measure_light(first, frame, against, group)
     cut = None if tiles is None else moved_tiles(tiles, frame.luminance)
@@ -110,7 +110,12 @@ def _compare_references(first: ReducedFrame, tiles: Tiles | None, frame: Reduced
         text = "has too little detail to tell whether the camera moved: put something with edges into the scene"
         group.remark(path, text)
         return
-    if group.measure("shift", path, shift.length(cut[2], frame.scale), against=against).verdict != "keep":
+    if (
+        group.measure(
+            "shift", path, shift_length(shift, cut[2], packing_sites(frame.sensor.cfa).scale), against=against
+        ).verdict
+        != "keep"
+    ):
         return  # what is measured pixel by pixel would show the shift again
     focus = measure_focus(cut[0], cut[1], shift, brightness)
     # Out of focus, edges differ everywhere.
@@ -152,8 +157,8 @@ def _check_pair(
     remark = white_remark(mean_levels(frame.sensor), mean_levels(reference.sensor))
     if remark is not None:
         group.remark(path, remark, "keep")
-    cells = frame.cells_beside(reference.sensor)
-    exif_ratio = _exif_ratio(reference.header, frame.header)
+    cells = frame.scale_cells_to(reference.sensor)
+    exif_ratio = _exif_ratio(reference.exposure, frame.exposure)
     nominal = record.ratio
     expected = nominal or exif_ratio
     fit = fit_ratio(reference.cells, cells, None if expected is None else float(expected))
@@ -177,7 +182,7 @@ def _check_pair(
         kind = _ratio_kind("ratio", nominal, RATIO_LOOK, RATIO_AGAIN, advice)
         group.measure(kind, path, ratio, against=against, ratio=_number(nominal))
     if exif_ratio is not None:
-        again, advice = _judge_exif(record, ratio, _given_ratios(reference.header.exposure, frame.header.exposure))
+        again, advice = _judge_exif(record, ratio, _given_ratios(reference.exposure, frame.exposure))
         kind = _ratio_kind("EXIF ratio", exif_ratio, LIGHT_LOOK, again, advice)
         group.measure(kind, path, ratio, against=against, ratio=_number(exif_ratio))
     changed = changed_share(reference.cells, cells, fit.slope.value, fit.offset_dn)
@@ -202,13 +207,10 @@ def _measure_black(
 # --- ratios -------------------------------------------------------------------------------------------------------
 
 
-def _exif_ratio(reference: RawHeader, noisy: RawHeader) -> Fraction | None:
-    from eldata.raw.reading import exposure_ratio
-
-    try:
-        return exposure_ratio(reference, noisy)
-    except RawFileError:
+def _exif_ratio(reference: Exposure, noisy: Exposure) -> Fraction | None:
+    if not (reference.iso and reference.exposure_s and noisy.iso and noisy.exposure_s):
         return None
+    return reference.iso * reference.exposure_s / (noisy.iso * noisy.exposure_s)
 
 
 def _given_ratios(reference: Exposure, noisy: Exposure) -> list[float]:

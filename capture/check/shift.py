@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Spectra = NDArray[np.complexfloating[Any, Any]]
+    # How far the second frame lies below the first and to its right, in packed pixels; tiles where something in the
+    # scene moved are left out.
+    Shift = tuple[Estimate, Estimate]
 
 _SIDES: Final = (256, 128, 64, 32)
 _LEAST_TILES_A_SIDE: Final = 3  # with the largest tiles; smaller frames take smaller tiles
@@ -54,34 +57,15 @@ class Tiles:
     side: int
 
 
-@dataclass(frozen=True, slots=True)
-class Shift:
-    """How far the second frame lies from the first, in packed pixels.
+def shift_length(shift: Shift, pixels: tuple[int, int], scale: int) -> Estimate:
+    """Return the distance between two frames, which lie ``pixels`` more apart than a shift, times ``scale``.
 
-    Attributes
-    ----------
-    down, right
-        Of the whole frame, with standard errors; tiles where something in the scene moved are left out.
+    Its standard error is the larger of the two.
     """
-
-    down: Estimate
-    right: Estimate
-
-    def undo(self, side: int) -> Spectra:
-        """Return the factors that undo it in the spectrum of a tile."""
-        ones = np.ones(1)
-        factors: Spectra = _unshift(self.down.value * ones, self.right.value * ones, side)[0]
-        return factors
-
-    def length(self, pixels: tuple[int, int], scale: int) -> Estimate:
-        """Return the distance between the frames, which lie ``pixels`` more apart, times ``scale``.
-
-        Its standard error is the larger of the two.
-        """
-        down, right = (value + whole for value, whole in zip((self.down.value, self.right.value), pixels, strict=True))
-        return Estimate(
-            scale * float(np.hypot(down, right)), scale * max(self.down.standard_error, self.right.standard_error)
-        )
+    moved = [estimate.value + whole for estimate, whole in zip(shift, pixels, strict=True)]
+    return Estimate(
+        scale * float(np.hypot(moved[0], moved[1])), scale * max(estimate.standard_error for estimate in shift)
+    )
 
 
 def make_tiles(image: NDArray[np.float32]) -> Tiles | None:
@@ -213,7 +197,8 @@ def _combined(values: NDArray[np.float64], errors: NDArray[np.float64]) -> Shift
     # Where the tiles scatter more than their errors say, the scatter counts.
     chi2 = (weights * (values - mean[:, None]) ** 2).sum(axis=1) / max(1, count - 1)
     found = np.sqrt(np.maximum(chi2, 1) / weights.sum(axis=1))
-    return Shift(*(Estimate(float(value), float(error)) for value, error in zip(mean, found, strict=True)))
+    down, right = (Estimate(float(value), float(error)) for value, error in zip(mean, found, strict=True))
+    return down, right
 
 
 def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
@@ -238,7 +223,8 @@ def measure_focus(first: Tiles, second: Tiles, shift: Shift, brightness: float) 
     fy, fx = _frequencies(side)
     radius = np.hypot(fy, fx)
     band = (radius >= _FOCUS_BAND[0]) & (radius <= _FOCUS_BAND[1])
-    undo = shift.undo(side)[band] / brightness
+    down, right = (np.array([estimate.value]) for estimate in shift)
+    undo = _unshift(down, right, side)[0][band] / brightness
     one = first.spectra[:, band]
     two = second.spectra[:, band] * undo
     power_1, power_2 = (np.sum(np.abs(spectra) ** 2, axis=1, dtype=np.float64) for spectra in (one, two))

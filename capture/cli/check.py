@@ -22,14 +22,8 @@ if TYPE_CHECKING:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     parser.add_argument("manifest", metavar="MANIFEST", help="the manifest's CSV file, its card beside it")
-    parser.add_argument(
-        "--scene",
-        action="append",
-        dest="scenes",
-        default=[],
-        metavar="N",
-        help="only this scene, by name or number, and no calibration frames; may be repeated",
-    )
+    scene = "only this scene, by name or number, and no calibration frames; may be repeated"
+    parser.add_argument("--scene", action="append", dest="scenes", default=[], metavar="N", help=scene)
     add_cameras(parser)
     add_output(
         parser, "--sheet", type=name_ending(".html"), help="write a contact sheet, an HTML page that needs no network"

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from capture.cli.values import add_plan, load_plan, name_ending
-from capture.observed import ORDERS
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import json_text, write_json, write_text
 from eldata.base.outputs import add_output
@@ -55,33 +54,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     place.add_argument("--copy-to", metavar="DIR", help="copy the files to DIR/<camera>/scene-<n>/IMG_<nnnn>.<ext>")
     place.add_argument("--link-to", metavar="DIR", help="the same with hard links, which take no space")
     parser.add_argument("--mapping", metavar="FILE", help="use this mapping of files to shots (JSON)")
-    parser.add_argument(
-        "--repeated",
-        choices=("last", "first"),
-        default="last",
-        help="which of the frames of a shot that was taken several times in a row (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--order",
-        choices=ORDERS,
-        help="what to believe where the files' numbers contradict the camera's clock; without it, both readings are "
-        "shown and nothing is written",
-    )
+    repeated = "which of the frames of a shot that was taken several times in a row (default: %(default)s)"
+    parser.add_argument("--repeated", choices=("last", "first"), default="last", help=repeated)
     parser.add_argument("--allow-gaps", action="store_true", help="write the manifest even if shots are missing")
     parser.add_argument("--yes", action="store_true", help="accept what was decided, without asking")
     older = parser.add_mutually_exclusive_group()
     older.add_argument("--replace", action="store_true", help="replace an older manifest of this name")
-    older.add_argument(
-        "--append",
-        action="store_true",
-        help="join the set that this manifest lists: another card, night or camera; with --copy-to or --link-to",
-    )
+    joins = "join the set that this manifest lists: another card, night or camera; with --copy-to or --link-to"
+    older.add_argument("--append", action="store_true", help=joins)
     add_shared(parser, run, "jobs", json=True)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from capture.mapping import compare_apertures, mapping_as_dict
+    from capture.mapping import compare_apertures, explain_metering, load_mapping, mapping_as_dict
+    from capture.matching import match
     from capture.observed import observe, raw_files
 
     output, place = Path(arguments.output), arguments.copy_to or arguments.link_to
@@ -99,27 +86,16 @@ def run(arguments: argparse.Namespace) -> int:
         if there:
             print(f"{output}: has {there} of the plan's {len(plan.shots)} shots; the others are:\n")
     part = lacking or plan
-    if arguments.order == "numbers":
-        if observed.numbered is None:
-            raise ArgumentError(
-                "--order numbers: the files' names are not one series of numbers, each once; use --order clock"
-            )
-        observed = observed.numbered
-    found, other = _match_files(arguments, part, observed)
+    if arguments.mapping is not None:
+        found = load_mapping(arguments.mapping, part, observed)
+    else:
+        found = explain_metering(part, observed, match(part, observed, repeated=arguments.repeated))
     found = replace(found, remarks=(*found.remarks, *compare_apertures(part, found.frames)))
-    if other is not None:
-        print("by the camera's clock:")
     print(format_match(part, observed, found))
     if arguments.json:
-        second = {} if other is None else {"by_numbers": mapping_as_dict(part, observed, other)}
-        write_json(arguments.json, mapping_as_dict(part, observed, found) | second)
+        write_json(arguments.json, mapping_as_dict(part, observed, found))
     if not found.frames:
         print("\nno file is a shot of this plan; nothing was written. Is it the right plan, with the right camera?")
-        return PROBLEMS
-    if other is not None:
-        print(f"\nby the numbers of the files:\n{format_match(part, observed, other)}")
-        print("\nThe files' numbers contradict the camera's clock, and both readings are possible: was the clock put")
-        print("back, or were the files renamed? No manifest was written. Choose with --order clock or --order numbers")
         return PROBLEMS
     if found.missing and not arguments.allow_gaps:
         print(
@@ -132,19 +108,6 @@ def run(arguments: argparse.Namespace) -> int:
         return _leave_mapping(output, mapping_as_dict(part, observed, found), "--yes")
     _write(plan, found, existing, arguments, workers)
     return OK
-
-
-def _match_files(arguments: argparse.Namespace, plan: Plan, observed: Observed) -> tuple[Match, Match | None]:
-    """Match files to the plan's shots, or read the mapping; second, the other reading that is possible, if any."""
-    from capture.mapping import explain_metering, load_mapping
-    from capture.matching import match, match_by_numbers
-
-    if arguments.mapping is not None:
-        return load_mapping(arguments.mapping, plan, observed), None
-    found = explain_metering(plan, observed, match(plan, observed, repeated=arguments.repeated))
-    if arguments.order is not None:
-        return found, None
-    return found, match_by_numbers(plan, observed, found, repeated=arguments.repeated)
 
 
 def _load_existing(arguments: argparse.Namespace) -> ExistingSet | None:

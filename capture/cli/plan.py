@@ -16,9 +16,9 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from capture.camera import parse_seconds
 from capture.checklist import make_rows
 from capture.protocol import PROTOCOLS, CaptureProtocol
-from capture.shutter import parse_seconds
 from eldata.base.console import OK, add_shared, show_and_write, whole_number
 from eldata.base.outputs import add_output
 from eldata.base.tables import text_table
@@ -40,77 +40,35 @@ _SCENES_END = 1_000_000  # scene-999999 is the last that a plan may have
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
-    parser.add_argument("plan", metavar="PLAN", nargs="?", help="a plan to show or to change in place")
-    new = parser.add_argument_group("a new plan")
-    new.add_argument("--camera", metavar="FILE", help="camera description; capture camera --example writes one")
-    new.add_argument(
-        "--scenes",
-        type=scene_numbers,
-        metavar="N",
-        help="number of scenes: scene-1 to scene-N; another night's, as 11-15: scene-11 to scene-15",
-    )
-    new.add_argument(
-        "--metered",
-        type=scene_time,
-        nargs="+",
-        action="extend",
-        metavar="SECONDS",
-        help="time that exposes the scenes well at the base ISO, as 4, 5/2 or 2.5; for one scene: scene-3=2",
-    )
-    new.add_argument(
-        "--protocol",
-        choices=tuple(PROTOCOLS),
-        help="frames of a scene: those of the released set (default), or the paper's, without the factors 1 and 10",
-    )
     whole = whole_number(1)
-    new.add_argument("--isos", type=whole, nargs="+", metavar="ISO", help="other ISOs of the noisy frames")
-    factors = "other low-light factors than the protocol's"
-    new.add_argument("--factors", type=whole, nargs="+", metavar="FACTOR", help=factors)
-    repeats = "noisy frames of each ISO and factor, one after the other (default: 1; LRID has 10)"
-    new.add_argument("--repeats", type=whole, metavar="N", help=repeats)
-    new.add_argument(
-        "--references",
-        type=whole,
-        metavar="N",
-        help="reference frames before and after the noisy ones of each ISO (default: 1); each noisy frame is compared "
-        "with the one nearest to it",
-    )
-    change = parser.add_argument_group("changes")
-    repeated = partial(change.add_argument, action="append", default=[])
-    repeated(
-        "--remeter",
-        type=one_scene_time,
-        metavar="SCENE=SECONDS",
-        help="compute a scene's shots from another metered time, as scene-2=2; may be repeated",
-    )
-    more = "one more scene, as scene-11=4; may be repeated"
-    repeated("--add-scene", type=one_scene_time, metavar="SCENE=SECONDS", help=more)
-    repeated("--note", metavar="SCENE=TEXT", help="a note on a scene, as scene-2=bookshelf; may be repeated")
-    repeated(
-        "--aperture",
-        type=aperture,
-        metavar="F",
-        help="the f-number of every scene, as 8, or of one: scene-3=5.6; in a new plan or an older one. That of the "
-        "files is compared with it",
-    )
-    calibration = parser.add_argument_group("calibration frames, in a new plan or an older one")
-    calibration.add_argument(
-        "--calibration", action="store_true", help="plan bias frames and flats too; needs --flat-clips-at"
-    )
-    calibration.add_argument(
-        "--flat-clips-at",
-        type=seconds,
-        metavar="SECONDS",
-        help="time at the base ISO from which the evenly lit surface is overexposed in raw",
-    )
+    parser.add_argument("plan", metavar="PLAN", nargs="?", help="a plan to show or to change in place")
+    add = parser.add_argument_group("a new plan").add_argument
+    add("--camera", metavar="FILE", help="camera description; capture camera --example writes one")
+    add("--scenes", type=scene_numbers, metavar="N", help="number of scenes, or the first and the last, as 11-15")
+    times = "time that exposes every scene well at the base ISO, as 4, 5/2 or 2.5; that of one scene, as scene-3=2"
+    add("--metered", type=scene_time, nargs="+", action="extend", metavar="SECONDS", help=times)
+    frames = "frames of a scene: the released set's (default), or the paper's, without the factors 1 and 10"
+    add("--protocol", choices=tuple(PROTOCOLS), help=frames)
+    add("--isos", type=whole, nargs="+", metavar="ISO", help="other ISOs of the noisy frames")
+    add("--factors", type=whole, nargs="+", metavar="FACTOR", help="other low-light factors than the protocol's")
+    add("--repeats", type=whole, metavar="N", help="noisy frames of each ISO and factor (default: 1; LRID has 10)")
+    references = "references before and after each ISO (default: 1); a noisy frame is compared with the nearest one"
+    add("--references", type=whole, metavar="N", help=references)
+    change = partial(parser.add_argument_group("changes; may be repeated").add_argument, action="append", default=[])
+    remeter = "compute a scene's shots from another metered time, as scene-2=2"
+    change("--remeter", type=one_scene_time, metavar="SCENE=SECONDS", help=remeter)
+    change("--add-scene", type=one_scene_time, metavar="SCENE=SECONDS", help="one more scene, as scene-11=4")
+    change("--note", metavar="SCENE=TEXT", help="a note on a scene, as scene-2=bookshelf")
+    f_number = "f-number of every scene, as 8, or of one, as scene-3=5.6; the files' is compared with it"
+    change("--aperture", type=aperture, metavar="F", help=f_number)
+    add = parser.add_argument_group("calibration frames, in a new plan or an older one").add_argument
+    add("--calibration", action="store_true", help="plan bias frames and flats too; needs --flat-clips-at")
+    clips_at = "time at the base ISO from which the evenly lit surface is overexposed in raw"
+    add("--flat-clips-at", type=seconds, metavar="SECONDS", help=clips_at)
     isos = "ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)"
-    calibration.add_argument("--calibration-isos", type=whole, nargs="+", metavar="ISO", help=isos)
-    calibration.add_argument("--bias-frames", type=whole, metavar="N", help="bias frames per ISO (default: 10)")
-    calibration.add_argument(
-        "--warm",
-        action="store_true",
-        help="bias frames a second time, with the sensor warm from the shooting; the first come before it",
-    )
+    add("--calibration-isos", type=whole, nargs="+", metavar="ISO", help=isos)
+    add("--bias-frames", type=whole, metavar="N", help="bias frames per ISO (default: 10)")
+    add("--warm", action="store_true", help="bias frames a second time, with the sensor warm from the shooting")
     add_output(parser, "-o", "--output", help="the new plan's file; with PLAN: write the changes there")
     add_shared(parser, run, json=True)
 

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable, Iterator, Sequence
 
+    from capture.camera import ShutterTime
     from capture.plan import Plan
     from capture.shots import ScenePlan, Shot
-    from capture.shutter import ShutterTime
 
 _NEXT_LINE = "\n    "
 

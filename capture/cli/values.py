@@ -14,12 +14,8 @@ if TYPE_CHECKING:
 def add_plan(parser: argparse.ArgumentParser) -> None:
     """Add the plan, and ``--only`` for scenes of it, or its calibration frames; :func:`load_plan` reads both."""
     parser.add_argument("plan", metavar="PLAN", help="the plan (capture plan)")
-    parser.add_argument(
-        "--only",
-        action="append",
-        metavar="SCENE",
-        help="only this scene, or calibration, of the plan; may be repeated",
-    )
+    part = "only this scene, or calibration, of the plan; may be repeated"
+    parser.add_argument("--only", action="append", metavar="SCENE", help=part)
 
 
 def load_plan(arguments: argparse.Namespace) -> Plan:

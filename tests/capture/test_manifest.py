@@ -210,9 +210,9 @@ def test_an_edited_mapping(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 @in_one_test(
     "change, words",
     [
-        ({"number": 99}, "shots[1].number: expected a shot of the plan (scene-1 has none of this number), found 99"),
-        ({"scene": "scene-9"}, "expected a shot of the plan (scene-9 has none of this number)"),
-        ({"number": 1}, "each shot once (scene-1 frame 1 has a file already)"),
+        ({"number": 99}, "shots[1].number: expected a shot of the plan's scene-1, each once, found 99"),
+        ({"scene": "scene-9"}, "expected a shot of the plan's scene-9, each once"),
+        ({"number": 1}, "expected a shot of the plan's scene-1, each once, found 1"),
         ({"file": 1}, "shots[1].file: expected a text, found 1"),
         ({"file": "nowhere.dng"}, "expected one of the files given"),
         ({"note": "x"}, "field shots[1].note: is unknown; known are scene, number, shot, file"),

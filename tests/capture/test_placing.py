@@ -8,7 +8,7 @@ from typing import Literal
 
 import pytest
 
-from capture.capture_errors import MappingError
+from capture.capture_errors import CaptureError
 from capture.manifest import Placement, place_files
 from eldata.base.files import sha256_of
 from eldata.errors import EldataError
@@ -47,7 +47,7 @@ def test_what_is_there_is_never_replaced(
     else:
         placement.target.write_bytes(bytes(content))
     free = replace(placement, target=placement.target.with_name("IMG_0000.ARW"))
-    with pytest.raises(MappingError, match="is there already with another content"):
+    with pytest.raises(CaptureError, match="is there already with another content"):
         place_files([free, placement], how)
     assert [path.name for path in placement.target.parent.iterdir()] == ["IMG_0001.ARW"]
     assert placement.target.is_symlink() or placement.target.read_bytes() == bytes(content or 0)
@@ -72,7 +72,7 @@ def test_the_disk_that_fails_is_named(side: str, placement: Placement) -> None:
 
 def test_a_source_that_changes_is_not_placed(placement: Placement) -> None:
     placement.path.write_bytes(b"another")
-    with pytest.raises(MappingError, match="changed while it was being copied"):
+    with pytest.raises(CaptureError, match="changed while it was being copied"):
         place_files([placement], "copy")
     assert list(placement.target.parent.iterdir()) == []
 
@@ -82,5 +82,5 @@ def test_links_need_a_file_system_with_links(placement: Placement, monkeypatch: 
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(Path, "hardlink_to", refuse)
-    with pytest.raises(MappingError, match=r"cannot be a hard link .*; use --copy-to"):
+    with pytest.raises(CaptureError, match=r"cannot be a hard link .*; use --copy-to"):
         place_files([placement], "link")

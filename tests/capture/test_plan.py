@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture.camera import EXAMPLE
-from capture.capture_errors import CameraError, ImpossibleShotError, PlanError
+from capture.camera import EXAMPLE, Shutter
+from capture.capture_errors import CaptureError, ImpossibleShotError
 from capture.plan import CALIBRATION, Plan, make_plan
 from capture.protocol import PAPER, RELEASED, CaptureProtocol
 from capture.shots import (
@@ -24,7 +24,6 @@ from capture.shots import (
     scene_shots,
     sum_duration_s,
 )
-from capture.shutter import Shutter
 from tests.capture.simulated import CAMERA, plan_of
 from tests.cases import in_one_test
 from tests.shared import there
@@ -155,7 +154,7 @@ def test_the_tolerance_is_that_of_verify() -> None:
 
 
 def test_an_iso_that_the_camera_lacks_is_refused() -> None:
-    with pytest.raises(PlanError, match="AcmeNocturne has no ISO 1000; it has 100, 200, 400"):
+    with pytest.raises(CaptureError, match="AcmeNocturne has no ISO 1000; it has 100, 200, 400"):
         make_plan(CAMERA, replace(RELEASED, noisy_isos=(1000,)), {"scene-1": Fraction(4)})
 
 
@@ -185,7 +184,7 @@ def test_true_isos_give_the_light() -> None:
 
 def test_an_iso_whose_speed_is_not_stated_is_refused() -> None:
     camera = replace(EXAMPLE, true_isos=((100, Fraction(81)), (800, Fraction(650))))
-    with pytest.raises(CameraError, match="the true speed of ISO 100, 800, and not of ISO 1600: measure that too"):
+    with pytest.raises(CaptureError, match="the true speed of ISO 100, 800, and not of ISO 1600: measure that too"):
         scene_shots(camera, RELEASED, Fraction(4))
 
 
@@ -232,7 +231,7 @@ def test_flats_never_clip_and_come_in_pairs(dial: str, step: Fraction) -> None:
     except ImpossibleShotError:
         return
     flats = [shot for shot in plan.shots if shot.role == "flat"]
-    named = camera.named(clips_at_s)
+    named = camera.find_marked(clips_at_s)
     clips = float(clips_at_s) if named is None else named.true_s
     for first, second in zip(flats[::2], flats[1::2], strict=True):
         assert replace(first, number=second.number) == second
@@ -263,7 +262,7 @@ def test_flats_never_clip_and_come_in_pairs(dial: str, step: Fraction) -> None:
     ],
 )
 def test_wrong_calibration(isos: tuple[int, ...], clips_at: str, changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(PlanError) as caught:
+    with pytest.raises(CaptureError) as caught:
         plan_calibration(EXAMPLE, 100, isos, Fraction(clips_at), **changes)
     assert words in str(caught.value)
 
@@ -297,9 +296,9 @@ def test_a_part_of_a_plan() -> None:
         (["scene-9"], "no scene called 'scene-9'; it has scene-1, scene-2"),
         ([], "at least one scene"),
     ):
-        with pytest.raises(PlanError, match=words):
+        with pytest.raises(CaptureError, match=words):
             plan.only(names)
-    with pytest.raises(PlanError, match="no calibration frames"):
+    with pytest.raises(CaptureError, match="no calibration frames"):
         plan_of("4").only([CALIBRATION])
 
 
@@ -310,11 +309,11 @@ def test_wrong_scenes() -> None:
         ("scene-2/../x", "4", "expected scene-1"),
         ("scene-2", "1/50", "scene-2: metered at 1/50 s"),
     ):
-        with pytest.raises(PlanError, match=words):
+        with pytest.raises(CaptureError, match=words):
             plan_of("4").add_scene(name, Fraction(metered))
-    with pytest.raises(PlanError, match="no scene called 'scene-9'"):
+    with pytest.raises(CaptureError, match="no scene called 'scene-9'"):
         plan_of("4").remeter("scene-9", Fraction(4))
-    with pytest.raises(PlanError, match="at least one scene"):
+    with pytest.raises(CaptureError, match="at least one scene"):
         make_plan(CAMERA, RELEASED, {})
 
 
@@ -367,7 +366,7 @@ def test_every_field_is_checked(place: tuple[Any, ...], wrong: object, tmp_path:
         return  # any text will do
     path = tmp_path / "plan.json"
     path.write_text(json.dumps(changed_at(place, wrong, EVERYTHING)))
-    with pytest.raises(PlanError) as caught:
+    with pytest.raises(CaptureError) as caught:
         Plan.load(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
@@ -387,6 +386,6 @@ def test_every_field_is_checked(place: tuple[Any, ...], wrong: object, tmp_path:
 def test_shots_changed_by_hand_are_found(place: tuple[Any, ...], value: object, words: str, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     path.write_text(json.dumps(changed_at(place, value)))
-    with pytest.raises(PlanError) as caught:
+    with pytest.raises(CaptureError) as caught:
         Plan.load(path)
     assert words in str(caught.value)

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from capture.camera import Shutter
 from capture.cli import main
 from capture.cli.script import gphoto_script
 from capture.plan import make_plan
 from capture.protocol import CaptureProtocol
 from capture.shots import plan_calibration
-from capture.shutter import Shutter
 from eldata.manifest.table import load_records
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure

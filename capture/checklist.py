@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from capture.plan import Plan
     from capture.shots import Shot
 
+__all__ = ["FORMATS", "html_checklist", "markdown_checklist", "plan_digest", "text_checklist"]
+
 TEMPLATES: Final = Path(__file__).parent / "templates"
 _TITLES: Final = {
     "bias": "Bias frames",

@@ -95,18 +95,6 @@ def test_bulb_times_go_on_in_the_camera_s_steps() -> None:
             Shutter.between("1/8000", "30", THIRD, bulb_s=bulb_s)
 
 
-def test_limits_reach_half_a_step_beyond_the_ends() -> None:
-    cam = camera(Shutter.between("1/8000", "30", THIRD))
-    sixth = Fraction(1, 6)
-    fast, slow = cam.fastest.true_exact, cam.slowest.true_exact
-    inside = 1 - Fraction(1, 10**20)
-    down, up = ExactNumber(Fraction(1), -sixth), ExactNumber(Fraction(1), sixth)
-    assert cam.round_to_nearest(fast * down / inside) == cam.fastest
-    assert cam.round_to_nearest(fast * down * inside) is None
-    assert cam.round_to_nearest(slow * up * inside) == cam.slowest
-    assert cam.round_to_nearest(slow * up / inside) is None
-
-
 def test_listed_times_that_are_given_as_named() -> None:
     cam = camera(Shutter(("1/1000", "1/90", "0.25"), true_times="as-named"))
     given = (Fraction(1, 1000), Fraction(1, 90), Fraction(1, 4))
@@ -156,11 +144,9 @@ GOOD: dict[str, Any] = {
     "change, words",
     [
         ({"schema": 2}, "field schema: expected 1 (a newer file needs a newer capture), found 2"),
-        ({"colour": 1}, "field colour: is unknown; known are schema, name"),
         ({"name": "a/b"}, "camera name: expected letters, digits"),
         ({"models": []}, "models of Acme: expected the camera's name as EXIF has it"),
         ({"raw_extension": "ARW"}, "raw_extension of Acme: expected a raw file's, with the dot"),
-        ({"isos": [100, 100]}, "field isos[1]: expected each value once, found 100"),
         ({"isos": [800, 100]}, "isos of Acme: expected one or more, rising"),
         ({"base_iso": 200}, "base_iso of Acme: expected one of its ISOs, 100, 800; found 200"),
         ({"cfa": "foveon"}, "field cfa: expected one of 'bayer', 'xtrans', found 'foveon'"),
@@ -168,17 +154,13 @@ GOOD: dict[str, Any] = {
             {"shutter": {"step": "1/4", "fastest": "1/8000", "slowest": "30"}},
             "shutter step: expected 1/3, 1/2 or 1 stop, found 1/4",
         ),
-        ({"shutter": {"step": 0.5, "fastest": "1/8000", "slowest": "30"}}, "shutter.step: expected seconds as text"),
-        ({"shutter": {"fastest": "1/8000", "slowest": "30"}}, "field shutter.step: expected seconds as text, such as"),
         (
             {"shutter": {"step": "1/3", "fastest": "1/7000", "slowest": "30"}},
             "1/7000 s is not a standard time in steps of 1/3 stop; the nearest is 1/6400 s",
         ),
-        ({"shutter": {"step": "1/3", "fastest": "fast", "slowest": "30"}}, "expected seconds above 0"),
         ({"shutter": {"step": "1/3", "fastest": "30", "slowest": "1"}}, "the fastest time, 30 s, is slower than"),
         ({"shutter": {"times": []}}, "shutter times: expected at least one, found none"),
         ({"shutter": {"times": ["1", "1/2"]}}, "expected the fastest first, found 0.5 after 1"),
-        ({"shutter": {"times": ["1/2", "0.5"]}}, "expected each time once, found 0.5 twice"),
         (
             {"shutter": {"times": ["1/2"], "fastest": "1/8"}},
             "field shutter.fastest: is unknown; known are step, true_times, bulb_s, times",
@@ -208,10 +190,8 @@ def test_true_isos(tmp_path: Path) -> None:
     for wrong, words in (
         ({"150": 100}, "expected its ISOs, found 150"),
         ({"100": 20}, "expected speeds within 1 stop of their names, found 20 for ISO 100"),
-        ({"100": 0}, "true_isos.100: expected a finite number above 0"),
         ({"100": "81"}, "true_isos.100: expected a finite number"),
         ({"ISO 100": 81}, "true_isos: expected ISOs with their speeds"),
-        ([81], "true_isos: expected an object"),
     ):
         content = json.loads((tmp_path / "cam.json").read_text()) | {"true_isos": wrong}
         (tmp_path / "wrong.json").write_text(json.dumps(content))

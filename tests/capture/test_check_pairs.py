@@ -20,7 +20,6 @@ from capture.check.result import (
     LOOK_DB,
     SHIFT_AGAIN_PX,
     SHIFT_LOOK_PX,
-    Measure,
 )
 from capture.cli import main
 from eldata.records import Exposure
@@ -129,18 +128,3 @@ def test_gaps_of_values_by_their_share() -> None:
     mosaic = np.random.default_rng(6).integers(600, 12_000, (400, 500)).astype(np.uint16)
     mosaic[:, :450] = 16383
     assert empty_share(mosaic) == 0
-
-
-def test_a_window_that_is_saturated_all_over(tmp_path: Path) -> None:
-    """Tiles of one value stop nothing."""
-
-    def with_window(shot: Shot) -> Shot:
-        light = shot.radiance.copy()
-        light[..., : int(0.9 * light.shape[-1])] = 50.0
-        return replace(shot, radiance=light)
-
-    group = group_of(tmp_path, dict.fromkeys(FEW, with_window))
-    assert "clipped" in {reason.name for reason in group.reasons if isinstance(reason, Measure)}
-    assert len(group.pairs) == 4
-    for one in group.pairs:
-        assert "gaps" not in {measure.name for measure in group.row(one).values() if measure.verdict != "keep"}

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
-import pty
 import shutil
-import subprocess
 import sys
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -22,12 +18,12 @@ from eldata.manifest import load_manifest, verify
 from tests.capture.simulated import CAMERA, Nights, Taken, plan_of, shoot, whole_plan
 from tests.cases import in_one_test
 from tests.trees import interrupt_manifest
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from capture.plan import Plan
 
-ROOT = Path(__file__).resolve().parents[2]
 FOUR = ("4", "1", "2", "1")
 
 
@@ -98,13 +94,6 @@ def test_the_files_of_a_set_are_right_after_an_interruption(how: str, tmp_path: 
         assert sorted(path.name for path in field.csv.parent.iterdir()) == ["mine.csv", "mine.json"]
 
 
-def test_check_says_that_its_frames_are_too_small(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
-    assert small.copy() == 0
-    capsys.readouterr()
-    assert main(["check", str(small.csv), "--root", str(small.folder / "data"), "--jobs", "1"]) == 1
-    assert "scene-1/IMG_0001.dng: is too small to tell how bright it is" in capsys.readouterr().out
-
-
 def test_calibration_frames(tmp_path: Path) -> None:
     from eldata import CalibrationFrames
     from eldata.datasets.calibration_frames import flat_pairs
@@ -133,20 +122,6 @@ def test_files_may_stay_where_they_are(small: Field, capsys: pytest.CaptureFixtu
     assert manifest.records[0].path == "card/DSC0001.dng"  # the counter turned over
     assert verify(small.csv, small.folder.parent, level="full").ok
     assert "--root" in capsys.readouterr().out
-
-
-def test_links(small: Field) -> None:
-    assert small.run("--link-to", str(small.data)) == 0
-    placed = small.data / "AcmeNocturne/scene-1/IMG_0001.dng"
-    assert placed.samefile(small.files[0])
-    assert small.problems() == []
-
-
-def test_names_order_where_there_are_no_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    field = Field(tmp_path, plan_of("4", "1"), times=False)  # DSC1 ... DSC32, which sort as text the wrong way
-    assert field.copy() == 0
-    assert "not every file says when it was taken" in capsys.readouterr().out
-    assert sha256_of(field.data / "AcmeNocturne/scene-1/IMG_0010.dng") == sha256_of(field.card / "DSC10.dng")
 
 
 def test_everything_that_goes_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -252,24 +227,6 @@ def test_a_gap_in_the_references(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert references["AcmeNocturne/scene-1/IMG_0007.dng"] == "AcmeNocturne/scene-1/IMG_0011.dng"
 
 
-def test_a_scene_without_references(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = plan_of("4", "1")
-    taken = [shot for index, shot in enumerate(whole_plan(plan)) if index >= 16 or index % 5]
-    field = Field(tmp_path, plan, taken)
-    assert field.copy("--allow-gaps", "--yes") == 0
-    assert "scene-1 frame 2 is left out: the scene has no reference" in capsys.readouterr().out
-    assert len(load_manifest(field.csv).records) == 16
-    assert field.problems() == []
-
-
-def test_a_part_of_the_plan(small: Field) -> None:
-    for path in small.files[7:]:
-        path.unlink()
-    assert small.copy() == 1
-    assert small.copy("--only", "scene-1") == 0
-    assert small.problems() == []
-
-
 def test_what_is_there_stays(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
     placed = small.data / "AcmeNocturne/scene-1/IMG_0002.dng"
     placed.parent.mkdir(parents=True)
@@ -287,13 +244,6 @@ def test_what_is_there_stays(small: Field, capsys: pytest.CaptureFixture[str]) -
         "mine.csv is there already, with other content: give another name, or --replace it" in capsys.readouterr().err
     )
     assert small.csv.read_text().endswith("edited")
-
-
-def test_copies_inside_of_what_is_searched_are_no_new_files(tmp_path: Path) -> None:
-    field = Field(tmp_path, plan_of("4", factors=(100,)))
-    field.data = field.card / "data"
-    assert field.copy() == 0
-    assert field.copy("--replace") == 0
 
 
 @in_one_test(
@@ -329,33 +279,18 @@ def test_files_of_another_plan(small: Field, capsys: pytest.CaptureFixture[str])
     assert not small.csv.parent.exists()
 
 
-def test_a_kill_between_card_and_manifest(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
-    """The card alone is what such a run left; another one, perhaps filled in, is not touched."""
-    assert small.copy() == 0
-    card, rows = small.csv.with_suffix(".json"), small.csv.read_bytes()
-    small.csv.unlink()
-    assert small.copy() == 0
-    assert small.csv.read_bytes() == rows
-    small.csv.unlink()
-    card.write_text(card.read_text().replace('"licence": "not stated"', '"licence": "CC0"'))
-    capsys.readouterr()
-    assert small.copy() == 2
-    assert f"{card} is there already, with other content: give another name, or --replace it" in capsys.readouterr().err
-    assert '"licence": "CC0"' in card.read_text()
-
-
-@pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("", 1)])
-def test_asked_on_a_terminal(tmp_path: Path, answer: str, code: int) -> None:
-    plan = plan_of("4", factors=(100,))
-    taken = whole_plan(plan)
+@pytest.mark.parametrize(("answer", "code"), [("y", 0), ("", 1)])
+def test_asked_on_a_terminal(tmp_path: Path, answer: str, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a part of the plan, by hard links."""
+    plan = plan_of("4", "1", factors=(100,))
+    taken = whole_plan(plan.only(["scene-1"]))
     field = Field(tmp_path, plan, [*taken, taken[-1]])
-    child, terminal = pty.openpty()
-    command = [sys.executable, "-c", "import sys; from capture.cli import main; sys.exit(main(sys.argv[1:]))"]
-    arguments = ["manifest", str(tmp_path / "plan.json"), str(field.card), "-o", str(field.csv), "--jobs", "1"]
-    process = subprocess.Popen([*command, *arguments], cwd=ROOT, stdin=terminal, stdout=terminal, stderr=terminal)
-    os.write(child, answer.encode() or b"\x04")
-    assert process.wait(PATIENCE_S) == code
-    os.close(terminal)
-    os.close(child)
+    for stream in (sys.stdin, sys.stdout):
+        monkeypatch.setattr(stream, "isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda _: answer)
+    assert field.run("--only", "scene-1", "--link-to", str(field.data)) == code
     assert field.csv.exists() == (code == 0)
     assert field.mapping.exists() == (code == 1)
+    if not code:
+        assert (field.data / "AcmeNocturne/scene-1/IMG_0001.dng").samefile(field.files[0])
+        assert field.problems() == []

@@ -75,12 +75,3 @@ def test_a_source_that_changes_is_not_placed(placement: Placement) -> None:
     with pytest.raises(CaptureError, match="changed while it was being copied"):
         place_files([placement], "copy")
     assert list(placement.target.parent.iterdir()) == []
-
-
-def test_links_need_a_file_system_with_links(placement: Placement, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(self: Path, target: Path) -> None:
-        raise PermissionError(1, "Operation not permitted")
-
-    monkeypatch.setattr(Path, "hardlink_to", refuse)
-    with pytest.raises(CaptureError, match=r"cannot be a hard link .*; use --copy-to"):
-        place_files([placement], "link")

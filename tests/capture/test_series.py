@@ -25,7 +25,6 @@ from eldata.noise import DarkShading
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 from tests.capture.simulated import CAMERA, START, Nights, Taken, as_planned, shoot, whole_plan
-from tests.capture.test_append import night
 from tests.capture.test_whole_path import description
 
 if TYPE_CHECKING:
@@ -60,27 +59,6 @@ def test_repeated_frames_become_pairs(nights: Nights, capsys: pytest.CaptureFixt
         *[(f"{n:04d}", Fraction(100), "0009") for n in (6, 7, 8)],
     ]
     assert "3 noisy frames of each, 2 references before and after" in nights.csv.with_suffix(".json").read_text()
-
-
-def test_one_repeat_too_many_is_a_retake(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
-    """Four of three planned frames: the first is left out, no other frame moves."""
-    plan = lrid("4")
-    taken = whole_plan(plan)
-    files = shoot(nights.folder / "card", [*taken[:3], *taken[2:]])
-    assert nights.add(plan, nights.folder / "card", options=("--yes",)) == 0
-    output = capsys.readouterr().out
-    assert f"{files[2].name}: scene-1 frame 5 was taken more than once; the last one is used" in output
-    assert "10 of 10 shots have a file" in output
-
-
-def test_one_repeat_too_few_is_missing(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = lrid("4")
-    taken = whole_plan(plan)
-    shoot(nights.folder / "card", [*taken[:3], *taken[4:]])
-    assert nights.add(plan, nights.folder / "card", options=()) == 1
-    output = capsys.readouterr().out
-    assert "9 of 10 shots have a file" in output
-    assert output.count("(noisy, ISO 800, 1/20 s): no file") == 1
 
 
 # --- speeds of ISOs ---------------------------------------------------------------------------------------------------
@@ -157,13 +135,6 @@ def test_apertures_are_compared(nights: Nights, capsys: pytest.CaptureFixture[st
     assert report.groups[0].verdict == "shoot again"
 
 
-def test_a_plan_without_apertures_compares_none(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = lrid("4")
-    shoot(nights.folder / "card", at_aperture(whole_plan(plan), ["8"] * 10))
-    assert nights.add(plan, nights.folder / "card", options=()) == 0
-    assert "f/" not in capsys.readouterr().out
-
-
 def test_apertures_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     CAMERA.save(tmp_path / "cam.json")
     file = tmp_path / "plan.json"
@@ -227,26 +198,6 @@ def test_bias_frames_of_a_warm_sensor(nights: Nights, capsys: pytest.CaptureFixt
     assert names == ["AcmeNocturne bias ISO 800", "AcmeNocturne bias ISO 800 warm-sensor"]
 
 
-def test_cold_frames_on_one_card_and_warm_ones_on_another(
-    nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Their settings are equal; what the set has already is not looked for again, so that order is not needed."""
-    plan = with_series(lrid("4"))
-    assert plan.calibration is not None
-    later = [shot for shot in plan.calibration.shots if shot.series]
-    usual = plan.calibration.shots[:6]
-    first = [one for some in (usual, plan.scenes[0].shots) for one in as_planned(some)]
-    night(nights.folder / "one", first, monkeypatch, 0)
-    night(nights.folder / "two", as_planned(later), monkeypatch, 1)
-    assert nights.add(plan, nights.folder / "one", options=("--allow-gaps", "--yes")) == 0
-    assert "bias frames of ISO 800, bias frames of ISO 800 (warm) have equal exposures" in capsys.readouterr().out
-    assert nights.add(plan, nights.folder / "two", nights.folder / "one") == 0
-    assert "4 of 4 shots have a file" in capsys.readouterr().out
-    assert nights.problems() == []
-    assert len(CalibrationFrames(nights.data / CAMERA.name / "warm").of("bias", 800)) == 4
-    assert load_manifest(nights.csv).card.title == "1 scene and calibration frames taken with AcmeNocturne"
-
-
 def test_eldata_calibrate_leaves_bias_frames_of_a_warm_sensor_alone(
     nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -277,15 +228,3 @@ def test_eldata_calibrate_leaves_bias_frames_of_a_warm_sensor_alone(
     found = DarkShading.load(shading)
     assert [(one.iso, one.frames) for one in found.isos] == [(100, 4), (800, 4)]
     assert float(found.at(800)[~found.hot].std()) < 5 < 20 < float(planted[~found.hot].std())
-
-
-def test_a_warm_sensor_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    CAMERA.save(tmp_path / "cam.json")
-    file = tmp_path / "plan.json"
-    new = ["plan", "--camera", str(tmp_path / "cam.json"), "-o", str(file), "--calibration", "--flat-clips-at", "1"]
-    assert main([*new, "--calibration-isos", "800", "--warm"]) == 0
-    assert "warm bias" in capsys.readouterr().out
-    plan = Plan.load(file)
-    assert plan.calibration is not None
-    assert plan.calibration.warm
-    assert sum(shot.series == "warm" for shot in plan.calibration.shots) == 10

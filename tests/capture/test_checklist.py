@@ -6,8 +6,6 @@ import base64
 import hashlib
 import json
 import re
-from dataclasses import replace
-from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import pytest
@@ -88,12 +86,6 @@ def test_page_shows_every_shot(page: str, plan: Plan) -> None:
     assert sum(row.count for row in make_rows(plan.calibration.shots)) == len(plan.calibration.shots)
     items = [attributes["data-item"] for _, attributes in elements if "data-item" in attributes]
     assert items == [item["name"] for item in every_item(plan)]
-
-
-def test_digest_is_of_decisions(plan: Plan) -> None:
-    assert plan_digest(plan.add_note("scene-2", "another")) == plan_digest(plan)
-    assert plan_digest(plan.remeter("scene-2", Fraction(2))) != plan_digest(plan)
-    assert plan_digest(replace(plan, calibration=None)) != plan_digest(plan)
 
 
 # --- text and Markdown ----------------------------------------------------------------------------------------------

@@ -408,15 +408,3 @@ def test_paper(page: Page) -> None:
     found = page.run(CONTRASTS)
     assert min(ratio for ratio, _ in found["texts"]) > 10
     assert found["page"] == 1
-
-
-def test_without_scripts_the_page_is_whole(bare: Page, file: Path) -> None:
-    bare.send("Emulation.setScriptExecutionDisabled", value=True)
-    bare.open(file.as_uri())
-    nodes = bare.send("DOMSnapshot.captureSnapshot", computedStyles=["display"])
-    strings = nodes["strings"]
-    shown = " ".join(strings[index] for index in nodes["documents"][0]["layout"]["text"] if index >= 0)
-    for words in ("does not run here", "1/800 s", "Tripod on firm ground", "Flat-field frames"):
-        assert words in shown
-    for words in ("Next shot", "Home again", "Note"):
-        assert words not in shown.replace("Notes", "")

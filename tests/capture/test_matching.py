@@ -178,17 +178,6 @@ def test_a_scene_begun_again(given_up_after: int, metered: str) -> None:
     assert len([remark for remark in found.remarks if remark.kind == "repeated"]) == given_up_after
 
 
-def test_a_retake_that_is_out_of_its_order_is_named_and_left_out() -> None:
-    plan = plan_of("4", "1")
-    presses = session(plan)
-    presses.insert(16, again(presses[3], None))
-    observed, truth = develop(presses)
-    found = match(plan, observed)
-    assert names(found) == truth
-    assert [remark.kind for remark in found.remarks] == ["repeated"]
-    assert "DSC0016.ARW: ISO 800, 1/200 s: for scene-1 frame 4 other files" in found.remarks[0].text
-
-
 @in_one_test("time", [160, 174])  # 0.32 and 0.2 stops off
 def test_a_wrong_setting_is_named(time: int) -> None:
     plan = plan_of("4")

@@ -97,18 +97,6 @@ def test_impossible_shots_say_what_to_change(camera: CameraDescription, metered:
     assert scene_shots(EXAMPLE, replace(RELEASED, base_iso=200), Fraction(30))[0].setting.dial == "30"
 
 
-def test_bulb_goes_on_where_the_dial_ends() -> None:
-    """A scene of 100 s: references by the timer, noisy frames by the dial."""
-    camera = replace(EXAMPLE, shutter=Shutter.between("1/8000", "30", Fraction(1, 3), bulb_s=300))
-    shots = scene_shots(camera, RELEASED, Fraction(100))
-    assert [shot.setting.dial for shot in shots if shot.role == "reference"] == ["bulb 102"] * 4
-    assert {shot.setting.dial for shot in shots if shot.role == "noisy"} <= set(DIALS)
-    # As on the dial, and half a second of 102.
-    assert max(map(percent_off, shots)) < 1.6 + 100 * 0.5 / 102
-    with pytest.raises(ImpossibleShotError, match="slowest time is bulb 256 s"):
-        scene_shots(camera, RELEASED, Fraction(600))
-
-
 def test_the_time_that_shots_take() -> None:
     """Sixteen frames: 4 references of 4 s and 12 noisy ones; the sum is that of its parts."""
     plan = plan_of("4", "4")
@@ -170,14 +158,6 @@ def test_calibration_frames() -> None:
     assert len(flats) == 6 * 6 * 2
     assert [shot.setting.dial for shot in flats if shot.iso == 100][::2] == ["1/20", "1/13", "1/8", "1/5", "1/4", "0.4"]
     assert plan.remarks == ()
-
-
-def test_full_stops_from_a_base_iso_of_64_have_rounded_names() -> None:
-    isos = (64, 80, 100, 125, 160, 200, 250, 320, 400, 500, 640, 800, 1000, 1250, 1600, 2000, 2500, 3200, 4000)
-    camera = replace(EXAMPLE, isos=isos, base_iso=64)
-    assert default_isos(camera, replace(RELEASED, base_iso=64)) == (64, 125, 250, 500, 800, 1600, 3200)
-    shots = scene_shots(camera, replace(RELEASED, base_iso=64), Fraction(8))
-    assert max(map(percent_off, shots)) < 3.3
 
 
 @settings(deadline=None)

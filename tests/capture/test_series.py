@@ -16,12 +16,10 @@ from capture.plan import Plan, make_plan
 from capture.protocol import CaptureProtocol
 from capture.shots import plan_calibration
 from eldata import CalibrationFrames
-from eldata.cli.main import main as eldata_main
 from eldata.datasets import PairDataset
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance
 from eldata.manifest import load_manifest
-from eldata.noise import DarkShading
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
 from tests.capture.simulated import CAMERA, START, Nights, Taken, as_planned, shoot, whole_plan
@@ -145,10 +143,6 @@ def test_apertures_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFix
     assert "scene-2: metered at 4 s, f/5.6" in output
     assert main(["plan", str(file), "--aperture", "scene-1=11", "--remeter", "scene-2=2"]) == 0
     assert [scene.aperture for scene in Plan.load(file).scenes] == [11, Fraction("5.6")]
-    for kind in ("html", "txt", "md"):
-        target = tmp_path / f"list.{kind}"
-        assert main(["checklist", str(file), "-o", str(target)]) == 0
-        assert "f/11" in target.read_text()
     for wrong in ("x", "0", "=8", "scene-1=", "1000"):
         assert main(["plan", str(file), "--aperture", wrong]) == 2
         assert "expected an f-number" in capsys.readouterr().err
@@ -196,35 +190,3 @@ def test_bias_frames_of_a_warm_sensor(nights: Nights, capsys: pytest.CaptureFixt
     bias = tuple(row for row in manifest.records if row.role == "bias")  # flats are too small
     names = [group.name for group in check(replace(manifest, records=bias), nights.folder / "data").groups]
     assert names == ["AcmeNocturne bias ISO 800", "AcmeNocturne bias ISO 800 warm-sensor"]
-
-
-def test_eldata_calibrate_leaves_bias_frames_of_a_warm_sensor_alone(
-    nights: Nights, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """From the plan to a dark shading, of a sensor whose black is 32 DN higher, more or less, when it is warm."""
-    camera = CAMERAS[0].with_size(256, 256)
-    told = description(CAMERAS[0])
-    planted = np.round(np.random.default_rng(7).gamma(2.0, 16.0, (256, 256)))
-    levels = (Fraction(1, 5), Fraction(1, 2), Fraction(4, 5))
-    frames = plan_calibration(told, 100, (100, 800), Fraction(1), bias_frames=4, flat_levels=levels, warm=True)
-    plan = make_plan(told, LRID, {}, frames)
-    card = nights.folder / "card"
-    card.mkdir()
-    for shot in frames.shots:
-        light = np.full((3, 256, 256), shot.role == "flat", dtype=np.float32)
-        share = Fraction(shot.setting.true_s)  # the surface clips after 1 s
-        mosaic = camera.photograph(light, share, shot.iso, np.random.default_rng(shot.number))
-        if shot.series:
-            mosaic = np.clip(mosaic + planted, 0, 16383).astype(np.uint16)
-        taken = START + timedelta(seconds=10 * shot.number)
-        exposure = Exposure(Fraction(shot.iso), shot.setting.nominal_s)
-        write_dng(card / f"DSC{shot.number:04d}.dng", mosaic, camera.sensor, exposure, taken=taken)
-    assert nights.add(plan, card, options=()) == 0
-    shading = nights.folder / "shading.npz"
-    dark = ["--dark-shading", str(shading)]
-    assert eldata_main(["calibrate", str(nights.csv), "--root", str(nights.folder / "data"), *dark, "--jobs", "1"]) == 0
-    output = capsys.readouterr().out
-    assert "8 bias and 12 flat frames at 2 ISOs" in output  # the warm ones are not among them
-    found = DarkShading.load(shading)
-    assert [(one.iso, one.frames) for one in found.isos] == [(100, 4), (800, 4)]
-    assert float(found.at(800)[~found.hot].std()) < 5 < 20 < float(planted[~found.hot].std())

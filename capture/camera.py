@@ -153,7 +153,7 @@ class ShutterTime:
         return float(self.true_exact)
 
     def stops_off(self, exposure_s: Fraction) -> float:
-        """Return how far a time lies from this setting, in stops: from its name or what it gives, the nearer one.
+        """Return the distance in stops of a time from this setting: from its name or what it gives, the nearer one.
 
         Some makers write the name into EXIF, others what the camera gives.
         """
@@ -244,7 +244,7 @@ class Shutter:
 
     @property
     def times(self) -> tuple[ShutterTime, ...]:
-        """The times, fastest first; after those of the dial those of the bulb setting, ``bulb 64``, in steps."""
+        """The times, fastest first: the dial's, then the bulb setting's in steps, ``bulb 64``."""
         named = _times(self.dials, self.step, self.true_times)
         return (*named, *_bulb_times(named[-1], self.step, self.bulb_s))
 
@@ -259,14 +259,14 @@ def _times(dials: tuple[str, ...], step: Fraction, true_times: TrueTimes) -> tup
 @cache
 def _bulb_times(slowest: ShutterTime, step: Fraction, bulb_s: int) -> tuple[ShutterTime, ...]:
     """Return whole seconds that go on in the camera's steps: after 30 s (2^5 s) in thirds 40, 51, 64, 81 and so on."""
-    found: dict[int, ShutterTime] = {}
+    times: dict[int, ShutterTime] = {}
     seconds, steps = 0, 1
     while seconds < bulb_s:
         seconds = round(float(slowest.true_exact * ExactNumber(Fraction(1), steps * step)))
         steps += 1
         if slowest.nominal_s < seconds <= bulb_s:
-            found[seconds] = ShutterTime(f"bulb {seconds}", Fraction(seconds), as_exact(seconds))
-    return tuple(found.values())
+            times[seconds] = ShutterTime(f"bulb {seconds}", Fraction(seconds), as_exact(seconds))
+    return tuple(times.values())
 
 
 @cache
@@ -281,9 +281,9 @@ def borders(shutter: Shutter) -> tuple[ExactNumber, ...]:
 def _standard(name: str, step: Fraction) -> ShutterTime:
     seconds = parse_seconds(name)
     known = ladder(step)
-    found = known.get(seconds)
-    if found is not None:
-        return found
+    time = known.get(seconds)
+    if time is not None:
+        return time
     near = min(known.values(), key=lambda time: abs((as_exact(seconds) / time.nominal_s).log2))
     raise CaptureError(
         f"shutter times: {name} s is not a standard time in steps of {step} stop; the nearest is {near.dial} s. If the "
@@ -415,7 +415,7 @@ class CameraDescription:
         Raises
         ------
         CaptureError
-            If the camera states those of others: a ratio of a measured speed and a name would be neither.
+            If the camera states other ISOs' speeds: a ratio of a measured speed and a name would be neither.
         """
         speeds = dict(self.true_isos)
         if speeds and iso not in speeds:
@@ -427,7 +427,7 @@ class CameraDescription:
 
     @property
     def fastest(self) -> ShutterTime:
-        """The fastest time: that of bias frames."""
+        """The fastest time, which bias frames take."""
         return self.shutter.times[0]
 
     @property

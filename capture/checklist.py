@@ -185,12 +185,12 @@ def html_checklist(plan: Plan) -> str:
 
 
 def _policy_hash(text: str) -> str:
-    """Return how a page's policy names the one script, or style, that may run."""
+    """Hash a script or style, as a page's policy names the one that may run."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 
 def _page_data(plan: Plan) -> dict[str, Any]:
-    """Return what the page's script computes with."""
+    """Collect the data that the page's script computes with."""
 
     def frames(rows: Iterable[ChecklistRow]) -> list[dict[str, Any]]:
         return [{"number": r.shot.number, "count": r.count, "iso": r.shot.iso, "dial": r.dial} for r in rows]

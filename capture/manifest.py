@@ -118,7 +118,7 @@ def make_dataset(
     paths = {slot: record.path for slot, record in there.items()}
     if folder is None:
         files = {slot: Path(os.path.abspath(frame.path)) for slot, frame in match.frames.items()}  # noqa: PTH100 # links stay
-        # One folder above that of the files: eldata looks for unlisted files in the folders below a dataset's own.
+        # One folder above the files' own: eldata looks for unlisted files in the folders below a dataset's own.
         folder = Path(os.path.commonpath([path.parent.parent for path in files.values()]))
         if folder == folder.parent:
             raise CaptureError(f"the files have no folder in common but {folder}; use --copy-to")
@@ -248,7 +248,7 @@ class ExistingSet:
             If a shot of that name has other settings: the set has another scene of this name.
         """
         rows = {PurePosixPath(record.path).with_suffix("").as_posix(): record for record in self.records}
-        found: dict[Slot, FrameRecord] = {}
+        rows_of_shots: dict[Slot, FrameRecord] = {}
         for scene, shot in plan.shots:
             record = rows.get(layout_path(plan, scene, shot))
             if record is None:
@@ -259,8 +259,8 @@ class ExistingSet:
                     f"asks for {shot.settings} there: they are different scenes. Give those of the plan other names, "
                     "as capture plan --scenes 11-15 does, or give this one its own metered time: capture plan --remeter"
                 )
-            found[scene, shot.number] = record
-        return found
+            rows_of_shots[scene, shot.number] = record
+        return rows_of_shots
 
     def lacking(self, plan: Plan) -> Plan | None:
         """Return the part of a plan that the set lacks; ``None`` if it has all.

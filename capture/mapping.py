@@ -94,13 +94,13 @@ def load_mapping(path: Path | str, plan: Plan, observed: Observed) -> Match:
     return Match(frames, tuple(remarks))
 
 
-def explain_metering(plan: Plan, observed: Observed, found: Match) -> Match:
+def explain_metering(plan: Plan, observed: Observed, matched: Match) -> Match:
     """Add to a match at which other metered time the frames are there of scenes that lack most of them.
 
     Of the frames that this explains, nothing else is said. Only times of frames at the base ISO are tried: references
     are taken at the metered time.
     """
-    used = {frame.path for frame in found.frames.values()}
+    used = {frame.path for frame in matched.frames.values()}
     left = replace(observed, frames=tuple(frame for frame in observed.frames if frame.path not in used), unusable=())
     settings = {
         plan.camera.round_to_nearest(frame.exposure_s) for frame in left.frames if frame.iso == plan.protocol.base_iso
@@ -109,7 +109,7 @@ def explain_metering(plan: Plan, observed: Observed, found: Match) -> Match:
     explained: set[Path] = set()
     for scene in plan.scenes:
         count = len(scene.shots)
-        if 2 * sum(remark.scene == scene.name for remark in found.missing) <= count:
+        if 2 * sum(remark.scene == scene.name for remark in matched.missing) <= count:
             continue
         frames: Mapping[Slot, ObservedFrame] = {}
         dial = ""
@@ -127,8 +127,8 @@ def explain_metering(plan: Plan, observed: Observed, found: Match) -> Match:
             remarks.append(MatchRemark("metered", text, scene.name))
             explained |= {frame.path for frame in frames.values()}
     kinds = ("extra", "wrong-setting")
-    remarks += [one for one in found.remarks if one.path not in explained or one.kind not in kinds]
-    return replace(found, remarks=tuple(remarks))
+    remarks += [remark for remark in matched.remarks if remark.path not in explained or remark.kind not in kinds]
+    return replace(matched, remarks=tuple(remarks))
 
 
 def compare_apertures(plan: Plan, frames: Mapping[Slot, ObservedFrame]) -> tuple[MatchRemark, ...]:

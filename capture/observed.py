@@ -54,7 +54,7 @@ class Observed:
     unusable
         Why files cannot be matched: damaged, without ISO or exposure time, of another camera.
     by_time
-        Whether all files say when they were taken: if not, the order is that of the names.
+        Whether all files say when they were taken; if not, their names order them.
     copies
         Files that show the shot of another one, and what that is: they are not among the frames.
     """
@@ -65,7 +65,7 @@ class Observed:
     copies: tuple[tuple[Path, str], ...] = ()
 
     def without_copies(self, of: Iterable[Original], workers: Workers = IN_THIS_PROCESS) -> Observed:
-        """Return what is left without the frames that are byte for byte one of these files."""
+        """Leave out the frames that are byte for byte one of these files."""
         originals: dict[object, dict[str | None, str]] = {}
         for one in of:
             originals.setdefault((one.iso, one.exposure_s, one.size_bytes), {})[one.sha256] = one.path
@@ -91,7 +91,7 @@ def f_text(f_number: Fraction) -> str:
 
 
 def same_aperture(one: Fraction, other: Fraction) -> bool:
-    """Return whether two f-numbers are one setting: names are rounded (f/22 is f/22.6), steps are a third of a stop."""
+    """Check that two f-numbers are one setting: names are rounded (f/22 is f/22.6), steps are a third of a stop."""
     return abs(2 * log2(one / other)) <= STOPS_TOLERANCE
 
 
@@ -133,8 +133,8 @@ def raw_files(given: Iterable[Path | str], extension: str, outside: Path | None 
 def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_THIS_PROCESS) -> Observed:
     """Read what EXIF says of each file, and put the files into the order in which they were taken.
 
-    The order is that of DateTimeOriginal with its fraction of a second; frames of the same second that have no fraction
-    are in the order of their names. If a file has no time, all are ordered by folder and name, as cameras number
+    DateTimeOriginal orders them, with its fraction of a second; frames of the same second without a fraction are in the
+    order of their names. If a file has no time, all are ordered by folder and name, as cameras number
     them. Of files that show one shot, such as copies
     on a backup card, one counts (:func:`eldata.raw.files.find_doubles`).
 
@@ -150,16 +150,16 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
     frames: list[ObservedFrame] = []
     unusable: list[RawFileError] = []
     known = {model.casefold() for model in models}
-    for found in workers.run(_observe, paths, label="reading EXIF"):
-        if isinstance(found, RawFileError):
-            unusable.append(found)
-        elif found.model.casefold() not in known:
+    for frame in workers.run(_observe, paths, label="reading EXIF"):
+        if isinstance(frame, RawFileError):
+            unusable.append(frame)
+        elif frame.model.casefold() not in known:
             reason = (
-                f"was taken by {found.model or 'a camera that it does not name'}; the plan's is {' or '.join(models)}"
+                f"was taken by {frame.model or 'a camera that it does not name'}; the plan's is {' or '.join(models)}"
             )
-            unusable.append(RawFileError(found.path, reason))
+            unusable.append(RawFileError(frame.path, reason))
         else:
-            frames.append(found)
+            frames.append(frame)
     facts = {frame.path: ShotFacts(frame.model, frame.iso, frame.exposure_s, frame.taken) for frame in frames}
     doubles = find_doubles(facts, workers, across=True)
     frames = [frame for frame in frames if frame.path not in doubles]
@@ -170,7 +170,7 @@ def observe(paths: Sequence[Path], models: Sequence[str], workers: Workers = IN_
 
 
 def _observe(path: Path) -> ObservedFrame | RawFileError:
-    """Return what EXIF says of a file; or what is wrong with it: damaged, or without ISO or exposure time."""
+    """Read the EXIF of a file; return the problem if it is damaged, or states no ISO or exposure time."""
     from eldata.raw.reading import read_header
 
     try:

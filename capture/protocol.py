@@ -179,7 +179,7 @@ def _check_distinct(name: str, values: object) -> None:
 
 
 RELEASED = CaptureProtocol()
-"""The released set: 16 frames per scene, with the factors 1 and 10 beside the paper's 100 and 200."""
+"""The released set: 16 frames per scene, with the factors 1 and 10 besides the paper's 100 and 200."""
 
 PAPER = CaptureProtocol(low_light_factors=(100, 200))
 """The paper's own settings: six noisy frames per scene, 240 pairs over ten scenes and four cameras.

@@ -66,7 +66,7 @@ class Shot:
     true_iso
         The ISO's measured speed, where the camera's description states it.
     series
-        Of calibration frames beside the usual ones, the folder that keeps them apart: ``warm``.
+        Of calibration frames besides the usual ones, the folder that keeps them apart: ``warm``.
     """
 
     number: int
@@ -166,7 +166,7 @@ def _check_iso(camera: CameraDescription, iso: int) -> None:
 
 
 def _light_share(camera: CameraDescription, protocol: CaptureProtocol, frame: ProtocolFrame) -> Fraction:
-    """Return the time of a noisy frame over that of its reference: by the ISOs' speeds, and its factor."""
+    """Return the time of a noisy frame over its reference's, by the ISOs' speeds and its factor."""
     return camera.speed(protocol.base_iso) / camera.speed(frame.iso) / (frame.factor or 1)
 
 
@@ -282,21 +282,21 @@ class ScenePlan:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What to know about these shots: a metered time that was rounded, ratios far off their factor."""
-        found = []
+        remarks = []
         base = self.shots[0].setting
         if base.nominal_s != self.metered_s:
-            found.append(f"metered at {self.metered_s} s, set as {base.dial} s, the camera's nearest time")
+            remarks.append(f"metered at {self.metered_s} s, set as {base.dial} s, the camera's nearest time")
         far = []
         for shot in self.shots:
             ratios = [float(ratio) for ratio in (shot.true_ratio, shot.named_ratio) if ratio is not None]
             if any(abs(ratio - (shot.factor or 0)) > RATIO_TOLERANCE * (shot.factor or 0) for ratio in ratios):
                 far.append(str(shot.number))
         if far:
-            found.append(
+            remarks.append(
                 f"frames {', '.join(far)}: the ratio is more than {float(100 * RATIO_TOLERANCE):.0f} % off its factor, "
                 "which eldata verify refuses; set the camera to thirds of a stop, or meter another time"
             )
-        return tuple(found)
+        return tuple(remarks)
 
 
 def plan_scene(
@@ -369,13 +369,13 @@ def default_isos(camera: CameraDescription, protocol: CaptureProtocol) -> tuple[
     protocol's ISOs tells nothing that this one does not.
     """
     used = {protocol.base_iso, *protocol.noisy_isos}
-    found = set(used)
+    isos = set(used)
     for iso in camera.isos:
         stops = math.log2(iso / protocol.base_iso)
         full = abs(stops - round(stops)) < _NAME_STOPS and 0 < stops < math.log2(max(used) / protocol.base_iso)
         if full and all(abs(math.log2(iso / other)) > _NEAR_STOPS for other in used):
-            found.add(iso)
-    return tuple(sorted(found))
+            isos.add(iso)
+    return tuple(sorted(isos))
 
 
 def plan_calibration(

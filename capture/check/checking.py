@@ -72,8 +72,8 @@ def split_units(records: Sequence[FrameRecord], folder: Path, workers: Workers) 
         groups.setdefault(_unit_name(record), []).append(record)
     within = Workers(max(1, workers.jobs // max(1, len(groups))))
     return [
-        Unit(name, folder, tuple(sorted(found, key=lambda one: (one.role == "noisy", one.path))), within)
-        for name, found in groups.items()
+        Unit(name, folder, tuple(sorted(rows, key=lambda record: (record.role == "noisy", record.path))), within)
+        for name, rows in groups.items()
     ]
 
 

@@ -287,7 +287,7 @@ def scene_picture(frame: ReducedFrame, gain: float) -> SheetPicture:
 
 
 def change_picture(first: ReducedFrame, last: ReducedFrame) -> SheetPicture:
-    """Return where the last reference is brighter (red) or darker (blue) than the first."""
+    """Draw where the last reference is brighter (red) or darker (blue) than the first."""
     before, after = (_three_colours(frame.cells)[..., 1] for frame in (first, last))
     floor = 0.01 * first.cells.range_dn
     change = (after - before) / np.maximum(before, floor)

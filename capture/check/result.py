@@ -119,7 +119,7 @@ _LIMITS: Final = {
 
 @cache
 def find_kind(name: str) -> MeasureKind:
-    """Return what ``kinds.toml`` says of a kind of measure; a limit that depends on the frames is infinite there."""
+    """Read a kind of measure from ``kinds.toml``; a limit that depends on the frames is infinite there."""
     said: dict[str, Any] = {"name": name} | _read_kinds()[name]
     limits = said.pop("limits", "")
     look, again = _LIMITS.get(limits, (math.inf, math.inf))
@@ -180,9 +180,9 @@ class Measure:
         limits.append(f"look from {self.kind.look:.3g}{unit}{off}")
         if math.isfinite(self.kind.again):
             limits.append(f"shoot again from {self.kind.again:.3g}{unit}{off}")
-        found = with_error(self.value, self.standard_error)
+        value = with_error(self.value, self.standard_error)
         return (
-            f"{in_line(self.path)}: {self.name}: {self.text}: {found}{unit} ({', '.join(limits)}); {self.kind.advice}"
+            f"{in_line(self.path)}: {self.name}: {self.text}: {value}{unit} ({', '.join(limits)}); {self.kind.advice}"
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -264,7 +264,7 @@ class CheckedGroup:
     pictures
         For the contact sheet.
     pairs
-        The reference's path by that of each noisy frame that could be read.
+        The path of the reference, by the path of each noisy frame that could be read.
     """
 
     name: str
@@ -274,10 +274,10 @@ class CheckedGroup:
     pictures: list[SheetPicture] = field(default_factory=list)
     pairs: dict[str, str] = field(default_factory=dict)
 
-    def measure(self, kind: MeasureKind | str, path: str, found: Estimate, **words: str) -> Measure:
-        """Add a measure of a kind, or of that of a name, with the words of its text; return it."""
+    def measure(self, kind: MeasureKind | str, path: str, estimate: Estimate, **words: str) -> Measure:
+        """Add a measure of a kind, or of a kind's name, with the words of its text; return it."""
         kind = find_kind(kind) if isinstance(kind, str) else kind
-        self.measures.append(Measure(kind, path, kind.text.format(**words), found.value, found.standard_error))
+        self.measures.append(Measure(kind, path, kind.text.format(**words), estimate.value, estimate.standard_error))
         return self.measures[-1]
 
     def remark(self, path: str, text: str, verdict: Verdict = "look") -> None:
@@ -297,8 +297,8 @@ class CheckedGroup:
     @property
     def reasons(self) -> tuple[Measure | Remark, ...]:
         """What made the verdict, and what else to look at; the worst first."""
-        found = [one for one in self.findings if one.verdict != "keep"]
-        return tuple(sorted(found, key=lambda one: -VERDICTS.index(one.verdict)))
+        findings = [finding for finding in self.findings if finding.verdict != "keep"]
+        return tuple(sorted(findings, key=lambda finding: -VERDICTS.index(finding.verdict)))
 
     def verdict_of(self, path: str) -> Verdict:
         """Return the most severe verdict about one file."""
@@ -390,12 +390,12 @@ _ALIKE = 0.03
 
 def _find_alike(groups: Iterable[CheckedGroup]) -> list[list[Measure]]:
     """Return the measured ratios that are off by about the same factor, for the same reason, in many files."""
-    found: dict[tuple[str, Verdict, str], list[Measure]] = defaultdict(list)
-    for one in (one for group in groups for one in group.measures if not one.kind.unit and one.kind.expected):
-        if one.verdict != "keep":
-            found[one.name, one.verdict, one.kind.advice].append(one)
+    groups_alike: dict[tuple[str, Verdict, str], list[Measure]] = defaultdict(list)
+    for measure in (measure for group in groups for measure in group.measures):
+        if measure.kind.expected and not measure.kind.unit and measure.verdict != "keep":
+            groups_alike[measure.name, measure.verdict, measure.kind.advice].append(measure)
     alike = []
-    for many in found.values():
+    for many in groups_alike.values():
         middle = median(map(_relative, many))
         close = [one for one in many if abs(_relative(one) - middle) <= _ALIKE]
         alike += [close] if len(close) >= _MANY else []

@@ -244,7 +244,7 @@ def _judge_exif(record: FrameRecord, ratio: Estimate, given: list[float]) -> tup
 
 
 def _ratio_advice(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction | None, noisy: list[FrameRecord]) -> str:
-    """Return what may have happened to a frame whose ratio is not the nominal one."""
+    """Say what may have happened to a frame whose ratio is not the nominal one."""
     cause = "EXIF does not show it"
     if exif_ratio is not None and _fits(ratio, exif_ratio):
         cause = "EXIF says the same: taken with another setting, or under another frame's name"

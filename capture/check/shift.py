@@ -181,7 +181,7 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
 
 
 def _combined(values: NDArray[np.float64], errors: NDArray[np.float64]) -> Shift | None:
-    """Return the shift of the frame from those of its tiles: weighted mean of the tiles that agree with the median."""
+    """Combine the tiles' shifts into the frame's: the weighted mean of the tiles that agree with the median."""
     certain = np.all(np.isfinite(errors) & (errors > 0) & (errors < _WORST_ERROR), axis=0)
     if not certain.any():
         return None
@@ -196,8 +196,8 @@ def _combined(values: NDArray[np.float64], errors: NDArray[np.float64]) -> Shift
     count = int((~odd).sum())
     # Where the tiles scatter more than their errors say, the scatter counts.
     chi2 = (weights * (values - mean[:, None]) ** 2).sum(axis=1) / max(1, count - 1)
-    found = np.sqrt(np.maximum(chi2, 1) / weights.sum(axis=1))
-    down, right = (Estimate(float(value), float(error)) for value, error in zip(mean, found, strict=True))
+    errors = np.sqrt(np.maximum(chi2, 1) / weights.sum(axis=1))
+    down, right = (Estimate(float(value), float(error)) for value, error in zip(mean, errors, strict=True))
     return down, right
 
 

@@ -87,26 +87,24 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"{output}: has {there} of the plan's {len(plan.shots)} shots; the others are:\n")
     part = lacking or plan
     if arguments.mapping is not None:
-        found = load_mapping(arguments.mapping, part, observed)
+        matched = load_mapping(arguments.mapping, part, observed)
     else:
-        found = explain_metering(part, observed, match(part, observed, repeated=arguments.repeated))
-    found = replace(found, remarks=(*found.remarks, *compare_apertures(part, found.frames)))
-    print(format_match(part, observed, found))
+        matched = explain_metering(part, observed, match(part, observed, repeated=arguments.repeated))
+    matched = replace(matched, remarks=(*matched.remarks, *compare_apertures(part, matched.frames)))
+    print(format_match(part, observed, matched))
     if arguments.json:
-        write_json(arguments.json, mapping_as_dict(part, observed, found))
-    if not found.frames:
+        write_json(arguments.json, mapping_as_dict(part, observed, matched))
+    if not matched.frames:
         print("\nno file is a shot of this plan; nothing was written. Is it the right plan, with the right camera?")
         return PROBLEMS
-    if found.missing and not arguments.allow_gaps:
-        print(
-            f"\n{len(found.missing)} of {len(part.shots)} shots have no file. Take them again, or accept the gaps with"
-        )
-        print("--allow-gaps; --only names the scenes to begin with.")
+    if matched.missing and not arguments.allow_gaps:
+        print(f"\n{len(matched.missing)} of {len(part.shots)} shots have no file. Take them again, or accept the gaps")
+        print("with --allow-gaps; --only names the scenes to begin with.")
         accepting = "--allow-gaps" if arguments.yes else "--allow-gaps --yes"
-        return _leave_mapping(output, mapping_as_dict(part, observed, found), accepting)
-    if found.doubtful and arguments.mapping is None and not arguments.yes and not _confirm():
-        return _leave_mapping(output, mapping_as_dict(part, observed, found), "--yes")
-    _write(plan, found, existing, arguments, workers)
+        return _leave_mapping(output, mapping_as_dict(part, observed, matched), accepting)
+    if matched.doubtful and arguments.mapping is None and not arguments.yes and not _confirm():
+        return _leave_mapping(output, mapping_as_dict(part, observed, matched), "--yes")
+    _write(plan, matched, existing, arguments, workers)
     return OK
 
 
@@ -162,13 +160,13 @@ def _leave_mapping(output: Path, mapping: dict[str, Any], accepting: str) -> int
 
 
 def _write(
-    plan: Plan, found: Match, existing: ExistingSet | None, arguments: argparse.Namespace, workers: Workers
+    plan: Plan, matched: Match, existing: ExistingSet | None, arguments: argparse.Namespace, workers: Workers
 ) -> None:
     from capture.manifest import make_card, make_dataset, place_files
     from eldata.manifest.writing import refuse_others, save_manifest
 
     output, place = Path(arguments.output), arguments.copy_to or arguments.link_to
-    dataset = make_dataset(plan, found, None if place is None else Path(place).absolute(), existing, workers)
+    dataset = make_dataset(plan, matched, None if place is None else Path(place).absolute(), existing, workers)
     records = dataset.records
     if existing is not None:
         card = existing.join(plan, records)
@@ -188,26 +186,26 @@ def _write(
     print(f"check it with: eldata verify {where} --level full")
 
 
-def format_match(plan: Plan, observed: Observed, found: Match) -> str:
-    """Return what was matched, one line per scene, and everything that did not go as planned."""
+def format_match(plan: Plan, observed: Observed, matched: Match) -> str:
+    """Format a match: one line per scene, and everything that did not go as planned."""
     from capture.matching import list_blocks
     from eldata.base.tables import text_table
 
     rows = []
     for block in list_blocks(plan):
-        frames = [found.frames.get((block.scene, shot.number)) for shot in block.shots]
+        frames = [matched.frames.get((block.scene, shot.number)) for shot in block.shots]
         there = [frame for frame in frames if frame is not None]
         names = "-" if not there else f"{there[0].path.name} to {there[-1].path.name}"
         times = [frame.taken for frame in there if frame.taken is not None]
         when = "-" if not times else f"{min(times):%Y-%m-%d %H:%M:%S} to {max(times):%H:%M:%S}"
         rows.append((block.title, f"{len(there)} of {len(frames)}", names, when))
     lines = [text_table(("scene", "frames", "files", "taken"), rows, left=(0, 2, 3))]
-    kinds = list(dict.fromkeys(remark.kind for remark in found.remarks))
+    kinds = list(dict.fromkeys(remark.kind for remark in matched.remarks))
     for kind in kinds:
         # A scene without any frame is one line, not sixteen.
-        texts = list(dict.fromkeys(remark.text for remark in found.remarks if remark.kind == kind))
+        texts = list(dict.fromkeys(remark.text for remark in matched.remarks if remark.kind == kind))
         lines.append(f"{kind}:")
         lines += [f"    {in_line(text)}" for text in texts]
     total = len(observed.frames) + len(observed.unusable) + len(observed.copies)
-    lines.append(f"{len(found.frames)} of {len(plan.shots)} shots have a file; {total} files were given")
+    lines.append(f"{len(matched.frames)} of {len(plan.shots)} shots have a file; {total} files were given")
     return "\n".join(lines)

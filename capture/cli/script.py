@@ -90,7 +90,7 @@ def script_minutes(plan: Plan) -> str:
 
 
 def _time_words(time: ShutterTime) -> list[str]:
-    """Return what gphoto2 sets: the time's name, or ``Bulb`` and its seconds."""
+    """Return the words that gphoto2 sets: the time's name, or ``Bulb`` and its seconds."""
     return time.dial.replace("bulb", "Bulb").split()
 
 

@@ -27,7 +27,7 @@ def load_plan(arguments: argparse.Namespace) -> Plan:
 
 
 def name_ending(suffix: str) -> Callable[[str], str]:
-    """Return what reads a file's name and refuses another ending."""
+    """Make an option's type: a file's name with this ending."""
 
     def read(text: str) -> str:
         if not text.endswith(suffix):

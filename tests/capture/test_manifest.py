@@ -151,7 +151,7 @@ def test_everything_that_goes_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
         "was taken by Toy; the plan's is Nocturne 1",
         "broken.dng: truncated",
         "47 of 48 shots have a file; 51 files were given",
-        "1 of 48 shots have no file. Take them again, or accept the gaps with",
+        "1 of 48 shots have no file. Take them again, or accept the gaps",
     ):
         assert words in output
     assert not field.csv.exists()

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from capture.cli.values import name_ending
 from eldata.base.console import OK, PROBLEMS, add_cameras, add_shared, show_and_write
 from eldata.base.outputs import add_output
+from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     import argparse
@@ -25,9 +25,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     scene = "only this scene, by name or number, and no calibration frames; may be repeated"
     parser.add_argument("--scene", action="append", dest="scenes", default=[], metavar="N", help=scene)
     add_cameras(parser)
-    add_output(
-        parser, "--sheet", type=name_ending(".html"), help="write a contact sheet, an HTML page that needs no network"
-    )
+    add_output(parser, "--sheet", help="write a contact sheet, an HTML page that needs no network")
     add_shared(parser, run, "root", "jobs", json=True)
 
 
@@ -36,6 +34,8 @@ def run(arguments: argparse.Namespace) -> int:
     from capture.check.checking import check
     from capture.check.result import write_sheet
 
+    if arguments.sheet and not arguments.sheet.endswith(".html"):
+        raise ArgumentError(f"--sheet {arguments.sheet}: expected a name that ends in .html")
     report = check(
         arguments.manifest,
         arguments.root,

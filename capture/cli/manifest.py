@@ -13,13 +13,14 @@ edited and passed back with --mapping.
 
 from __future__ import annotations
 
+import argparse
 import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from capture.cli.values import add_plan, load_plan, name_ending
+from capture.cli.values import add_plan, load_plan
 from eldata.base.console import OK, PROBLEMS, add_shared
 from eldata.base.files import json_text, write_json, write_text
 from eldata.base.outputs import add_output
@@ -28,8 +29,6 @@ from eldata.base.workers import Workers
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import argparse
-
     from capture.manifest import ExistingSet
     from capture.matching import Match
     from capture.observed import Observed
@@ -46,7 +45,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--output",
         beside=[".json"],
         makes_folder=True,
-        type=name_ending(".csv"),
+        type=_table_name,
         required=True,
         help="the manifest, such as manifests/mine.csv",
     )
@@ -63,6 +62,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     joins = "join the set that this manifest lists: another card, night or camera; with --copy-to or --link-to"
     older.add_argument("--append", action="store_true", help=joins)
     add_shared(parser, run, "jobs", json=True)
+
+
+def _table_name(text: str) -> str:
+    if not text.endswith(".csv"):
+        raise argparse.ArgumentTypeError(f"expected a name that ends in .csv, found {text!r}")
+    return text
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,12 +1,11 @@
-"""Options that several commands share: a plan and the part of it, names of files that end as they should."""
+"""Options that several commands share: a plan, and the part of it."""
 
 from __future__ import annotations
 
-import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    import argparse
 
     from capture.plan import Plan
 
@@ -24,14 +23,3 @@ def load_plan(arguments: argparse.Namespace) -> Plan:
 
     plan = Plan.load(arguments.plan)
     return plan.only(arguments.only) if arguments.only else plan
-
-
-def name_ending(suffix: str) -> Callable[[str], str]:
-    """Make an option's type: a file's name with this ending."""
-
-    def read(text: str) -> str:
-        if not text.endswith(suffix):
-            raise argparse.ArgumentTypeError(f"expected a name that ends in {suffix}, found {text!r}")
-        return text
-
-    return read

@@ -129,6 +129,13 @@ def test_files_may_stay_where_they_are(small: Field, capsys: pytest.CaptureFixtu
     assert "--root" in capsys.readouterr().out
 
 
+def test_names_order_where_there_are_no_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    field = Field(tmp_path, plan_of("4", "1"), times=False)  # DSC1 ... DSC32, which sort as text the wrong way
+    assert field.copy() == 0
+    assert "not every file says when it was taken" in capsys.readouterr().out
+    assert sha256_of(field.data / "AcmeNocturne/scene-1/IMG_0010.dng") == sha256_of(field.card / "DSC10.dng")
+
+
 def test_everything_that_goes_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Skipped, repeated, swapped, a test shot, another camera's file, a damaged one: each is named, none shifts."""
     plan = plan_of("4", "1", "2")
@@ -281,6 +288,21 @@ def test_files_of_another_plan(small: Field, capsys: pytest.CaptureFixture[str])
     assert "no file is a shot of this plan; nothing was written" in capsys.readouterr().out
     assert len(json.loads((small.folder / "all.json").read_text())["unused"]) == 3
     assert not small.csv.parent.exists()
+
+
+def test_a_kill_between_card_and_manifest(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
+    """The card alone is what such a run left; another one, perhaps filled in, is not touched."""
+    assert small.copy() == 0
+    card, rows = small.csv.with_suffix(".json"), small.csv.read_bytes()
+    small.csv.unlink()
+    assert small.copy() == 0
+    assert small.csv.read_bytes() == rows
+    small.csv.unlink()
+    card.write_text(card.read_text().replace('"licence": "not stated"', '"licence": "CC0"'))
+    capsys.readouterr()
+    assert small.copy() == 2
+    assert f"{card} is there already, with other content: give another name, or --replace it" in capsys.readouterr().err
+    assert '"licence": "CC0"' in card.read_text()
 
 
 @pytest.mark.parametrize(("answer", "code"), [("y", 0), ("", 1)])

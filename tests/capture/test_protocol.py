@@ -17,6 +17,15 @@ protocols = st.builds(CaptureProtocol, base_iso=positive, noisy_isos=several, lo
 times_s = st.fractions(min_value=Fraction(1, 10**6), max_value=10**4, max_denominator=10**6)
 
 
+def test_paper_has_240_pairs() -> None:
+    noisy = [frame for frame in PAPER.frames() if frame.role == "noisy"]
+    assert {(frame.iso, frame.factor) for frame in noisy} == {
+        (iso, factor) for iso in (800, 1600, 3200) for factor in (100, 200)
+    }
+    assert len(noisy) * 10 * 4 == 240
+    assert [frame.number for frame in PAPER.frames() if frame.role == "reference"] == [1, 4, 7, 10]
+
+
 @given(protocols, st.integers(1, 5), st.integers(1, 4))
 def test_repeats_are_the_same_frames_more_often(protocol: CaptureProtocol, repeats: int, references: int) -> None:
     many = dataclasses.replace(protocol, repeats=repeats, references=references).frames()

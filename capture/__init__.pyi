@@ -1,6 +1,5 @@
-from .calibration import CalibrationPlan as CalibrationPlan
-from .calibration import plan_calibration as plan_calibration
 from .camera import CameraDescription as CameraDescription
+from .camera import Shutter as Shutter
 from .plan import Plan as Plan
 from .plan import make_plan as make_plan
 from .protocol import PAPER as PAPER
@@ -8,4 +7,5 @@ from .protocol import PROTOCOLS as PROTOCOLS
 from .protocol import RELEASED as RELEASED
 from .protocol import CaptureProtocol as CaptureProtocol
 from .protocol import ProtocolFrame as ProtocolFrame
-from .shutter import Shutter as Shutter
+from .shots import CalibrationPlan as CalibrationPlan
+from .shots import plan_calibration as plan_calibration

@@ -12,28 +12,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-class CameraError(EldataError):
-    """A camera description is malformed, or asks for what the camera does not have."""
+class CaptureError(EldataError):
+    """A camera description, plan or mapping is malformed, or cannot be used as asked."""
 
 
-class PlanError(EldataError):
-    """A capture plan is malformed, or cannot be changed as asked."""
-
-
-class ImpossibleShotError(PlanError):
+class ImpossibleShotError(CaptureError):
     """A shot needs an exposure time that the camera does not have; the message says what to change, computed."""
 
 
-class MappingError(EldataError):
-    """Files cannot be matched to a plan, or a mapping of them is malformed."""
-
-
 @contextmanager
-def naming(path: Path | str, kind: type[EldataError]) -> Iterator[None]:
-    """Turn every error from inside into one of this kind that begins with the file's name."""
+def naming(path: Path | str) -> Iterator[None]:
+    """Let every error from inside begin with the file's name."""
     try:
         yield
     except EldataError as error:
-        if isinstance(error, kind) and str(error).startswith(str(path)):
-            raise
-        raise kind(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+        raise CaptureError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None

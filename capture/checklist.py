@@ -10,41 +10,139 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+from dataclasses import dataclass
+from functools import cache
+from itertools import groupby
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.capture_errors import ImpossibleShotError
-from capture.checklist_content import (
-    TEMPLATES,
-    at_each_scene,
-    calibration_parts,
-    every_item,
-    preparation,
-    rows,
-)
+from capture.capture_errors import CaptureError, ImpossibleShotError
 from capture.observed import f_text
-from capture.shots import ScenePlan, minutes, scene_shots
+from capture.shots import WARM, ScenePlan, format_minutes, scene_shots
+from eldata.base.fields import TextFile
 from eldata.base.tables import aligned_markdown, markdown_text, one_line, text_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from capture.checklist_content import ChecklistRow, Item
     from capture.plan import Plan
+    from capture.shots import Shot
 
-    Rows = Sequence[Sequence[str]]
+__all__ = ["FORMATS", "html_checklist", "markdown_checklist", "plan_digest", "text_checklist"]
 
-__all__ = [
-    "FORMATS",
-    "html_checklist",
-    "markdown_checklist",
-    "plan_digest",
-    "text_checklist",
-]
-
-
+TEMPLATES: Final = Path(__file__).parent / "templates"
+_TITLES: Final = {
+    "bias": "Bias frames",
+    "flats": "Flat-field frames",
+    WARM: "With the sensor warm, after the shooting",
+}
 _LONGEST_TEXT: Final = 500  # characters of a file's name or a remark
 _MOST_REPEATS: Final = 99
 _TO_BE_TIMED_S: Final = 1  # shorter exposures are over before a button is pressed
+
+
+@dataclass(frozen=True, slots=True)
+class ChecklistRow:
+    """A row with one box to tick: a shot, or successive shots with the same settings.
+
+    Attributes
+    ----------
+    shot
+        The (first) shot.
+    count
+        How many shots the row stands for.
+    """
+
+    shot: Shot
+    count: int
+
+    @property
+    def numbers(self) -> str:
+        """Number, or first and last: ``1-10``."""
+        first = self.shot.number
+        return str(first) if self.count == 1 else f"{first}-{first + self.count - 1}"
+
+    @property
+    def dial(self) -> str:
+        """The exposure time as the camera marks it."""
+        return self.shot.setting.dial
+
+    @property
+    def what(self) -> str:
+        """The role in words, with what belongs to it."""
+        words: str = self.shot.role
+        if self.shot.factor is not None:
+            words = f"noisy x{self.shot.factor}"
+        if self.shot.level is not None:
+            words = f"flat {float(100 * self.shot.level):.0f} %"
+        if self.shot.series:
+            words = f"{self.shot.series} {words}"
+        return words if self.count == 1 else f"{words}, {self.count} frames"
+
+
+def make_rows(shots: Iterable[Shot]) -> tuple[ChecklistRow, ...]:
+    """Make the rows of shots: those in a row that are to be equal in everything are one."""
+
+    def settings(shot: Shot) -> tuple[object, ...]:
+        return shot.role, shot.iso, shot.setting.dial, shot.factor, shot.reference, shot.level, shot.series
+
+    groups = [list(group) for _, group in groupby(shots, key=settings)]
+    return tuple(ChecklistRow(group[0], len(group)) for group in groups)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationPart:
+    """Calibration frames of one kind: ``"bias"``, ``"flats"`` or ``"warm"``, with what to do before."""
+
+    kind: str
+    title: str
+    items: tuple[Mapping[str, str], ...]
+    shots: tuple[Shot, ...]
+
+    @property
+    def rows(self) -> tuple[ChecklistRow, ...]:
+        """The rows of its shots."""
+        return make_rows(self.shots)
+
+
+def calibration_parts(plan: Plan) -> tuple[CalibrationPart, ...]:
+    """Return the plan's calibration frames by kind, in the order in which they are taken."""
+    kinds: dict[str, list[Shot]] = {}
+    for shot in () if plan.calibration is None else plan.calibration.shots:
+        kinds.setdefault("flats" if shot.role == "flat" else shot.series or "bias", []).append(shot)
+    return tuple(
+        CalibrationPart(kind, _TITLES[kind], read_items(kind, plan), tuple(shots)) for kind, shots in kinds.items()
+    )
+
+
+def read_items(kind: str, plan: Plan) -> tuple[Mapping[str, str], ...]:
+    """Read what to do before the first shot (``"preparation"``), or before calibration frames of a kind.
+
+    Each item has a ``name`` (what is ticked stays ticked when the words change), a ``text`` and, in one line, ``why``.
+    """
+    return tuple(item | {"text": _fill_in(item["text"], plan)} for item in _read_words()[kind])
+
+
+def read_steps(plan: Plan) -> tuple[str, ...]:
+    """Read the steps at each scene."""
+    return tuple(_fill_in(text, plan) for text in _read_words()["at_each_scene"])
+
+
+@cache
+def _read_words() -> Mapping[str, Any]:
+    return TextFile(TEMPLATES / "checklist.toml", CaptureError).toml().data
+
+
+def _fill_in(text: str, plan: Plan) -> str:
+    return text.format(
+        base_iso=plan.protocol.base_iso,
+        files=len(plan.shots),
+        raw_extension=plan.camera.raw_extension,
+        step=plan.camera.shutter.step,
+    )
+
+
+# --- the page ---------------------------------------------------------------------------------------------------------
 
 
 def plan_digest(plan: Plan) -> str:
@@ -52,8 +150,11 @@ def plan_digest(plan: Plan) -> str:
     content = plan.as_dict()
     for scene in content["scenes"]:
         del scene["notes"], scene["shots"]
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+    return f"sha256:{hashlib.sha256(_compact_json(content).encode()).hexdigest()}"
+
+
+def _compact_json(data: object) -> str:
+    return json.dumps(data, sort_keys=True, separators=(",", ":"))
 
 
 def html_checklist(plan: Plan) -> str:
@@ -62,18 +163,20 @@ def html_checklist(plan: Plan) -> str:
 
     # With the line end that stands before them in the page, since the policy's hashes are of elements' whole content.
     style, script = ("\n" + (TEMPLATES / f"checklist.{suffix}").read_text(encoding="utf-8") for suffix in ("css", "js"))
+    # No text in the data can close its script element.
+    data = _compact_json(_page_data(plan)).replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
     return rendered(
         "checklist.html",
         TEMPLATES,
         plan=plan,
         f_text=f_text,
-        time_needed=minutes(plan.duration.total_s),
-        scene_rows=[(scene, rows(scene.shots)) for scene in plan.scenes],
+        time_needed=format_minutes(plan.duration_s),
+        scene_rows=[(scene, make_rows(scene.shots)) for scene in plan.scenes],
         parts=calibration_parts(plan),
-        preparation=preparation(plan),
-        at_each_scene=at_each_scene(plan),
+        preparation=read_items("preparation", plan),
+        at_each_scene=read_steps(plan),
         longest_text=_LONGEST_TEXT,
-        data=_embedded(_page_data(plan)),
+        data=data,
         style=style,
         script=script,
         style_hash=_policy_hash(style),
@@ -82,42 +185,40 @@ def html_checklist(plan: Plan) -> str:
 
 
 def _policy_hash(text: str) -> str:
-    """Return how a page's policy names the one script, or style, that may run."""
+    """Hash a script or style, as a page's policy names the one that may run."""
     return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}"
 
 
-def _embedded(data: dict[str, Any]) -> str:
-    """Return JSON that may stand in a ``script`` element: no text in it can close that."""
-    text = json.dumps(data, sort_keys=True, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
 def _page_data(plan: Plan) -> dict[str, Any]:
-    """Return what the page's script computes with."""
-    camera = plan.camera
+    """Collect the data that the page's script computes with."""
+
+    def frames(rows: Iterable[ChecklistRow]) -> list[dict[str, Any]]:
+        return [{"number": r.shot.number, "count": r.count, "iso": r.shot.iso, "dial": r.dial} for r in rows]
+
+    parts, times = calibration_parts(plan), plan.camera.shutter.times
+    items = [*read_items("preparation", plan), *(item for part in parts for item in part.items)]
     return {
         "digest": plan_digest(plan),
-        "dials": [time.dial for time in camera.shutter.times],
-        "lasting": {time.dial: round(time.true_s, 2) for time in camera.shutter.times if time.true_s >= _TO_BE_TIMED_S},
-        "times": _times(plan),
-        "frames": [row.as_dict() for scene in plan.scenes[:1] for row in rows(scene.shots)],
+        "dials": [time.dial for time in times],
+        "lasting": {time.dial: round(time.true_s, 2) for time in times if time.true_s >= _TO_BE_TIMED_S},
+        "times": _list_times(plan),
+        "frames": frames(make_rows(plan.scenes[0].shots) if plan.scenes else ()),
         "scenes": [{"name": scene.name, "metered": str(scene.metered_s)} for scene in plan.scenes],
-        "calibration": [row.as_dict() for part in calibration_parts(plan) for row in part.rows],
-        "preparation": [item.name for item in every_item(plan)],
+        "calibration": frames(row for part in parts for row in part.rows),
+        "preparation": [item["name"] for item in items],
         "most_repeats": _MOST_REPEATS,
     }
 
 
-def _times(plan: Plan) -> list[dict[str, Any]]:
-    """Return for each time that a scene may be metered at: its rows' dials, as indices, and remarks; or what to change.
+def _list_times(plan: Plan) -> list[dict[str, Any]]:
+    """List the times that a scene may be metered at: its rows' dials, as indices, and remarks; or what to change.
 
     These are the times on the camera's dial, and those that the plan's scenes were metered at.
     """
-    times = plan.camera.shutter.times
-    index = {time: number for number, time in enumerate(times)}
+    index = {time: number for number, time in enumerate(plan.camera.shutter.times)}
     shown = {scene.metered_s: str(scene.metered_s) for scene in plan.scenes}
-    shown |= {time.nominal_s: time.dial for time in times}
-    found = []
+    shown |= {time.nominal_s: time.dial for time in index}
+    rows = []
     for metered_s in sorted(shown):
         row: dict[str, Any] = {"metered": str(metered_s), "shown": shown[metered_s]}
         try:
@@ -125,9 +226,9 @@ def _times(plan: Plan) -> list[dict[str, Any]]:
         except ImpossibleShotError as error:
             row["problem"] = str(error)
         else:
-            row |= {"dials": [index[one.shot.setting] for one in rows(scene.shots)], "remarks": scene.remarks}
-        found.append(row)
-    return found
+            row |= {"dials": [index[one.shot.setting] for one in make_rows(scene.shots)], "remarks": scene.remarks}
+        rows.append(row)
+    return rows
 
 
 # --- text and Markdown: the same content as the page, to print or to paste into notes ---------------------------------
@@ -143,7 +244,7 @@ def text_checklist(plan: Plan) -> str:
     def heading(level: int, text: str) -> str:
         return f"{text}\n{'=-'[level - 1] * len(text)}"
 
-    return _checklist(plan, heading, one_line, lambda cells: text_table(_HEADER, cells, _LEFT))
+    return _format_checklist(plan, heading, one_line, lambda cells: text_table(_HEADER, cells, _LEFT))
 
 
 def markdown_checklist(plan: Plan) -> str:
@@ -152,60 +253,47 @@ def markdown_checklist(plan: Plan) -> str:
     def heading(level: int, text: str) -> str:
         return f"{'#' * level} {text}"
 
-    return _checklist(plan, heading, markdown_text, lambda cells: aligned_markdown((_HEADER, *cells), _LEFT))
+    return _format_checklist(plan, heading, markdown_text, lambda cells: aligned_markdown((_HEADER, *cells), _LEFT))
 
 
-def _checklist(
-    plan: Plan, heading: Callable[[int, str], str], plain: Callable[[str], str], table: Callable[[Rows], str]
+def _format_checklist(
+    plan: Plan,
+    heading: Callable[[int, str], str],
+    plain: Callable[[str], str],
+    table: Callable[[Sequence[Sequence[str]]], str],
 ) -> str:
+    def boxes(items: Iterable[Mapping[str, str]]) -> str:
+        return "\n".join(f"- [ ] {item['text']}. {item['why']}" for item in items)
+
+    def rows(shots: Iterable[Shot]) -> str:
+        return table([_format_row(row) for row in make_rows(shots)])
+
     protocol = plan.protocol
-    counted = f"{plan.extent}, {len(plan.shots)} frames, {minutes(plan.duration.total_s)} of shooting"
+    counted = f"{plan.extent}, {len(plan.shots)} frames, {format_minutes(plan.duration_s)} of shooting"
     parts = [
         heading(1, f"Capture checklist: {plain(plan.camera.name)}"),
         f"{counted}; base ISO {protocol.base_iso}.",
         heading(2, "Preparation"),
-        _items(preparation(plan)),
+        boxes(read_items("preparation", plan)),
     ]
     if plan.scenes:
-        steps = (f"{number}. {text}" for number, text in enumerate(at_each_scene(plan), 1))
+        steps = (f"{number}. {text}" for number, text in enumerate(read_steps(plan), 1))
         parts += [heading(2, "At each scene"), "\n".join(steps)]
     for scene in plan.scenes:
-        notes = [f"- Note: {plain(note)}" for note in scene.notes]
-        remarks = [f"- {plain(remark)}" for remark in scene.remarks]
         at = f"ISO {protocol.base_iso}{'' if scene.aperture is None else f', {f_text(scene.aperture)}'}"
-        metered = f"- Planned for a metered time of {scene.metered_s} s at {at}. Metered: ________ s"
-        parts += [
-            heading(2, scene.name),
-            "\n".join([metered, *notes, *remarks]),
-            _rows(rows(scene.shots), table),
-        ]
+        lines = [f"Planned for a metered time of {scene.metered_s} s at {at}. Metered: ________ s"]
+        lines += [f"Note: {plain(note)}" for note in scene.notes] + [plain(remark) for remark in scene.remarks]
+        parts += [heading(2, scene.name), "\n".join(f"- {line}" for line in lines), rows(scene.shots)]
     for part in calibration_parts(plan):
-        said = plan.calibration.remarks if plan.calibration is not None and part.kind == "flats" else ()
-        before = "\n".join([_items(part.items), *(f"- {plain(remark)}" for remark in said)])
-        parts += [heading(2, part.title), before, _rows(part.rows, table)]
+        remarks = plan.calibration.remarks if plan.calibration is not None and part.kind == "flats" else ()
+        before = "\n".join([boxes(part.items), *(f"- {plain(remark)}" for remark in remarks)])
+        parts += [heading(2, part.title), before, rows(part.shots)]
     return "\n\n".join(parts) + "\n"
 
 
-def _items(found: Sequence[Item]) -> str:
-    return "\n".join(f"- [ ] {item.text}. {item.why}" for item in found)
-
-
-def _rows(found: Sequence[ChecklistRow], table: Callable[[Rows], str]) -> str:
-    return table(
-        [
-            (
-                "[ ]",
-                row.numbers,
-                row.what,
-                str(row.shot.iso),
-                f"{row.dial} s",
-                "" if row.shot.reference is None else f"with {row.shot.reference}",
-                "_" * 12,
-                "_" * 16,
-            )
-            for row in found
-        ]
-    )
+def _format_row(row: ChecklistRow) -> tuple[str, ...]:
+    compared = "" if row.shot.reference is None else f"with {row.shot.reference}"
+    return ("[ ]", row.numbers, row.what, str(row.shot.iso), f"{row.dial} s", compared, "_" * 12, "_" * 16)
 
 
 FORMATS: Final[dict[str, Callable[[Plan], str]]] = {

@@ -1,19 +1,24 @@
-"""From matched files to a dataset: its layout, its manifest and its card, as ``eldata`` reads them."""
+"""From matched files to a dataset: its layout, its manifest and its card, as ``eldata`` reads them.
+
+Files go into the layout by copy or hard link: originals stay, and what is there already is never replaced. Symbolic
+links are not made: ``eldata verify`` and every reader refuse a dataset whose files are elsewhere, since a link that
+leads out of its folder is how a manifest from a stranger would reach other files.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, Final, Literal
 
-from capture.calibration import WARM
-from capture.capture_errors import MappingError
+from capture.capture_errors import CaptureError
 from capture.matching import can_be
-from capture.placing import Placement
 from capture.plan import CALIBRATION
-from eldata.base.files import sha256_of
+from capture.shots import WARM
+from eldata.base.files import atomic_write, naming_file, sha256_of
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
 from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, load_card, title_of_set
@@ -23,12 +28,23 @@ from eldata.manifest.table import load_records
 from eldata.records import FrameRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from capture.matching import Match, Slot
     from capture.observed import ObservedFrame
     from capture.plan import Plan
     from capture.shots import Shot
+
+_PIECE: Final = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """A row of a manifest, the file that it is made from, and where this goes."""
+
+    path: Path
+    target: Path
+    record: FrameRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,16 +57,16 @@ class Dataset:
         The dataset's folder, which the rows' paths start from.
     rows
         Of the files that were matched, by scene and number.
-    remarks
-        The effects of gaps: other references, noisy frames left out.
     before
         Rows that the set had before, with the references that they have now.
+    remarks
+        The effects of gaps: other references, noisy frames left out.
     """
 
     folder: Path
     rows: tuple[Placement, ...]
+    before: tuple[FrameRecord, ...]
     remarks: tuple[str, ...]
-    before: tuple[FrameRecord, ...] = ()
 
     @property
     def records(self) -> tuple[FrameRecord, ...]:
@@ -58,107 +74,95 @@ class Dataset:
         return (*self.before, *(row.record for row in self.rows))
 
 
-def layout_path(plan: Plan, scene: str, shot: Shot, source: Path) -> str:
+def layout_path(plan: Plan, scene: str, shot: Shot, suffix: str = "") -> str:
     """Return a shot's path in the dataset: ``<camera>/scene-1/IMG_0004.ARW``, ``<camera>/bias/ISO100/IMG_0001.ARW``.
 
     Bias frames of a warm sensor are kept apart, in a folder that ``eldata calibrate`` takes as it is:
     ``<camera>/warm/bias/ISO800/IMG_0133.ARW``.
     """
     place = "/".join(filter(None, (shot.series, shot.role, f"ISO{shot.iso}"))) if scene == CALIBRATION else scene
-    return f"{plan.camera.name}/{place}/IMG_{shot.number:04d}{source.suffix}"
+    return f"{plan.camera.name}/{place}/IMG_{shot.number:04d}{suffix}"
 
 
-def into_layout(plan: Plan, match: Match, folder: Path, begun: Begun | None = None) -> Dataset:
-    """Return the dataset with its files under their protocol names in ``folder``.
+def make_dataset(
+    plan: Plan,
+    match: Match,
+    folder: Path | None = None,
+    existing: ExistingSet | None = None,
+    workers: Workers = IN_THIS_PROCESS,
+) -> Dataset:
+    """Make the rows of a dataset, with size and SHA-256 of each original.
 
     Parameters
     ----------
     plan
         The whole plan.
     match
-        Files of its shots, or of those that are not there.
+        Files of its shots, or of those that the existing set lacks.
     folder
-        The dataset's folder.
-    begun
+        The dataset's folder, where the files are to go under their protocol names; ``None`` leaves them where they
+        are, below the folder that they share.
+    existing
         The set that they join.
+    workers
+        The workers that hash the files.
 
     Raises
     ------
-    MappingError
-        Like :meth:`Begun.of`.
+    CaptureError
+        If the files share only the root of the file system; or like :meth:`ExistingSet.rows_of`.
     """
-    there = {} if begun is None else begun.of(plan)
+    there = {} if existing is None else existing.rows_of(plan)
+    listed = {record.path for record in there.values()}
+    before = [] if existing is None else [record for record in existing.records if record.path not in listed]
     paths = {slot: record.path for slot, record in there.items()}
-    known = set(paths.values())
-    others = () if begun is None else tuple(one for one in begun.records if one.path not in known)
-    for scene, shot in plan.shots:
-        frame = match.frames.get((scene, shot.number))
-        if frame is not None:
-            paths[scene, shot.number] = layout_path(plan, scene, shot, frame.path)
-    found = _dataset(plan, match, folder, paths, there)
-    return replace(found, before=(*others, *found.before))
-
-
-def in_place(plan: Plan, match: Match) -> Dataset:
-    """Return the dataset with its files where they are, below the folder that they share.
-
-    Raises
-    ------
-    MappingError
-        If they share only the root of the file system.
-    """
-    files = {slot: Path(os.path.abspath(frame.path)) for slot, frame in match.frames.items()}  # noqa: PTH100 # links stay
-    # One folder above that of the files: eldata looks for unlisted files in the folders below a dataset's own.
-    folder = Path(os.path.commonpath([path.parent.parent for path in files.values()]))
-    if folder == folder.parent:
-        raise MappingError(f"the files have no folder in common but {folder}; use --copy-to")
-    paths = {slot: path.relative_to(folder).as_posix() for slot, path in files.items()}
-    return _dataset(plan, match, folder, paths, there={})
-
-
-def _dataset(
-    plan: Plan,
-    match: Match,
-    folder: Path,
-    paths: dict[Slot, str],
-    there: Mapping[Slot, FrameRecord],
-) -> Dataset:
+    if folder is None:
+        files = {slot: Path(os.path.abspath(frame.path)) for slot, frame in match.frames.items()}  # noqa: PTH100 # links stay
+        # One folder above the files' own: eldata looks for unlisted files in the folders below a dataset's own.
+        folder = Path(os.path.commonpath([path.parent.parent for path in files.values()]))
+        if folder == folder.parent:
+            raise CaptureError(f"the files have no folder in common but {folder}; use --copy-to")
+        paths |= {slot: path.relative_to(folder).as_posix() for slot, path in files.items()}
+    else:
+        for scene, shot in plan.shots:
+            if (frame := match.frames.get((scene, shot.number))) is not None:
+                paths[scene, shot.number] = layout_path(plan, scene, shot, frame.path.suffix)
     references: dict[str, list[int]] = {}
     for scene, shot in plan.shots:
         if shot.role == "reference" and (scene, shot.number) in paths:
             references.setdefault(scene, []).append(shot.number)
-    rows, before, remarks = [], [], []
+    rows, remarks = [], []
     for scene, shot in plan.shots:
         slot = (scene, shot.number)
-        if slot not in paths:
-            continue
         reference = None
-        if shot.reference is not None:
-            known = references.get(scene, [])
-            if not known:
+        if slot in paths and shot.reference is not None:
+            # The planned one; else the nearest by number, the earlier of two, as the protocol has it.
+            near = sorted((abs(number - shot.number), number) for number in references.get(scene, ()))
+            number = shot.reference if (scene, shot.reference) in paths else near[0][1] if near else None
+            if number is None:
                 remarks.append(f"{scene} frame {shot.number} is left out: the scene has no reference")
                 continue
-            number = min(known, key=lambda other, shot=shot: _distance(shot, other))  # type: ignore[misc] # bound here
             if number != shot.reference:
-                remarks.append(
-                    f"{scene} frame {shot.number}: compared with frame {number}, as {shot.reference} is missing"
-                )
+                text = f"compared with frame {number}, as {shot.reference} is missing"
+                remarks.append(f"{scene} frame {shot.number}: {text}")
             reference = paths[scene, number]
         if slot in there:
             before.append(replace(there[slot], reference=reference))
-        else:
+        elif slot in paths:
             frame = match.frames[slot]
-            record = _record(plan, scene, shot, frame, paths[slot], reference)
+            record = _make_record(plan, scene, shot, frame, paths[slot], reference)
             rows.append(Placement(frame.path, folder / record.path, record))
-    return Dataset(folder, tuple(rows), tuple(remarks), tuple(before))
+    hashed = workers.run(_hash_file, rows, label="hashing")
+    return Dataset(folder, tuple(hashed), tuple(before), tuple(remarks))
 
 
-def _distance(shot: Shot, other: int) -> tuple[bool, int, int]:
-    # The planned one first; else the nearest by number, the earlier of two, as the protocol has it.
-    return other != shot.reference, abs(other - shot.number), other
-
-
-def _record(plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str, reference: str | None) -> FrameRecord:
+def _make_record(
+    plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str, reference: str | None
+) -> FrameRecord:
+    flags = [WARM_SENSOR] if shot.series == WARM else []
+    if shot.true_iso is not None and shot.named_ratio is not None and shot.factor is not None:
+        # Names of ISOs say another ratio than measured speeds.
+        flags += [UNCERTAIN_ISO] if abs(shot.named_ratio - shot.factor) > RATIO_TOLERANCE * shot.factor else []
     return FrameRecord(
         path=path,
         role=shot.role,
@@ -169,38 +173,24 @@ def _record(plan: Plan, scene: str, shot: Shot, frame: ObservedFrame, path: str,
         exposure_s=frame.exposure_s,
         ratio=None if shot.factor is None else Fraction(shot.factor),
         reference=reference,
-        flags=_flags(shot),
+        flags=tuple(flags),
     )
 
 
-def _flags(shot: Shot) -> tuple[str, ...]:
-    """Return what is known beforehand: a warm sensor, and names of ISOs that say another ratio than measured speeds."""
-    if shot.series == WARM:
-        return (WARM_SENSOR,)
-    if shot.true_iso is None or shot.named_ratio is None or shot.factor is None:
-        return ()
-    return (UNCERTAIN_ISO,) if abs(shot.named_ratio - shot.factor) > RATIO_TOLERANCE * shot.factor else ()
-
-
-def with_hashes(dataset: Dataset, workers: Workers = IN_THIS_PROCESS) -> Dataset:
-    """Return the dataset with size and SHA-256 of each original filled in: copies are checked against them."""
-    return replace(dataset, rows=tuple(workers.run(_with_hash, dataset.rows, label="hashing")))
-
-
-def _with_hash(row: Placement) -> Placement:
+def _hash_file(row: Placement) -> Placement:
     return replace(row, record=replace(row.record, size_bytes=row.path.stat().st_size, sha256=sha256_of(row.path)))
 
 
-def set_title(records: Sequence[FrameRecord]) -> str:
-    """Return what a set holds, in words."""
+def title_set(records: Sequence[FrameRecord]) -> str:
+    """Say what a set holds, in words."""
     return title_of_set(records, len({record.scene for record in records} - {""}))
 
 
-def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:
-    """Return the dataset's card; what only the photographer knows, such as the licence, is left to fill in."""
+def make_card(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) -> Card:
+    """Make the dataset's card; what only the photographer knows, such as the licence, is left to fill in."""
     return Card(
         name=name,
-        title=set_title(records),
+        title=title_set(records),
         version="1.0",
         folder=folder,
         citation="not stated",
@@ -214,130 +204,172 @@ def card_of(plan: Plan, name: str, folder: str, records: Sequence[FrameRecord]) 
     )
 
 
-# --- a manifest that was begun ----------------------------------------------------------------------------------------
+# --- a set that more files join ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Begun:
-    """A set that is there.
-
-    Attributes
-    ----------
-    path
-        Its manifest.
-    card, records
-        What that says.
-    """
+class ExistingSet:
+    """A set that is there: its manifest's path, and what this and its card say."""
 
     path: Path
     card: Card
     records: tuple[FrameRecord, ...]
 
     @classmethod
-    def load(cls, path: Path, folder: Path) -> Begun:
-        """Read a set's manifest.
-
-        Parameters
-        ----------
-        path
-            The manifest (CSV).
-        folder
-            The dataset's folder, where the files are and more are to go.
+    def load(cls, path: Path, folder: Path) -> ExistingSet:
+        """Read a set's manifest (CSV); ``folder`` is the dataset's, where the files are and more are to go.
 
         Raises
         ------
         ManifestError
             If manifest or card are malformed.
-        MappingError
+        CaptureError
             If the manifest does not exist, or its files are not in this folder.
         """
         if not path.exists():
-            raise MappingError(f"{path}: this set does not exist yet; leave --append out for its first files")
-        begun = cls(path, load_card(path.with_suffix(".json")), load_records(path))
-        lacking = [record.path for record in begun.records if not (folder / record.path).is_file()]
-        if begun.card.folder != folder.name or lacking:
+            raise CaptureError(f"{path}: this set does not exist yet; leave --append out for its first files")
+        card, records = load_card(path.with_suffix(".json")), load_records(path)
+        lacking = [record.path for record in records if not (folder / record.path).is_file()]
+        if card.folder != folder.name or lacking:
             example = f", such as {lacking[0]}" if lacking else ""
-            raise MappingError(
-                f"{folder} is not where the files of {path} are: its folder is called {begun.card.folder}, and "
-                f"{counted(len(lacking), 'file')} of {len(begun.records)} are not in the one given{example}. Name the "
+            raise CaptureError(
+                f"{folder} is not where the files of {path} are: its folder is called {card.folder}, and "
+                f"{counted(len(lacking), 'file')} of {len(records)} are not in the one given{example}. Name the "
                 "folder that they were copied or linked to"
             )
-        return begun
+        return cls(path, card, records)
 
-    def of(self, plan: Plan) -> dict[Slot, FrameRecord]:
+    def rows_of(self, plan: Plan) -> dict[Slot, FrameRecord]:
         """Return the rows of a plan's shots, by scene and number.
 
         Raises
         ------
-        MappingError
+        CaptureError
             If a shot of that name has other settings: the set has another scene of this name.
         """
         rows = {PurePosixPath(record.path).with_suffix("").as_posix(): record for record in self.records}
-        found: dict[Slot, FrameRecord] = {}
+        rows_of_shots: dict[Slot, FrameRecord] = {}
         for scene, shot in plan.shots:
-            record = rows.get(layout_path(plan, scene, shot, Path()))
+            record = rows.get(layout_path(plan, scene, shot))
             if record is None:
                 continue
             if not can_be(shot, record):
-                raise MappingError(
+                raise CaptureError(
                     f"{self.path} has {record.path}, taken at ISO {record.iso}, {record.exposure_s} s, and the plan "
                     f"asks for {shot.settings} there: they are different scenes. Give those of the plan other names, "
                     "as capture plan --scenes 11-15 does, or give this one its own metered time: capture plan --remeter"
                 )
-            found[scene, shot.number] = record
-        return found
+            rows_of_shots[scene, shot.number] = record
+        return rows_of_shots
 
     def lacking(self, plan: Plan) -> Plan | None:
-        """Return the part of a plan that the set has not; ``None`` if it has all.
+        """Return the part of a plan that the set lacks; ``None`` if it has all.
 
         Raises
         ------
-        MappingError
-            Like :meth:`of`.
+        CaptureError
+            Like :meth:`rows_of`.
         """
-        there = self.of(plan)
-        left: dict[str, tuple[Shot, ...]] = {}
-        for name, shot in plan.shots:
-            if (name, shot.number) not in there:
-                left[name] = (*left.get(name, ()), shot)
-        if not left:
-            return None
-        scenes = tuple(replace(scene, shots=left[scene.name]) for scene in plan.scenes if scene.name in left)
-        frames = plan.calibration
-        if frames is not None:
-            frames = replace(frames, shots=left[CALIBRATION]) if CALIBRATION in left else None
-        return replace(plan, scenes=scenes, calibration=frames)
+        there = self.rows_of(plan)
 
-    def joined(self, plan: Plan, records: Sequence[FrameRecord]) -> Card:
+        def keep(scene: str, shots: Sequence[Shot]) -> tuple[Shot, ...]:
+            return tuple(shot for shot in shots if (scene, shot.number) not in there)
+
+        parts = [replace(scene, shots=keep(scene.name, scene.shots)) for scene in plan.scenes]
+        scenes = tuple(scene for scene in parts if scene.shots)
+        calibration = plan.calibration and replace(plan.calibration, shots=keep(CALIBRATION, plan.calibration.shots))
+        calibration = calibration if calibration and calibration.shots else None
+        return replace(plan, scenes=scenes, calibration=calibration) if scenes or calibration else None
+
+    def join(self, plan: Plan, records: Sequence[FrameRecord]) -> Card:
         """Return the card of the set with the plan's rows in it; what the photographer wrote into it stays.
 
         Raises
         ------
-        MappingError
+        CaptureError
             If the card contradicts the manifest, or knows the plan's camera by other names in EXIF.
         """
-        name, camera = plan.camera.name, card_of(plan, self.card.name, self.card.folder, records)
+        name, new = plan.camera.name, make_card(plan, self.card.name, self.card.folder, records)
         known = self.card.cameras.get(name)
-        if known is not None and known != camera.cameras[name]:
-            raise MappingError(
+        if known is not None and known != new.cameras[name]:
+            raise CaptureError(
                 f"{self.path} has files of {name}, whose model in EXIF is {' or '.join(known.models)}, and that of the "
                 f"plan's {name} is {' or '.join(plan.camera.models)}: give the other camera a name of its own"
             )
-        if self.card.counts not in (counts_of(self.records), camera.counts):
-            raise MappingError(
+        if self.card.counts not in (counts_of(self.records), new.counts):
+            raise CaptureError(
                 f"{self.path}: its card expects {self.card.counts} rows per role, and it has "
                 f"{counts_of(self.records)}: correct the one that is wrong first"
             )
         # "both" is the card's word for sets of both kinds.
-        kinds = {kind for word in (self.card.cfa, camera.cfa) for kind in _KINDS.get(word, (word,))}
+        words = (self.card.cfa, new.cfa)
+        kinds = {"bayer", "xtrans"} if "both" in words else set(words)
         return replace(
             self.card,
-            title=set_title(records) if self.card.title == set_title(self.records) else self.card.title,
+            title=new.title if self.card.title == title_set(self.records) else self.card.title,
             cfa=cfa_word(kinds),
-            cameras=self.card.cameras | camera.cameras,
-            counts=camera.counts,
-            sources=tuple(dict.fromkeys((*self.card.sources, *camera.sources))),
+            cameras=self.card.cameras | new.cameras,
+            counts=new.counts,
+            sources=tuple(dict.fromkeys((*self.card.sources, *new.sources))),
         )
 
 
-_KINDS: Final = {"both": ("bayer", "xtrans")}
+# --- files into their places ------------------------------------------------------------------------------------------
+
+
+def place_files(rows: Sequence[Placement], how: Literal["copy", "link"], workers: Workers = IN_THIS_PROCESS) -> None:
+    """Copy files to their targets, or link them; targets that hold their file already stay as they are.
+
+    Raises
+    ------
+    CaptureError
+        If a target holds something else, which is found before anything is written; if a source changed meanwhile; or
+        if a link's target lies on another file system.
+    """
+    missing = []
+    for row in rows:
+        if not os.path.lexists(row.target):
+            missing.append(row)
+        elif not _holds_file(row):
+            raise CaptureError(
+                f"{row.target} is there already with another content than {row.path}; nothing was copied. Choose "
+                "another folder, or move that file away"
+            )
+    for row in missing:
+        row.target.parent.mkdir(parents=True, exist_ok=True)
+    for _ in workers.run(_copy if how == "copy" else _link, missing, label=how):
+        pass
+
+
+def _copy(row: Placement) -> None:
+    digest = hashlib.sha256()
+    with row.path.open("rb") as reading, atomic_write(row.target) as writing:
+        while piece := _read_piece(reading, row.path):
+            digest.update(piece)
+            writing.write(piece)
+        if f"sha256:{digest.hexdigest()}" != row.record.sha256:
+            raise CaptureError(f"{row.path} changed while it was being copied; run this again")
+        times = os.fstat(reading.fileno())
+    os.utime(row.target, ns=(times.st_atime_ns, times.st_mtime_ns))
+
+
+def _read_piece(file: IO[bytes], path: Path) -> bytes:
+    with naming_file(path):
+        return file.read(_PIECE)
+
+
+def _link(row: Placement) -> None:
+    try:
+        row.target.hardlink_to(row.path)
+    except OSError as error:
+        raise CaptureError(
+            f"{row.target} cannot be a hard link to {row.path} ({error.strerror}); use --copy-to"
+        ) from error
+
+
+def _holds_file(row: Placement) -> bool:
+    if not row.target.is_file():
+        return False
+    if row.target.samefile(row.path):
+        return True
+    return row.target.stat().st_size == row.path.stat().st_size and sha256_of(row.target) == row.record.sha256

@@ -8,28 +8,25 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
-from capture.calibration import CalibrationPlan, plan_calibration
-from capture.camera import CameraDescription, camera_as_dict, camera_from, wholes
-from capture.capture_errors import PlanError, naming
-from capture.protocol import COUNTS, CaptureProtocol
-from capture.shots import Duration, ScenePlan, Shot, check_isos, duration_of, plan_scene
-from capture.shutter import parse_seconds
-from eldata.base.fields import Fields, TextFile
+from capture.camera import CameraDescription, camera_as_dict, parse_seconds, read_camera, read_wholes
+from capture.capture_errors import CaptureError, naming
+from capture.protocol import CaptureProtocol
+from capture.shots import CalibrationPlan, ScenePlan, Shot, check_isos, plan_calibration, plan_scene, sum_duration_s
+from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
 from eldata.base.visible import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from fractions import Fraction
     from pathlib import Path
 
 SCHEMA: Final = 1
 CALIBRATION: Final = "calibration"
-_MOST_BIAS_FRAMES: Final = 10_000  # of one ISO: every shot is planned
 _SCENE: Final = re.compile(r"scene-[1-9][0-9]{0,5}")
 
 
@@ -48,7 +45,7 @@ class Plan:
 
     Raises
     ------
-    PlanError
+    CaptureError
         If there is nothing to take, or a scene's name is not ``scene-<n>`` or occurs twice.
     """
 
@@ -60,16 +57,16 @@ class Plan:
     def __post_init__(self) -> None:
         check_isos(self.camera, self.protocol)
         if not self.scenes and self.calibration is None:
-            raise PlanError("a plan needs at least one scene, or calibration frames; found neither")
+            raise CaptureError("a plan needs at least one scene, or calibration frames; found neither")
         names: list[str] = []
         for scene in self.scenes:
             if _SCENE.fullmatch(scene.name) is None:
-                raise PlanError(
+                raise CaptureError(
                     f"scene name: expected scene-1, scene-2 and so on, as the dataset's folders are called; found "
                     f"{scene.name!r} (what it shows belongs in its notes)"
                 )
             if scene.name in names:
-                raise PlanError(f"scene names: expected each once, found {scene.name} twice")
+                raise CaptureError(f"scene names: expected each once, found {scene.name} twice")
             names.append(scene.name)
 
     @property
@@ -80,9 +77,9 @@ class Plan:
         return (*scenes, *((CALIBRATION, shot) for shot in frames))
 
     @property
-    def duration(self) -> Duration:
+    def duration_s(self) -> float:
         """How long the shots take, without what is to be done between the scenes."""
-        return duration_of([shot for _, shot in self.shots])
+        return sum_duration_s([shot for _, shot in self.shots])
 
     @property
     def extent(self) -> str:
@@ -94,21 +91,21 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the name is unknown; the message lists the plan's scenes.
         """
         for scene in self.scenes:
             if scene.name == name:
                 return scene
         known = ", ".join(scene.name for scene in self.scenes) or "none"
-        raise PlanError(f"the plan has no scene called {name!r}; it has {known}")
+        raise CaptureError(f"the plan has no scene called {name!r}; it has {known}")
 
     def add_scene(self, name: str, metered_s: Fraction) -> Plan:
         """Return the plan with one more scene at its end; as it is if it has that very scene.
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the name is not ``scene-<n>`` or is taken.
         ImpossibleShotError
             If one of its shots is beyond the camera.
@@ -122,7 +119,7 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the scene is unknown.
         ImpossibleShotError
             If one of its shots is beyond the camera.
@@ -136,7 +133,7 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the scene is unknown.
         """
         return self._with(replace(self.scene(name), aperture=aperture))
@@ -146,7 +143,7 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the scene is unknown.
         """
         scene = self.scene(name)
@@ -160,11 +157,11 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If a scene is unknown, or there are no calibration frames.
         """
         if CALIBRATION in names and self.calibration is None:
-            raise PlanError("the plan has no calibration frames")
+            raise CaptureError("the plan has no calibration frames")
         wanted = {self.scene(name).name for name in names if name != CALIBRATION}
         return replace(
             self,
@@ -177,17 +174,8 @@ class Plan:
         return {
             "schema": SCHEMA,
             "camera": camera_as_dict(self.camera),
-            "protocol": _protocol_as_dict(self.protocol),
-            "scenes": [
-                {
-                    "name": scene.name,
-                    "metered_s": str(scene.metered_s),
-                    **({} if scene.aperture is None else {"aperture": str(scene.aperture)}),
-                    "notes": list(scene.notes),
-                    "shots": [_shot_as_dict(shot) for shot in scene.shots],
-                }
-                for scene in self.scenes
-            ],
+            "protocol": asdict(self.protocol),
+            "scenes": list(map(_scene_as_dict, self.scenes)),
             "calibration": None if self.calibration is None else _calibration_as_dict(self.calibration),
         }
 
@@ -201,21 +189,21 @@ class Plan:
 
         Raises
         ------
-        PlanError
+        CaptureError
             If the file cannot be read, a field is missing, unknown or wrong, or the shots are not those that follow
             from the rest; the message names the field, what was expected and what was found.
         """
-        top = TextFile(path, PlanError).json()
+        top = TextFile(path, CaptureError).json()
         top.only(("schema", "camera", "protocol", "scenes", "calibration"))
         top.schema(SCHEMA, "capture")
-        with naming(path, PlanError):
-            camera = camera_from(top.inside("camera"))
-            protocol = _protocol(top.inside("protocol"))
+        with naming(path):
+            camera = read_camera(top.inside("camera"))
+            protocol = _read_protocol(top.inside("protocol"))
             check_isos(camera, protocol)
-            scenes = tuple(_scene(scene, camera, protocol) for scene in top.objects("scenes"))
+            scenes = tuple(_read_scene(scene, camera, protocol) for scene in top.objects("scenes"))
             calibration = None
             if top.value("calibration") is not None:
-                calibration = _calibration(top.inside("calibration"), camera, protocol)
+                calibration = _read_calibration(top.inside("calibration"), camera, protocol)
             return cls(camera, protocol, scenes, calibration)
 
 
@@ -229,7 +217,7 @@ def make_plan(
 
     Raises
     ------
-    PlanError
+    CaptureError
         If there is nothing to take, a name is not ``scene-<n>``, or the camera does not have one of the ISOs.
     ImpossibleShotError
         If one of the shots is beyond the camera.
@@ -250,14 +238,25 @@ def make_plan(
 # --- the file -----------------------------------------------------------------------------------------------------
 
 
-def _protocol_as_dict(protocol: CaptureProtocol) -> dict[str, Any]:
-    content: dict[str, Any] = {
-        "base_iso": protocol.base_iso,
-        "noisy_isos": list(protocol.noisy_isos),
-        "low_light_factors": list(protocol.low_light_factors),
+def _scene_as_dict(scene: ScenePlan) -> dict[str, Any]:
+    return {
+        "name": scene.name,
+        "metered_s": str(scene.metered_s),
+        **({} if scene.aperture is None else {"aperture": str(scene.aperture)}),
+        "notes": list(scene.notes),
+        "shots": list(map(_shot_as_dict, scene.shots)),
     }
-    # Named where there are several: plans of one frame each are what they were before.
-    return content | {name: count for name in COUNTS if (count := getattr(protocol, name)) != 1}
+
+
+def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
+    return {
+        "isos": list(calibration.isos),
+        "bias_frames": calibration.bias_frames,
+        "flat_levels": list(map(str, calibration.flat_levels)),
+        "flat_clips_at_s": str(calibration.flat_clips_at_s),
+        "warm": calibration.warm,
+        "shots": list(map(_shot_as_dict, calibration.shots)),
+    }
 
 
 def _shot_as_dict(shot: Shot) -> dict[str, Any]:
@@ -280,47 +279,35 @@ def _shot_as_dict(shot: Shot) -> dict[str, Any]:
     return {name: value for name, value in content.items() if value is not None}
 
 
-def _calibration_as_dict(calibration: CalibrationPlan) -> dict[str, Any]:
-    return {
-        "isos": list(calibration.isos),
-        "bias_frames": calibration.bias_frames,
-        "flat_levels": [str(level) for level in calibration.flat_levels],
-        "flat_clips_at_s": str(calibration.flat_clips_at_s),
-        **({"warm": True} if calibration.warm else {}),
-        "shots": [_shot_as_dict(shot) for shot in calibration.shots],
-    }
-
-
-def _protocol(fields: Fields) -> CaptureProtocol:
-    fields.only(("base_iso", "noisy_isos", "low_light_factors", *COUNTS))
-    isos, factors = (wholes(fields, name) for name in ("noisy_isos", "low_light_factors"))
-    counts = {name: fields.optional(name, fields.whole, 1, at_least=1) for name in COUNTS}
-    return CaptureProtocol(fields.whole("base_iso", at_least=1), isos, factors, **counts)
-
-
-def _scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> ScenePlan:
-    fields.only(("name", "metered_s", "aperture", "notes", "shots"))
-    scene = plan_scene(
-        camera,
-        protocol,
-        fields.text("name"),
-        fields.parsed("metered_s", parse_seconds),
-        fields.texts("notes", unseen=True),
+def _read_protocol(fields: Fields) -> CaptureProtocol:
+    fields.only(names_of(CaptureProtocol))
+    return CaptureProtocol(
+        fields.whole("base_iso", at_least=1),
+        read_wholes(fields, "noisy_isos"),
+        read_wholes(fields, "low_light_factors"),
+        fields.whole("repeats", at_least=1),
+        fields.whole("references", at_least=1),
     )
+
+
+def _read_scene(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> ScenePlan:
+    fields.only(names_of(ScenePlan))
+    name, notes = fields.text("name"), fields.texts("notes", unseen=True)
+    scene = plan_scene(camera, protocol, name, fields.parsed("metered_s", parse_seconds), notes)
     _check_shots(fields, scene.shots)
     return replace(scene, aperture=fields.optional("aperture", fields.fraction, above=0))
 
 
-def _calibration(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> CalibrationPlan:
+def _read_calibration(fields: Fields, camera: CameraDescription, protocol: CaptureProtocol) -> CalibrationPlan:
     fields.only(("isos", "bias_frames", "flat_levels", "flat_clips_at_s", "warm", "shots"))
     calibration = plan_calibration(
         camera,
         protocol.base_iso,
-        wholes(fields, "isos"),
+        read_wholes(fields, "isos"),
         fields.parsed("flat_clips_at_s", parse_seconds),
-        bias_frames=fields.whole("bias_frames", at_least=1, at_most=_MOST_BIAS_FRAMES),
+        bias_frames=fields.whole("bias_frames"),
         flat_levels=fields.each("flat_levels", Fields.parsed, parse=parse_seconds),
-        warm=fields.optional("warm", fields.flag, False),
+        warm=fields.flag("warm"),
     )
     _check_shots(fields, calibration.shots)
     return calibration
@@ -330,18 +317,14 @@ def _check_shots(fields: Fields, shots: Sequence[Shot]) -> None:
     """Refuse a file whose shots are not those that its decisions give."""
     items = fields.objects("shots")
     advice = " (shots follow from the rest: change that with capture plan --remeter, not the shots)"
-    for found, shot in zip(items, shots, strict=False):
-        _check_same(found, _shot_as_dict(shot), advice)
+    for item, shot in zip(items, shots, strict=False):
+        expected = _shot_as_dict(shot)
+        item.only(expected)
+        for key, value in expected.items():
+            stated = item.value(key)
+            same = isinstance(stated, type(value))
+            same &= math.isclose(stated, value, rel_tol=1e-9) if same and isinstance(value, float) else stated == value
+            if not same:
+                raise item.wrong(key, f"{shown(value)}{advice}", stated)
     if len(items) != len(shots):
         raise fields.problem("shots", f"expected {len(shots)} shots{advice}, found {len(items)}")
-
-
-def _check_same(found: Fields, expected: Mapping[str, Any], advice: str) -> None:
-    """Refuse an object of a file whose fields are not what follows from others."""
-    found.only(expected)
-    for key, value in expected.items():
-        there = found.value(key)
-        same = isinstance(there, type(value))
-        same &= math.isclose(there, value, rel_tol=1e-9) if same and isinstance(value, float) else there == value
-        if not same:
-            raise found.wrong(key, f"{shown(value)}{advice}", there)

@@ -9,7 +9,6 @@ one after an ISO is also the one before the next, so three ISOs come with four r
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
     from eldata.records import Role
 
 _MOST_ALIKE: Final = 99
-COUNTS: Final = ("repeats", "references")
-"""Fields of a protocol that say how often something is taken; 1 is neither stated nor said."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +89,7 @@ class CaptureProtocol:
 
     def __post_init__(self) -> None:
         checked_whole("base_iso", self.base_iso, at_least=1)
-        for name in COUNTS:
+        for name in ("repeats", "references"):
             if checked_whole(name, getattr(self, name), at_least=1) > _MOST_ALIKE:
                 raise ArgumentError(f"{name} must be at most {_MOST_ALIKE}, found {getattr(self, name)}")
         _check_distinct("noisy_isos", self.noisy_isos)
@@ -162,26 +159,19 @@ def _frames(protocol: CaptureProtocol) -> tuple[ProtocolFrame, ...]:
         settings += [(iso, factor) for factor in sorted(protocol.low_light_factors) for _ in range(protocol.repeats)]
         settings += [(protocol.base_iso, None)] * protocol.references
     references = [number for number, (_, factor) in enumerate(settings, 1) if factor is None]
-    return tuple(
-        ProtocolFrame(number, "reference", iso, None, None)
-        if factor is None
-        else ProtocolFrame(number, "noisy", iso, factor, _nearest(references, number))
-        for number, (iso, factor) in enumerate(settings, 1)
-    )
-
-
-def _nearest(references: list[int], number: int) -> int:
-    # The references rise, and min() returns the first of two that are equally near: the earlier.
-    after = bisect_left(references, number)
-    near = references[max(after - 1, 0) : after + 1]
-    return min(near, key=lambda reference: abs(number - reference))
+    frames = []
+    for number, (iso, factor) in enumerate(settings, 1):
+        if factor is None:
+            frames.append(ProtocolFrame(number, "reference", iso, None, None))
+            continue
+        nearest = min(references, key=lambda reference, number=number: (abs(number - reference), reference))  # type: ignore[misc]
+        frames.append(ProtocolFrame(number, "noisy", iso, factor, nearest))
+    return tuple(frames)
 
 
 def _check_distinct(name: str, values: object) -> None:
-    if not isinstance(values, tuple):
-        raise ArgumentError(f"{name} must be a tuple of positive whole numbers, found {values!r}")
-    if not values:
-        raise ArgumentError(f"{name} must hold at least one positive whole number, found none")
+    if not isinstance(values, tuple) or not values:
+        raise ArgumentError(f"{name} must be a tuple of one or more positive whole numbers, found {values!r}")
     for index, value in enumerate(values):
         checked_whole(f"every value of {name}", value, at_least=1)
         if value in values[:index]:
@@ -189,7 +179,7 @@ def _check_distinct(name: str, values: object) -> None:
 
 
 RELEASED = CaptureProtocol()
-"""The released set: 16 frames per scene, with the factors 1 and 10 beside the paper's 100 and 200."""
+"""The released set: 16 frames per scene, with the factors 1 and 10 besides the paper's 100 and 200."""
 
 PAPER = CaptureProtocol(low_light_factors=(100, 200))
 """The paper's own settings: six noisy frames per scene, 240 pairs over ten scenes and four cameras.

@@ -1,4 +1,19 @@
-"""Shots, and scenes of them: which setting each exposure becomes on a given camera."""
+"""Shots, scenes of them, and calibration frames: which setting each exposure becomes on a given camera.
+
+Calibration frames are bias frames, and flat-field frames in pairs, for each ISO. The recipe and where it comes from:
+
+- Bias frames: no light, lens capped in a dark room, the shortest exposure that there is (Wei, Fu, Zheng and Yang, TPAMI
+  2021, section 3.2.1). Ten per ISO: the noise's shape needs some, and from six on one is kept out to test the result
+  (docs/calibration.md). The paper gives no number; EMVA 1288 takes two dark frames per exposure time, which is enough
+  for a variance but not for a distribution.
+- Flats: white paper on an evenly lit wall, close, the lens at infinity (the same section). Two of each exposure, one
+  after the other, since the difference of two equal frames is free of shading and fixed pattern (EMVA 1288). Six levels
+  from a tenth to nine tenths of the range (docs/calibration.md: four to eight; EMVA 1288 asks for many more, to test
+  linearity, where we want a slope).
+- A warm sensor: bias frames once more after the shooting, since black follows the temperature.
+- ISOs: full stops from the base ISO to the highest noisy one, since a camera with two conversion gains changes its
+  noise at one of them.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +24,14 @@ from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from capture.capture_errors import ImpossibleShotError, PlanError
+from capture.camera import ExactNumber, as_exact
+from capture.capture_errors import CaptureError, ImpossibleShotError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from capture.camera import CameraDescription
+    from capture.camera import CameraDescription, ShutterTime
     from capture.protocol import CaptureProtocol, ProtocolFrame
-    from capture.shutter import ExactNumber, ShutterTime
     from eldata.records import Role
 
 # As in eldata verify, which refuses a pair whose ratio is further off its nominal one.
@@ -51,7 +66,7 @@ class Shot:
     true_iso
         The ISO's measured speed, where the camera's description states it.
     series
-        Of calibration frames beside the usual ones, the folder that keeps them apart: ``warm``.
+        Of calibration frames besides the usual ones, the folder that keeps them apart: ``warm``.
     """
 
     number: int
@@ -73,18 +88,9 @@ class Shot:
         return f"ISO {self.iso}, {self.setting.dial} s"
 
     @property
-    def error_stops(self) -> float | None:
-        """How many stops the true ratio lies above the nominal factor."""
-        if self.true_ratio is None or self.factor is None:
-            return None
-        return (self.true_ratio / self.factor).log2
-
-    @property
-    def error_percent(self) -> float | None:
-        """How many per cent the true ratio lies above the nominal factor."""
-        if self.true_ratio is None or self.factor is None:
-            return None
-        return 100 * (float(self.true_ratio / self.factor) - 1)
+    def ratio_error(self) -> ExactNumber | None:
+        """The true ratio over the nominal factor of a noisy frame."""
+        return None if self.true_ratio is None or self.factor is None else self.true_ratio / self.factor
 
 
 # What a person at a camera takes, roughly: to turn a dial and look at the display; and what the camera takes to write a
@@ -93,35 +99,29 @@ DIAL_S: Final = 5
 WRITE_S: Final = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Duration:
-    """How long shots take: exposures in seconds, how often ISO or time changes, files."""
+def sum_duration_s(shots: Sequence[Shot], dial_s: float = DIAL_S) -> float:
+    """Sum how long shots take one after the other: exposures, turns of a dial and files written.
 
-    exposures_s: float
-    turns: int
-    files: int
-
-    @property
-    def total_s(self) -> float:
-        """The sum, with :data:`DIAL_S` for a turn and :data:`WRITE_S` for a file."""
-        return self.exposures_s + DIAL_S * self.turns + WRITE_S * self.files
-
-    def __str__(self) -> str:
-        return (
-            f"about {minutes(self.total_s)}: exposures {minutes(self.exposures_s)}, {self.turns} turns of a dial at "
-            f"{DIAL_S} s, {self.files} files at {WRITE_S} s"
-        )
+    Composing, focusing, metering and changing scenes are not counted.
+    """
+    return sum(shot.setting.true_s for shot in shots) + dial_s * _count_turns(shots) + WRITE_S * len(shots)
 
 
-def duration_of(shots: Sequence[Shot]) -> Duration:
-    """Return how long shots take one after the other, without composing, focusing, metering and changing scenes."""
-    turns = sum((one.iso != other.iso) + (one.setting != other.setting) for one, other in pairwise(shots)) + 2 * bool(
-        shots
+def describe_duration(shots: Sequence[Shot]) -> str:
+    """Describe how long shots take, and what of it for what."""
+    exposures_s = sum(shot.setting.true_s for shot in shots)
+    return (
+        f"about {format_minutes(sum_duration_s(shots))}: exposures {format_minutes(exposures_s)}, "
+        f"{_count_turns(shots)} turns of a dial at {DIAL_S} s, {len(shots)} files at {WRITE_S} s"
     )
-    return Duration(sum(shot.setting.true_s for shot in shots), turns, len(shots))
 
 
-def minutes(seconds: float) -> str:
+def _count_turns(shots: Sequence[Shot]) -> int:
+    changes = sum((one.iso != other.iso) + (one.setting != other.setting) for one, other in pairwise(shots))
+    return changes + 2 * bool(shots)
+
+
+def format_minutes(seconds: float) -> str:
     """Return a time to read: ``40 s``, ``12 min``, ``3 h 5 min``."""
     if seconds < 90:
         return f"{math.ceil(seconds)} s"
@@ -138,7 +138,7 @@ def scene_shots(camera: CameraDescription, protocol: CaptureProtocol, metered_s:
 
     Raises
     ------
-    PlanError
+    CaptureError
         If the camera does not have one of the protocol's ISOs.
     ImpossibleShotError
         If a shot needs a time that the camera does not have; the message says what to change.
@@ -147,22 +147,26 @@ def scene_shots(camera: CameraDescription, protocol: CaptureProtocol, metered_s:
     shots = _shots_or_none(camera, protocol, metered_s)
     if isinstance(shots, tuple):
         return shots
-    raise ImpossibleShotError(_what_to_change(camera, protocol, metered_s, shots))
+    raise ImpossibleShotError(_say_what_to_change(camera, protocol, metered_s, shots))
 
 
 def check_isos(camera: CameraDescription, protocol: CaptureProtocol) -> None:
     """Refuse a protocol with an ISO that the camera does not have."""
     for iso in (protocol.base_iso, *protocol.noisy_isos):
-        if iso not in camera.isos:
-            raise PlanError(
-                f"{camera.name} has no ISO {iso}; it has {', '.join(map(str, camera.isos))}: choose others, or correct "
-                "the camera description"
-            )
+        _check_iso(camera, iso)
         camera.speed(iso)
 
 
+def _check_iso(camera: CameraDescription, iso: int) -> None:
+    if iso not in camera.isos:
+        raise CaptureError(
+            f"{camera.name} has no ISO {iso}; it has {', '.join(map(str, camera.isos))}: choose others, or correct the "
+            "camera description"
+        )
+
+
 def _light_share(camera: CameraDescription, protocol: CaptureProtocol, frame: ProtocolFrame) -> Fraction:
-    """Return the time of a noisy frame over that of its reference: by the ISOs' speeds, and its factor."""
+    """Return the time of a noisy frame over its reference's, by the ISOs' speeds and its factor."""
     return camera.speed(protocol.base_iso) / camera.speed(frame.iso) / (frame.factor or 1)
 
 
@@ -172,7 +176,7 @@ def _shots_or_none(
 ) -> tuple[Shot, ...] | ProtocolFrame:
     """Return the shots, or the first frame that the camera cannot take."""
     frames = protocol.frames()
-    base = camera.named(metered_s) or camera.nearest(metered_s)
+    base = camera.find_marked(metered_s) or camera.round_to_nearest(metered_s)
     if base is None:
         return frames[0]
     shots = []
@@ -189,7 +193,7 @@ def _shots_or_none(
             shots.append(replace(before, number=frame.number, reference=frame.reference))
             continue
         light = _light_share(camera, protocol, frame)
-        setting = camera.nearest(base.true_exact * light)
+        setting = camera.round_to_nearest(base.true_exact * light)
         if setting is None:
             return frame
         ratios = (
@@ -205,54 +209,47 @@ def _shots_or_none(
 # --- what to change -----------------------------------------------------------------------------------------------
 
 
-def _what_to_change(
+def _say_what_to_change(
     camera: CameraDescription, protocol: CaptureProtocol, metered_s: Fraction, frame: ProtocolFrame
 ) -> str:
-    exposures_s = [protocol.exposure_s(one, metered_s) for one in protocol.frames()]
-    shortest_s, longest_s = min(exposures_s), max(exposures_s)
     metered = f"metered at {metered_s} s (ISO {protocol.base_iso})"
     fitting = [
         time for time in camera.shutter.times if isinstance(_shots_or_none(camera, protocol, time.nominal_s), tuple)
     ]
     if not fitting:
+        exposures_s = [protocol.exposure_s(one, metered_s) for one in protocol.frames()]
         return (
-            f"{metered}: the protocol asks for times from {shortest_s} s to {longest_s} s, and no metered time brings "
-            f"all of them between {camera.name}'s {camera.fastest.dial} s and {camera.slowest.dial} s: take smaller "
-            "low-light factors, or fewer ISOs"
+            f"{metered}: the protocol asks for times from {min(exposures_s)} s to {max(exposures_s)} s, and no metered "
+            f"time brings all of them between {camera.fastest.dial} s and {camera.slowest.dial} s, which "
+            f"{camera.name} has: take smaller low-light factors, or fewer ISOs"
         )
-    target_s = protocol.exposure_s(frame, metered_s)
-    what = f"{frame.role} frame {frame.number} (ISO {frame.iso}{f', x{frame.factor}' if frame.factor else ''})"
     too_fast = metered_s < fitting[0].nominal_s
-    limit = camera.fastest if too_fast else camera.slowest
-    bound = fitting[0] if too_fast else fitting[-1]
-    stops = _stops_up(abs((bound.true_exact / metered_s).log2))
+    bound, limit = (fitting[0], camera.fastest) if too_fast else (fitting[-1], camera.slowest)
+    stops = _round_up_stops(abs((bound.true_exact / metered_s).log2))
     message = (
-        f"{metered}: {what} needs {target_s} s, and {camera.name}'s {'fastest' if too_fast else 'slowest'} time is "
-        f"{limit.dial} s. "
+        f"{metered}: {frame.role} frame {frame.number} (ISO {frame.iso}{f', x{frame.factor}' if frame.factor else ''}) "
+        f"needs {protocol.exposure_s(frame, metered_s)} s, and {camera.name}'s "
+        f"{'fastest' if too_fast else 'slowest'} time is {limit.dial} s. Let {stops} "
+        f"{'less' if too_fast else 'more'} light in, so that the scene meters at {bound.dial} s or "
+        f"{'longer' if too_fast else 'shorter'}: "
     )
     if too_fast:
         return message + (
-            f"Let {stops} less light in, so that the scene meters at {bound.dial} s or longer: stop down by {stops}, "
-            f"or add a neutral-density filter of {stops}, or dim the lamps. Another base ISO does not help: "
-            "ISO x time stays the same"
+            f"stop down by {stops}, or add a neutral-density filter of {stops}, or dim the lamps. Another base ISO "
+            "does not help: ISO x time stays the same"
         )
-    message += (
-        f"Let {stops} more light in, so that the scene meters at {bound.dial} s or shorter: open up by {stops}, or add "
-        "light"
-    )
+    message += f"open up by {stops}, or add light"
     raised = protocol.base_iso * metered_s / bound.nominal_s
-    other = next((iso for iso in camera.isos if iso >= raised and iso < min(protocol.noisy_isos)), None)
-    if frame.factor is None and other is not None:
-        message += f"; or take ISO {other} as the base"
-    return message
+    other = next((iso for iso in camera.isos if raised <= iso < min(protocol.noisy_isos)), None)
+    return message if frame.factor or other is None else f"{message}; or take ISO {other} as the base"
 
 
-def _stops_up(stops: float) -> str:
-    """Return a number of stops, rounded up to thirds: ``6 1/3 stops``."""
+def _round_up_stops(stops: float) -> str:
+    """Write a number of stops, rounded up to thirds: ``6 1/3 stops``."""
     thirds = max(1, math.ceil(3 * stops - 1e-6))
     whole, rest = divmod(thirds, 3)
-    text = " ".join([*([str(whole)] if whole else []), *([f"{rest}/3"] if rest else [])])
-    return f"{text} stop{'' if thirds <= 3 else 's'}"
+    parts = ([str(whole)] if whole else []) + ([f"{rest}/3"] if rest else [])
+    return f"{' '.join(parts)} stop{'' if thirds <= 3 else 's'}"
 
 
 # --- scenes -------------------------------------------------------------------------------------------------------
@@ -285,25 +282,21 @@ class ScenePlan:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What to know about these shots: a metered time that was rounded, ratios far off their factor."""
-        found = []
+        remarks = []
         base = self.shots[0].setting
         if base.nominal_s != self.metered_s:
-            found.append(f"metered at {self.metered_s} s, set as {base.dial} s, the camera's nearest time")
-        far = [shot for shot in self.shots if _far_off(shot)]
+            remarks.append(f"metered at {self.metered_s} s, set as {base.dial} s, the camera's nearest time")
+        far = []
+        for shot in self.shots:
+            ratios = [float(ratio) for ratio in (shot.true_ratio, shot.named_ratio) if ratio is not None]
+            if any(abs(ratio - (shot.factor or 0)) > RATIO_TOLERANCE * (shot.factor or 0) for ratio in ratios):
+                far.append(str(shot.number))
         if far:
-            listed = ", ".join(str(shot.number) for shot in far)
-            found.append(
-                f"frames {listed}: the ratio is more than {float(100 * RATIO_TOLERANCE):.0f} % off its factor, which "
-                "eldata verify refuses; set the camera to thirds of a stop, or meter another time"
+            remarks.append(
+                f"frames {', '.join(far)}: the ratio is more than {float(100 * RATIO_TOLERANCE):.0f} % off its factor, "
+                "which eldata verify refuses; set the camera to thirds of a stop, or meter another time"
             )
-        return tuple(found)
-
-
-def _far_off(shot: Shot) -> bool:
-    if shot.factor is None or shot.true_ratio is None or shot.named_ratio is None:
-        return False
-    ratios = (float(shot.true_ratio), float(shot.named_ratio))
-    return any(abs(ratio - shot.factor) > RATIO_TOLERANCE * shot.factor for ratio in ratios)
+        return tuple(remarks)
 
 
 def plan_scene(
@@ -313,12 +306,165 @@ def plan_scene(
 
     Raises
     ------
-    PlanError
+    CaptureError
         If the camera does not have one of the protocol's ISOs.
     ImpossibleShotError
         If one of its shots is beyond the camera; the message names the scene and says what to change.
     """
     try:
         return ScenePlan(name, metered_s, scene_shots(camera, protocol, metered_s), notes)
-    except PlanError as error:
+    except CaptureError as error:
         raise type(error)(f"{name}: {error}") from None
+
+
+# --- calibration frames -----------------------------------------------------------------------------------------------
+
+BIAS_FRAMES: Final = 10
+LEAST_BIAS_FRAMES: Final = 4  # below, eldata calibrate refuses
+_MOST_FRAMES: Final = 999  # more is a slip of the keys, and would be planned until memory ends
+WARM: Final = "warm"
+FRAMES_PER_LEVEL: Final = 2
+_NAME_STOPS: Final = 0.1  # by which an ISO's name may lie off a full stop: neighbours are a third of a stop apart
+_NEAR_STOPS: Final = 0.5
+# Wanted mean of the flats over the range above black. Their distances stay above half a stop, so that rounding down to
+# thirds or halves of a stop leaves them apart.
+FLAT_LEVELS: Final = tuple(Fraction(text) for text in ("1/10", "1/6", "1/4", "2/5", "3/5", "9/10"))
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationPlan:
+    """The calibration frames to take.
+
+    Attributes
+    ----------
+    isos
+        Rising.
+    bias_frames
+        Number of bias frames at each ISO.
+    flat_levels
+        Wanted means of the flats, as shares of the range over black; two frames of each.
+    flat_clips_at_s
+        Exposure time at the base ISO from which the evenly lit surface clips.
+    shots
+        Bias frames of all ISOs, then, cap off, the flats of all ISOs by rising exposure.
+    remarks
+        What the plan had to leave out.
+    warm
+        Whether bias frames are taken once more, with the sensor warm from the shooting.
+    """
+
+    isos: tuple[int, ...]
+    bias_frames: int
+    flat_levels: tuple[Fraction, ...]
+    flat_clips_at_s: Fraction
+    shots: tuple[Shot, ...]
+    remarks: tuple[str, ...] = ()
+    warm: bool = False
+
+
+def default_isos(camera: CameraDescription, protocol: CaptureProtocol) -> tuple[int, ...]:
+    """Return the full stops from the base ISO to the highest noisy ISO, and the protocol's own ISOs.
+
+    Names of ISOs are rounded: one stop above ISO 64 is ISO 125. A full stop that lies within half a stop of one of the
+    protocol's ISOs tells nothing that this one does not.
+    """
+    used = {protocol.base_iso, *protocol.noisy_isos}
+    isos = set(used)
+    for iso in camera.isos:
+        stops = math.log2(iso / protocol.base_iso)
+        full = abs(stops - round(stops)) < _NAME_STOPS and 0 < stops < math.log2(max(used) / protocol.base_iso)
+        if full and all(abs(math.log2(iso / other)) > _NEAR_STOPS for other in used):
+            isos.add(iso)
+    return tuple(sorted(isos))
+
+
+def plan_calibration(
+    camera: CameraDescription,
+    base_iso: int,
+    isos: tuple[int, ...],
+    flat_clips_at_s: Fraction,
+    *,
+    bias_frames: int = BIAS_FRAMES,
+    flat_levels: tuple[Fraction, ...] = FLAT_LEVELS,
+    warm: bool = False,
+) -> CalibrationPlan:
+    """Return the calibration frames of a camera: bias frames, flats, and bias frames with a warm sensor.
+
+    Raises
+    ------
+    CaptureError
+        If the camera lacks an ISO or a time, or a number is out of range.
+    ImpossibleShotError
+        If a flat needs a time that the camera does not have; the message says what to change.
+
+    Examples
+    --------
+    >>> from fractions import Fraction
+    >>> from capture import plan_calibration
+    >>> from capture.camera import EXAMPLE
+    >>> plan = plan_calibration(EXAMPLE, 100, (800, 1600), Fraction(1, 4))
+    >>> len(plan.shots), plan.shots[0].role, plan.shots[-1].role
+    (44, 'bias', 'flat')
+    """
+    for iso in isos:
+        _check_iso(camera, iso)
+    if not isos or list(isos) != sorted(set(isos)):
+        raise CaptureError(f"calibration ISOs: expected one or more, rising; found {list(isos)}")
+    if not LEAST_BIAS_FRAMES <= bias_frames <= _MOST_FRAMES:
+        raise CaptureError(f"bias frames per ISO: expected {LEAST_BIAS_FRAMES} to {_MOST_FRAMES}, found {bias_frames}")
+    if (
+        not flat_levels
+        or list(flat_levels) != sorted(set(flat_levels))
+        or not 0 < flat_levels[0] <= flat_levels[-1] < 1
+    ):
+        raise CaptureError(
+            f"flat levels: expected shares between 0 and 1, rising; found {', '.join(map(str, flat_levels))}"
+        )
+    shots: list[Shot] = []
+    remarks: list[str] = []
+    named = camera.find_marked(flat_clips_at_s)
+    clips_at = as_exact(flat_clips_at_s) if named is None else named.true_exact  # what the camera gives for it
+    capped = [
+        Shot(0, "bias", iso, camera.fastest.nominal_s, camera.fastest) for iso in isos for _ in range(bias_frames)
+    ]
+    shots += capped
+    for iso in isos:
+        taken: list[Fraction] = []
+        for level in flat_levels:
+            target_s = flat_clips_at_s * level * Fraction(base_iso, iso)
+            wanted = clips_at * level * (camera.speed(base_iso) / camera.speed(iso))
+            setting = _flat_setting(camera, iso, level, wanted, flat_clips_at_s)
+            if setting.nominal_s in taken:
+                remarks.append(
+                    f"ISO {iso}: no flats at {float(100 * level):.0f} %, which the camera's steps round to "
+                    f"{setting.dial} s again"
+                )
+                continue
+            taken.append(setting.nominal_s)
+            shots += [Shot(0, "flat", iso, target_s, setting, level=level)] * FRAMES_PER_LEVEL
+    # Behind the others, which so keep their numbers when these are added to a plan that is being shot.
+    if warm:
+        shots += (replace(shot, series=WARM) for shot in capped)
+    numbered = tuple(replace(shot, number=number) for number, shot in enumerate(shots, 1))
+    return CalibrationPlan(isos, bias_frames, flat_levels, flat_clips_at_s, numbered, tuple(remarks), warm)
+
+
+def _flat_setting(
+    camera: CameraDescription, iso: int, level: Fraction, wanted: ExactNumber, clips_at_s: Fraction
+) -> ShutterTime:
+    what = f"the flat of {float(100 * level):.0f} % at ISO {iso} needs {float(wanted):.3g} s"
+    # Rounded down, never up: a flat that clips is of no use, a darker one is.
+    setting = camera.round_down(wanted)
+    if setting is None or setting == camera.fastest:
+        second = camera.shutter.times[min(1, len(camera.shutter.times) - 1)]
+        least_s = float(second.true_exact / wanted) * float(clips_at_s)
+        raise ImpossibleShotError(
+            f"{what}, and the fastest time that {camera.name} has for flats is {second.dial} s (the one above it is "
+            "that of the bias frames, which EXIF could not tell apart). Dim its light, stop down or add a "
+            f"neutral-density filter until it clips at {least_s:.2g} s or later, or leave ISO {iso} out"
+        )
+    if camera.slowest.true_exact * ExactNumber(Fraction(1), camera.shutter.step) < wanted:
+        raise ImpossibleShotError(
+            f"{what}, and {camera.name}'s slowest time is {camera.slowest.dial} s: light the surface more or open up"
+        )
+    return setting

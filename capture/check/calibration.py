@@ -7,40 +7,31 @@ what differs stays. The standard error of a patch comes from the scatter of its 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from capture.check.frames import ReducedFrame, Unit, file_name, map_picture, reduced_frames, scene_picture
-from capture.check.measures import Estimate, find_kind
 from capture.check.ratio import BLOCK, OF_MEDIAN, TO_SIGMA, brightness_ratios
-from capture.check.result import CheckedGroup
+from capture.check.result import CheckedGroup, Estimate, find_kind
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Mapping
 
     from numpy.typing import NDArray
 
-    from capture.check.cells import Cells
+    from capture.check.frames import Cells
+
+    Levels = NDArray[np.float64]
 
 PATCHES: Final = 8  # along each side
 _PICTURES: Final = 4  # of frames without a finding
 _SHOWN_DN: Final = 2.0  # the strongest colour of a map
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PatchLevels:
-    """A bias frame in 8 x 8 levels over black, the standard error of each, and the noise per pixel; all in DN."""
-
-    path: str
-    level_dn: NDArray[np.float64]
-    error_dn: float
-    noise_dn: float
-
-
-def patch_levels(path: str, cells: Cells) -> PatchLevels:
-    """Reduce a bias frame to patches."""
+def patch_levels(cells: Cells) -> tuple[Levels, float]:
+    """Reduce a bias frame to patches: their levels over black, (8, 8), and the standard error of one; DN."""
     levels, errors = np.zeros((PATCHES, PATCHES)), np.zeros((PATCHES, PATCHES))
     for i, rows in enumerate(np.array_split(cells.mean_dn.astype(np.float64), PATCHES, axis=1)):
         for j, patch in enumerate(np.array_split(rows, PATCHES, axis=2)):
@@ -49,69 +40,70 @@ def patch_levels(path: str, cells: Cells) -> PatchLevels:
             spread = TO_SIGMA * np.median(np.abs(of_each_row - np.median(of_each_row)))
             errors[i, j] = OF_MEDIAN * max(spread, of_each_row.std() / 2) / len(of_each_row) ** 0.5
     # Patches of one row share its noise, and few rows tell their scatter badly: one error for all, from all.
-    return PatchLevels(path, levels, float(np.sqrt(np.mean(errors**2))), cells.spread_dn)
+    return levels, float(np.sqrt(np.mean(errors**2)))
 
 
 def check_bias(unit: Unit) -> CheckedGroup:
     """Check the bias frames of one ISO."""
     group = CheckedGroup(unit.name, len(unit.records))
-    patches: list[PatchLevels] = []
+    patches: dict[str, tuple[Levels, float]] = {}
+    noises_dn: list[float] = []
     for frame in reduced_frames(unit, group):
         path = frame.record.path
         if min(frame.cells.mean_dn.shape[1:]) < 2 * PATCHES:
             group.remark(path, "is too small to look for light leaks in")
             continue
         group.measure("black", path, Estimate(frame.cells.zero_share).in_percent())
-        patches.append(patch_levels(path, frame.cells))
+        patches[path] = patch_levels(frame.cells)
+        noises_dn.append(frame.cells.spread_dn)
     if len(patches) == 1:
         text = "is the only bias frame of this ISO: a light leak cannot be told from the sensor's own pattern"
-        group.remark(patches[0].path, text)
+        group.remark(next(iter(patches)), text)
     elif patches:
-        noise = float(np.median([levels.noise_dn for levels in patches]))
-        _compare_together(patches, noise, group)
-        for own in patches:
-            _compare(own, [other for other in patches if other is not own], noise, group)
+        noise_dn = float(np.median(noises_dn))
+        _measure_shading(patches, noise_dn, group)
+        for path in patches:
+            _compare_with_others(path, patches, noise_dn, group)
     return group
 
 
-def _compare_together(patches: Sequence[PatchLevels], noise_dn: float, group: CheckedGroup) -> None:
+def _measure_shading(patches: Mapping[str, tuple[Levels, float]], noise_dn: float, group: CheckedGroup) -> None:
     """Measure how uneven all frames are together."""
-    middle = _middle(patches)
-    group.pictures.append(map_picture("all frames: level, ±2 DN", patches[0].path, middle - middle.mean(), _SHOWN_DN))
-    error = 2**0.5 * float(np.mean([levels.error_dn for levels in patches])) * OF_MEDIAN / len(patches) ** 0.5
+    first, (middle, error) = next(iter(patches)), _median_of(patches.values())
+    group.pictures.append(map_picture("all frames: level, ±2 DN", first, middle - middle.mean(), _SHOWN_DN))
     kind = replace(find_kind("shading"), look=max(2.0, noise_dn))
-    folder = patches[0].path.rpartition("/")[0] or "."
-    group.measure(kind, folder, Estimate(float(middle.max() - middle.min()), error))
+    group.measure(kind, first.rpartition("/")[0] or ".", Estimate(float(np.ptp(middle)), 2**0.5 * error))
 
 
-def _compare(own: PatchLevels, others: Sequence[PatchLevels], noise_dn: float, group: CheckedGroup) -> None:
+def _compare_with_others(
+    path: str, patches: Mapping[str, tuple[Levels, float]], noise_dn: float, group: CheckedGroup
+) -> None:
     """Measure one bias frame against the others; show the map of its difference if something is found."""
-    change = own.level_dn - _middle(others)
-    of_others = OF_MEDIAN * np.mean([other.error_dn for other in others]) / len(others) ** 0.5
-    error = float(np.hypot(own.error_dn, of_others))
+    others = [levels for other, levels in patches.items() if other != path]
+    middle, error_of_others = _median_of(others)
+    change = patches[path][0] - middle
+    error = float(np.hypot(patches[path][1], error_of_others))
     level = float(change.mean())
     # Patches beside each other share their rows' noise, so that only as many as there are above each other count.
     level_error = error / PATCHES**0.5
     uneven = change - level
     place = np.unravel_index(int(np.argmax(np.abs(uneven))), uneven.shape)
-    where = f"{_third(place[0], ('top', 'middle', 'bottom'))} {_third(place[1], ('left', 'centre', 'right'))}"
-    of_level, of_leak = (
-        replace(find_kind(name), look=max(0.25, 0.1 * noise_dn), again=max(1.0, 0.5 * noise_dn))
-        for name in ("level", "leak")
+    thirds = (("top", "middle", "bottom"), ("left", "centre", "right"))
+    where = " ".join(names[min(2, 3 * int(at) // PATCHES)] for names, at in zip(thirds, place, strict=True))
+    look, again = max(0.25, 0.1 * noise_dn), max(1.0, 0.5 * noise_dn)
+    of_level, of_leak = (replace(find_kind(name), look=look, again=again) for name in ("level", "leak"))
+    measures = (
+        group.measure(of_level, path, Estimate(level, level_error)),
+        group.measure(of_leak, path, Estimate(float(uneven[place]), error), where=where),
     )
-    group.measure(of_level, own.path, Estimate(level, level_error))
-    group.measure(of_leak, own.path, Estimate(float(uneven[place]), error), where=where)
-    if len(others) < _PICTURES or any(one.verdict != "keep" for one in group.measures[-2:]):
-        group.pictures.append(map_picture(f"{file_name(own.path)} less the others, ±2 DN", own.path, change, _SHOWN_DN))
+    if len(others) < _PICTURES or any(measure.verdict != "keep" for measure in measures):
+        group.pictures.append(map_picture(f"{file_name(path)} less the others, ±2 DN", path, change, _SHOWN_DN))
 
 
-def _middle(patches: Sequence[PatchLevels]) -> NDArray[np.float64]:
-    middle: NDArray[np.float64] = np.median([levels.level_dn for levels in patches], axis=0)
-    return middle
-
-
-def _third(place: np.intp, names: tuple[str, str, str]) -> str:
-    return names[min(2, 3 * int(place) // PATCHES)]
+def _median_of(patches: Collection[tuple[Levels, float]]) -> tuple[Levels, float]:
+    """Return the median level of each patch over frames, and its standard error."""
+    error = OF_MEDIAN * float(np.mean([error for _, error in patches])) / len(patches) ** 0.5
+    return np.median([levels for levels, _ in patches], axis=0), error
 
 
 # --- flats ------------------------------------------------------------------------------------------------------------
@@ -135,7 +127,7 @@ def check_flats(unit: Unit) -> CheckedGroup:
             continue
         group.measure("saturation", path, Estimate(frame.cells.clipped_share).in_percent())
         group.measure("evenness", path, Estimate(unevenness(frame.cells)).in_percent())
-        if waiting is None or waiting.header.exposure.exposure_s != frame.header.exposure.exposure_s:
+        if waiting is None or waiting.exposure.exposure_s != frame.exposure.exposure_s:
             _leave_single(waiting, group)
             waiting = frame
             continue

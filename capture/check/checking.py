@@ -11,10 +11,10 @@ from capture.check.scene import check_scene
 from eldata.base.workers import AnyWorkers, Workers
 from eldata.errors import ArgumentError, ManifestError
 from eldata.manifest.catalogue import Manifest, load_manifest
-from eldata.manifest.pairs import WARM_SENSOR
+from eldata.manifest.pairs import WARM_SENSOR, narrowed
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from eldata.records import FrameRecord
@@ -55,22 +55,25 @@ def check(
     folder = loaded.folder(root)
     if not folder.is_dir():
         raise ManifestError(f"no folder {folder}: --root names the folder that holds {loaded.card.folder}")
-    units = units_of(_of_scenes(_of_cameras(loaded.records, cameras), scenes), folder, workers)
-    if not units:
+    rows = [record for record in loaded.records if record.scene or not scenes]
+    if rows:
+        numbers = [int(scene) if scene.isdecimal() else scene for scene in scenes]
+        rows = narrowed(rows, rows, "frame", {"camera": cameras or None, "scene": numbers or None})
+    if not rows:
         raise ArgumentError(f"{loaded.name}: no scenes and no calibration frames to check")
-    found = workers.run(check_unit, units, label=loaded.name, unit="scene")
-    return CheckReport(loaded.name, tuple(found))
+    groups = workers.run(check_unit, split_units(rows, folder, workers), label=loaded.name, unit="scene")
+    return CheckReport(loaded.name, tuple(groups))
 
 
-def units_of(records: Iterable[FrameRecord], folder: Path, workers: Workers) -> list[Unit]:
-    """Return the units of work that a manifest's rows are."""
+def split_units(records: Sequence[FrameRecord], folder: Path, workers: Workers) -> list[Unit]:
+    """Split a manifest's rows into units of work."""
     groups: dict[str, list[FrameRecord]] = {}
     for record in records:
         groups.setdefault(_unit_name(record), []).append(record)
     within = Workers(max(1, workers.jobs // max(1, len(groups))))
     return [
-        Unit(name, folder, tuple(sorted(found, key=lambda one: (one.role == "noisy", one.path))), within)
-        for name, found in groups.items()
+        Unit(name, folder, tuple(sorted(rows, key=lambda record: (record.role == "noisy", record.path))), within)
+        for name, rows in groups.items()
     ]
 
 
@@ -87,24 +90,3 @@ def _unit_name(record: FrameRecord) -> str:
         name = f"{record.camera} {record.role} ISO {'?' if record.iso is None else f'{float(record.iso):g}'}"
         return f"{name} {WARM_SENSOR}" if WARM_SENSOR in record.flags else name
     return f"{record.camera} {record.scene}".rstrip()
-
-
-def _of_cameras(records: Sequence[FrameRecord], cameras: Collection[str]) -> list[FrameRecord]:
-    known = sorted({record.camera for record in records})
-    for camera in cameras:
-        if camera not in known:
-            raise ArgumentError(f"no camera called {camera!r}; the manifest has {', '.join(known)}")
-    return [record for record in records if not cameras or record.camera in cameras]
-
-
-def _of_scenes(records: Sequence[FrameRecord], scenes: Collection[str]) -> list[FrameRecord]:
-    if not scenes:
-        return list(records)
-    known = sorted({record.scene for record in records if record.scene})
-    wanted = set()
-    for scene in scenes:
-        names = {scene, f"scene-{scene}"} & set(known)
-        if not names:
-            raise ArgumentError(f"no scene {scene!r}; the manifest has {', '.join(known) or 'none'}")
-        wanted.update(names)
-    return [record for record in records if record.scene in wanted]

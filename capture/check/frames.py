@@ -1,20 +1,26 @@
-"""The frames of one unit of work, decoded one after another and reduced at once; small pictures from their cells."""
+"""The frames of one unit of work, decoded one after another and reduced at once to cells; small pictures of these.
+
+Cells are means over black of 4 x 4 packed pixels, per channel. Averaging takes the pixels' noise off (a quarter of it
+is left) and makes a frame of 12 megapixels 3 MB, so that a whole scene fits into the memory of a frame or two. Only
+shift and focus need more.
+"""
 
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.cells import Cells, empty_share, luminance, reduce_to_cells
 from capture.check.result import CheckedGroup, SheetPicture
 from capture.observed import exposure_text
 from eldata.base.files import inside
 from eldata.errors import EldataError, UnusableRawError
 from eldata.isp.preview import srgb_encode
-from eldata.records import FrameRecord, RawHeader, Sensor
+from eldata.raw.cfa import packing_sites
+from eldata.raw.levels import differ_in_white, mean_levels, packed_black_level_dn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,10 +29,157 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.workers import Workers
+    from eldata.records import Exposure, FrameRecord, Sensor
+
+    Mosaic = NDArray[np.uint16]
+
+CELL: Final = 4  # packed pixels along each side
+
+_NEAR: Final = 8  # values on either side, whose mean says how often one should occur
+_LEAST_EACH: Final = 30  # pixels a value: chance leaves one empty once in 1e13
+_TAILS: Final = (0.05, 0.95)
+
+# Pixels in the last thousandth of the range below the highest value, if these are more than thrice those in the
+# thousandth below: a sensor that saturates below its white level. The upper tail of shot noise is several thousandths
+# wide and falls, so it holds fewer.
+_PILE_BAND: Final = 0.001
+_PILE_FACTOR: Final = 3
+_PILE_LEAST: Final = 100
+_PILE_FROM: Final = 0.5  # of the range: real cameras saturate above 0.8 of it (Canon 70D at ISO 100)
 
 _WIDEST: Final = 480  # pixels: thumbnails are shown at a third of it, and enlarge
 _CHANGE_SHOWN: Final = 0.05  # the strongest colour of a difference map, as a share
 _QUALITY: Final = 85
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """A frame reduced to cells.
+
+    Attributes
+    ----------
+    mean_dn
+        Mean of each cell over the recorded black level, (C, rows, columns) float32, DN.
+    clipped
+        Whether a pixel of the cell is saturated, (C, rows, columns).
+    range_dn
+        White level less black level, DN.
+    clipped_share, zero_share
+        Share of the frame's pixels that are saturated, and that are 0 DN.
+    spread_dn
+        Half the distance of the 16th and the 84th percentile of the pixels: of a bias frame, its noise. DN.
+    colours
+        Colour of each channel: ``"R"``, ``"G"`` or ``"B"``.
+    """
+
+    mean_dn: NDArray[np.float32]
+    clipped: NDArray[np.bool_]
+    range_dn: float
+    clipped_share: float
+    zero_share: float
+    spread_dn: float
+    colours: tuple[str, ...]
+
+    @property
+    def greens(self) -> list[int]:
+        """The indices of the green channels."""
+        return [index for index, colour in enumerate(self.colours) if colour == "G"]
+
+    def pooled(self, rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Return means of groups of cells, and which groups hold no saturated pixel."""
+        channels, height, width = self.mean_dn.shape
+        height, width = height // rows, width // columns
+        shape = (channels, height, rows, width, columns)
+        crop = np.s_[:, : height * rows, : width * columns]
+        mean: NDArray[np.float32] = self.mean_dn[crop].reshape(shape).mean(axis=(2, 4))
+        clipped: NDArray[np.bool_] = np.any(self.clipped[crop].reshape(shape), axis=(2, 4))
+        return mean, ~clipped
+
+
+def reduce_to_cells(mosaic: Mosaic, sensor: Sensor, packed: NDArray[np.uint16]) -> Cells:
+    """Return a frame's cells, from its mosaic and the same packed; a frame smaller than a cell has none."""
+    black = packed_black_level_dn(sensor.cfa, sensor.black_level_dn)
+    range_dn = sensor.white_level_dn - float(black.max())
+    saturated = saturation_dn(mosaic, sensor)
+    counts = _summed(packed >= saturated) if int(mosaic.max()) >= saturated else None
+    mean: NDArray[np.float32] = _summed(packed).astype(np.float32)
+    mean /= CELL**2
+    mean -= black[:, None, None]
+    clipped = np.zeros(mean.shape, dtype=np.bool_) if counts is None else counts > 0
+    step = max(1, math.isqrt(mosaic.size // 100_000)) | 1  # odd: every site of the CFA takes part
+    low, high = np.quantile(mosaic[::step, ::step], (0.159, 0.841))
+    return Cells(
+        mean_dn=mean,
+        clipped=clipped,
+        range_dn=range_dn,
+        clipped_share=0.0 if counts is None else float(np.count_nonzero(mosaic >= saturated)) / mosaic.size,
+        zero_share=1 - float(np.count_nonzero(mosaic)) / mosaic.size,
+        spread_dn=float(high - low) / 2,
+        colours=tuple(name[0] for name in packing_sites(sensor.cfa).names),
+    )
+
+
+def luminance(packed: NDArray[np.uint16], cells: Cells) -> NDArray[np.float32]:
+    """Return the sum of the packed channels, (h, w), each scaled to the same mean: what a grey scene has.
+
+    The sum of all sites of a CFA cell is a low-pass filter: detail finer than the packed pixels, which a single channel
+    would show as coarser detail (aliasing) that moves differently from the scene, cancels for the most part.
+    """
+    mean = np.maximum(cells.mean_dn.mean(axis=(1, 2), dtype=np.float64), 1.0)
+    total = np.zeros(packed.shape[1:], dtype=np.float32)
+    for channel, scale in zip(packed, (mean.max() / mean).astype(np.float32), strict=True):
+        total += channel * scale
+    return total
+
+
+def saturation_dn(mosaic: Mosaic, sensor: Sensor) -> float:
+    """Return the level from which on pixels are saturated: the recorded white level, or that of a pile below it.
+
+    Some cameras saturate below the white level that their files state, by some DN more or less from pixel to pixel.
+    """
+    black, white = max(sensor.black_level_dn), sensor.white_level_dn
+    top = float(mosaic.max())
+    band = max(2.0, math.ceil(_PILE_BAND * (white - black)))
+    if top - band <= black + _PILE_FROM * (white - black):
+        return white
+    inside = int(np.count_nonzero(mosaic > top - band))
+    below = int(np.count_nonzero(mosaic > top - 2 * band)) - inside
+    piled = inside >= _PILE_LEAST and inside > _PILE_FACTOR * below
+    return min(white, top - band + 1) if piled else white
+
+
+def _summed(packed: NDArray[np.uint16] | NDArray[np.bool_]) -> NDArray[np.uint32]:
+    """Return sums over cells; slices are added, since numpy sums short axes slowly."""
+    height, width = (size // CELL * CELL for size in packed.shape[1:])
+    crop = packed[:, :height, :width]
+    rows = np.zeros((len(crop), height // CELL, width), dtype=np.uint32)
+    for offset in range(CELL):
+        rows += crop[:, offset::CELL]
+    sums = np.zeros((len(crop), height // CELL, width // CELL), dtype=np.uint32)
+    for offset in range(CELL):
+        sums += rows[:, :, offset::CELL]
+    return sums
+
+
+def empty_share(mosaic: NDArray[np.uint16]) -> float:
+    """Return the share of values that never occur, of those whose neighbours are frequent; 0 if none is.
+
+    A file of 14 bits that holds 12 lacks 3 of 4. Neighbours on both sides: beside a saturated area or a peak of black,
+    values that do not occur are not a gap.
+    """
+    counts = np.bincount(mosaic.ravel())
+    below = np.cumsum(counts)
+    low, high = (int(np.searchsorted(below, share * mosaic.size)) for share in _TAILS)
+    inner = counts[low : high + 1]
+    if len(inner) < _NEAR:
+        return 0.0
+    sums = np.convolve(inner, np.ones(_NEAR, np.int64))
+    before, after = np.concatenate([[0], sums])[: len(inner)], np.append(sums, 0)[_NEAR : _NEAR + len(inner)]
+    frequent = np.minimum(before, after) >= _NEAR * _LEAST_EACH
+    return float(np.mean(inner[frequent] == 0)) if frequent.any() else 0.0
+
+
+# --- the frames of a scene -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,32 +204,23 @@ class Unit:
 class ReducedFrame:
     """What is kept of a decoded frame, and its luminance, which is meant for use at once.
 
-    ``empty_share``: of its values (:func:`capture.check.cells.empty_share`).
+    ``empty_share``: of its values (:func:`capture.check.frames.empty_share`).
     """
 
     record: FrameRecord
-    header: RawHeader
+    exposure: Exposure
     sensor: Sensor
     cells: Cells
     luminance: NDArray[np.float32]
     empty_share: float
 
-    def cells_beside(self, reference: Sensor) -> Cells:
+    def scale_cells_to(self, reference: Sensor) -> Cells:
         """Return the cells in a reference's DN: as large a share of white, whatever the bits of either file."""
-        from eldata.raw.levels import differ_in_white, mean_levels
-
         levels, of_reference = mean_levels(self.sensor), mean_levels(reference)
         if levels[1] == of_reference[1] or differ_in_white(levels, of_reference):
             return self.cells  # one DN scale, also where a file states a wrong black
         scale = (of_reference[1] - of_reference[0]) / (levels[1] - levels[0])
         return replace(self.cells, mean_dn=self.cells.mean_dn * np.float32(scale), range_dn=self.cells.range_dn * scale)
-
-    @property
-    def scale(self) -> int:
-        """Mosaic pixels along each side of a packed pixel."""
-        from eldata.raw.cfa import packing_sites
-
-        return packing_sites(self.sensor.cfa).scale
 
 
 def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
@@ -96,8 +240,7 @@ def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
             return error
         packed = pack(mosaic, frame.sensor.cfa)
         cells = reduce_to_cells(mosaic, frame.sensor, packed)
-        header = RawHeader(frame.path, frame.sensor.make, frame.sensor.model, frame.exposure)
-        return ReducedFrame(record, header, frame.sensor, cells, luminance(packed, cells), empty_share(mosaic))
+        return ReducedFrame(record, frame.exposure, frame.sensor, cells, luminance(packed, cells), empty_share(mosaic))
 
     first: tuple[str, Sensor] | None = None
     for record, frame in zip(unit.records, unit.workers.read_ahead(reduce, unit.records), strict=True):
@@ -108,23 +251,17 @@ def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
             group.remark(record.path, text, "shoot again")
             continue
         first = first or (record.path, frame.sensor)
-        problem = _other_kind(*first, frame.sensor)
-        if problem is None:
-            yield frame
+        (path, ours), theirs = first, frame.sensor
+        kinds = {
+            "camera": (theirs.model, ours.model),
+            "size": ((theirs.width, theirs.height), (ours.width, ours.height)),
+            "colour filter array": (theirs.cfa, ours.cfa),
+        }
+        problems = [f"{kind} {one}, where {path} has {other}" for kind, (one, other) in kinds.items() if one != other]
+        if problems:
+            group.remark(record.path, f"{problems[0]}; take all frames with one camera and raw format", "shoot again")
         else:
-            group.remark(record.path, problem, "shoot again")
-
-
-def _other_kind(path: str, ours: Sensor, theirs: Sensor) -> str | None:
-    """Return why a frame cannot be compared with that of ``path``, or ``None``."""
-    for name, one, two in (
-        ("camera", ours.model, theirs.model),
-        ("size", (ours.width, ours.height), (theirs.width, theirs.height)),
-        ("colour filter array", ours.cfa, theirs.cfa),
-    ):
-        if one != two:
-            return f"{name} {two}, where {path} has {one}; take all frames with one camera and raw format"
-    return None
+            yield frame
 
 
 def file_name(path: str) -> str:
@@ -137,7 +274,7 @@ def file_name(path: str) -> str:
 
 def scene_picture(frame: ReducedFrame, gain: float) -> SheetPicture:
     """Return a frame as a picture, amplified."""
-    iso, time = frame.header.exposure.iso, frame.header.exposure.exposure_s
+    iso, time = frame.exposure.iso, frame.exposure.exposure_s
     settings = f"ISO {float(iso):g}" if iso is not None else "ISO ?"
     settings += f", {exposure_text(time)}" if time is not None else ""
     amplified = f", x{gain:g}" if gain != 1 else ""
@@ -150,7 +287,7 @@ def scene_picture(frame: ReducedFrame, gain: float) -> SheetPicture:
 
 
 def change_picture(first: ReducedFrame, last: ReducedFrame) -> SheetPicture:
-    """Return where the last reference is brighter (red) or darker (blue) than the first."""
+    """Draw where the last reference is brighter (red) or darker (blue) than the first."""
     before, after = (_three_colours(frame.cells)[..., 1] for frame in (first, last))
     floor = 0.01 * first.cells.range_dn
     change = (after - before) / np.maximum(before, floor)

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from capture.check.measures import SIGMAS, Estimate
+from capture.check.result import SIGMAS, Estimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from capture.check.cells import Cells
+    from capture.check.frames import Cells
 
     Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class RatioFit:
     Attributes
     ----------
     slope
-        Signal of the noisy frame over that of the reference, with its standard error.
+        Signal of the noisy frame over the reference's, with its standard error.
     offset_dn
         Of each channel, DN.
     black
@@ -78,7 +78,7 @@ class RatioFit:
 
 
 def brightness_ratios(first: Cells, second: Cells) -> tuple[Estimate | None, ...]:
-    """Return the brightness of ``second`` over that of ``first``, one estimate per packed channel.
+    """Measure the brightness of ``second`` over ``first``, one estimate per packed channel.
 
     The median of ``mean_2 / mean_1`` over blocks that are well exposed and not clipped in both frames. Medians forgive
     what moved or glints in a part of the picture. The standard error is that of a median, from the blocks' own scatter.
@@ -157,9 +157,9 @@ def changed_share(first: Cells, second: Cells, brightness: float, offset_dn: Seq
     Parameters
     ----------
     brightness
-        Of the second frame over that of the first.
+        Brightness of the second frame over the first.
     offset_dn
-        What the second frame has beside that, in each channel; by default nothing.
+        Offset of the second frame in each channel; by default none.
     """
     of_first, unclipped_first = first.pooled(_SMALL_BLOCK, _SMALL_BLOCK)
     of_second, unclipped_second = second.pooled(_SMALL_BLOCK, _SMALL_BLOCK)
@@ -208,12 +208,12 @@ def _scatter(residual: Array, level: NDArray[np.intp], usable: NDArray[np.bool_]
     """Return the robust standard deviation of the residuals at each level."""
     whole = TO_SIGMA * float(np.median(np.abs(residual[usable])))
     floor = max(whole / 100, 1e-6)
-    found = np.full(_LEVELS, max(whole, floor))
+    scatter = np.full(_LEVELS, max(whole, floor))
     for index in range(_LEVELS):
         chosen = residual[usable & (level == index)]
         if len(chosen) >= 2 * _LEVELS:
-            found[index] = max(TO_SIGMA * float(np.median(np.abs(chosen - np.median(chosen)))), floor)
-    return found
+            scatter[index] = max(TO_SIGMA * float(np.median(np.abs(chosen - np.median(chosen)))), floor)
+    return scatter
 
 
 def _match(slope: float, x: Array, residual: Array, usable: NDArray[np.bool_]) -> Estimate:

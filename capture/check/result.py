@@ -1,32 +1,243 @@
-"""What a check gives back: one verdict per scene (or set of calibration frames), with its measures and pictures."""
+"""What a check finds: measures, each one value with its error and limits, and one verdict per scene or set of frames.
+
+A value counts as beyond a limit if it is further from what is expected than the limit *and* than ``sigmas`` standard
+errors: the limit says what would matter, the standard errors what cannot be chance.
+
+How far light, exposure ratios and places may be off has one derivation, in decibels of a perfect denoiser's score.
+A perfect denoiser predicts the scene as the noisy frame saw it. Against its reference nothing is left but what is wrong
+with the pair: light that changed by a share e leaves an error of ``e * rms``, with the rms of the normalised scene; a
+frame d pixels off leaves ``d * gradient``, with the rms of the scene's slope along the shift, per pixel. Its score is
+then ``-20 log10(error)``. Where that equals the score of the best published denoising, the pair measures its own fault
+as much as the method: it is to be shot again. Ten decibels above that the fault takes 0.4 dB off the best method's
+score (``10 log10(1 + 0.1)``): from there on somebody has to look.
+
+Which frame the light changed in, reference or noisy one, makes no difference to the error, so there is one limit.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
-from capture.check.measures import (
-    VERDICTS,
-    Estimate,
-    Measure,
-    MeasureKind,
-    Remark,
-    Verdict,
-    find_kind,
-    worst,
-)
-from capture.checklist_content import TEMPLATES
+from capture.checklist import TEMPLATES
+from eldata.base.fields import TextFile
 from eldata.base.files import write_text
 from eldata.base.tables import with_error
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError
+from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.verify_report import distinct
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
-    from pathlib import Path
+    from collections.abc import Collection, Iterable, Mapping, Sequence
+
+Verdict = Literal["keep", "look", "shoot again"]
+"""What is to be done with a scene: kept, looked at by a person, or photographed again."""
+VERDICTS: Final[tuple[Verdict, ...]] = get_args(Verdict)
+
+SIGMAS: Final = 5.0
+"""Standard errors below which a deviation may be chance: 6e-7 for one normal value."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureKind:
+    """A kind of measure: what is expected, at which distance to look and to shoot again, and what to do then.
+
+    Attributes
+    ----------
+    name
+        Such as ``"drift"``.
+    unit
+        ``"%"``, ``"px"`` (of the mosaic), ``"DN"`` or ``""``.
+    look, again
+        Distances from ``expected`` in ``unit``; infinite if a value alone never leads to that verdict.
+    source
+        Where these limits come from, in words.
+    advice
+        What to do if a value is beyond them.
+    expected
+        The value of a good frame.
+    sigmas
+        Standard errors that the distance must exceed.
+    text
+        What a value is of, with ``{words}`` to fill in.
+    """
+
+    name: str
+    unit: str
+    look: float
+    again: float
+    source: str
+    advice: str
+    expected: float = 0.0
+    sigmas: float = SIGMAS
+    text: str = ""
+
+
+# --- kinds and their limits ---
+
+BEST_PSNR_DB: Final = 46.5
+"""The best published denoising of ELD, at x100."""
+LOOK_DB: Final = BEST_PSNR_DB + 10
+"""The score of a perfect denoiser below which a pair is looked at; below :data:`BEST_PSNR_DB` it is shot again."""
+RMS_OF_SCENE: Final = 0.3
+"""Of full scale."""
+RMS_GRADIENT: Final = 0.01
+"""Of full scale, per pixel of the mosaic: of a scene with detail, normalised."""
+
+
+def _error_at(score_db: float) -> float:
+    return float(10 ** (-score_db / 20))
+
+
+LIGHT_LOOK: Final = _error_at(LOOK_DB) / RMS_OF_SCENE
+LIGHT_AGAIN: Final = _error_at(BEST_PSNR_DB) / RMS_OF_SCENE
+SHIFT_LOOK_PX: Final = _error_at(LOOK_DB) / RMS_GRADIENT
+SHIFT_AGAIN_PX: Final = _error_at(BEST_PSNR_DB) / RMS_GRADIENT
+_SOURCE: Final = (
+    f"{{}} leaves a perfect denoiser {LOOK_DB} dB, at an {{}}; to shoot again: {BEST_PSNR_DB} dB, the best published "
+    "denoising (ELD x100)"
+)
+LIGHT_SOURCE: Final = _SOURCE.format("light off by that share", f"rms of {RMS_OF_SCENE} of full scale")
+SHIFT_SOURCE: Final = _SOURCE.format("a shift of that length", f"rms slope of {RMS_GRADIENT} of full scale a pixel")
+
+# The nominal ratio only names a frame: by it frames are grouped, and swapped ones are found.
+RATIO_LOOK: Final = float(RATIO_TOLERANCE)
+RATIO_AGAIN: Final = 1 - 2 ** (-1 / 3)
+
+_LIMITS: Final = {
+    "light": (100 * LIGHT_LOOK, 100 * LIGHT_AGAIN),
+    "shift": (SHIFT_LOOK_PX, SHIFT_AGAIN_PX),
+    "verify": (100 * RATIO_LOOK, math.inf),
+}
+
+
+@cache
+def find_kind(name: str) -> MeasureKind:
+    """Read a kind of measure from ``kinds.toml``; a limit that depends on the frames is infinite there."""
+    said: dict[str, Any] = {"name": name} | _read_kinds()[name]
+    limits = said.pop("limits", "")
+    look, again = _LIMITS.get(limits, (math.inf, math.inf))
+    said["source"] = said.get("source", f"{{{limits}}}").format(light=LIGHT_SOURCE, shift=SHIFT_SOURCE)
+    return MeasureKind(**{"look": look, "again": again} | said)
+
+
+@cache
+def _read_kinds() -> Mapping[str, Any]:
+    return TextFile(Path(__file__).with_name("kinds.toml"), ArgumentError).toml().data
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """One measured value of a frame, of two, or of a scene.
+
+    Attributes
+    ----------
+    kind
+        What is measured, and what is expected of it.
+    path
+        The file concerned, as in the manifest; of two, the later one.
+    text
+        What it says, as a clause that the value can follow: ``"brightness of R against IMG_0001.dng"``.
+    value, standard_error
+        In the kind's unit; the standard error is 0 for a count.
+    """
+
+    kind: MeasureKind
+    path: str
+    text: str
+    value: float
+    standard_error: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """The kind's."""
+        return self.kind.name
+
+    @property
+    def deviation(self) -> float:
+        """Distance from what is expected, in the unit of the value."""
+        return abs(self.value - self.kind.expected)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict from the value alone."""
+        if self.deviation <= self.kind.sigmas * self.standard_error:
+            return "keep"
+        if self.deviation > self.kind.again:
+            return "shoot again"
+        return "look" if self.deviation > self.kind.look else "keep"
+
+    def __str__(self) -> str:
+        unit = f" {self.kind.unit}" if self.kind.unit else ""
+        limits = [f"expected {self.kind.expected:.4g}{unit}"] if self.kind.expected else []
+        off = " off" if self.kind.expected else ""
+        limits.append(f"look from {self.kind.look:.3g}{unit}{off}")
+        if math.isfinite(self.kind.again):
+            limits.append(f"shoot again from {self.kind.again:.3g}{unit}{off}")
+        value = with_error(self.value, self.standard_error)
+        return (
+            f"{in_line(self.path)}: {self.name}: {self.text}: {value}{unit} ({', '.join(limits)}); {self.kind.advice}"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the measure as plain JSON types."""
+        return {
+            "name": self.name,
+            "path": self.path,
+            "value": _finite(self.value),
+            "standard_error": _finite(self.standard_error),
+            "expected": self.kind.expected,
+            "unit": self.kind.unit,
+            "look_from": _finite(self.kind.look),
+            "shoot_again_from": _finite(self.kind.again),
+            "limits_from": self.kind.source,
+            "least_standard_errors": self.kind.sigmas,
+            "verdict": self.verdict,
+            "text": self.text,
+            "advice": self.kind.advice,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A value and its standard error."""
+
+    value: float
+    standard_error: float = 0.0
+
+    def in_percent(self, off: float = 0.0) -> Estimate:
+        """Return it in percent, as the distance from ``off``."""
+        return Estimate(100 * (self.value - off), 100 * self.standard_error)
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """What cannot be expressed as a measure: a file that cannot be read, a missing reference."""
+
+    path: str
+    text: str
+    verdict: Verdict
+
+    def __str__(self) -> str:
+        return in_line(f"{self.path}: {self.text}")
+
+
+def worst(verdicts: list[Verdict]) -> Verdict:
+    """Return the most severe verdict; ``"keep"`` of none."""
+    return max(verdicts, key=VERDICTS.index, default="keep")
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+# --- one scene, or the calibration frames of one ISO -----------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +247,6 @@ class SheetPicture:
     caption: str
     path: str
     jpeg: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class CheckedPair:
-    """A noisy frame and its reference: their files, as in the manifest."""
-
-    path: str
-    reference: str
 
 
 @dataclass(slots=True)
@@ -61,7 +264,7 @@ class CheckedGroup:
     pictures
         For the contact sheet.
     pairs
-        One for each noisy frame that could be read.
+        The path of the reference, by the path of each noisy frame that could be read.
     """
 
     name: str
@@ -69,12 +272,12 @@ class CheckedGroup:
     measures: list[Measure] = field(default_factory=list)
     remarks: list[Remark] = field(default_factory=list)
     pictures: list[SheetPicture] = field(default_factory=list)
-    pairs: list[CheckedPair] = field(default_factory=list)
+    pairs: dict[str, str] = field(default_factory=dict)
 
-    def measure(self, kind: MeasureKind | str, path: str, found: Estimate, **words: str) -> Measure:
-        """Add a measure of a kind, or of that of a name, with the words of its text; return it."""
+    def measure(self, kind: MeasureKind | str, path: str, estimate: Estimate, **words: str) -> Measure:
+        """Add a measure of a kind, or of a kind's name, with the words of its text; return it."""
         kind = find_kind(kind) if isinstance(kind, str) else kind
-        self.measures.append(Measure(kind, path, kind.text.format(**words), found.value, found.standard_error))
+        self.measures.append(Measure(kind, path, kind.text.format(**words), estimate.value, estimate.standard_error))
         return self.measures[-1]
 
     def remark(self, path: str, text: str, verdict: Verdict = "look") -> None:
@@ -94,8 +297,8 @@ class CheckedGroup:
     @property
     def reasons(self) -> tuple[Measure | Remark, ...]:
         """What made the verdict, and what else to look at; the worst first."""
-        found = [one for one in self.findings if one.verdict != "keep"]
-        return tuple(sorted(found, key=lambda one: -VERDICTS.index(one.verdict)))
+        findings = [finding for finding in self.findings if finding.verdict != "keep"]
+        return tuple(sorted(findings, key=lambda finding: -VERDICTS.index(finding.verdict)))
 
     def verdict_of(self, path: str) -> Verdict:
         """Return the most severe verdict about one file."""
@@ -103,33 +306,32 @@ class CheckedGroup:
 
     def columns(self) -> tuple[str, ...]:
         """Return the names of what was measured of pairs, in the order in which it first occurs."""
-        paths = {pair.path for pair in self.pairs}
-        return tuple(dict.fromkeys(one.name for one in self.measures if one.path in paths))
+        return tuple(dict.fromkeys(one.name for one in self.measures if one.path in self.pairs))
 
-    def row(self, pair: CheckedPair) -> dict[str, Measure]:
-        """Return the measures of a pair by name."""
-        return {one.name: one for one in self.measures if one.path == pair.path}
-
-    def _pair_dict(self, pair: CheckedPair) -> dict[str, Any]:
-        fields = ("value", "standard_error", "unit", "verdict")
-        measured = {name: one.as_dict() for name, one in self.row(pair).items()}
-        return {
-            "path": pair.path,
-            "reference": pair.reference,
-            "verdict": self.verdict_of(pair.path),
-            "measured": {name: {field: one[field] for field in fields} for name, one in measured.items()},
-        }
+    def row(self, path: str) -> dict[str, Measure]:
+        """Return the measures of a pair by name; ``path`` is its noisy frame's."""
+        return {one.name: one for one in self.measures if one.path == path}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain JSON types, without pictures."""
+        fields = ("value", "standard_error", "unit", "verdict")
+        rows = {path: [one.as_dict() for one in self.row(path).values()] for path in self.pairs}
         return {
             "name": self.name,
             "verdict": self.verdict,
             "files": self.files,
             "reasons": [str(one) for one in self.reasons],
             "measures": [one.as_dict() for one in self.measures],
-            "remarks": [one.as_dict() for one in self.remarks],
-            "pairs": list(map(self._pair_dict, self.pairs)),
+            "remarks": [asdict(one) for one in self.remarks],
+            "pairs": [
+                {
+                    "path": path,
+                    "reference": reference,
+                    "verdict": self.verdict_of(path),
+                    "measured": {one["name"]: {field: one[field] for field in fields} for one in rows[path]},
+                }
+                for path, reference in self.pairs.items()
+            ],
         }
 
     def format_text(self, told: Collection[Measure] = ()) -> str:
@@ -163,7 +365,7 @@ class CheckReport:
     @property
     def alike(self) -> tuple[str, ...]:
         """Ratios that are off alike in many files, as if every exposure had been 20 % too short: a sentence each."""
-        return tuple(map(_in_one, _alike(self.groups)))
+        return tuple(map(_join_alike, _find_alike(self.groups)))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the report as plain JSON types, without pictures."""
@@ -171,7 +373,7 @@ class CheckReport:
 
     def format_text(self) -> str:
         """Return the report as text: what is not to be kept and why, what is :attr:`alike`, and how many are what."""
-        told = {one for many in _alike(self.groups) for one in many}
+        told = {one for many in _find_alike(self.groups) for one in many}
         total = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
         said = distinct(
             (one.path, (one.text,)) for group in self.groups for one in group.remarks if one.verdict == "keep"
@@ -186,14 +388,14 @@ _MANY = 5
 _ALIKE = 0.03
 
 
-def _alike(groups: Iterable[CheckedGroup]) -> list[list[Measure]]:
+def _find_alike(groups: Iterable[CheckedGroup]) -> list[list[Measure]]:
     """Return the measured ratios that are off by about the same factor, for the same reason, in many files."""
-    found: dict[tuple[str, Verdict, str], list[Measure]] = defaultdict(list)
-    for one in (one for group in groups for one in group.measures if not one.kind.unit and one.kind.expected):
-        if one.verdict != "keep":
-            found[one.name, one.verdict, one.kind.advice].append(one)
+    groups_alike: dict[tuple[str, Verdict, str], list[Measure]] = defaultdict(list)
+    for measure in (measure for group in groups for measure in group.measures):
+        if measure.kind.expected and not measure.kind.unit and measure.verdict != "keep":
+            groups_alike[measure.name, measure.verdict, measure.kind.advice].append(measure)
     alike = []
-    for many in found.values():
+    for many in groups_alike.values():
         middle = median(map(_relative, many))
         close = [one for one in many if abs(_relative(one) - middle) <= _ALIKE]
         alike += [close] if len(close) >= _MANY else []
@@ -204,7 +406,7 @@ def _relative(measure: Measure) -> float:
     return measure.value / measure.kind.expected
 
 
-def _in_one(many: Sequence[Measure]) -> str:
+def _join_alike(many: Sequence[Measure]) -> str:
     first, shares = many[0], [100 * _relative(one) for one in many]
     return (
         f"{first.verdict}: {len(many)} files alike, such as {in_line(first.path)}: {first.name}: by the pixels it is "
@@ -216,20 +418,7 @@ def _in_one(many: Sequence[Measure]) -> str:
 
 
 def write_sheet(path: Path | str, report: CheckReport) -> None:
-    """Write the contact sheet of a report, whole or not at all.
-
-    Raises
-    ------
-    ArgumentError
-        If the name does not end in .html.
-    """
+    """Write the contact sheet of a report, whole or not at all."""
     from eldata.reports.html import rendered
 
-    check_sheet_name(path)
     write_text(path, rendered("sheet.html", TEMPLATES, report=report, with_error=with_error))
-
-
-def check_sheet_name(path: Path | str) -> None:
-    """Raise :class:`ArgumentError` unless a contact sheet can have this name."""
-    if not str(path).endswith((".html", ".htm")):
-        raise ArgumentError(f"--sheet {path}: the contact sheet is an HTML page: end its name in .html")

@@ -8,91 +8,86 @@ rescaled it costs as much of a score as light that changed, so it is always repo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Final
 
+from capture.camera import ladder
 from capture.check.frames import ReducedFrame, Unit, change_picture, file_name, reduced_frames, scene_picture
-from capture.check.measures import LIGHT_AGAIN, LIGHT_LOOK, RATIO_AGAIN, RATIO_LOOK, SIGMAS, Estimate, find_kind
 from capture.check.ratio import brightest_level, brightness_ratios, changed_share, fit_ratio
-from capture.check.result import CheckedGroup, CheckedPair, SheetPicture
-from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
+from capture.check.result import (
+    LIGHT_AGAIN,
+    LIGHT_LOOK,
+    RATIO_AGAIN,
+    RATIO_LOOK,
+    SIGMAS,
+    CheckedGroup,
+    Estimate,
+    find_kind,
+)
+from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles, shift_length
 from capture.observed import f_text, same_aperture
-from capture.shutter import ladder
-from eldata.errors import RawFileError
 from eldata.manifest.pairs import UNCERTAIN_ISO
+from eldata.raw.cfa import packing_sites
 from eldata.raw.levels import mean_levels, white_remark
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from capture.check.cells import Cells
-    from capture.check.measures import MeasureKind
+    from capture.check.frames import Cells
     from capture.check.ratio import RatioFit
+    from capture.check.result import MeasureKind
     from capture.check.shift import Tiles
-    from eldata.records import Exposure, FrameRecord, RawHeader, Sensor
+    from eldata.records import Exposure, FrameRecord
 
-_INFINITE: Final = float("inf")
 _STEPS: Final = (Fraction(1, 3), Fraction(1, 2))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SeenReference:
-    """What is kept of a reference while the noisy frames pass."""
-
-    cells: Cells
-    header: RawHeader
-    sensor: Sensor
 
 
 def check_scene(unit: Unit) -> CheckedGroup:
     """Check the frames of one scene, references first, each decoded once."""
     group = CheckedGroup(unit.name, len(unit.records))
     noisy = [record for record in unit.records if record.role == "noisy"]
-    references: dict[str, SeenReference] = {}
-    first: ReducedFrame | None = None
-    tiles_of_first: Tiles | None = None
-    last: ReducedFrame | None = None
-    changes: list[SheetPicture] = []
-    apertures: dict[str, Fraction] = {}
+    references: dict[str, ReducedFrame] = {}
+    apertures: list[tuple[str, Fraction]] = []
+    tiles: Tiles | None = None
     for frame in reduced_frames(unit, group):
         path = frame.record.path
         _compare_aperture(frame, apertures, group)
         if frame.record.role == "noisy":
             named = frame.record.reference or (unit.records[0].path if len(noisy) < len(unit.records) else "")
-            check_pair(frame, named, references, noisy, group)
+            _check_pair(frame, named, references.get(named), noisy, group)
             group.pictures.append(scene_picture(frame, float(frame.record.ratio or 1)))
             continue
-        references[path] = SeenReference(frame.cells, frame.header, frame.sensor)
         group.measure("clipped", path, Estimate(frame.cells.clipped_share).in_percent())
-        if first is None:
-            first, tiles_of_first = frame, make_tiles(frame.luminance)
+        if references:
+            _compare_references(next(iter(references.values())), tiles, frame, group)
+        else:
+            tiles = make_tiles(frame.luminance)
             level = brightest_level(frame.cells)
             if level is None:
                 group.remark(path, "is too small to tell how bright it is")
             else:
                 group.measure("brightness", path, Estimate(level).in_percent())
-            group.pictures.append(scene_picture(frame, 1.0))
-        else:
-            if last is not None and not _well(group, last):
-                changes.append(change_picture(first, last))  # the last one always has one
-            last = replace(frame, cells=frame.cells_beside(first.sensor))
-            _compare(first, tiles_of_first, last, group)
-    if last is not None and first is not None:
-        group.pictures[1:1] = [scene_picture(last, 1.0), *changes, change_picture(first, last)]
-    if len(references) == 1 and first is not None:
-        text = "is the only reference: whether the light changed or the camera moved cannot be told"
-        group.remark(first.record.path, text)
+        references[path] = replace(frame, luminance=frame.luminance[:0])
+    if references:
+        first, *later = references.values()
+        shown = [frame for frame in later if frame is later[-1] or group.verdict_of(frame.record.path) != "keep"]
+        group.pictures[:0] = [
+            *(scene_picture(frame, 1.0) for frame in (first, *later[-1:])),
+            *(change_picture(first, replace(frame, cells=frame.scale_cells_to(first.sensor))) for frame in shown),
+        ]
+        if not later:
+            text = "is the only reference: whether the light changed or the camera moved cannot be told"
+            group.remark(first.record.path, text)
     return group
 
 
-def _compare_aperture(frame: ReducedFrame, known: dict[str, Fraction], group: CheckedGroup) -> None:
+def _compare_aperture(frame: ReducedFrame, known: list[tuple[str, Fraction]], group: CheckedGroup) -> None:
     """Remark on a frame whose EXIF states another aperture than the scene's first file that states one."""
-    path, f_number = frame.record.path, frame.header.exposure.f_number
+    path, f_number = frame.record.path, frame.exposure.f_number
     if f_number is None:
         return
-    known.setdefault(path, f_number)
-    first, expected = next(iter(known.items()))
+    known.append((path, f_number))
+    first, expected = known[0]
     if not same_aperture(f_number, expected):
         text = (
             f"EXIF states {f_text(f_number)}, expected {f_text(expected)} as in {file_name(first)}: the exposure ratio "
@@ -101,15 +96,12 @@ def _compare_aperture(frame: ReducedFrame, known: dict[str, Fraction], group: Ch
         group.remark(path, text, "shoot again")
 
 
-def _well(group: CheckedGroup, frame: ReducedFrame) -> bool:
-    return all(one.verdict == "keep" for one in group.measures if one.path == frame.record.path)
-
-
 # --- references ---------------------------------------------------------------------------------------------------
 
 
-def _compare(first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, group: CheckedGroup) -> None:
+def _compare_references(first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, group: CheckedGroup) -> None:
     """Measure a later reference against the first: light, place and focus, and what moved."""
+    frame = replace(frame, cells=frame.scale_cells_to(first.sensor))
     path, against = frame.record.path, file_name(first.record.path)
     brightness = _measure_light(first, frame, against, group)
     cut = None if tiles is None else moved_tiles(tiles, frame.luminance)
@@ -118,7 +110,12 @@ def _compare(first: ReducedFrame, tiles: Tiles | None, frame: ReducedFrame, grou
         text = "has too little detail to tell whether the camera moved: put something with edges into the scene"
         group.remark(path, text)
         return
-    if group.measure("shift", path, shift.length(cut[2], frame.scale), against=against).verdict != "keep":
+    if (
+        group.measure(
+            "shift", path, shift_length(shift, cut[2], packing_sites(frame.sensor.cfa).scale), against=against
+        ).verdict
+        != "keep"
+    ):
         return  # what is measured pixel by pixel would show the shift again
     focus = measure_focus(cut[0], cut[1], shift, brightness)
     # Out of focus, edges differ everywhere.
@@ -143,30 +140,25 @@ def _measure_light(first: ReducedFrame, frame: ReducedFrame, against: str, group
 # --- pairs ------------------------------------------------------------------------------------------------------------
 
 
-def check_pair(
-    frame: ReducedFrame,
-    named: str,
-    references: Mapping[str, SeenReference],
-    noisy: list[FrameRecord],
-    group: CheckedGroup,
+def _check_pair(
+    frame: ReducedFrame, named: str, reference: ReducedFrame | None, noisy: list[FrameRecord], group: CheckedGroup
 ) -> None:
     """Measure a noisy frame against its reference, ``named``: the scene that it shows, and the exposure ratio.
 
     ``noisy`` are all noisy frames of the scene.
     """
-    record, path = frame.record, frame.record.path
-    group.pairs.append(CheckedPair(path, named))
+    record, path, against = frame.record, frame.record.path, file_name(named)
+    group.pairs[path] = named
     group.measure("gaps", path, Estimate(frame.empty_share).in_percent())
-    reference = references.get(named)
     if reference is None:
-        text = f"its reference {file_name(named)} cannot be used" if named else "the scene has no reference"
+        text = f"its reference {against} cannot be used" if named else "the scene has no reference"
         group.remark(path, text, "shoot again")
         return
     remark = white_remark(mean_levels(frame.sensor), mean_levels(reference.sensor))
     if remark is not None:
         group.remark(path, remark, "keep")
-    cells = frame.cells_beside(reference.sensor)
-    exif_ratio = _exif_ratio(reference.header, frame.header)
+    cells = frame.scale_cells_to(reference.sensor)
+    exif_ratio = _exif_ratio(reference.exposure, frame.exposure)
     nominal = record.ratio
     expected = nominal or exif_ratio
     fit = fit_ratio(reference.cells, cells, None if expected is None else float(expected))
@@ -174,30 +166,32 @@ def check_pair(
         text = "too few pixels that are neither saturated nor clipped at black: its exposure ratio cannot be measured"
         group.remark(path, text)
         return
-    against = file_name(named)
     if group.measure("match", path, fit.match.in_percent(), against=against).verdict == "shoot again":
         return  # with another scene there is no ratio
-    if expected is not None or fit.ratio is not None:
+    ratio = fit.ratio
+    if expected is not None or ratio is not None:
         _measure_black(frame, reference, cells, fit, float(expected or 1 / fit.slope.value), group)
-    if fit.ratio is None:
+    if ratio is None:
         if expected is not None:
             scale = 100 * float(expected)
             signal = Estimate(scale * fit.slope.value, scale * fit.slope.standard_error)
             group.measure("signal", path, signal, ratio=_number(expected))
         return
     if nominal is not None:
-        kind = _nominal_kind(nominal, _ratio_advice(record, fit.ratio, exif_ratio, noisy))
-        group.measure(kind, path, fit.ratio, against=against, ratio=_number(nominal))
+        advice = _ratio_advice(record, ratio, exif_ratio, noisy)
+        kind = _ratio_kind("ratio", nominal, RATIO_LOOK, RATIO_AGAIN, advice)
+        group.measure(kind, path, ratio, against=against, ratio=_number(nominal))
     if exif_ratio is not None:
-        kind = _exif_kind(record, fit.ratio, exif_ratio, _given_ratio(reference.header.exposure, frame.header.exposure))
-        group.measure(kind, path, fit.ratio, against=against, ratio=_number(exif_ratio))
+        again, advice = _judge_exif(record, ratio, _given_ratios(reference.exposure, frame.exposure))
+        kind = _ratio_kind("EXIF ratio", exif_ratio, LIGHT_LOOK, again, advice)
+        group.measure(kind, path, ratio, against=against, ratio=_number(exif_ratio))
     changed = changed_share(reference.cells, cells, fit.slope.value, fit.offset_dn)
     # Without an error: only what exceeds eight of them is counted.
     group.measure("movement", path, Estimate(changed).in_percent(), against=f"to {against}")
 
 
 def _measure_black(
-    frame: ReducedFrame, reference: SeenReference, cells: Cells, fit: RatioFit, ratio: float, group: CheckedGroup
+    frame: ReducedFrame, reference: ReducedFrame, cells: Cells, fit: RatioFit, ratio: float, group: CheckedGroup
 ) -> None:
     """Measure what a noisy frame's black is off its stated level, as a share of white once it is amplified."""
     share = ratio / reference.cells.range_dn
@@ -213,63 +207,50 @@ def _measure_black(
 # --- ratios -------------------------------------------------------------------------------------------------------
 
 
-def _exif_ratio(reference: RawHeader, noisy: RawHeader) -> Fraction | None:
-    from eldata.raw.reading import exposure_ratio
-
-    try:
-        return exposure_ratio(reference, noisy)
-    except RawFileError:
+def _exif_ratio(reference: Exposure, noisy: Exposure) -> Fraction | None:
+    if not (reference.iso and reference.exposure_s and noisy.iso and noisy.exposure_s):
         return None
+    return reference.iso * reference.exposure_s / (noisy.iso * noisy.exposure_s)
 
 
-def _given_ratio(reference: Exposure, noisy: Exposure) -> tuple[float, ...]:
+def _given_ratios(reference: Exposure, noisy: Exposure) -> list[float]:
     """Return the ratios by the times that shutters in steps of a third or a half give where EXIF has the names."""
-    if reference.iso is None or noisy.iso is None:
-        return ()
-    speeds = float(reference.iso / noisy.iso)
-    found = []
+    ratios = []
     for step in _STEPS:
         long, short = (ladder(step).get(one.exposure_s or Fraction(0)) for one in (reference, noisy))
-        if long is not None and short is not None:
-            found.append(speeds * long.true_s / short.true_s)
-    return tuple(found)
+        if reference.iso is not None and noisy.iso is not None and long is not None and short is not None:
+            ratios.append(float(reference.iso / noisy.iso) * long.true_s / short.true_s)
+    return ratios
 
 
-def _nominal_kind(nominal: Fraction, advice: str) -> MeasureKind:
-    value = float(nominal)
-    kind = find_kind("ratio")
-    return replace(kind, look=RATIO_LOOK * value, again=RATIO_AGAIN * value, advice=advice, expected=value)
+def _ratio_kind(name: str, expected: Fraction, look: float, again: float, advice: str) -> MeasureKind:
+    """Return a kind of ratio with its limits, given as shares of the expected one."""
+    value = float(expected)
+    return replace(find_kind(name), look=look * value, again=again * value, advice=advice, expected=value)
 
 
-def _exif_kind(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction, given: tuple[float, ...]) -> MeasureKind:
-    """Return what is expected of a ratio that EXIF states."""
-    expected = float(exif_ratio)
-    again = LIGHT_AGAIN * expected
-    kind = find_kind("EXIF ratio")
-    advice = kind.advice
-    nearest = min(given, key=lambda one: abs(ratio.value - one), default=None)
+def _judge_exif(record: FrameRecord, ratio: Estimate, given: list[float]) -> tuple[float, str]:
+    """Return from which share on a ratio that EXIF does not state is to be shot again, and the advice."""
     if UNCERTAIN_ISO in record.flags:
-        again = _INFINITE
         advice = 'EXIF has the names of ISOs, whose measured speeds are others: amplification="nominal" is the plan\'s'
-    elif nearest is not None and abs(ratio.value - nearest) <= max(LIGHT_LOOK * nearest, SIGMAS * ratio.standard_error):
-        again = _INFINITE
-        advice = "EXIF has the rounded names of the shutter's times: scores of rescaled predictions do not change"
-    return replace(kind, look=LIGHT_LOOK * expected, again=again, advice=advice, expected=expected)
+        return math.inf, advice
+    nearest = min(given, key=lambda one: abs(ratio.value - one), default=math.inf)
+    if abs(ratio.value - nearest) <= max(LIGHT_LOOK * nearest, SIGMAS * ratio.standard_error) < math.inf:
+        return (
+            math.inf,
+            "EXIF has the rounded names of the shutter's times: scores of rescaled predictions do not change",
+        )
+    return LIGHT_AGAIN, find_kind("EXIF ratio").advice
 
 
 def _ratio_advice(record: FrameRecord, ratio: Estimate, exif_ratio: Fraction | None, noisy: list[FrameRecord]) -> str:
-    """Return what may have happened to a frame whose ratio is not the nominal one."""
+    """Say what may have happened to a frame whose ratio is not the nominal one."""
+    cause = "EXIF does not show it"
     if exif_ratio is not None and _fits(ratio, exif_ratio):
         cause = "EXIF says the same: taken with another setting, or under another frame's name"
-    else:
-        cause = "EXIF does not show it"
-    like = [
-        other
-        for other in noisy
-        if other is not record and other.iso == record.iso and other.ratio is not None and _fits(ratio, other.ratio)
-    ]
-    if like:
-        return f"{cause}; it fits {file_name(like[0].path)} (x{_number(like[0].ratio)}): swapped?"
+    for other in noisy:
+        if other is not record and other.iso == record.iso and other.ratio and _fits(ratio, other.ratio):
+            return f"{cause}; it fits {file_name(other.path)} (x{_number(other.ratio)}): swapped?"
     return f"{cause}; {find_kind('ratio').advice}"
 
 
@@ -277,5 +258,5 @@ def _fits(ratio: Estimate, expected: Fraction) -> bool:
     return abs(ratio.value - float(expected)) <= RATIO_LOOK * float(expected)
 
 
-def _number(value: Fraction | None) -> str:
-    return "?" if value is None else f"{float(value):.4g}"
+def _number(value: Fraction) -> str:
+    return f"{float(value):.4g}"

@@ -1,6 +1,6 @@
 """Did the camera move, or its focus? Phase correlation of tiles, and the contrast of their fine detail.
 
-Both frames are cut into the same tiles of the luminance (:func:`capture.check.cells.luminance`), windowed and
+Both frames are cut into the same tiles of the luminance (:func:`capture.check.frames.luminance`), windowed and
 transformed. For a shift d, measured in packed pixels, and independent noise, the spectra are
 ``F2(k) = B(k) F1(k) exp(-2 pi i k d) + noise``.
 
@@ -23,12 +23,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from capture.check.measures import Estimate
+from capture.check.result import Estimate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Spectra = NDArray[np.complexfloating[Any, Any]]
+    # How far the second frame lies below the first and to its right, in packed pixels; tiles where something in the
+    # scene moved are left out.
+    Shift = tuple[Estimate, Estimate]
 
 _SIDES: Final = (256, 128, 64, 32)
 _LEAST_TILES_A_SIDE: Final = 3  # with the largest tiles; smaller frames take smaller tiles
@@ -54,34 +57,15 @@ class Tiles:
     side: int
 
 
-@dataclass(frozen=True, slots=True)
-class Shift:
-    """How far the second frame lies from the first, in packed pixels.
+def shift_length(shift: Shift, pixels: tuple[int, int], scale: int) -> Estimate:
+    """Return the distance between two frames, which lie ``pixels`` more apart than a shift, times ``scale``.
 
-    Attributes
-    ----------
-    down, right
-        Of the whole frame, with standard errors; tiles where something in the scene moved are left out.
+    Its standard error is the larger of the two.
     """
-
-    down: Estimate
-    right: Estimate
-
-    def undo(self, side: int) -> Spectra:
-        """Return the factors that undo it in the spectrum of a tile."""
-        ones = np.ones(1)
-        factors: Spectra = _unshift(self.down.value * ones, self.right.value * ones, side)[0]
-        return factors
-
-    def length(self, pixels: tuple[int, int], scale: int) -> Estimate:
-        """Return the distance between the frames, which lie ``pixels`` more apart, times ``scale``.
-
-        Its standard error is the larger of the two.
-        """
-        down, right = (value + whole for value, whole in zip((self.down.value, self.right.value), pixels, strict=True))
-        return Estimate(
-            scale * float(np.hypot(down, right)), scale * max(self.down.standard_error, self.right.standard_error)
-        )
+    moved = [estimate.value + whole for estimate, whole in zip(shift, pixels, strict=True)]
+    return Estimate(
+        scale * float(np.hypot(moved[0], moved[1])), scale * max(estimate.standard_error for estimate in shift)
+    )
 
 
 def make_tiles(image: NDArray[np.float32]) -> Tiles | None:
@@ -197,7 +181,7 @@ def measure_shift(first: Tiles, second: Tiles) -> Shift | None:
 
 
 def _combined(values: NDArray[np.float64], errors: NDArray[np.float64]) -> Shift | None:
-    """Return the shift of the frame from those of its tiles: weighted mean of the tiles that agree with the median."""
+    """Combine the tiles' shifts into the frame's: the weighted mean of the tiles that agree with the median."""
     certain = np.all(np.isfinite(errors) & (errors > 0) & (errors < _WORST_ERROR), axis=0)
     if not certain.any():
         return None
@@ -212,8 +196,9 @@ def _combined(values: NDArray[np.float64], errors: NDArray[np.float64]) -> Shift
     count = int((~odd).sum())
     # Where the tiles scatter more than their errors say, the scatter counts.
     chi2 = (weights * (values - mean[:, None]) ** 2).sum(axis=1) / max(1, count - 1)
-    found = np.sqrt(np.maximum(chi2, 1) / weights.sum(axis=1))
-    return Shift(*(Estimate(float(value), float(error)) for value, error in zip(mean, found, strict=True)))
+    errors = np.sqrt(np.maximum(chi2, 1) / weights.sum(axis=1))
+    down, right = (Estimate(float(value), float(error)) for value, error in zip(mean, errors, strict=True))
+    return down, right
 
 
 def _weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
@@ -238,7 +223,8 @@ def measure_focus(first: Tiles, second: Tiles, shift: Shift, brightness: float) 
     fy, fx = _frequencies(side)
     radius = np.hypot(fy, fx)
     band = (radius >= _FOCUS_BAND[0]) & (radius <= _FOCUS_BAND[1])
-    undo = shift.undo(side)[band] / brightness
+    down, right = (np.array([estimate.value]) for estimate in shift)
+    undo = _unshift(down, right, side)[0][band] / brightness
     one = first.spectra[:, band]
     two = second.spectra[:, band] * undo
     power_1, power_2 = (np.sum(np.abs(spectra) ** 2, axis=1, dtype=np.float64) for spectra in (one, two))

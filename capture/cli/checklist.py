@@ -12,6 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from capture.checklist import FORMATS, plan_digest
 from eldata.base.console import OK, add_shared, show_and_write
 from eldata.base.files import write_text
 from eldata.base.outputs import add_output
@@ -20,20 +21,17 @@ from eldata.errors import ArgumentError
 if TYPE_CHECKING:
     import argparse
 
-_FORMATS = ("html", "md", "txt")
-
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
     parser.add_argument("plan", metavar="PLAN", help="a plan (capture plan)")
     add_output(parser, "-o", "--output", help="write it to FILE; without, md and txt go to the terminal")
-    parser.add_argument("--format", choices=_FORMATS, help="default: by the suffix of FILE; without FILE txt")
+    parser.add_argument("--format", choices=FORMATS, help="default: by the suffix of FILE; without FILE txt")
     add_shared(parser, run, json=True)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    from capture.checklist import FORMATS, plan_digest
     from capture.plan import Plan
 
     form = _format(arguments)
@@ -54,6 +52,6 @@ def _format(arguments: argparse.Namespace) -> str:
             raise ArgumentError("a page needs a file: -o checklist.html")
         return arguments.format or "txt"
     suffix = Path(output).suffix.lower().removeprefix(".")
-    if arguments.format is None and suffix not in _FORMATS:
+    if arguments.format is None and suffix not in FORMATS:
         raise ArgumentError(f"{output}: expected a name that ends in .html, .md or .txt, or --format")
     return arguments.format or suffix

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
 from eldata.base.console import command_line, run
@@ -10,7 +9,7 @@ from eldata.base.console import command_line, run
 if TYPE_CHECKING:
     import argparse
 
-_COMMANDS = ("protocol", "camera", "plan", "checklist", "script", "manifest", "check")
+_COMMANDS = ("camera", "plan", "checklist", "script", "manifest", "check")
 
 _FIRST = ("capture camera --example cam.json", "capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json")
 _RUNNING = ("root", "json", "jobs", "debug")
@@ -25,7 +24,3 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Run the command ``capture``; return its exit code (:mod:`eldata.base.console`)."""
     return run(parser(), argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -11,109 +11,112 @@ The first makes a plan; the second is for the scene, when the meter says somethi
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from capture.checklist_content import rows as rows_of
-from capture.cli.values import (
-    add_alike,
-    add_numbers,
-    aperture,
-    given_counts,
-    metered,
-    or_dash,
-    scene_numbers,
-    scene_time,
-    seconds,
-)
-from capture.protocol import COUNTS, PROTOCOLS, CaptureProtocol
+from capture.camera import parse_seconds
+from capture.checklist import make_rows
+from capture.protocol import PROTOCOLS, CaptureProtocol
 from eldata.base.console import OK, add_shared, show_and_write, whole_number
 from eldata.base.outputs import add_output
 from eldata.base.tables import text_table
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
     from fractions import Fraction
 
-    from capture.calibration import CalibrationPlan
     from capture.camera import CameraDescription
     from capture.plan import Plan
-    from capture.shots import Shot
-    from capture.shutter import ExactNumber
+    from capture.shots import CalibrationPlan, Shot
 
-_CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors", *COUNTS)
+_CREATING = ("camera", "scenes", "metered", "protocol", "isos", "factors", "repeats", "references")
+_MOST_SCENES = 1000
+_SCENES_END = 1_000_000  # scene-999999 is the last that a plan may have
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
+    whole = whole_number(1)
     parser.add_argument("plan", metavar="PLAN", nargs="?", help="a plan to show or to change in place")
-    new = parser.add_argument_group("a new plan")
-    new.add_argument("--camera", metavar="FILE", help="camera description; capture camera --example writes one")
-    new.add_argument(
-        "--scenes",
-        type=scene_numbers,
-        metavar="N",
-        help="number of scenes: scene-1 to scene-N; another night's, as 11-15: scene-11 to scene-15",
-    )
-    new.add_argument(
-        "--metered",
-        type=metered,
-        action="append",
-        metavar="SECONDS",
-        help="time that exposes the scenes well at the base ISO, as 4, 5/2 or 2.5; for one scene: scene-3=2",
-    )
-    new.add_argument(
-        "--protocol",
-        choices=tuple(PROTOCOLS),
-        help="frames of a scene: those of the released set (default), or the paper's, without the factors 1 and 10",
-    )
-    add_numbers(new, "--isos", "ISO", "other ISOs of the noisy frames")
-    add_numbers(new, "--factors", "FACTOR", "other low-light factors than the protocol's")
-    add_alike(new)
-    change = parser.add_argument_group("changes")
-    repeated = partial(change.add_argument, action="append", default=[])
-    repeated(
-        "--remeter",
-        type=scene_time,
-        metavar="SCENE=SECONDS",
-        help="compute a scene's shots from another metered time, as scene-2=2; may be repeated",
-    )
-    more = "one more scene, as scene-11=4; may be repeated"
-    repeated("--add-scene", type=scene_time, metavar="SCENE=SECONDS", help=more)
-    repeated("--note", metavar="SCENE=TEXT", help="a note on a scene, as scene-2=bookshelf; may be repeated")
-    repeated(
-        "--aperture",
-        type=aperture,
-        metavar="F",
-        help="the f-number of every scene, as 8, or of one: scene-3=5.6; in a new plan or an older one. That of the "
-        "files is compared with it",
-    )
-    calibration = parser.add_argument_group("calibration frames, in a new plan or an older one")
-    calibration.add_argument(
-        "--calibration", action="store_true", help="plan bias frames and flats too; needs --flat-clips-at"
-    )
-    calibration.add_argument(
-        "--flat-clips-at",
-        type=seconds,
-        metavar="SECONDS",
-        help="time at the base ISO from which the evenly lit surface is overexposed in raw",
-    )
+    add = parser.add_argument_group("a new plan").add_argument
+    add("--camera", metavar="FILE", help="camera description; capture camera --example writes one")
+    add("--scenes", type=scene_numbers, metavar="N", help="number of scenes, or the first and the last, as 11-15")
+    times = "time that exposes every scene well at the base ISO, as 4, 5/2 or 2.5; that of one scene, as scene-3=2"
+    add("--metered", type=scene_time, nargs="+", action="extend", metavar="SECONDS", help=times)
+    frames = "frames of a scene: the released set's (default), or the paper's, without the factors 1 and 10"
+    add("--protocol", choices=tuple(PROTOCOLS), help=frames)
+    add("--isos", type=whole, nargs="+", metavar="ISO", help="other ISOs of the noisy frames")
+    add("--factors", type=whole, nargs="+", metavar="FACTOR", help="other low-light factors than the protocol's")
+    add("--repeats", type=whole, metavar="N", help="noisy frames of each ISO and factor (default: 1; LRID has 10)")
+    references = "references before and after each ISO (default: 1); a noisy frame is compared with the nearest one"
+    add("--references", type=whole, metavar="N", help=references)
+    change = partial(parser.add_argument_group("changes; may be repeated").add_argument, action="append", default=[])
+    remeter = "compute a scene's shots from another metered time, as scene-2=2"
+    change("--remeter", type=one_scene_time, metavar="SCENE=SECONDS", help=remeter)
+    change("--add-scene", type=one_scene_time, metavar="SCENE=SECONDS", help="one more scene, as scene-11=4")
+    change("--note", metavar="SCENE=TEXT", help="a note on a scene, as scene-2=bookshelf")
+    f_number = "f-number of every scene, as 8, or of one, as scene-3=5.6; the files' is compared with it"
+    change("--aperture", type=aperture, metavar="F", help=f_number)
+    add = parser.add_argument_group("calibration frames, in a new plan or an older one").add_argument
+    add("--calibration", action="store_true", help="plan bias frames and flats too; needs --flat-clips-at")
+    clips_at = "time at the base ISO from which the evenly lit surface is overexposed in raw"
+    add("--flat-clips-at", type=seconds, metavar="SECONDS", help=clips_at)
     isos = "ISOs to calibrate (default: full stops from the base ISO to the highest noisy one)"
-    add_numbers(calibration, "--calibration-isos", "ISO", isos)
-    calibration.add_argument(
-        "--bias-frames", type=whole_number(1), metavar="N", help="bias frames per ISO (default: 10)"
-    )
-    calibration.add_argument(
-        "--warm",
-        action="store_true",
-        default=None,
-        help="bias frames a second time, with the sensor warm from the shooting; the first come before it",
-    )
+    add("--calibration-isos", type=whole, nargs="+", metavar="ISO", help=isos)
+    add("--bias-frames", type=whole, metavar="N", help="bias frames per ISO (default: 10)")
+    add("--warm", action="store_true", help="bias frames a second time, with the sensor warm from the shooting")
     add_output(parser, "-o", "--output", help="the new plan's file; with PLAN: write the changes there")
     add_shared(parser, run, json=True)
+
+
+def seconds(text: str) -> Fraction:
+    """Read seconds above 0, exactly."""
+    try:
+        return parse_seconds(text)
+    except ArgumentError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def scene_time(text: str) -> tuple[str | None, Fraction]:
+    """Read seconds for every scene (``None``) or, as ``scene-3=1/4``, for one."""
+    return (None, seconds(text)) if "=" not in text else one_scene_time(text)
+
+
+def one_scene_time(text: str) -> tuple[str, Fraction]:
+    """Read the seconds of one scene, as ``scene-3=1/4``."""
+    name, _, time = text.rpartition("=")
+    if not name:
+        raise argparse.ArgumentTypeError(f"expected a scene and its metered time, such as scene-2=1/4; found {text!r}")
+    return name, seconds(time)
+
+
+def aperture(text: str) -> tuple[str | None, Fraction]:
+    """Read the f-number for every scene (``None``) or, as ``scene-3=5.6``, for one."""
+    name, equals, number = text.rpartition("=")
+    try:
+        f_number = parse_seconds(number.lower().removeprefix("f/"))
+    except ArgumentError:
+        f_number = None
+    if f_number is None or not 0.5 <= f_number <= 128 or (equals and not name):
+        expected = "expected an f-number from 0.5 to 128, such as 5.6, or scene-3=5.6"
+        raise argparse.ArgumentTypeError(f"{expected}; found {shown(text)}")
+    return name or None, f_number
+
+
+def scene_numbers(text: str) -> range:
+    """Read the scenes that a text such as ``10``, the first ten, or ``11-15`` names."""
+    first, dash, last = text.rpartition("-")
+    whole = whole_number(0)
+    numbers = range(whole(first) if dash and first else 1, whole(last) + 1)
+    if not 1 <= len(numbers) <= _MOST_SCENES or not 1 <= numbers[0] <= numbers[-1] < _SCENES_END:
+        raise argparse.ArgumentTypeError(
+            f"expected a number of scenes from 1 to {_MOST_SCENES}, or the first and the last, as 11-15; found {text!r}"
+        )
+    return numbers
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -121,13 +124,13 @@ def run(arguments: argparse.Namespace) -> int:
     from capture.plan import Plan
 
     if arguments.plan is None:
-        plan = before = _new(arguments)
+        plan = before = _make(arguments)
     else:
         given = [name for name in _CREATING if getattr(arguments, name) is not None]
         if given:
             raise ArgumentError(f"--{given[0]} is for a new plan; {arguments.plan} has its own: leave one of them out")
         before = plan = Plan.load(arguments.plan)
-    plan = _changed(plan, arguments)
+    plan = _change(plan, arguments)
     target: str = arguments.output or (arguments.plan if plan != before else "")
 
     def write_plan() -> None:
@@ -138,7 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
     return OK
 
 
-def _new(arguments: argparse.Namespace) -> Plan:
+def _make(arguments: argparse.Namespace) -> Plan:
     from capture.camera import CameraDescription
     from capture.plan import make_plan
 
@@ -150,43 +153,40 @@ def _new(arguments: argparse.Namespace) -> Plan:
         camera.base_iso,
         tuple(arguments.isos or chosen.noisy_isos),
         tuple(arguments.factors or chosen.low_light_factors),
-        **given_counts(arguments),
+        arguments.repeats or 1,
+        arguments.references or 1,
     )
-    return make_plan(camera, protocol, _metered(arguments), _calibration(camera, protocol, arguments))
+    return make_plan(camera, protocol, _metered_times(arguments), _plan_calibration(camera, protocol, arguments))
 
 
-def _metered(arguments: argparse.Namespace) -> dict[str, Fraction]:
+def _metered_times(arguments: argparse.Namespace) -> dict[str, Fraction]:
     if arguments.scenes is None and arguments.calibration and not arguments.metered:
         return {}  # calibration frames alone
     if arguments.scenes is None:
         raise ArgumentError("a new plan needs --scenes, a number of scenes, or the first and the last, as 11-15")
     names = [f"scene-{number}" for number in arguments.scenes]
-    times: dict[str, Fraction] = {}
-    # First the time of every scene, whatever the order in which they are given.
-    for name, time in sorted(arguments.metered or (), key=lambda given: given[0] is not None):
-        if name is None:
-            times = dict.fromkeys(names, time)
-        elif name in names:
-            times[name] = time
-        else:
-            raise ArgumentError(f"--metered {name}: the scenes are {names[0]} to {names[-1]}")
-    lacking = [name for name in names if name not in times]
+    given = dict(arguments.metered or ())
+    times = {name: given.pop(name, given.get(None)) for name in names}
+    given.pop(None, None)
+    for name in given:
+        raise ArgumentError(f"--metered {name}: the scenes are {names[0]} to {names[-1]}")
+    lacking = [name for name in names if times[name] is None]
     if lacking:
         raise ArgumentError(
             f"--metered: {', '.join(lacking)} need a metered time; --metered 4 gives one to every scene"
         )
-    return {name: times[name] for name in names}
+    return {name: time for name, time in times.items() if time is not None}
 
 
-def _calibration(
+def _plan_calibration(
     camera: CameraDescription, protocol: CaptureProtocol, arguments: argparse.Namespace
 ) -> CalibrationPlan | None:
-    """Return the calibration frames that are asked for."""
-    from capture.calibration import default_isos, plan_calibration
+    """Plan the calibration frames that are asked for."""
+    from capture.shots import BIAS_FRAMES, default_isos, plan_calibration
 
     if not arguments.calibration:
         for name in ("flat_clips_at", "calibration_isos", "bias_frames", "warm"):
-            if getattr(arguments, name) is not None:
+            if getattr(arguments, name):
                 raise ArgumentError(f"--{name.replace('_', '-')} goes with --calibration")
         return None
     if arguments.flat_clips_at is None:
@@ -194,13 +194,17 @@ def _calibration(
             "--calibration needs --flat-clips-at SECONDS: point the camera at the evenly lit surface, at the base ISO, "
             "and lengthen the exposure until the raw histogram touches its right end"
         )
-    isos = tuple(sorted(arguments.calibration_isos)) if arguments.calibration_isos else default_isos(camera, protocol)
-    given = {name: getattr(arguments, name) for name in ("bias_frames", "warm")}
-    given = {name: value for name, value in given.items() if value is not None}
-    return plan_calibration(camera, protocol.base_iso, isos, arguments.flat_clips_at, **given)
+    return plan_calibration(
+        camera,
+        protocol.base_iso,
+        tuple(sorted(arguments.calibration_isos or default_isos(camera, protocol))),
+        arguments.flat_clips_at,
+        bias_frames=arguments.bias_frames or BIAS_FRAMES,
+        warm=arguments.warm,
+    )
 
 
-def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
+def _change(plan: Plan, arguments: argparse.Namespace) -> Plan:
     for name, time in arguments.add_scene:
         plan = plan.add_scene(name, time)
     for name, time in arguments.remeter:
@@ -210,12 +214,12 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
         for scene in plan.scenes if name is None else (plan.scene(name),):
             plan = plan.set_aperture(scene.name, f_number)
     for text in arguments.note:
-        name, equals, note = text.partition("=")
-        if not equals or not note.strip():
+        name, _, note = text.partition("=")
+        if not note.strip():
             raise ArgumentError(f"--note: expected a scene and a text, such as scene-2=bookshelf; found {text!r}")
         plan = plan.add_note(name, note.strip())
     if arguments.plan is not None:
-        calibration = _calibration(plan.camera, plan.protocol, arguments)
+        calibration = _plan_calibration(plan.camera, plan.protocol, arguments)
         plan = plan if calibration is None else replace(plan, calibration=calibration)
     return plan
 
@@ -226,7 +230,7 @@ def _changed(plan: Plan, arguments: argparse.Namespace) -> Plan:
 def format_plan(plan: Plan) -> str:
     """Return a plan as text: a table for the scenes of each metered time, and one for the calibration frames."""
     from capture.observed import f_text
-    from capture.shots import duration_of
+    from capture.shots import describe_duration
 
     protocol = plan.protocol
     parts = [f"{plan.camera.name}: {len(plan.shots)} shots; {protocol}"]
@@ -236,59 +240,45 @@ def format_plan(plan: Plan) -> str:
         names = [scene.name for scene in scenes]
         title = f"{', '.join(names)}: metered at {time} s{at}"
         notes = [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]
-        each = "each scene" if len(names) > 1 else names[0]
-        time_needed = f"{each}: {duration_of(scenes[0].shots)}"
-        parts.append("\n".join([title, *notes, _table(scenes[0].shots), time_needed, *scenes[0].remarks]))
+        shots, each = scenes[0].shots, "each scene" if len(names) > 1 else names[0]
+        duration = f"{each}: {describe_duration(shots)}"
+        parts.append("\n".join([title, *notes, _format_shots(shots), duration, *scenes[0].remarks]))
     if plan.calibration is not None:
         shots, clips_at_s = plan.calibration.shots, plan.calibration.flat_clips_at_s
         title = f"calibration: the surface clips at {clips_at_s} s, ISO {protocol.base_iso}"
-        after = [f"calibration: {duration_of(shots)}", *plan.calibration.remarks]
-        parts.append("\n".join([title, _calibration_table(shots), *after]))
-    parts.append(f"the whole plan: {plan.duration}; composing, focusing and metering come on top")
+        duration = f"calibration: {describe_duration(shots)}"
+        parts.append("\n".join([title, _format_shots(shots), duration, *plan.calibration.remarks]))
+    whole = describe_duration([shot for _, shot in plan.shots])
+    parts.append(f"the whole plan: {whole}; composing, focusing and metering come on top")
     return "\n\n".join(parts)
 
 
-def _table(shots: Sequence[Shot]) -> str:
-    measured = any(shot.true_iso is not None for shot in shots)
-    return _as_table(
-        {
+def _format_shots(shots: Sequence[Shot]) -> str:
+    """Return the table of shots, a line for each row of the checklist, without the columns that none of them has."""
+
+    def cell(value: object, form: str = "{}") -> str:
+        return "-" if value is None else form.format(value)
+
+    rows = []
+    for row in make_rows(shots):
+        shot, error = row.shot, row.shot.ratio_error
+        true, named = (None if ratio is None else float(ratio) for ratio in (shot.true_ratio, shot.named_ratio))
+        cells = {
             "frame": row.numbers,
-            "role": shot.role,
-            "ISO": str(shot.iso),
-            **({"true ISO": _number(shot.true_iso, "{:g}")} if measured else {}),
-            "factor": or_dash(shot.factor, "x{}"),
+            "role": f"{shot.series} {shot.role}".lstrip(),
+            "ISO": cell(shot.iso),
+            "true ISO": cell(shot.true_iso and float(shot.true_iso), "{:g}"),
+            "level": cell(shot.level and float(100 * shot.level), "{:.0f} %"),
+            "factor": cell(shot.factor, "x{}"),
             "asked": f"{shot.target_s} s",
             "set": f"{shot.setting.dial} s",
             "gives": f"{shot.setting.true_s:.4g} s",
-            "ratio": _number(shot.true_ratio, "{:.2f}"),
-            "EXIF": _number(shot.named_ratio, "{:.2f}"),
-            "error": or_dash(shot.error_percent, "{:+.1f} %"),
-            "stops": or_dash(shot.error_stops, "{:+.3f}"),
-            "reference": or_dash(shot.reference),
+            "ratio": cell(true, "{:.2f}"),
+            "EXIF": cell(named, "{:.2f}"),
+            "error": cell(error and 100 * (float(error) - 1), "{:+.1f} %"),
+            "stops": cell(error and error.log2, "{:+.3f}"),
+            "reference": cell(shot.reference),
         }
-        for row in rows_of(shots)
-        for shot in (row.shot,)
-    )
-
-
-def _calibration_table(shots: Sequence[Shot]) -> str:
-    return _as_table(
-        {
-            "frames": row.numbers,
-            "role": f"{row.shot.series} {row.shot.role}".lstrip(),
-            "ISO": str(row.shot.iso),
-            "level": _number(row.shot.level and 100 * row.shot.level, "{:.0f} %"),
-            "set": f"{row.dial} s",
-            "count": str(row.count),
-        }
-        for row in rows_of(shots)
-    )
-
-
-def _as_table(found: Iterable[dict[str, str]]) -> str:
-    rows = list(found)
-    return text_table(tuple(rows[0]), [tuple(row.values()) for row in rows], left=(1,))
-
-
-def _number(value: ExactNumber | Fraction | None, form: str) -> str:
-    return or_dash(None if value is None else float(value), form)
+        rows.append(cells)
+    names = [name for name in rows[0] if any(cells[name] != "-" for cells in rows)]
+    return text_table(names, [[cells[name] for name in names] for cells in rows], left=(1,))

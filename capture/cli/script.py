@@ -15,11 +15,11 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capture.checklist_content import TEMPLATES, ChecklistRow, calibration_parts, part_of
-from capture.cli.values import add_only
+from capture.checklist import TEMPLATES, ChecklistRow, calibration_parts
+from capture.cli.values import add_plan, load_plan
 from capture.observed import f_text
-from capture.plan import CALIBRATION, Plan
-from capture.shots import WRITE_S, minutes
+from capture.plan import CALIBRATION
+from capture.shots import format_minutes, sum_duration_s
 from eldata.base.console import OK, add_shared
 from eldata.base.files import write_text
 from eldata.base.outputs import add_output
@@ -29,25 +29,23 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterable, Iterator, Sequence
 
+    from capture.camera import ShutterTime
+    from capture.plan import Plan
     from capture.shots import ScenePlan, Shot
-    from capture.shutter import ShutterTime
 
 _NEXT_LINE = "\n    "
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add its options."""
-    parser.add_argument("plan", metavar="PLAN", help="the plan (capture plan)")
+    add_plan(parser)
     add_output(parser, "-o", "--output", required=True, help="the script; frames go into folders beside it")
-    add_only(parser)
     add_shared(parser, run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run this command."""
-    plan, path = Plan.load(arguments.plan), Path(arguments.output)
-    if arguments.only:
-        plan = plan.only(arguments.only)
+    plan, path = load_plan(arguments), Path(arguments.output)
     write_text(path, gphoto_script(plan, Path(arguments.plan).name))
     mode = path.stat().st_mode
     path.chmod(mode | (mode & 0o444) >> 2)  # whoever may read it may run it
@@ -81,20 +79,18 @@ def gphoto_script(plan: Plan, title: str) -> str:
     ]
     for scene in plan.scenes:
         lines += _part(scene.name, scene.name, _scene_words(plan, scene), scene.shots)
-    frames = () if plan.calibration is None else plan.calibration.shots
     for part in calibration_parts(plan):
-        of_part = [shot for shot in frames if part_of(shot) == part.kind]
-        lines += _part(CALIBRATION, part.title, (item.text for item in part.items), of_part)
+        lines += _part(CALIBRATION, part.title, (item["text"] for item in part.items), part.shots)
     return "\n".join(lines) + "\n"
 
 
 def script_minutes(plan: Plan) -> str:
-    """Return how long the exposures and downloads take, to read."""
-    return minutes(plan.duration.exposures_s + WRITE_S * plan.duration.files)
+    """Write how long the exposures and downloads take."""
+    return format_minutes(sum_duration_s([shot for _, shot in plan.shots], dial_s=0))
 
 
 def _time_words(time: ShutterTime) -> list[str]:
-    """Return what gphoto2 sets: the time's name, or ``Bulb`` and its seconds."""
+    """Return the words that gphoto2 sets: the time's name, or ``Bulb`` and its seconds."""
     return time.dial.replace("bulb", "Bulb").split()
 
 

@@ -6,11 +6,10 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import Final
 
-from capture.calibration import plan_calibration
-from capture.camera import EXAMPLE, CameraDescription
+from capture.camera import EXAMPLE, CameraDescription, Shutter
 from capture.plan import Plan, make_plan
 from capture.protocol import PAPER, RELEASED, CaptureProtocol
-from capture.shutter import Shutter
+from capture.shots import plan_calibration
 
 HOSTILE: Final = (
     '</script><script>alert("x")</script>\'&<img src=https://evil.example/x.png onerror=alert(1)> | *_`\x1b[31m\u202e'

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from capture.camera import CameraDescription
+from capture.camera import CameraDescription, Shutter
 from capture.cli import main
 from capture.plan import Plan, make_plan
 from capture.protocol import RELEASED
-from capture.shutter import Shutter
 from eldata.manifest import verify
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure, Sensor

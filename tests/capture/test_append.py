@@ -39,19 +39,6 @@ def night(folder: Path, taken: list[Taken], monkeypatch: pytest.MonkeyPatch, day
     return files[1:]
 
 
-def test_frames_of_equal_settings_that_differ_are_retakes(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
-    """A copy is one byte for byte: another frame of the same second, settings and size is not."""
-    plan = plan_of("4", factors=(100,))
-    files = shoot(nights.folder / "card", whole_plan(plan))
-    other = bytearray(files[2].read_bytes())
-    other[-1] ^= 1
-    (nights.folder / "card" / "Z.dng").write_bytes(other)
-    assert nights.add(plan, nights.folder / "card", options=()) == 1
-    output = capsys.readouterr().out
-    assert "scene-1 frame 3 was taken more than once" in output
-    assert "copies" not in output
-
-
 def test_a_scene_on_two_cards(nights: Nights, capsys: pytest.CaptureFixture[str]) -> None:
     """The first card was full in the middle of the second scene, before the reference of what it has."""
     plan = plan_of("4", "1", "2")

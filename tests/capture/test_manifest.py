@@ -4,30 +4,31 @@ from __future__ import annotations
 
 import json
 import os
-import pty
+import resource
 import shutil
-import subprocess
 import sys
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import pytest
 
-from capture.calibration import plan_calibration
+from capture.capture_errors import CaptureError
 from capture.cli import main
+from capture.manifest import Placement, place_files
+from capture.shots import plan_calibration
 from eldata.base.files import sha256_of
+from eldata.errors import EldataError
 from eldata.manifest import load_manifest, verify
+from eldata.records import FrameRecord
 from tests.capture.simulated import CAMERA, Nights, Taken, plan_of, shoot, whole_plan
 from tests.cases import in_one_test
 from tests.trees import interrupt_manifest
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from capture.plan import Plan
 
-ROOT = Path(__file__).resolve().parents[2]
 FOUR = ("4", "1", "2", "1")
 
 
@@ -98,13 +99,6 @@ def test_the_files_of_a_set_are_right_after_an_interruption(how: str, tmp_path: 
         assert sorted(path.name for path in field.csv.parent.iterdir()) == ["mine.csv", "mine.json"]
 
 
-def test_check_says_that_its_frames_are_too_small(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
-    assert small.copy() == 0
-    capsys.readouterr()
-    assert main(["check", str(small.csv), "--root", str(small.folder / "data"), "--jobs", "1"]) == 1
-    assert "scene-1/IMG_0001.dng: is too small to tell how bright it is" in capsys.readouterr().out
-
-
 def test_calibration_frames(tmp_path: Path) -> None:
     from eldata import CalibrationFrames
     from eldata.datasets.calibration_frames import flat_pairs
@@ -133,13 +127,6 @@ def test_files_may_stay_where_they_are(small: Field, capsys: pytest.CaptureFixtu
     assert manifest.records[0].path == "card/DSC0001.dng"  # the counter turned over
     assert verify(small.csv, small.folder.parent, level="full").ok
     assert "--root" in capsys.readouterr().out
-
-
-def test_links(small: Field) -> None:
-    assert small.run("--link-to", str(small.data)) == 0
-    placed = small.data / "AcmeNocturne/scene-1/IMG_0001.dng"
-    assert placed.samefile(small.files[0])
-    assert small.problems() == []
 
 
 def test_names_order_where_there_are_no_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -171,7 +158,7 @@ def test_everything_that_goes_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
         "was taken by Toy; the plan's is Nocturne 1",
         "broken.dng: truncated",
         "47 of 48 shots have a file; 51 files were given",
-        "1 of 48 shots have no file. Take them again, or accept the gaps with",
+        "1 of 48 shots have no file. Take them again, or accept the gaps",
     ):
         assert words in output
     assert not field.csv.exists()
@@ -210,13 +197,13 @@ def test_an_edited_mapping(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 @in_one_test(
     "change, words",
     [
-        ({"number": 99}, "shots[1].number: expected a shot of the plan (scene-1 has none of this number), found 99"),
-        ({"scene": "scene-9"}, "expected a shot of the plan (scene-9 has none of this number)"),
-        ({"number": 1}, "each shot once (scene-1 frame 1 has a file already)"),
+        ({"number": 99}, "shots[1].number: expected a shot of the plan's scene-1, each once, found 99"),
+        ({"scene": "scene-9"}, "expected a shot of the plan's scene-9, each once"),
+        ({"number": 1}, "expected a shot of the plan's scene-1, each once, found 1"),
         ({"file": 1}, "shots[1].file: expected a text, found 1"),
         ({"file": "nowhere.dng"}, "expected one of the files given"),
         ({"note": "x"}, "field shots[1].note: is unknown; known are scene, number, shot, file"),
-        ({"file": "FIRST"}, "each file once (scene-1 frame 1 has it)"),
+        ({"file": "FIRST"}, "expected one of the files given, each once, with"),
         ({"file": "LAST"}, "asks for ISO 800, 1/200 s, and "),
     ],
 )
@@ -252,24 +239,6 @@ def test_a_gap_in_the_references(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert references["AcmeNocturne/scene-1/IMG_0007.dng"] == "AcmeNocturne/scene-1/IMG_0011.dng"
 
 
-def test_a_scene_without_references(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = plan_of("4", "1")
-    taken = [shot for index, shot in enumerate(whole_plan(plan)) if index >= 16 or index % 5]
-    field = Field(tmp_path, plan, taken)
-    assert field.copy("--allow-gaps", "--yes") == 0
-    assert "scene-1 frame 2 is left out: the scene has no reference" in capsys.readouterr().out
-    assert len(load_manifest(field.csv).records) == 16
-    assert field.problems() == []
-
-
-def test_a_part_of_the_plan(small: Field) -> None:
-    for path in small.files[7:]:
-        path.unlink()
-    assert small.copy() == 1
-    assert small.copy("--only", "scene-1") == 0
-    assert small.problems() == []
-
-
 def test_what_is_there_stays(small: Field, capsys: pytest.CaptureFixture[str]) -> None:
     placed = small.data / "AcmeNocturne/scene-1/IMG_0002.dng"
     placed.parent.mkdir(parents=True)
@@ -289,17 +258,9 @@ def test_what_is_there_stays(small: Field, capsys: pytest.CaptureFixture[str]) -
     assert small.csv.read_text().endswith("edited")
 
 
-def test_copies_inside_of_what_is_searched_are_no_new_files(tmp_path: Path) -> None:
-    field = Field(tmp_path, plan_of("4", factors=(100,)))
-    field.data = field.card / "data"
-    assert field.copy() == 0
-    assert field.copy("--replace") == 0
-
-
 @in_one_test(
     "line, words",
     [
-        ("manifest", "the following arguments are required: PLAN, FILES, -o/--output"),
         ("manifest plan.json card -o mine.json", "expected a name that ends in .csv"),
         ("manifest plan.json card -o plan.csv", "its plan.json is what PLAN names"),
         ("manifest nowhere.json card -o mine.csv", "nowhere.json: cannot be read"),
@@ -344,18 +305,83 @@ def test_a_kill_between_card_and_manifest(small: Field, capsys: pytest.CaptureFi
     assert '"licence": "CC0"' in card.read_text()
 
 
-@pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("", 1)])
-def test_asked_on_a_terminal(tmp_path: Path, answer: str, code: int) -> None:
-    plan = plan_of("4", factors=(100,))
-    taken = whole_plan(plan)
+@pytest.mark.parametrize(("answer", "code"), [("y", 0), ("", 1)])
+def test_asked_on_a_terminal(tmp_path: Path, answer: str, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a part of the plan, by hard links."""
+    plan = plan_of("4", "1", factors=(100,))
+    taken = whole_plan(plan.only(["scene-1"]))
     field = Field(tmp_path, plan, [*taken, taken[-1]])
-    child, terminal = pty.openpty()
-    command = [sys.executable, "-c", "import sys; from capture.cli import main; sys.exit(main(sys.argv[1:]))"]
-    arguments = ["manifest", str(tmp_path / "plan.json"), str(field.card), "-o", str(field.csv), "--jobs", "1"]
-    process = subprocess.Popen([*command, *arguments], cwd=ROOT, stdin=terminal, stdout=terminal, stderr=terminal)
-    os.write(child, answer.encode() or b"\x04")
-    assert process.wait(PATIENCE_S) == code
-    os.close(terminal)
-    os.close(child)
+    for stream in (sys.stdin, sys.stdout):
+        monkeypatch.setattr(stream, "isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda _: answer)
+    assert field.run("--only", "scene-1", "--link-to", str(field.data)) == code
     assert field.csv.exists() == (code == 0)
     assert field.mapping.exists() == (code == 1)
+    if not code:
+        assert (field.data / "AcmeNocturne/scene-1/IMG_0001.dng").samefile(field.files[0])
+        assert field.problems() == []
+
+
+# --- files into their places ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def placement(tmp_path: Path) -> Placement:
+    source = tmp_path / "card" / "DSC1.ARW"
+    source.parent.mkdir()
+    source.write_bytes(os.urandom(100_000))
+    os.utime(source, (1_700_000_000, 1_700_000_000))
+    record = FrameRecord("scene-1/IMG_0001.ARW", "reference", "Acme", sha256=sha256_of(source))
+    return Placement(source, tmp_path / "data" / record.path, record)
+
+
+@pytest.mark.parametrize("how", ["copy", "link"])
+def test_placing(placement: Placement, how: Literal["copy", "link"]) -> None:
+    for _ in range(2):  # again changes nothing
+        place_files([placement], how)
+        assert placement.target.read_bytes() == placement.path.read_bytes()
+        assert [path.name for path in placement.target.parent.iterdir()] == ["IMG_0001.ARW"]
+        assert placement.target.stat().st_mtime == 1_700_000_000
+    assert placement.target.samefile(placement.path) == (how == "link")
+
+
+@pytest.mark.parametrize("content", [5, 100_000, None])  # the second is that of what would be placed, the last a link
+@pytest.mark.parametrize("how", ["copy", "link"])
+def test_what_is_there_is_never_replaced(
+    placement: Placement, how: Literal["copy", "link"], content: int | None
+) -> None:
+    """Before anything is written: the file before it stays away too."""
+    placement.target.parent.mkdir(parents=True)
+    if content is None:
+        placement.target.symlink_to(placement.target.parent / "elsewhere")
+    else:
+        placement.target.write_bytes(bytes(content))
+    free = replace(placement, target=placement.target.with_name("IMG_0000.ARW"))
+    with pytest.raises(CaptureError, match="is there already with another content"):
+        place_files([free, placement], how)
+    assert [path.name for path in placement.target.parent.iterdir()] == ["IMG_0001.ARW"]
+    assert placement.target.is_symlink() or placement.target.read_bytes() == bytes(content or 0)
+
+
+@pytest.mark.parametrize("side", ["source", "target"])
+def test_the_disk_that_fails_is_named(side: str, placement: Placement) -> None:
+    """A source that the system does not let be read; a target for which it has no room."""
+    if side == "source":
+        with pytest.raises(OSError, match="Input/output error: '/proc/self/mem'"):
+            place_files([replace(placement, path=Path("/proc/self/mem"))], "copy")
+    else:
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, before[1]))
+        try:
+            with pytest.raises(EldataError, match=r"cannot write \S*IMG_0001.ARW: File too large"):
+                place_files([placement], "copy")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert list(placement.target.parent.iterdir()) == []
+
+
+def test_a_source_that_changes_is_not_placed(placement: Placement) -> None:
+    placement.path.write_bytes(b"another")
+    with pytest.raises(CaptureError, match="changed while it was being copied"):
+        place_files([placement], "copy")
+    assert list(placement.target.parent.iterdir()) == []

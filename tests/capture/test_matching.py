@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture.calibration import plan_calibration
 from capture.mapping import explain_metering
 from capture.matching import Match, match
 from capture.observed import Observed, ObservedFrame
+from capture.shots import plan_calibration
 from tests.capture.simulated import START, Taken, as_planned, plan_of
 from tests.cases import in_one_test
 
@@ -83,16 +83,6 @@ def test_nothing_false_on_a_clean_set(metered: tuple[str, ...], times: bool) -> 
     assert names(found) == truth
     assert kinds(found) == ([] if times else ["no-times"])
     assert not found.doubtful
-
-
-def test_exif_may_state_what_the_camera_gives() -> None:
-    plan = plan_of("4", "15")
-    presses = session(plan)
-    for press, (_, shot) in zip(presses, plan.shots, strict=True):
-        given_s = Fraction(shot.setting.true_s).limit_denominator(10**4)
-        press.taken = replace(press.taken, exposure_s=given_s)
-    observed, truth = develop(presses)
-    assert names(match(plan, observed)) == truth
 
 
 @settings(deadline=None, max_examples=30)
@@ -188,29 +178,6 @@ def test_a_scene_begun_again(given_up_after: int, metered: str) -> None:
     assert len([remark for remark in found.remarks if remark.kind == "repeated"]) == given_up_after
 
 
-def test_a_forgotten_shot_taken_at_the_end() -> None:
-    plan = plan_of("4", "4")
-    presses = session(plan)
-    late = presses.pop(3)
-    presses.insert(15, again(late, late.slot))
-    observed, truth = develop(presses)
-    found = match(plan, observed)
-    assert names(found) == truth
-    assert [remark.kind for remark in found.remarks] == ["out-of-order"]
-    assert "scene-1 frame 4, taken out of order (after frame 16)" in found.remarks[0].text
-
-
-def test_a_retake_that_is_out_of_its_order_is_named_and_left_out() -> None:
-    plan = plan_of("4", "1")
-    presses = session(plan)
-    presses.insert(16, again(presses[3], None))
-    observed, truth = develop(presses)
-    found = match(plan, observed)
-    assert names(found) == truth
-    assert [remark.kind for remark in found.remarks] == ["repeated"]
-    assert "DSC0016.ARW: ISO 800, 1/200 s, as scene-1 frame 4, for which other files" in found.remarks[0].text
-
-
 @in_one_test("time", [160, 174])  # 0.32 and 0.2 stops off
 def test_a_wrong_setting_is_named(time: int) -> None:
     plan = plan_of("4")
@@ -225,24 +192,6 @@ def test_a_wrong_setting_is_named(time: int) -> None:
         "scene-1 frame 4 (noisy, ISO 800, 1/200 s): no file; DSC0003.ARW may be meant, but was taken at ISO 800, "
         f"1/{time} s"
     )
-
-
-def test_a_missing_scene_of_its_own_exposure() -> None:
-    plan = plan_of("4", "1", "2")
-    observed, truth = develop([*scene_of(plan, "scene-1"), *scene_of(plan, "scene-3")])
-    found = match(plan, observed)
-    assert names(found) == truth
-    assert {remark.text for remark in found.missing} == {"scene-2: none of its 16 frames"}
-    assert len(found.missing) == 16
-
-
-def test_a_whole_scene_taken_twice() -> None:
-    plan = plan_of("4", "1")
-    first = [replace(press, slot=None) for press in scene_of(plan, "scene-1")]
-    observed, truth = develop([*first, *scene_of(plan, "scene-1"), *scene_of(plan, "scene-2")])
-    found = match(plan, observed)
-    assert names(found) == truth
-    assert [remark.kind for remark in found.remarks] == ["repeated"] * 16
 
 
 def test_calibration_frames() -> None:
@@ -262,12 +211,6 @@ def test_calibration_frames() -> None:
     found = match(plan, observed)
     assert names(found) == truth
     assert kinds(found) == ["repeated", "scene-order"]
-
-
-def test_no_frames_at_all() -> None:
-    found = match(plan_of("4"), Observed((), (), True))
-    assert found.frames == {}
-    assert len(found.missing) == 16
 
 
 # --- scenes that were metered again -----------------------------------------------------------------------------------

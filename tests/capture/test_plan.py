@@ -11,14 +11,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture.calibration import default_isos, plan_calibration
-from capture.camera import EXAMPLE
-from capture.capture_errors import CameraError, ImpossibleShotError, PlanError
-from capture.plan import CALIBRATION, Plan, make_plan
+from capture.camera import EXAMPLE, Shutter
+from capture.capture_errors import CaptureError, ImpossibleShotError
+from capture.plan import Plan, make_plan
 from capture.protocol import PAPER, RELEASED, CaptureProtocol
-from capture.shots import RATIO_TOLERANCE, duration_of, minutes, scene_shots
-from capture.shutter import Shutter
-from eldata.base.files import sha256_of
+from capture.shots import (
+    RATIO_TOLERANCE,
+    Shot,
+    default_isos,
+    format_minutes,
+    plan_calibration,
+    scene_shots,
+    sum_duration_s,
+)
 from tests.capture.simulated import CAMERA, plan_of
 from tests.cases import in_one_test
 from tests.shared import there
@@ -34,6 +39,10 @@ DIALS = [time.dial for time in EXAMPLE.shutter.times]
 def calibrated(plan: Plan) -> Plan:
     frames = plan_calibration(plan.camera, 100, (100, 800), Fraction(1, 2), bias_frames=4)
     return replace(plan, calibration=frames)
+
+
+def percent_off(shot: Shot) -> float:
+    return 0.0 if shot.ratio_error is None else abs(100 * (float(shot.ratio_error) - 1))
 
 
 # --- shots --------------------------------------------------------------------------------------------------------
@@ -59,20 +68,11 @@ def test_shots_of_any_metered_time(dial: str, protocol: Any, step: Fraction) -> 
         assert shot.true_ratio * shot.setting.true_exact * Fraction(shot.iso, 100) == base.true_exact
         assert shot.named_ratio == base.nominal_s * 100 / (shot.setting.nominal_s * shot.iso)
         # Within half of a step; in thirds of a stop the usual factors come out within 1.6 %.
-        assert abs(shot.error_stops or 0) <= float(step) / 2 + 1e-9
+        assert abs(there(shot.ratio_error).log2) <= float(step) / 2 + 1e-9
         if step == Fraction(1, 3):
-            assert abs(shot.error_percent or 0) < 1.6
+            assert percent_off(shot) < 1.6
     if step == Fraction(1, 3):
         assert plan_of(dial).scenes[0].remarks == () if Fraction(dial) == base.nominal_s else True
-
-
-def test_the_fitting_times_are_those_that_the_refusal_names() -> None:
-    for dial in DIALS:
-        if Fraction(dial) >= Fraction("0.8"):
-            assert len(scene_shots(EXAMPLE, RELEASED, Fraction(dial))) == 16
-        else:
-            with pytest.raises(ImpossibleShotError, match=r"meters at 0\.8 s or longer"):
-                scene_shots(EXAMPLE, RELEASED, Fraction(dial))
 
 
 @in_one_test(
@@ -85,7 +85,7 @@ def test_the_fitting_times_are_those_that_the_refusal_names() -> None:
         (EXAMPLE, "60", "or take ISO 200 as the base"),
         (
             *(replace(EXAMPLE, shutter=Shutter.between("1/500", "1", Fraction(1, 3))), "1"),
-            "no metered time brings all of them between SonyA7S2's 1/500 s and 1 s: take smaller low-light factors",
+            "no metered time brings all of them between 1/500 s and 1 s, which SonyA7S2 has: take smaller low-light",
         ),
     ],
 )
@@ -97,32 +97,17 @@ def test_impossible_shots_say_what_to_change(camera: CameraDescription, metered:
     assert scene_shots(EXAMPLE, replace(RELEASED, base_iso=200), Fraction(30))[0].setting.dial == "30"
 
 
-def test_bulb_goes_on_where_the_dial_ends() -> None:
-    """A scene of 100 s: references by the timer, noisy frames by the dial."""
-    camera = replace(EXAMPLE, shutter=Shutter.between("1/8000", "30", Fraction(1, 3), bulb_s=300))
-    shots = scene_shots(camera, RELEASED, Fraction(100))
-    assert [shot.setting.dial for shot in shots if shot.role == "reference"] == ["bulb 102"] * 4
-    assert {shot.setting.dial for shot in shots if shot.role == "noisy"} <= set(DIALS)
-    # As on the dial, and half a second of 102.
-    assert max(abs(shot.error_percent or 0) for shot in shots) < 1.6 + 100 * 0.5 / 102
-    with pytest.raises(ImpossibleShotError, match="slowest time is bulb 256 s"):
-        scene_shots(camera, RELEASED, Fraction(600))
-
-
 def test_the_time_that_shots_take() -> None:
     """Sixteen frames: 4 references of 4 s and 12 noisy ones; the sum is that of its parts."""
     plan = plan_of("4", "4")
-    scene = duration_of(plan.scenes[0].shots)
-    assert scene.exposures_s == pytest.approx(
-        16 + sum(shot.setting.true_s for shot in plan.scenes[0].shots if shot.factor)
-    )
+    shots = plan.scenes[0].shots
+    exposures_s = 16 + sum(shot.setting.true_s for shot in shots if shot.factor)
     # Both dials at the start; within an ISO one for each factor after the first; ISO and time at and after a reference.
-    assert (scene.turns, scene.files) == (2 + 3 * (2 + 3 + 2), 16)
-    assert scene.total_s == pytest.approx(scene.exposures_s + 5 * 23 + 2 * 16)
-    assert plan.duration.files == 32
-    assert plan.duration.exposures_s == pytest.approx(2 * scene.exposures_s)
-    assert plan.duration.turns == 2 * 23 - 2  # the next scene begins as the one before ends
-    assert [minutes(seconds) for seconds in (40, 89.5, 91, 3600, 11000)] == [
+    turns = 2 + 3 * (2 + 3 + 2)
+    assert sum_duration_s(shots) == pytest.approx(exposures_s + 5 * turns + 2 * 16)
+    # The next scene begins as the one before ends.
+    assert plan.duration_s == pytest.approx(2 * exposures_s + 5 * (2 * turns - 2) + 2 * 32)
+    assert [format_minutes(seconds) for seconds in (40, 89.5, 91, 3600, 11000)] == [
         "40 s",
         "90 s",
         "2 min",
@@ -131,25 +116,8 @@ def test_the_time_that_shots_take() -> None:
     ]
 
 
-def test_a_metered_time_off_the_steps_is_rounded_and_said() -> None:
-    plan = plan_of("3.6")
-    assert plan.scenes[0].shots[0].setting.dial == "4"
-    assert plan.scenes[0].remarks == ("metered at 18/5 s, set as 4 s, the camera's nearest time",)
-
-
-def test_ratios_far_off_are_said() -> None:
-    camera = replace(CAMERA, shutter=Shutter.between("1/8000", "30", Fraction(1, 2)))
-    plan = make_plan(camera, RELEASED, {"scene-1": Fraction(4)})
-    assert "frames 3, 5, 8, 9, 13: the ratio is more than 10 % off its factor" in " ".join(plan.scenes[0].remarks)
-
-
 def test_the_tolerance_is_that_of_verify() -> None:
     assert RATIO_TOLERANCE == import_module("eldata.manifest.pair_checks").RATIO_TOLERANCE
-
-
-def test_an_iso_that_the_camera_lacks_is_refused() -> None:
-    with pytest.raises(PlanError, match="AcmeNocturne has no ISO 1000; it has 100, 200, 400"):
-        make_plan(CAMERA, replace(RELEASED, noisy_isos=(1000,)), {"scene-1": Fraction(4)})
 
 
 def test_true_isos_give_the_light() -> None:
@@ -168,27 +136,12 @@ def test_true_isos_give_the_light() -> None:
         assert float(shot.true_ratio) == pytest.approx(4 * 100 / true_light)
         assert shot.named_ratio == Fraction(4 * 100) / (shot.setting.nominal_s * 800)
         assert shot.setting.true_s > before.setting.true_s
-        assert abs(shot.error_stops or 0) <= 1 / 6 + 1e-9
+        assert abs(there(shot.ratio_error).log2) <= 1 / 6 + 1e-9
     # A camera that is off everywhere alike is off nowhere in its ratios.
     alike = replace(EXAMPLE, true_isos=tuple((iso, iso * half) for iso in EXAMPLE.isos))
     found = scene_shots(alike, RELEASED, Fraction(4))
     for before, shot in zip(scene_shots(EXAMPLE, RELEASED, Fraction(4)), found, strict=True):
         assert replace(shot, true_iso=None) == before
-
-
-def test_an_iso_whose_speed_is_not_stated_is_refused() -> None:
-    camera = replace(EXAMPLE, true_isos=((100, Fraction(81)), (800, Fraction(650))))
-    with pytest.raises(CameraError, match="the true speed of ISO 100, 800, and not of ISO 1600: measure that too"):
-        scene_shots(camera, RELEASED, Fraction(4))
-
-
-def test_flats_follow_the_true_speed() -> None:
-    """ISO 800 that is ISO 400 takes twice the light."""
-    camera = replace(EXAMPLE, true_isos=((100, Fraction(100)), (800, Fraction(400))))
-    levels = {"flat_levels": (Fraction(1, 2),)}
-    slow = plan_calibration(camera, 100, (800,), Fraction(1), **levels).shots[-1].setting.true_s  # type: ignore[arg-type]
-    fast = plan_calibration(EXAMPLE, 100, (800,), Fraction(1), **levels).shots[-1].setting.true_s  # type: ignore[arg-type]
-    assert slow == pytest.approx(2 * fast)
 
 
 # --- calibration frames -------------------------------------------------------------------------------------------
@@ -207,14 +160,6 @@ def test_calibration_frames() -> None:
     assert plan.remarks == ()
 
 
-def test_full_stops_from_a_base_iso_of_64_have_rounded_names() -> None:
-    isos = (64, 80, 100, 125, 160, 200, 250, 320, 400, 500, 640, 800, 1000, 1250, 1600, 2000, 2500, 3200, 4000)
-    camera = replace(EXAMPLE, isos=isos, base_iso=64)
-    assert default_isos(camera, replace(RELEASED, base_iso=64)) == (64, 125, 250, 500, 800, 1600, 3200)
-    shots = scene_shots(camera, replace(RELEASED, base_iso=64), Fraction(8))
-    assert max(abs(shot.error_percent or 0) for shot in shots) < 3.3
-
-
 @settings(deadline=None)
 @given(st.sampled_from(DIALS), st.sampled_from((Fraction(1, 3), Fraction(1, 2), Fraction(1))))
 def test_flats_never_clip_and_come_in_pairs(dial: str, step: Fraction) -> None:
@@ -225,7 +170,7 @@ def test_flats_never_clip_and_come_in_pairs(dial: str, step: Fraction) -> None:
     except ImpossibleShotError:
         return
     flats = [shot for shot in plan.shots if shot.role == "flat"]
-    named = camera.named(clips_at_s)
+    named = camera.find_marked(clips_at_s)
     clips = float(clips_at_s) if named is None else named.true_s
     for first, second in zip(flats[::2], flats[1::2], strict=True):
         assert replace(first, number=second.number) == second
@@ -256,16 +201,9 @@ def test_flats_never_clip_and_come_in_pairs(dial: str, step: Fraction) -> None:
     ],
 )
 def test_wrong_calibration(isos: tuple[int, ...], clips_at: str, changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(PlanError) as caught:
+    with pytest.raises(CaptureError) as caught:
         plan_calibration(EXAMPLE, 100, isos, Fraction(clips_at), **changes)
     assert words in str(caught.value)
-
-
-def test_advice_on_flats_is_enough() -> None:
-    with pytest.raises(ImpossibleShotError, match=r"until it clips at (\S+) s or later") as caught:
-        plan_calibration(EXAMPLE, 100, (25600,), Fraction(1, 30))
-    advised = str(caught.value).partition("until it clips at ")[2].split()[0]
-    plan_calibration(EXAMPLE, 100, (25600,), Fraction(advised))
 
 
 # --- plans --------------------------------------------------------------------------------------------------------
@@ -282,20 +220,6 @@ def test_changes_leave_the_rest_alone() -> None:
     assert len(changed.shots) == 48
 
 
-def test_a_part_of_a_plan() -> None:
-    plan = calibrated(plan_of("4", "1"))
-    assert [scene.name for scene in plan.only(["scene-2"]).scenes] == ["scene-2"]
-    assert {scene for scene, _ in plan.only([CALIBRATION]).shots} == {CALIBRATION}
-    for names, words in (
-        (["scene-9"], "no scene called 'scene-9'; it has scene-1, scene-2"),
-        ([], "at least one scene"),
-    ):
-        with pytest.raises(PlanError, match=words):
-            plan.only(names)
-    with pytest.raises(PlanError, match="no calibration frames"):
-        plan_of("4").only([CALIBRATION])
-
-
 def test_wrong_scenes() -> None:
     for name, metered, words in (
         ("scene-1", "2", "expected each once, found scene-1 twice"),
@@ -303,30 +227,12 @@ def test_wrong_scenes() -> None:
         ("scene-2/../x", "4", "expected scene-1"),
         ("scene-2", "1/50", "scene-2: metered at 1/50 s"),
     ):
-        with pytest.raises(PlanError, match=words):
+        with pytest.raises(CaptureError, match=words):
             plan_of("4").add_scene(name, Fraction(metered))
-    with pytest.raises(PlanError, match="no scene called 'scene-9'"):
+    with pytest.raises(CaptureError, match="no scene called 'scene-9'"):
         plan_of("4").remeter("scene-9", Fraction(4))
-    with pytest.raises(PlanError, match="at least one scene"):
+    with pytest.raises(CaptureError, match="at least one scene"):
         make_plan(CAMERA, RELEASED, {})
-
-
-def test_plans_are_what_they_were_before_frames_were_repeated(tmp_path: Path) -> None:
-    """To the byte, as capture wrote them before plans had repeats, apertures, true ISOs and a warm sensor."""
-    frames = plan_calibration(CAMERA, 100, (100, 800), Fraction(1, 4), bias_frames=4)
-    for plan, digest in (
-        (
-            replace(plan_of("4", "1", "3.2"), calibration=frames),
-            "232b96786f84028b360ec6bd41c3904989c5f0cec40db2cc1cd24e564a4ffe93",
-        ),
-        (
-            make_plan(CAMERA, PAPER, {"scene-1": Fraction(8)}),
-            "b3c9ec999aa349d33c3a55cf7faa30cfff4e6160ae81933fa8f2433b7bbbe9e7",
-        ),
-    ):
-        plan.save(tmp_path / "plan.json")
-        assert sha256_of(tmp_path / "plan.json") == f"sha256:{digest}"
-        assert Plan.load(tmp_path / "plan.json") == plan
 
 
 def every_kind() -> Plan:
@@ -344,8 +250,7 @@ def test_a_file_says_all_of_a_plan(tmp_path: Path) -> None:
     assert Plan.load(tmp_path / "plan.json") == every_kind()
 
 
-CONTENT = calibrated(plan_of("4")).as_dict()
-EVERYTHING = every_kind().as_dict()
+CONTENT, EVERYTHING = (json.loads(json.dumps(plan.as_dict())) for plan in (calibrated(plan_of("4")), every_kind()))
 
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -379,7 +284,7 @@ def test_every_field_is_checked(place: tuple[Any, ...], wrong: object, tmp_path:
         return  # any text will do
     path = tmp_path / "plan.json"
     path.write_text(json.dumps(changed_at(place, wrong, EVERYTHING)))
-    with pytest.raises(PlanError) as caught:
+    with pytest.raises(CaptureError) as caught:
         Plan.load(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
@@ -399,6 +304,6 @@ def test_every_field_is_checked(place: tuple[Any, ...], wrong: object, tmp_path:
 def test_shots_changed_by_hand_are_found(place: tuple[Any, ...], value: object, words: str, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     path.write_text(json.dumps(changed_at(place, value)))
-    with pytest.raises(PlanError) as caught:
+    with pytest.raises(CaptureError) as caught:
         Plan.load(path)
     assert words in str(caught.value)

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from capture.calibration import plan_calibration
+from capture.camera import Shutter
 from capture.cli import main
 from capture.cli.script import gphoto_script
 from capture.plan import make_plan
 from capture.protocol import CaptureProtocol
-from capture.shutter import Shutter
+from capture.shots import plan_calibration
 from eldata.manifest.table import load_records
 from eldata.raw.dng import write_dng
 from eldata.records import Exposure
@@ -93,111 +93,74 @@ def rig(tmp_path: Path) -> Rig:
 
 
 def test_from_plan_to_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig = Rig(tmp_path, plan_of("4", "2", "1"))
-    text = rig.write()
+    """A scene by the dial, one by the timer, and calibration frames, of the plan's second scene on."""
+    camera = replace(CAMERA, shutter=Shutter.between("1/8000", "30", Fraction(1, 3), bulb_s=240))
+    calibration = plan_calibration(camera, 100, (800,), Fraction(1, 2), bias_frames=4, warm=True)
+    metered = {"scene-1": Fraction(4), "scene-2": Fraction(4), "scene-3": Fraction(64)}
+    plan = make_plan(camera, SMALL, metered, calibration)
+    rig = Rig(tmp_path, plan)
+    parts = ["--only", "scene-2", "--only", "scene-3", "--only", "calibration"]
+    text = rig.write(*parts)
     assert rig.script.stat().st_mode & stat.S_IXUSR
-    assert text.startswith("#!/bin/sh\n# plan.json: 3 scenes, 48 frames with AcmeNocturne (Nocturne 1), about ")
-    assert "set -eu\n" in text
-    shown = (Path(__file__).parents[2] / "docs" / "capture.md").read_text(encoding="utf-8")
-    (excerpt,) = re.findall(r"```\n(# scene-1: .*?)```", shown, re.DOTALL)
-    assert excerpt in text
+    count = 6 + len(calibration.shots)
+    assert text.startswith(f"#!/bin/sh\n# plan.json: 2 scenes, {count} frames with AcmeNocturne (Nocturne 1), about ")
     done = rig.run()
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.count("Enter when ready") == 3
-    assert "scene-2\n    Metered at 2 s, ISO 100\n" in done.stdout
-    assert rig.frames() == sorted(f"scene-{n}/IMG_{m:04d}.dng" for n in (1, 2, 3) for m in range(1, 17))
+    # Two scenes, bias frames, flats, and bias frames with the sensor warm.
+    assert done.stdout.count("Enter when ready") == 5
+    assert "scene-2\n    Metered at 4 s, ISO 100\n" in done.stdout
+    assert "Bias frames\n    Lens cap on, viewfinder covered, dark room\n" in done.stdout
+    bulb = "--set-config bulb=1 --wait-event=64s --set-config bulb=0 --wait-event-and-download=10s"
+    assert rig.calls("bulb=1") == [f"{bulb} --filename scene-3/IMG_000{n}.%C" for n in (1, 3)]
+    order = [shot.settings for _, shot in plan.only(parts[1::2]).shots]
+    set_to = [call.partition("=")[2] for call in rig.calls("--set-config-value")]
+    dialled = [f"ISO {iso}, {time} s" for iso, time in zip(set_to[::2], set_to[1::2], strict=True)]
+    assert [line.replace("Bulb", "bulb 64") for line in dialled] == order
     manifest, set_folder = tmp_path / "mine.csv", tmp_path / "data"
     capsys.readouterr()
     arguments = [str(rig.plan), str(rig.folder), "-o", str(manifest), "--copy-to", str(set_folder), "--jobs", "1"]
-    assert main(["manifest", *arguments]) == 0
-    assert "48 of 48 shots have a file" in capsys.readouterr().out
-    rows = load_records(manifest)
-    assert len(rows) == 48
-    for row in rows:
-        assert (set_folder / row.path).read_bytes() == (
-            rig.folder / row.path.removeprefix("AcmeNocturne/")
-        ).read_bytes(), "each frame is what its name said"
+    assert main(["manifest", *arguments, *parts, "--yes"]) == 0
+    assert f"{count} of {count} shots have a file" in capsys.readouterr().out
+    for row in load_records(manifest):
+        if row.scene:
+            written = rig.folder / row.path.removeprefix("AcmeNocturne/")
+            assert (set_folder / row.path).read_bytes() == written.read_bytes(), "each frame is what its name said"
 
 
-def test_it_goes_on_where_it_was_cut_off(rig: Rig) -> None:
-    rig.write()
-    # Scene 2 is closed: nobody presses Enter for it.
-    done = rig.run("\n")
-    assert done.returncode == 1
-    assert done.stderr == "nobody can press Enter here: run this script in a terminal\n"
-    assert rig.frames() == [f"scene-1/IMG_000{n}.dng" for n in (1, 2, 3)]
-    (rig.folder / "scene-1" / "IMG_0002.dng").rename(rig.folder / "scene-1" / "IMG_0002.DNG")  # as some cameras call it
-    (rig.folder / "scene-1" / "IMG_0003.dng").unlink()
-    done = rig.run()
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.count("Enter when ready") == 2
-    assert len(rig.calls("--capture")) == 7
-    assert "scene-1/IMG_0002.dng" not in rig.frames()
-    done = rig.run("")
-    assert (done.returncode, done.stderr, done.stdout) == (0, "", ""), "nothing is left to do"
-    assert len(rig.calls("--capture")) == 7
+def test_the_excerpt_in_the_guide() -> None:
+    shown = (Path(__file__).parents[2] / "docs" / "capture.md").read_text(encoding="utf-8")
+    (excerpt,) = re.findall(r"```\n(# scene-1: .*?)```", shown, re.DOTALL)
+    assert excerpt in gphoto_script(plan_of("4", "2", "1"), "plan.json")
 
 
-@pytest.mark.parametrize("setting", ["iso", "shutterspeed"])
-def test_what_the_camera_calls_otherwise_stops_it_before_the_first_shot(rig: Rig, setting: str) -> None:
-    lacking = {"iso": "800", "shutterspeed": "1/20"}[setting]
-    rig.write()
-    offered = (rig.camera / "choices" / setting).read_text().split()
-    offered.remove(lacking)
-    rig.offer(setting, [*offered, f"{lacking}0", f"1{lacking}"])  # longer names are others
-    done = rig.run()
-    assert done.returncode == 1
-    assert f"the camera's {setting} has no {lacking}: see gphoto2 --get-config {setting}" in done.stderr
-    assert rig.calls("--capture") == []
-
-
-def test_a_setting_that_fails_is_followed_by_no_frame(rig: Rig) -> None:
-    """Gphoto2 itself would release all the same: it goes on after an option that failed."""
+def test_it_stops_at_what_goes_wrong_and_goes_on_there(rig: Rig) -> None:
     text = rig.write()
+    for setting, lacking in (("iso", "800"), ("shutterspeed", "1/20")):
+        offered = (rig.camera / "choices" / setting).read_text().split()
+        rig.offer(setting, [*(choice for choice in offered if choice != lacking), f"{lacking}0"])  # a longer name
+        done = rig.run()
+        assert done.returncode == 1
+        assert f"the camera's {setting} has no {lacking}: see gphoto2 --get-config {setting}" in done.stderr
+        rig.offer(setting, offered)
+    assert rig.calls("--capture") == []
+    (rig.camera / "bad").write_text("nothing")
+    assert "there is no scene-1/IMG_0001: look at the camera" in rig.run().stderr
+    (rig.camera / "bad").write_text("")
+    # A setting that fails is followed by no frame: gphoto2 itself would release all the same.
     rig.script.write_text(text.replace("offers iso 100 800", "offers iso 100").replace("0002 800 ", "0002 850 "))
     assert rig.run().returncode == 1
     assert rig.frames() == ["scene-1/IMG_0001.dng"]
-
-
-@pytest.mark.parametrize(
-    ("bad", "said"), [("fails", ""), ("nothing", "there is no scene-1/IMG_0001: look at the camera")]
-)
-def test_a_frame_that_does_not_come_stops_it(rig: Rig, bad: str, said: str) -> None:
     rig.write()
-    (rig.camera / "bad").write_text(bad)
-    done = rig.run()
-    assert done.returncode == 1
-    assert said in done.stderr
-    assert len(rig.calls("--capture")) == 1
-
-
-def test_calibration_frames_and_one_scene(tmp_path: Path) -> None:
-    calibration = plan_calibration(CAMERA, 100, (800,), Fraction(1, 2), bias_frames=4, warm=True)
-    plan = replace(small_plan("4", "2"), calibration=calibration)
-    rig = Rig(tmp_path, plan)
-    rig.write("--only", "scene-2", "--only", "calibration")
+    # Scene 2 is closed: nobody presses Enter for it.
+    done = rig.run("\n")
+    assert (done.returncode, done.stderr) == (1, "nobody can press Enter here: run this script in a terminal\n")
+    assert rig.frames() == [f"scene-1/IMG_000{n}.dng" for n in (1, 2, 3)]
+    (rig.folder / "scene-1" / "IMG_0002.dng").rename(rig.folder / "scene-1" / "IMG_0002.DNG")  # as some cameras call it
     done = rig.run()
     assert (done.returncode, done.stderr) == (0, "")
-    # A scene, bias frames, flats, and bias frames with the sensor warm.
-    assert done.stdout.count("Enter when ready") == 4
-    assert "Bias frames\n    Lens cap on, viewfinder covered, dark room\n" in done.stdout
-    numbers = [shot.number for shot in calibration.shots]
-    scene = [f"scene-2/IMG_000{n}.dng" for n in (1, 2, 3)]
-    assert rig.frames() == [*(f"calibration/IMG_{n:04d}.dng" for n in numbers), *scene]
-    order = [shot.settings for shot in (*plan.scenes[1].shots, *calibration.shots)]
-    set_to = [call.partition("=")[2] for call in rig.calls("--set-config-value")]
-    assert [f"ISO {iso}, {time} s" for iso, time in zip(set_to[::2], set_to[1::2], strict=True)] == order
-
-
-def test_bulb_exposures(tmp_path: Path) -> None:
-    camera = replace(CAMERA, shutter=Shutter.between("1/8000", "30", Fraction(1, 3), bulb_s=240))
-    rig = Rig(tmp_path, make_plan(camera, SMALL, {"scene-1": Fraction(64)}))
-    assert "shot scene-1/IMG_0001 100 Bulb 64  # reference\n" in rig.write()
-    done = rig.run()
-    assert (done.returncode, done.stderr) == (0, "")
-    bulb = "--set-config bulb=1 --wait-event=64s --set-config bulb=0 --wait-event-and-download=10s"
-    assert rig.calls("bulb=1") == [f"{bulb} --filename scene-1/IMG_000{n}.%C" for n in (1, 3)]
-    assert len(rig.frames()) == 3
+    assert "scene-1/IMG_0002.dng" not in rig.frames()
+    done = rig.run("")
+    assert (done.returncode, done.stderr, done.stdout) == (0, "", ""), "nothing is left to do"
 
 
 def test_nothing_that_a_plan_says_is_run(tmp_path: Path) -> None:
@@ -219,10 +182,3 @@ def test_nothing_that_a_plan_says_is_run(tmp_path: Path) -> None:
     assert not [*tmp_path.rglob("pwned")]
     shown = ("it's $(touch pwned) `touch pwned`; touch pwned", "two touch pwned ' touch pwned '", "\\", "%s [2J -n")
     assert "".join(f"    {line}\n" for line in shown) in done.stdout
-
-
-def test_the_plan_is_not_written_over(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
-    before = rig.plan.read_bytes()
-    assert main(["script", str(rig.plan), "-o", str(rig.plan)]) == 2
-    assert "plan" in capsys.readouterr().err
-    assert rig.plan.read_bytes() == before

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from capture.camera import CameraDescription
+from capture.camera import CameraDescription, Shutter
 from capture.cli import main as capture
 from capture.plan import Plan
-from capture.shutter import Shutter
 from eldata.cli.main import main as eldata
 from eldata.demo.camera import CAMERAS
 from eldata.demo.scenes import scene_radiance

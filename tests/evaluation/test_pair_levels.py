@@ -165,7 +165,7 @@ def test_a_stated_black_that_is_wrong_is_a_finding_with_both(stated: int, psnr_d
     (group,) = check(csv, tmp_path).groups
     (found,) = (one for one in group.measures if one.name == "offset")
     assert found.value == pytest.approx((520 - stated) / 1.5871, abs=0.31)  # five standard errors
-    wrong = {one.name for one in group.row(group.pairs[0]).values() if one.verdict != "keep"}
+    wrong = {one.name for one in group.row(next(iter(group.pairs))).values() if one.verdict != "keep"}
     assert wrong == (set() if stated == 520 else {"offset"})
     said = f"black is 520 DN by its pixels, the stated one {stated}: at x100"
     assert (said in group.format_text()) == bool(wrong)

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from eldata.raw.cfa import packing_sites
-from eldata.raw.levels import packed_black_level_dn
+from eldata.raw.levels import packed_black_level_dn, packing_sites
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -74,7 +74,7 @@ class ReducedFrame:
     @property
     def scale(self) -> int:
         """Mosaic pixels along each side of a packed pixel."""
-        from eldata.raw.cfa import packing_sites
+        from eldata.raw.levels import packing_sites
 
         return packing_sites(self.sensor.cfa).scale
 
@@ -86,7 +86,7 @@ def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
     """
 
     def reduce(record: FrameRecord) -> ReducedFrame | EldataError:
-        from eldata.raw.cfa import pack
+        from eldata.raw.levels import pack
         from eldata.raw.reading import read_raw
 
         try:

@@ -10,7 +10,7 @@ import numpy as np
 
 from eldata.base.files import read_file
 from eldata.errors import ArgumentError, RawFileError
-from eldata.raw.cfa import packing_sites
+from eldata.raw.levels import packing_sites
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -233,7 +233,7 @@ def find_subset(subsets: Sequence[Subset], name: str) -> Subset:
 
 
 def cfa_word(names: Iterable[str]) -> str:
-    """Return a card's word for files of these colour filter arrays, as :class:`eldata.raw.cfa.Sites` names them."""
+    """Return a card's word for files of these colour filter arrays, as :class:`eldata.raw.levels.Sites` names them."""
     words = {"xtrans" if name == "X-Trans" else name.lower() for name in names}
     if len(words) == 1:
         return words.pop()

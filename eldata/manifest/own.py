@@ -20,8 +20,8 @@ from eldata.errors import ArgumentError, RawFileError
 from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, title_of_set
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.verify_report import Problem
-from eldata.raw.cfa import packing_sites
 from eldata.raw.files import ShotFacts, find_doubles, raw_facts, raws_below
+from eldata.raw.levels import packing_sites
 from eldata.records import FrameRecord, Sensor
 
 if TYPE_CHECKING:

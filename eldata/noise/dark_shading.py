@@ -37,12 +37,12 @@ from eldata.noise.shading_content import (
     ShadingIso,
     read_content,
 )
-from eldata.raw.cfa import cfa_from, pack, packed_area, packed_channels, packed_shape, packing_sites
+from eldata.raw.levels import cfa_from, pack, packed_area, packed_channels, packed_shape, packing_sites
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import CfaRows
+    from eldata.raw.levels import CfaRows
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -11,14 +11,14 @@ from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import file_problem
 from eldata.base.pixels import NpyError, opened_npz
 from eldata.errors import ArgumentError, ShadingError
-from eldata.raw.cfa import packed_channels
+from eldata.raw.levels import packed_channels
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from eldata.base.pixels import NpyHeader, NpzArchive
-    from eldata.raw.cfa import CfaRows
+    from eldata.raw.levels import CfaRows
 
 SCHEMA = 1
 SCHEMA_WITH_MODEL = 2

@@ -1,24 +1,459 @@
-"""DN to shares of white: normalising while packing, and by which levels: a file's own or those of published results."""
+"""Levels and packing: the mosaic split by CFA position, and its DN divided by the range of its levels.
+
+Packed form
+-----------
+Bayer (2x2, any phase)
+    (4, H/2, W/2) in the order R, G1, B, G2; G1 shares R's rows. No phase is cropped: each channel holds its
+    colour's site of every 2x2 cell.
+X-Trans (6x6, any offset)
+    (9, H/3, W/3) in the order of the SID code [1]_: R, G, B, R, B, G, G, G, G.
+Quad-Bayer (4x4: Bayer of 2x2 blocks, any offset)
+    (16, H/4, W/4): the sites of R's block row by row (R.00, R.01, R.10, R.11), then those of G1's, of B's, of G2's.
+Nona-Bayer (6x6: Bayer of 3x3 blocks, any offset)
+    (36, H/6, W/6): likewise, nine sites a block.
+
+Each site of a block has a channel of its own, so that every channel is one regular grid, as Bayer's are: nothing in
+it alternates from pixel to pixel, and a network may shift it. Android's calibration of quad-Bayer noise has the same 16
+channels [2]_. It also leaves no doubt: 4, 9, 16 or 36 channels name the CFA. The order makes the two other forms in use
+one step away, in the order R, G1, B, G2: with n = 2 or 3, ``torch.nn.functional.pixel_shuffle(packed, n)`` is
+(4, H/2, W/2) with the sites of a block side by side, as published remosaicing code has it, and
+``packed.reshape(4, n * n, h, w).mean(1)`` what the sensor gives when it bins.
+
+The packed area
+---------------
+A mosaic is cropped before packing (:func:`packed_area`): X-Trans first loses the rows at the top and the columns at
+the left (0 to 5 each, the fewest in all, and then the fewer rows) up to where its pattern starts as it does in the SID
+code, so that every X-Trans camera packs to the same geometry; quad and nona lose those up to the first whole block (0
+to 1, 0 to 2), so that the sites of a block stay together. Then each CFA loses the rows at the bottom and the columns at
+the right that do not fill a whole period. Within that area packing is a permutation: ``unpack(pack(x)) == x`` exactly.
+
+References
+----------
+.. [1] C. Chen, Q. Chen, J. Xu and V. Koltun, "Learning to See in the Dark", CVPR 2018, test_Fuji.py.
+.. [2] Android Open Source Project, CameraITS, noise_model_utils.py (QUAD_BAYER_COLORS); there G2 stands before B.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
 from eldata.errors import ArgumentError, DatasetError, check_choice
-from eldata.raw.cfa import kept_area, packing_sites
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import Cfa, Sites
     from eldata.records import RawFrame, Sensor
+
+    Cfa: TypeAlias = Sequence[Sequence[int]] | NDArray[np.integer[Any]]
+
+CfaRows = tuple[tuple[int, ...], ...]
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+BAYER_CHANNELS = ("R", "G1", "B", "G2")
+XTRANS_CHANNELS = ("R", "G", "B", "R", "B", "G", "G", "G", "G")
+
+_BLOCK_NAMES = {2: "quad-Bayer", 3: "nona-Bayer"}
+
+BAYER_PHASES: dict[str, CfaRows] = {
+    "RGGB": ((0, 1), (3, 2)),
+    "GRBG": ((1, 0), (2, 3)),
+    "GBRG": ((3, 2), (0, 1)),
+    "BGGR": ((2, 3), (1, 0)),
+}
+XTRANS_CFA: CfaRows = (
+    (0, 2, 1, 2, 0, 1),
+    (1, 1, 0, 1, 1, 2),
+    (1, 1, 2, 1, 1, 0),
+    (2, 0, 1, 0, 2, 1),
+    (1, 1, 2, 1, 1, 0),
+    (1, 1, 0, 1, 1, 2),
+)
+
+# The SID code's order: the packed channel of each site of the 6x6 period above; its packed row is row // 3 and
+# its packed column is column // 3, so that a packed pixel holds just the nine sites of one 3x3 block.
+_XTRANS_CHANNEL: CfaRows = (
+    (0, 2, 1, 2, 0, 1),
+    (5, 6, 3, 5, 6, 4),
+    (7, 8, 4, 7, 8, 3),
+    (2, 0, 1, 0, 2, 1),
+    (5, 6, 4, 5, 6, 3),
+    (7, 8, 3, 7, 8, 4),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PackedArea:
+    """The part of a mosaic that packing keeps, in mosaic pixels."""
+
+    top: int
+    left: int
+    height: int
+    width: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Index of the area: ``mosaic[area.slices]``."""
+        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sites:
+    """Where packing puts each site of one CFA period.
+
+    Attributes
+    ----------
+    name
+        ``"Bayer"``, ``"X-Trans"``, ``"quad-Bayer"`` or ``"nona-Bayer"``.
+    cfa
+        As it is where packing begins.
+    period, sub
+        Side of the period in the mosaic, and in the packed image.
+    top, left
+        Rows and columns that packing drops first.
+    names
+        Of the packed channels, each beginning with its colour's letter.
+    table
+        (sites, 5) int64, read-only: mosaic row and column, packed channel, packed row and column, the last two below
+        ``sub``.
+    colours
+        Channel index in the CFA, and so in ``black_level_dn``, of each packed channel.
+    """
+
+    name: str
+    cfa: CfaRows
+    period: int
+    sub: int
+    top: int
+    left: int
+    names: tuple[str, ...]
+    table: NDArray[np.int64]
+    colours: tuple[int, ...]
+
+    @property
+    def channels(self) -> int:
+        """Number of packed channels."""
+        return len(self.colours)
+
+    @property
+    def scale(self) -> int:
+        """Mosaic pixels along each side of a packed pixel."""
+        return self.period // self.sub
+
+    @property
+    def block(self) -> int:
+        """Sites along each side of a block of one colour: 1 for Bayer, 2 for quad, 3 for nona; 1 for X-Trans."""
+        return self.period // 2 if self.sub == 1 else 1
+
+    @property
+    def levels(self) -> int:
+        """Number of the CFA's channels, and so of black levels."""
+        return max(self.colours) + 1
+
+    @property
+    def channel_of(self) -> NDArray[np.int64]:
+        """The packed channel of each site, by its row and column in a period."""
+        return self.table[:, 2].reshape(self.period, self.period)
+
+    @property
+    def slices(self) -> Iterator[tuple[tuple[Any, ...], tuple[Any, ...]]]:
+        """Index of each site's pixels in a mosaic (..., H, W), and where packing puts them in (..., C, h, w)."""
+        for row, column, channel, y, x in self.table.tolist():
+            in_mosaic = ..., slice(row, None, self.period), slice(column, None, self.period)
+            yield in_mosaic, (..., channel, slice(y, None, self.sub), slice(x, None, self.sub))
+
+
+def _rows(cfa: Cfa) -> CfaRows:
+    return tuple(tuple(int(value) for value in row) for row in cfa)
+
+
+def cfa_from(cfa: CfaRows, top: int, left: int) -> CfaRows:
+    """Return the CFA of a mosaic without its first rows and columns."""
+    period = len(cfa)
+    return tuple(tuple(cfa[(y + top) % period][(x + left) % period] for x in range(period)) for y in range(period))
+
+
+def bayer_cfa(first: str = "RGGB", block: int = 1) -> CfaRows:
+    """Return a Bayer CFA, or one whose sites are blocks of one colour.
+
+    Parameters
+    ----------
+    first
+        The colours of its first 2 x 2 sites or blocks, row by row: ``"RGGB"``, ``"BGGR"``, ``"GRBG"`` or ``"GBRG"``.
+    block
+        Sites along each side of a block: 1 for Bayer, 2 for quad-Bayer, 3 for nona-Bayer.
+
+    Returns
+    -------
+    tuple of tuples
+        Channel indices by row, as :attr:`eldata.records.Sensor.cfa` has them.
+
+    Raises
+    ------
+    ArgumentError
+        If the colours are not those of a Bayer pattern, or the block is of another size.
+    """
+    if block not in (1, *_BLOCK_NAMES):
+        raise ArgumentError(f"block must be 1 (Bayer), 2 (quad-Bayer) or 3 (nona-Bayer); found {block!r}")
+    check_choice("first", first, BAYER_PHASES)
+    return _in_blocks(BAYER_PHASES[first], block)
+
+
+def cfa_of_letters(rows: Sequence[str]) -> CfaRows | None:
+    """Return the CFA that has these colours (R, G, B), one period by row; None if it is unsupported."""
+    # Of a pattern that tells its greens apart, G1 is that of R's rows.
+    two_greens = tuple(tuple({"R": 0, "B": 2}.get(c, 1 if "R" in row else 3) for c in row) for row in rows)
+    one_green = tuple(tuple({"R": 0, "B": 2}.get(c, 1) for c in row) for row in rows)
+    if set("".join(rows)) == set("RGB"):
+        for cfa in (two_greens, one_green):
+            if _found(cfa) is not None:
+                return cfa
+    return None
+
+
+def _in_blocks(cfa: CfaRows, block: int) -> CfaRows:
+    return tuple(tuple(index for index in row for _ in range(block)) for row in cfa for _ in range(block))
+
+
+def _as_table(sub: int, channel_of: CfaRows) -> NDArray[np.int64]:
+    period = len(channel_of)
+    scale = period // sub
+    sites = [
+        (row, column, channel_of[row][column], row // scale, column // scale)
+        for row, column in np.ndindex(period, period)
+    ]
+    table = np.array(sites, dtype=np.int64)
+    table.flags.writeable = False
+    return table
+
+
+def _sites_of_blocks(cfa: CfaRows, block: int, top: int, left: int) -> Sites:
+    """Return the sites of a pattern of blocks that begins with a whole one after ``top`` rows and ``left`` columns."""
+    count = block * block
+    names = tuple(f"{name}.{y}{x}" for name in BAYER_CHANNELS for y, x in np.ndindex(block, block))
+    channel_of = tuple(
+        tuple(count * index + block * (y % block) + x % block for x, index in enumerate(row))
+        for y, row in enumerate(cfa)
+    )
+    colours = tuple(index for index in range(len(BAYER_CHANNELS)) for _ in range(count))
+    return Sites(_BLOCK_NAMES[block], cfa, 2 * block, 1, top, left, names, _as_table(1, channel_of), colours)
+
+
+@cache
+def _found(cfa: CfaRows) -> Sites | None:
+    if cfa in BAYER_PHASES.values():
+        return Sites("Bayer", cfa, 2, 1, 0, 0, BAYER_CHANNELS, _as_table(1, cfa), (0, 1, 2, 3))
+    period = len(cfa)
+    if period not in (4, 6) or any(len(row) != period for row in cfa):
+        return None
+    in_blocks = {_in_blocks(bayer, period // 2) for bayer in BAYER_PHASES.values()}
+    for top, left in sorted(np.ndindex(period, period), key=sum):
+        here = cfa_from(cfa, top, left)
+        if here in in_blocks:
+            return _sites_of_blocks(here, period // 2, top, left)
+        if here == XTRANS_CFA:
+            colours = tuple("RGB".index(name) for name in XTRANS_CHANNELS)
+            return Sites("X-Trans", here, 6, 2, top, left, XTRANS_CHANNELS, _as_table(2, _XTRANS_CHANNEL), colours)
+    return None
+
+
+def _sites(cfa: CfaRows) -> Sites:
+    found = _found(cfa)
+    if found is None:
+        raise ArgumentError(
+            f"unsupported CFA {cfa}: expected a 2x2 Bayer pattern (0 = R, 1 = G1 in R's row, 2 = B, 3 = G2), one of "
+            "2x2 or 3x3 blocks of these (quad-Bayer, nona-Bayer) or a 6x6 X-Trans pattern (0 = R, 1 = G, 2 = B), the "
+            "last three at any offset"
+        )
+    return found
+
+
+@cache
+def packed_layouts() -> dict[int, Sites]:
+    """Return the sites of a CFA of each kind, by its number of packed channels, which tells them apart.
+
+    Of the phases of a kind, which change no channel's meaning, that which begins with R.
+    """
+    first = BAYER_PHASES["RGGB"]
+    each = (first, XTRANS_CFA, *(_in_blocks(first, block) for block in _BLOCK_NAMES))
+    return {sites.channels: sites for sites in map(packing_sites, each)}
+
+
+def packed_forms(form: str = "{channels} ({name})") -> str:
+    """Return the numbers of packed channels that there are, in words: ``"4 (Bayer), ... or 36 (nona-Bayer)"``."""
+    *others, last = (form.format(channels=sites.channels, name=sites.name) for sites in packed_layouts().values())
+    return f"{', '.join(others)} or {last}"
+
+
+def packing_sites(cfa: Cfa) -> Sites:
+    """Return where packing puts the sites of a CFA.
+
+    Raises
+    ------
+    ArgumentError
+        If the CFA is unsupported.
+    """
+    try:
+        return _known_sites(cfa)  # type: ignore[arg-type] # it is seen whether it has a hash
+    except TypeError:  # lists and arrays have no hash
+        return _sites(_rows(cfa))
+
+
+@lru_cache(maxsize=256)
+def _known_sites(cfa: Any) -> Sites:
+    """Look a CFA up as it was given: to go through its numbers takes longer than to pack a small crop."""
+    return _sites(_rows(cfa))
+
+
+def packed_channels(cfa: Cfa) -> int:
+    """Return the number of channels of the packed form: 4 for Bayer, 9 for X-Trans, 16 for quad, 36 for nona."""
+    return packing_sites(cfa).channels
+
+
+def packed_area(shape: tuple[int, int], cfa: Cfa) -> PackedArea:
+    """Return the area of a mosaic of ``shape`` (H, W) that packing keeps (see the module's text).
+
+    Raises
+    ------
+    ArgumentError
+        If the CFA is unsupported, or the mosaic does not hold one whole period.
+    """
+    return _known_area(shape, packing_sites(cfa))
+
+
+@lru_cache(maxsize=256)
+def _known_area(shape: tuple[int, int], sites: Sites) -> PackedArea:
+    height = (shape[0] - sites.top) // sites.period * sites.period
+    width = (shape[1] - sites.left) // sites.period * sites.period
+    if height <= 0 or width <= 0:
+        raise ArgumentError(
+            f"a mosaic of {shape[0]} x {shape[1]} pixels does not hold one whole {sites.period} x "
+            f"{sites.period} period of its CFA"
+        )
+    return PackedArea(sites.top, sites.left, height, width)
+
+
+def packed_shape(shape: tuple[int, int], cfa: Cfa) -> tuple[int, int, int]:
+    """Return the packed shape (C, h, w) of a mosaic of ``shape`` (H, W)."""
+    sites = packing_sites(cfa)
+    area = _known_area(shape, sites)
+    return sites.channels, area.height // sites.scale, area.width // sites.scale
+
+
+def kept_area(mosaic: NDArray[Scalar], sites: Sites) -> NDArray[Scalar]:
+    """Return the part of a mosaic (H, W) that packing keeps, with rows that are contiguous in memory."""
+    if mosaic.ndim != 2:
+        raise ArgumentError(f"a mosaic has two dimensions (H, W); found shape {mosaic.shape}")
+    return with_rows(mosaic[_known_area(mosaic.shape, sites).slices])
+
+
+def with_rows(values: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Return the same values with rows that are contiguous in memory, as kernels read them: as they are, or a copy."""
+    return values if values.strides[-1] == values.itemsize else np.ascontiguousarray(values)
+
+
+def pack(mosaic: NDArray[Scalar], cfa: Cfa, *, out: NDArray[Scalar] | None = None) -> NDArray[Scalar]:
+    """Split a mosaic by CFA position.
+
+    Parameters
+    ----------
+    mosaic
+        (H, W), any dtype of 1, 2, 4 or 8 bytes.
+    cfa
+        The CFA of its pixel (0, 0), as :attr:`eldata.records.Sensor.cfa`.
+    out
+        Where to write, of the packed shape and the mosaic's dtype.
+
+    Returns
+    -------
+    ndarray
+        (C, h, w), the same dtype and values; C, order and crop as in the module's text.
+
+    Raises
+    ------
+    ArgumentError
+        If the CFA is unsupported, the mosaic smaller than one period, or ``out`` does not fit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.raw import bayer_cfa, pack
+    >>> mosaic = np.arange(16, dtype=np.uint16).reshape(4, 4)
+    >>> pack(mosaic, bayer_cfa("RGGB"))[:, 0]
+    array([[0, 2],
+           [1, 3],
+           [5, 7],
+           [4, 6]], dtype=uint16)
+    """
+    from eldata.raw._kernels import gather_bayer
+
+    sites = packing_sites(cfa)
+    area = kept_area(mosaic, sites)
+    shape = packed_shape(mosaic.shape, cfa)
+    packed = np.empty(shape, dtype=mosaic.dtype) if out is None else out
+    if packed.shape != shape or packed.dtype != mosaic.dtype:
+        raise ArgumentError(f"out must be {mosaic.dtype} of shape {shape}; found {packed.dtype} {packed.shape}")
+    if sites.period == 2 and with_rows(packed) is packed:
+        gather_bayer(_as_bits(area), _as_bits(packed), sites.channel_of)
+    else:
+        for in_mosaic, in_packed in sites.slices:
+            packed[in_packed] = area[in_mosaic]
+    return packed
+
+
+def unpack(packed: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
+    """Put packed channels back in their places: the exact inverse of :func:`pack` on its packed area.
+
+    Parameters
+    ----------
+    packed
+        (C, h, w) with C = 4 for Bayer, 9 for X-Trans (then h and w are even), 16 for quad-Bayer or 36 for nona-Bayer;
+        any dtype of 1, 2, 4 or 8 bytes.
+    cfa
+        The CFA that ``pack`` was given.
+
+    Returns
+    -------
+    ndarray
+        (H, W), the same dtype: ``mosaic[packed_area(mosaic.shape, cfa).slices]``.
+
+    Raises
+    ------
+    ArgumentError
+        If the shape does not fit the CFA.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from eldata.raw import bayer_cfa, pack, unpack
+    >>> mosaic = np.arange(24, dtype=np.uint16).reshape(4, 6)
+    >>> np.array_equal(unpack(pack(mosaic, bayer_cfa("GBRG")), bayer_cfa("GBRG")), mosaic)
+    True
+    """
+    sites = packing_sites(cfa)
+    if packed.ndim != 3 or packed.shape[0] != sites.channels or any(n % sites.sub for n in packed.shape[1:]):
+        even = "" if sites.sub == 1 else " with even h and w"
+        raise ArgumentError(f"expected packed data ({sites.channels}, h, w){even}; found shape {packed.shape}")
+    mosaic = np.empty((packed.shape[1] * sites.scale, packed.shape[2] * sites.scale), dtype=packed.dtype)
+    for in_mosaic, in_packed in sites.slices:
+        mosaic[in_mosaic] = packed[in_packed]
+    return mosaic
+
+
+def _as_bits(values: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
+    """Return the same memory as unsigned integers: packing moves values, whatever they are."""
+    if values.dtype.hasobject or values.dtype.itemsize not in (1, 2, 4, 8):
+        raise ArgumentError(f"values of 1, 2, 4 or 8 bytes can be packed, not {values.dtype}")
+    return values.view(f"u{values.dtype.itemsize}")
+
+
+# --- levels -----------------------------------------------------------------------------------------------------------
 
 Clip = Literal["both", "upper", "none"]
 _LARGEST = float(np.finfo(np.float32).max)

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.errors import RawFileError, UnusableRawError
-from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.exif import check_container
+from eldata.raw.levels import cfa_from, cfa_of_letters, packing_sites
 from eldata.raw.strips import find_rows
 from eldata.raw.tiff import ACTIVE_AREA, CFA_PATTERN, MOST_PIXELS, SHORT
 from eldata.raw.unsupported import unsupported_cfa
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     import rawpy
 
-    from eldata.raw.cfa import CfaRows
+    from eldata.raw.levels import CfaRows
     from eldata.raw.tiff import Directory
 
 

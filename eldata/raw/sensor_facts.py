@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     import rawpy
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import CfaRows
+    from eldata.raw.levels import CfaRows
     from eldata.raw.tiff import Directory
     from eldata.records import Matrix3
 

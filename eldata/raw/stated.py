@@ -100,8 +100,8 @@ class StatedFile:
             If the file is missing, damaged, or not one mosaic of numbers in [0, 65535]; or if what is stated does not
             fit it.
         """
-        from eldata.raw.cfa import bayer_cfa
         from eldata.raw.damage import border_remarks
+        from eldata.raw.levels import bayer_cfa
 
         black = self.facts.black_level_dn
         mosaic = self._checked(self._array() if self._has_header else self._numbers())

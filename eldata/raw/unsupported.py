@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from eldata.base.numbers import counted
 from eldata.errors import UnusableRawError
 from eldata.raw import tiff
-from eldata.raw.cfa import cfa_of_letters
+from eldata.raw.levels import cfa_of_letters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

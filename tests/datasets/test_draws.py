@@ -23,7 +23,7 @@ from eldata.datasets import (
     training_loader,
 )
 from eldata.datasets.ranks import Rank, ShuffledSampler
-from eldata.raw.cfa import XTRANS_CFA
+from eldata.raw.levels import XTRANS_CFA
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
 from tests.datasets.methods import FORK

@@ -23,8 +23,7 @@ from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError, ProfileError
 from eldata.noise import CameraProfile, NoiseModel
 from eldata.raw import write_dng
-from eldata.raw.cfa import XTRANS_CFA, pack, unpack
-from eldata.raw.levels import pack_normalised
+from eldata.raw.levels import XTRANS_CFA, pack, pack_normalised, unpack
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same
 from tests.datasets.methods import FORK, workers

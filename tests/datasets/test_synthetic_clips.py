@@ -20,8 +20,7 @@ from eldata.datasets.synthetic.pairs import SyntheticClips
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import NoiseParameters
 from eldata.raw import write_dng
-from eldata.raw.cfa import XTRANS_CFA
-from eldata.raw.levels import pack_normalised
+from eldata.raw.levels import XTRANS_CFA, pack_normalised
 from tests.noise.helpers import Law
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 from tests.waiting import PATIENCE_S

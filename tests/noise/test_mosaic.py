@@ -11,7 +11,7 @@ import torch
 from eldata.errors import ArgumentError
 from eldata.noise import NoiseModel, NoiseParameters
 from eldata.noise.mosaic import pack_whole, unpack_whole
-from eldata.raw.cfa import pack
+from eldata.raw.levels import pack
 from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, CFAS, levels_of
 

@@ -15,7 +15,7 @@ from eldata.errors import ArgumentError
 from eldata.noise import PAPER_MODELS, NoiseModel, NoiseParameters
 from eldata.noise.exposures import Adc, Exposures
 from eldata.noise.on_device import expose_on_device
-from eldata.raw.cfa import XTRANS_CFA, pack, unpack
+from eldata.raw.levels import XTRANS_CFA, pack, unpack
 from tests.cases import in_one_test
 from tests.noise.helpers import (
     CUDA,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from eldata.errors import ArgumentError
 from eldata.raw import pack, packed_area, packed_shape, unpack
-from eldata.raw.cfa import bayer_cfa, cfa_of_letters, packed_channels, packed_layouts, packing_sites
+from eldata.raw.levels import bayer_cfa, cfa_of_letters, packed_channels, packed_layouts, packing_sites
 from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,

@@ -20,8 +20,7 @@ from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise.dark_shading import DarkShading
 from eldata.noise.exposures import DarkCrops
 from eldata.noise.mosaic import region_anywhere
-from eldata.raw.cfa import pack, packing_sites
-from eldata.raw.levels import packed_black_level_dn
+from eldata.raw.levels import pack, packed_black_level_dn, packing_sites
 from eldata.sources.store.format import SUFFIXES
 from eldata.sources.store.read import StoreFrames
 from eldata.sources.store.sources import calibration_place

@@ -1,4 +1,4 @@
-"""Writing DNG files that LibRaw and exifread read back equal in every field.
+"""Writing DNG files that LibRaw and exiftool read back equal in every field.
 
 tifffile writes the TIFF; the DNG and EXIF tags are set here (Adobe DNG specification 1.6, EXIF 2.32). EXIF
 stands in an EXIF IFD of its own, where cameras put it: LibRaw ignores an ISO that stands in IFD0.
@@ -20,8 +20,7 @@ from eldata.errors import ArgumentError, check_choice
 from eldata.raw.colour import neutral_of, private_data
 from eldata.raw.damage import mosaic_fault
 from eldata.raw.levels import packed_black_level_dn
-from eldata.raw.sensor_facts import AS_SHOT_NEUTRAL, COLOUR_MATRICES, PRIVATE_DATA
-from eldata.raw.tiff import RATIONAL, SRATIONAL, nearest_fraction
+from eldata.raw.tiff import AS_SHOT_NEUTRAL, COLOUR_MATRICES, PRIVATE_DATA, RATIONAL, SRATIONAL, nearest_fraction
 from eldata.records import exact_fraction
 
 if TYPE_CHECKING:
@@ -79,7 +78,7 @@ def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[tuple[int,
         entries.append((34866, 4, 1, struct.pack("<I", iso)))
     entries.append((36864, 7, 4, b"0232"))
     if taken is not None:
-        entries.append((36867, 2, 20, taken.strftime("%Y:%m:%d %H:%M:%S\0").encode()))
+        entries.append((36867, 2, 20, taken.strftime("%Y:%m:%d %H:%M:%S").encode() + b"\0"))
         digits = f"{taken.microsecond:06d}"
         parts = (digits[:3] if digits.endswith("000") else digits).encode() + b"\0"
         entries.append((37521, 2, len(parts), parts))

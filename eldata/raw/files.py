@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from eldata.base.files import folder_problem, read_file, sha256_of, visible_below
+from eldata.base.files import folder_problem, sha256_of, visible_below
 from eldata.base.workers import Workers
-from eldata.errors import DatasetError, RawFileError
+from eldata.errors import DatasetError
 from eldata.raw.stated import ARRAY_EXTENSIONS
 
 if TYPE_CHECKING:
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from eldata.base.workers import AnyWorkers
-    from eldata.records import RawHeader, Sensor
 
 # Lower case, with the dot.
 RAW_EXTENSIONS = frozenset((
@@ -120,22 +118,3 @@ def of_arrays(suffix: str) -> str:
         "; arrays state no levels: give a manifest (.csv) of them, whose card states those in mosaics "
         "(docs/adding-a-dataset.md)"
     )
-
-
-def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
-    """Return a raw file's header and, if it is to be decoded, its sensor, or why it does not decode or is damaged.
-
-    The header has what there is to remark of the file; one with masked pixels is decoded for it.
-
-    Raises
-    ------
-    RawFileError
-        Like :func:`eldata.raw.read_header`.
-    """
-    return read_file(partial(_facts, decode=decode), path, RawFileError)
-
-
-def _facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
-    from eldata.raw.reading import facts_of
-
-    return facts_of(path, decode=decode)

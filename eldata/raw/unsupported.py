@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from eldata.raw.container import RawContainer
     from eldata.raw.tiff import Directory
 
 NEEDED = "a mosaic of a Bayer, quad-Bayer, nona-Bayer or X-Trans sensor is needed"
@@ -33,7 +34,6 @@ _BY_HEAD = {
     b"PK\x03\x04": ("is a ZIP archive (Capture One's EIP is one)", "unpack it and use the raw file inside"),
     b"II\x1a\0\0\0HEAPCCDR": ("is a CRW (Canon's CIFF), which has no EXIF", "convert it with Adobe DNG Converter"),
 }
-_LONGEST_HEAD = max(map(len, _BY_HEAD))
 _GREY_TIFF = (
     "is a grey TIFF, which states no colour filter array and neither black nor white level",
     f"use the camera's raw file, or {_STATE}",
@@ -74,7 +74,7 @@ _DELTAS = ("BlackLevelDeltaH", "BlackLevelDeltaV")
 _HEXADECA = 4  # sites along a side of its blocks
 
 
-def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
+def refuse_unsupported(container: RawContainer) -> None:
     """Refuse a file that is known not to work, from its first bytes and its directories (of a TIFF-based file).
 
     Raises
@@ -82,10 +82,9 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
     UnusableRawError
         If the file is of a kind, a compression, a layout or a colour filter array that cannot be used; it says which.
     """
-    with path.open("rb") as file:
-        head = file.read(_LONGEST_HEAD)
+    path, directories = container.path, container.directories
     for magic, of_kind in _BY_HEAD.items():
-        if head.startswith(magic):
+        if container.head.startswith(magic):
             raise UnusableRawError(path, *of_kind)
     if _is_grey_tiff(directories):
         raise UnusableRawError(path, *_GREY_TIFF)

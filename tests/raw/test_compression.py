@@ -9,7 +9,7 @@ import pytest
 
 from eldata.errors import RawFileError
 from eldata.raw import write_dng
-from eldata.raw.sensor_facts import lossy_compression
+from eldata.raw.container import lossy_compression
 from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 

@@ -20,8 +20,8 @@ import tifffile
 from eldata.errors import UnusableRawError
 from eldata.isp import render_libraw
 from eldata.raw import pack, read_header, read_raw, write_dng
+from eldata.raw.container import read_container
 from eldata.raw.libraw import check_one_image
-from eldata.raw.tiff import read_directories
 from eldata.raw.unsupported import refuse_unsupported
 from eldata.records import exact_fraction
 from tests.raw.helpers import (
@@ -281,7 +281,7 @@ def test_cameras_raws_that_call_themselves_grey_are_not_meant(tag: int, tmp_path
     """What LibRaw says of them counts."""
     own: Any = [(tag, "B", 4, bytes((1, 4, 0, 0)), True)]
     tifffile.imwrite(tmp_path / "a.tif", random_mosaic(64, 96), metadata=None, extratags=own)
-    refuse_unsupported(tmp_path / "a.tif", read_directories(tmp_path / "a.tif"))
+    refuse_unsupported(read_container(tmp_path / "a.tif"))
 
 
 def test_whole_numbers_in_deflate_are_named(tmp_path: Path) -> None:

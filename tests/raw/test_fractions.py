@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import pack_normalised, read_raw, write_dng
 from eldata.raw.colour import camera_to_srgb, neutral_of, private_data, white_balance_of
-from eldata.raw.sensor_facts import dng_black_levels
+from eldata.raw.reading import dng_black_levels
 from eldata.raw.tiff import (
     ACTIVE_AREA,
     BLACK_LEVEL,

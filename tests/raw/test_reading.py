@@ -19,7 +19,7 @@ from PIL.TiffImagePlugin import IFDRational
 from eldata.errors import RawFileError
 from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
 from eldata.raw.colour import camera_to_srgb
-from eldata.raw.exif import exif_tags
+from eldata.raw.container import read_container
 from eldata.records import Exposure
 from tests.cases import in_one_test
 from tests.raw.helpers import (
@@ -253,12 +253,9 @@ def raf_with_exif() -> bytes:
 def test_the_exif_of_a_raf_is_that_of_its_embedded_jpeg(tmp_path: Path) -> None:
     path = tmp_path / "a.RAF"
     path.write_bytes(raf_with_exif() + b"pixels would follow")
-    tags = exif_tags(path)
-    assert str(tags["Image Make"]) == "FUJIFILM"
-    assert str(tags["Image Model"]) == "X-T2"
-    shutter = tags["EXIF ExposureTime"].values[0]
-    assert (shutter.num, shutter.den) == (1, 30)
-    assert tags["EXIF ISOSpeedRatings"].values == [1600]
+    header = read_container(path).header
+    assert (header.make, header.model) == ("FUJIFILM", "X-T2")
+    assert (header.exposure.exposure_s, header.exposure.iso) == (Fraction(1, 30), Fraction(1600))
 
 
 def test_a_raf_cut_inside_of_its_jpeg(tmp_path: Path) -> None:
@@ -287,7 +284,6 @@ def test_a_raf_without_pixels_is_not_decoded(tmp_path: Path) -> None:
 def test_a_maker_that_is_no_utf_8(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """exifread warned of it without the file's name, and the maker was lost."""
     write_dng(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(make="Acme?"), EXPOSURE)
     content = (tmp_path / "a.dng").read_bytes()
     (tmp_path / "a.dng").write_bytes(content.replace(b"Acme?\0", b"Acm\xe9!\0"))

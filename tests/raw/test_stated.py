@@ -15,9 +15,10 @@ import pytest
 import rawpy
 
 from eldata.errors import RawFileError
-from eldata.raw import exif, exposure_ratio, read_header, read_raw, reading, write_dng
-from eldata.raw.exif import exif_tags, header_of
-from eldata.raw.files import raw_facts
+from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
+from eldata.raw.container import read_container
+from eldata.raw.reading import raw_facts
+from eldata.raw.tiff import TiffReader
 from eldata.records import Exposure
 from tests.raw.helpers import EXPOSURE, Tag, make_sensor, random_mosaic, write_plain_dng
 
@@ -30,7 +31,7 @@ CR3, DNG = REAL / "canon-eos-r6.cr3", REAL / "gopro-fusion.dng"
 
 def stated(path: Path) -> RawHeader:
     """What a file says, without LibRaw: such files need no pixels."""
-    return header_of(path, exif_tags(path))
+    return read_container(path).header
 
 
 # --- CR3 ------------------------------------------------------------------------------------------------------
@@ -248,26 +249,17 @@ def test_a_real_dng() -> None:
 
 
 @pytest.mark.parametrize("decode", [False, True])
-def test_tables_and_exif_of_a_file_are_parsed_once(
-    decode: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_directories_of_a_file_are_read_once(decode: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """For a header, its pixels and every check of damage together."""
-    calls: list[str] = []
+    walk, walks = TiffReader.walk, []
 
-    def count(module: Any, name: str) -> None:
-        work = getattr(module, name)
+    def counted(reader: TiffReader) -> Any:
+        walks.append(reader)
+        return walk(reader)
 
-        def counted(path: Path) -> Any:
-            calls.append(name)
-            return work(path)
-
-        monkeypatch.setattr(module, name, counted)
-
-    count(reading, "read_directories")
-    count(exif, "exif_tags")
-    mosaic, sensor = random_mosaic(60, 64), make_sensor()
-    write_dng(tmp_path / "a.dng", mosaic, sensor, EXPOSURE, compression="lossless-jpeg")
-    header, found = raw_facts(tmp_path / "a.dng", decode=decode)
-    assert sorted(calls) == ["exif_tags", "read_directories"]
+    monkeypatch.setattr(TiffReader, "walk", counted)
+    write_dng(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(), EXPOSURE, compression="lossless-jpeg")
+    header, sensor = raw_facts(tmp_path / "a.dng", decode=decode)
+    assert len(walks) == 1
     assert header.exposure == EXPOSURE
-    assert (found is not None) == decode
+    assert (sensor is not None) == decode

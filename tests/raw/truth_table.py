@@ -34,10 +34,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.errors import EldataError
+from eldata.raw.container import read_container
 from eldata.raw.dng import write_dng
-from eldata.raw.exif import exif_tags, header_of
 from eldata.raw.files import RAW_EXTENSIONS
 from eldata.raw.reading import read_raw
+from eldata.records import Exposure
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -146,9 +147,8 @@ def main(folders: list[str]) -> int:
         said = exiftool(path)
         found: list[str] = []
         try:
-            tags = exif_tags(path)
-            header = header_of(path, tags)
-            if tags or header.make:
+            header = read_container(path).header
+            if header.make or header.exposure != Exposure(None, None, None):
                 found += differences(header, said)
             summary = f"{header.make or '-'}, {header.model or '-'}, {header.exposure}, {header.taken}"
         except EldataError as error:

@@ -329,13 +329,7 @@ def _mosaic(entry: Fields) -> MosaicFacts:
         cfa=entry.choice("cfa", MOSAIC_CFAS),
         black_level_dn=black,
         white_level_dn=entry.number("white_level_dn", above=max(black)),
-        shape=entry.optional("shape", partial(_sides, entry)),
     )
-
-
-def _sides(entry: Fields, name: str) -> tuple[int, int]:
-    height, width = entry.each(name, Fields.whole, expected="[rows, columns]", count=2, at_least=1)
-    return height, width
 
 
 def save_card(path: Path, card: Card) -> None:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from eldata.errors import RawFileError
-from eldata.raw.tiff import ACTIVE_AREA, HEIGHT, TILE_HEIGHT, TILE_WIDTH, UNCOMPRESSED
+from eldata.raw.tiff import ACTIVE_AREA, HEIGHT, UNCOMPRESSED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -72,7 +72,7 @@ def check_damage(
     """
     rows = _between_zeros(mosaic) if min(black_dn) > 0 else slice(0, len(mosaic))
     fault = mosaic_fault(mosaic, black_dn, white_dn) or lost_rows_fault(directories, rows, len(mosaic))
-    fault = fault or tiles_fault(directories, mosaic, black_dn) or data_fault(path, directories, mosaic, rows)
+    fault = fault or data_fault(path, directories, mosaic, rows)
     if fault is not None:
         raise RawFileError(path, f"damaged: {fault}; {_AGAIN}")
 
@@ -352,36 +352,6 @@ def lost_rows_fault(directories: Sequence[Directory], rows: slice, height: int) 
             if (first + row * row_bytes) % _LEAST_RUN == 0:
                 return f"its rows of 0 DN, {'up to' if row == rows.start else 'from'} row {row}, are whole sectors"
     return None
-
-
-def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[Any], black_dn: Sequence[float]) -> str | None:
-    """Return what no photograph can show of uncompressed tiles, of which a lost page takes a few columns of many rows.
-
-    Compressed tiles are examined in the file itself (:func:`data_fault`).
-    """
-    if min(black_dn) <= 0:
-        return None
-    for found in directories:
-        if not found.is_mosaic or found.compression != UNCOMPRESSED:
-            continue
-        width, height = found.number(TILE_WIDTH, 0), found.number(TILE_HEIGHT, 0)
-        if width < 1 or height < 1:
-            continue
-        top, left = map(int, found.values.get(ACTIVE_AREA, (0, 0))[:2])
-        inner = _without_border(mosaic)
-        rows, columns = range(-top, mosaic.shape[0], height), range(-left, mosaic.shape[1], width)
-        if len(rows) * len(columns) > len(found.extents):  # made to keep a reader busy: tiles of a pixel
-            continue
-        tiles = [mosaic[_shared(inner[0], y, height), _shared(inner[1], x, width)] for y in rows for x in columns]
-        run = long_run(np.concatenate([tile.reshape(-1) for tile in tiles]), 0)
-        if run is not None:
-            count, levels = run[1] - run[0], " ".join(f"{level:g}" for level in dict.fromkeys(black_dn))
-            return f"{count} pixels in a row of its tiles are 0 DN, below the black level {levels} DN"
-    return None
-
-
-def _shared(part: slice, start: int, size: int) -> slice:
-    return slice(max(part.start, start), max(part.start, min(part.stop, start + size)))
 
 
 def _place(

@@ -71,7 +71,11 @@ _REFUSED: tuple[tuple[int, tuple[int, ...], str, str], ...] = (
 )
 _OF_ANY_IMAGE = _REFUSED[:2]  # demosaiced ones too: LibRaw makes other numbers of floats
 _DELTAS = ("BlackLevelDeltaH", "BlackLevelDeltaV")
-_HEXADECA = 4  # sites along a side of its blocks
+_CFA_NAMES = {  # by colours that no other kind has
+    "CYGM": "CYGM (cyan, yellow, green, magenta), ",
+    "W": "RGBW (with white sites), ",
+    "E": "RGBE (with emerald sites), ",
+}
 
 
 def refuse_unsupported(container: RawContainer) -> None:
@@ -151,25 +155,8 @@ def _is_grey_tiff(directories: Sequence[Directory]) -> bool:
 
 
 def unsupported_cfa(path: Path, rows: Sequence[str]) -> UnusableRawError:
-    """Return the error of a colour filter array, one period of it in letters by row, that cannot be used."""
-    size, colours = f"{len(rows)} x {len(rows[0]) if rows else 0}", "".join(sorted(set("".join(rows))))
-    found = f"unsupported colour filter array: {_kind(rows)}{size} sites of {colours}"
-    return UnusableRawError(path, found, NEEDED)
-
-
-def _kind(rows: Sequence[str]) -> str:
-    """Return the name of an unsupported colour filter array with a comma behind it; nothing if it has none."""
-    colours = set("".join(rows))
-    corners = [row[::_HEXADECA] for row in rows[::_HEXADECA]]
-    in_blocks = ["".join(colour * _HEXADECA for colour in row) for row in corners for _ in range(_HEXADECA)]
-    if len(corners) == 2 and [*rows] == in_blocks and cfa_of_letters(corners) is not None:
-        return f"hexadeca-Bayer (blocks of {_HEXADECA} x {_HEXADECA} sites of one colour), "
-    if colours == set("CYGM"):
-        return "CYGM (cyan, yellow, green, magenta), "
-    if "W" in colours:
-        return "RGBW (with white sites), "
-    if "E" in colours:
-        return "RGBE (with emerald sites), "
-    if len(rows) == 4 and rows[0] == rows[2] != rows[1] == rows[3] and rows[0] == rows[1][2:] + rows[1][:2]:
-        return "a Super CCD (turned by 45 degrees), "
-    return ""
+    """Make the error of a colour filter array, one period of it in letters by row, that cannot be used."""
+    colours = "".join(sorted(set("".join(rows))))
+    kind = next((name for letters, name in _CFA_NAMES.items() if set(letters) <= set(colours)), "")
+    size = f"{len(rows)} x {len(rows[0]) if rows else 0}"
+    return UnusableRawError(path, f"unsupported colour filter array: {kind}{size} sites of {colours}", NEEDED)

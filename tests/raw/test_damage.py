@@ -17,7 +17,7 @@ import tifffile
 from eldata.demo.tree import make_tree
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import read_raw, write_dng
-from eldata.raw.damage import data_fault, find_stream, long_run, mosaic_fault, picture_area, tiles_fault
+from eldata.raw.damage import data_fault, find_stream, long_run, mosaic_fault, picture_area
 from eldata.raw.tiff import Directory, read_directories
 from tests.cases import in_one_test
 from tests.raw.damaging import PAGE, Whole, rates
@@ -25,7 +25,6 @@ from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
     SOME_CFAS,
-    active_area,
     levels_of,
     make_sensor,
     random_mosaic,
@@ -216,30 +215,6 @@ def test_in_tiles(tmp_path: Path) -> None:
     tiles[-1] = tiles[-1][:3000] + bytes(PAGE) + tiles[-1][3000 + PAGE :]
     write_tiles(path, tiles, mosaic.shape)
     refused(path, f"{PAGE} bytes of 0x00 in a row")
-
-
-@pytest.mark.parametrize("area", [(0, 0, 192, 240), (6, 8, 150, 232)])
-def test_in_tiles_without_compression(area: tuple[int, int, int, int], tmp_path: Path) -> None:
-    """A page of tiles 48 pixels wide lies in 43 rows or more; that of the first two rows of tiles is in the picture."""
-    top, left, bottom, right = area
-    path, mosaic = tmp_path / "a.dng", photograph(3, 3000)[:192, :240]
-    tags = (active_area(*area), (50714, "I", 1, 512, True))
-    write_plain_dng(path, mosaic, ("RG", "GB"), *tags, tile=(64, 48))
-    whole = Whole.read(path)
-    np.testing.assert_array_equal(whole.mosaic, mosaic[top:bottom, left:right])
-    for at in np.linspace(whole.first, whole.first + 10 * 64 * 48 * 2 - PAGE, 40).astype(int):
-        path.write_bytes(whole.content[:at] + bytes(PAGE) + whole.content[at + PAGE :])
-        refused(path, "pixels in a row of its tiles are 0 DN, below the black level 512 DN")
-
-
-def test_tiles_of_one_pixel_are_not_looked_at() -> None:
-    """Of 16 million, for which the file does not hold the places."""
-    mosaic = np.zeros((4000, 4000), np.uint16)
-    values = {262: (32803,), 322: (1000,), 323: (1000,), 324: (0,) * 16, 325: (1,) * 16}
-    of_1000 = Directory({tag: tuple(map(Fraction, numbers)) for tag, numbers in values.items()})
-    of_one = Directory(of_1000.values | {322: (Fraction(1),), 323: (Fraction(1),)})
-    assert tiles_fault([of_1000], mosaic, (512.0,)) is not None
-    assert tiles_fault([of_one], mosaic, (512.0,)) is None
 
 
 def write_tiles(path: Path, tiles: list[bytes], shape: tuple[int, ...]) -> None:

@@ -1,6 +1,5 @@
 from .dng import write_dng as write_dng
 from .levels import bayer_cfa as bayer_cfa
-from .levels import denormalise as denormalise
 from .levels import normalise as normalise
 from .levels import pack as pack
 from .levels import pack_normalised as pack_normalised

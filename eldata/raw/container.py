@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
 
 _FIRST_YEAR = 1990  # no camera wrote raw files before: such a time is that of a clock that was never set
 # By EXIF's SensitivityType, which says which of them the ISO repeats.
@@ -322,24 +321,20 @@ class StoredRows:
             return len(self.blocks) > 1 and tiff.STRIPS[0] not in tags
         return not tags & _TILE_TAGS and _are_one_run([block[2:] for block in self.blocks])
 
-    def gather(self, content: bytes | bytearray) -> NDArray[np.uint8]:
-        """Gather the rows, (H, bytes of a row), from the whole file's bytes."""
+    def rearrange(self, content: bytes | bytearray) -> bytes:
+        """Whole file's bytes with the rows once more at the end, as its one strip."""
         image = np.empty((self.main.shape[0], self.row_bytes), np.uint8)
         for top, left, offset, length in self.blocks:
             block = np.frombuffer(content, np.uint8, length, offset).reshape(-1, self.block_bytes)
             part = image[top : top + len(block), left : left + self.block_bytes]
             part[:] = block[:, : part.shape[1]]
-        return image
-
-    def rearrange(self, content: bytes | bytearray) -> bytes:
-        """Whole file's bytes with the rows once more at the end, as its one strip."""
-        rows, copy, entries = self.gather(content).tobytes(), bytearray(content), self.main.entries
+        copy, entries = bytearray(content), self.main.entries
         used = tiff.TILES if tiff.TILES[0] in self.main.values else tiff.STRIPS
         for tag in entries.keys() & {*tiff.STRIPS, *_TILE_TAGS}:
             struct.pack_into(f"{self.main.order}H", copy, entries[tag][0], _NO_TAG)
-        for tag, old, value in zip(tiff.STRIPS, used, (len(copy), len(rows)), strict=True):
+        for tag, old, value in zip(tiff.STRIPS, used, (len(copy), image.size), strict=True):
             struct.pack_into(f"{self.main.order}HHII", copy, entries[old][0], tag, _LONG, 1, value)
-        return bytes(copy) + rows
+        return bytes(copy) + image.tobytes()
 
 
 def _are_one_run(extents: Sequence[tuple[int, ...]]) -> bool:

@@ -6,7 +6,6 @@ directory of its own, where cameras put it: LibRaw ignores an ISO that stands in
 
 from __future__ import annotations
 
-import math
 import struct
 from fractions import Fraction
 from typing import TYPE_CHECKING, Literal, get_args
@@ -16,7 +15,7 @@ import numpy as np
 from eldata.base.files import atomic_write
 from eldata.errors import ArgumentError, check_choice
 from eldata.raw import tiff
-from eldata.raw.colour import neutral_of, private_data
+from eldata.raw.colour import neutral_of
 from eldata.raw.damage import mosaic_fault
 from eldata.raw.levels import packed_black_level_dn
 from eldata.raw.tiff import RATIONAL, SRATIONAL, nearest_fraction
@@ -65,25 +64,22 @@ def _parts(values: Iterable[Fraction]) -> tuple[int, ...]:
     return tuple(part for value in values for part in (value.numerator, value.denominator))
 
 
-def _exact(name: str, value: Fraction | float) -> Fraction:
-    try:
-        return value if isinstance(value, Fraction) else exact_fraction(value)
-    except ValueError as error:
-        raise ArgumentError(f"{name} = {value}: expected a finite number") from error
+def _exact(value: Fraction | float) -> Fraction:
+    return value if isinstance(value, Fraction) else exact_fraction(value)
 
 
 def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[Entry]:
     entries: list[Entry] = [(36864, "x", b"0232")]
     for tag, name in ((tiff.EXPOSURE_TIME, "exposure_s"), (tiff.F_NUMBER, "f_number")):
         if getattr(exposure, name) is not None:
-            value = _exact(name, getattr(exposure, name))
+            value = _exact(getattr(exposure, name))
             if not 1 <= value * RATIONAL <= RATIONAL**2:
                 raise ArgumentError(
                     f"{name} = {value}: expected a number from 1 / (2^32 - 1) to 2^32 - 1, as EXIF holds"
                 )
             entries.append((tag, "2I", _parts([nearest_fraction(value, RATIONAL)])))
     if exposure.iso is not None:
-        iso = _exact("iso", exposure.iso)
+        iso = _exact(exposure.iso)
         if iso.denominator != 1 or not 0 < iso <= RATIONAL:
             raise ArgumentError(f"iso = {iso} is not a positive whole number of 32 bits")
         # ISOSpeedRatings has 16 bits; beyond them EXIF 2.3 states the speed as RecommendedExposureIndex.
@@ -97,7 +93,7 @@ def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[Entry]:
 
 
 def _check_sensor(sensor: Sensor) -> None:
-    """Refuse what the format, or LibRaw when it reads the file, cannot hold."""
+    """Refuse what LibRaw, when it reads the file, would take for something else."""
     packed_black_level_dn(sensor.cfa, sensor.black_level_dn)  # refuses CFA and number of levels
     white = sensor.white_level_dn
     if not all(0 <= level <= _LARGEST_DN for level in sensor.black_level_dn):
@@ -110,13 +106,6 @@ def _check_sensor(sensor: Sensor) -> None:
         raise ArgumentError(
             f"{sensor.height} x {sensor.width} pixels: LibRaw reads no raw image under {_LEAST_SIDE} pixels per side"
         )
-    if sensor.white_balance is not None and not all(map(math.isfinite, sensor.white_balance)):
-        raise ArgumentError(f"white_balance {sensor.white_balance}: expected finite multipliers")
-    numbers = () if sensor.xyz_to_camera is None else [value for row in sensor.xyz_to_camera for value in row]
-    if not all(abs(value) <= SRATIONAL for value in numbers):
-        raise ArgumentError(f"xyz_to_camera {sensor.xyz_to_camera}: expected finite numbers of up to 31 bits")
-    if not 0 <= sensor.matrix_illuminant < 1 << 16:
-        raise ArgumentError(f"matrix_illuminant {sensor.matrix_illuminant}: expected a whole number of 16 bits")
     for name, text in (("make", sensor.make), ("model", sensor.model)):
         if "\0" in text or text != text.strip():
             raise ArgumentError(f"{name} {text!r}: expected text without spaces at its ends or a zero in it")
@@ -148,11 +137,8 @@ def _sensor_entries(sensor: Sensor) -> list[Entry]:
             entries.append((of_illuminant, "H", (sensor.matrix_illuminant,)))
     if sensor.white_balance is not None:
         red, green, blue, second_green = map(exact_fraction, sensor.white_balance)
-        balance = red, green, blue, second_green
-        entries.append((tiff.AS_SHOT_NEUTRAL, "2I", _parts(neutral_of(balance))))
-        private = private_data(balance)
-        if private:
-            entries.append((tiff.PRIVATE_DATA, "B", private))
+        neutral = neutral_of((red, green, blue, second_green))
+        entries.append((tiff.AS_SHOT_NEUTRAL, "2I", _parts(neutral)))
     return entries
 
 
@@ -171,8 +157,7 @@ def write_dng(
     LibRaw's table if LibRaw knows the model). Numbers are written as the fractions that they stand for
     (:func:`eldata.records.exact_fraction`). One that the fields of TIFF, two whole numbers of 32 bits, cannot hold
     becomes the nearest that they can (:func:`eldata.raw.tiff.nearest_fraction`), off by less than one part in four
-    billion (of matrices, which have signs, two billion); but white balance is kept exactly, and so are greens that
-    differ, for which a DNG has no field: see :mod:`eldata.raw.colour`.
+    billion (of matrices, which have signs, two billion). A DNG has one white balance for both greens: that of G1.
 
     Parameters
     ----------
@@ -203,6 +188,8 @@ def write_dng(
         content = _encode(mosaic, sensor, exposure, compression, taken)
     except ArgumentError as error:
         raise ArgumentError(f"{path}: {error}") from error
+    except (struct.error, ValueError) as error:  # NaN, infinity, or more than 32 bits
+        raise ArgumentError(f"{path}: a DNG cannot hold {sensor} and {exposure}: {error}") from error
     with atomic_write(path) as file:
         file.writelines(content)
 

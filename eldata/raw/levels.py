@@ -169,10 +169,6 @@ class Sites:
             yield in_mosaic, (..., channel, slice(y, None, self.sub), slice(x, None, self.sub))
 
 
-def _rows(cfa: Cfa) -> CfaRows:
-    return tuple(tuple(int(value) for value in row) for row in cfa)
-
-
 def cfa_from(cfa: CfaRows, top: int, left: int) -> CfaRows:
     """Return the CFA of a mosaic without its first rows and columns."""
     period = len(cfa)
@@ -212,7 +208,7 @@ def cfa_of_letters(rows: Sequence[str]) -> CfaRows | None:
     one_green = tuple(tuple({"R": 0, "B": 2}.get(c, 1) for c in row) for row in rows)
     if set("".join(rows)) == set("RGB"):
         for cfa in (two_greens, one_green):
-            if _found(cfa) is not None:
+            if _find_sites(cfa) is not None:
                 return cfa
     return None
 
@@ -246,7 +242,7 @@ def _sites_of_blocks(cfa: CfaRows, block: int, top: int, left: int) -> Sites:
 
 
 @cache
-def _found(cfa: CfaRows) -> Sites | None:
+def _find_sites(cfa: CfaRows) -> Sites | None:
     if cfa in BAYER_PHASES.values():
         return Sites("Bayer", cfa, 2, 1, 0, 0, BAYER_CHANNELS, _as_table(1, cfa), (0, 1, 2, 3))
     period = len(cfa)
@@ -261,17 +257,6 @@ def _found(cfa: CfaRows) -> Sites | None:
             colours = tuple("RGB".index(name) for name in XTRANS_CHANNELS)
             return Sites("X-Trans", here, 6, 2, top, left, XTRANS_CHANNELS, _as_table(2, _XTRANS_CHANNEL), colours)
     return None
-
-
-def _sites(cfa: CfaRows) -> Sites:
-    found = _found(cfa)
-    if found is None:
-        raise ArgumentError(
-            f"unsupported CFA {cfa}: expected a 2x2 Bayer pattern (0 = R, 1 = G1 in R's row, 2 = B, 3 = G2), one of "
-            "2x2 or 3x3 blocks of these (quad-Bayer, nona-Bayer) or a 6x6 X-Trans pattern (0 = R, 1 = G, 2 = B), the "
-            "last three at any offset"
-        )
-    return found
 
 
 @cache
@@ -300,15 +285,22 @@ def packing_sites(cfa: Cfa) -> Sites:
         If the CFA is unsupported.
     """
     try:
-        return _known_sites(cfa)  # type: ignore[arg-type] # it is seen whether it has a hash
+        return _cached_sites(cfa)  # type: ignore[arg-type] # it is seen whether it has a hash
     except TypeError:  # lists and arrays have no hash
-        return _sites(_rows(cfa))
+        return _cached_sites(tuple(tuple(map(int, row)) for row in cfa))
 
 
 @lru_cache(maxsize=256)
-def _known_sites(cfa: Any) -> Sites:
-    """Look a CFA up as it was given: to go through its numbers takes longer than to pack a small crop."""
-    return _sites(_rows(cfa))
+def _cached_sites(cfa: Any) -> Sites:
+    """Find the sites of a CFA as it was given: to go through its numbers takes longer than to pack a small crop."""
+    sites = _find_sites(tuple(tuple(map(int, row)) for row in cfa))
+    if sites is None:
+        raise ArgumentError(
+            f"unsupported CFA {cfa}: expected a 2x2 Bayer pattern (0 = R, 1 = G1 in R's row, 2 = B, 3 = G2), one of "
+            "2x2 or 3x3 blocks of these (quad-Bayer, nona-Bayer) or a 6x6 X-Trans pattern (0 = R, 1 = G, 2 = B), the "
+            "last three at any offset"
+        )
+    return sites
 
 
 def packed_channels(cfa: Cfa) -> int:
@@ -615,25 +607,14 @@ def packed_black_level_dn(cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[
 
 @lru_cache(maxsize=256)
 def _levels(sites: Sites, black_level_dn: tuple[float, ...], white_level_dn: float) -> tuple[Any, np.float32]:
-    """Return each packed channel's black level, read-only, and the white level: frames share few of them."""
-    black = packed_black_level_dn(sites.cfa, black_level_dn)
-    black.flags.writeable = False
-    return black, _checked_levels(black, white_level_dn)
-
-
-def _checked_levels(black: NDArray[np.float32], white_level_dn: float) -> np.float32:
-    white = np.float32(white_level_dn)
+    """Black level of each packed channel, read-only, and white level: frames share few of them."""
+    black, white = packed_black_level_dn(sites.cfa, black_level_dn), np.float32(white_level_dn)
     if not np.all(np.isfinite(black)) or not np.isfinite(white) or not white > black.max():
         raise ArgumentError(
             f"the white level ({white_level_dn} DN) must lie above every black level ({black.tolist()} DN)"
         )
-    return white
-
-
-def _clip_range(clip: Clip) -> tuple[np.float32, np.float32]:
-    if clip not in _CLIP_RANGES:
-        check_choice("clip", clip, CLIP_RANGES)
-    return _CLIP_RANGES[clip]
+    black.flags.writeable = False
+    return black, white
 
 
 def pack_normalised(
@@ -694,7 +675,9 @@ def pack_normalised(
         raise ArgumentError(f"the gain must be finite and not negative; found {gain}")
     sites = packing_sites(cfa)
     black, white = _levels(sites, tuple(black_level_dn), white_level_dn)
-    low, high = _clip_range(clip)
+    if clip not in _CLIP_RANGES:
+        check_choice("clip", clip, CLIP_RANGES)
+    low, high = _CLIP_RANGES[clip]
     area = kept_area(mosaic, sites)
     shape = sites.channels, area.shape[0] // sites.scale, area.shape[1] // sites.scale
     if out is None:
@@ -730,30 +713,11 @@ def normalise(
     array([[0.5, 0.5],
            [0.5, 0.5]], dtype=float32)
     """
-    black = _black_of(packed, cfa, black_level_dn)
-    white = _checked_levels(black, white_level_dn)
-    return np.clip((packed.astype(np.float32) - black) / (white - black), *_clip_range(clip))
-
-
-def denormalise(
-    packed: NDArray[np.floating[Any]], cfa: Cfa, black_level_dn: Sequence[float], white_level_dn: float
-) -> NDArray[np.uint16]:
-    """Return normalised packed data as DN: uint16, rounded to the nearest, limited to [0, 65535].
-
-    The inverse of :func:`normalise` for DN that it did not clip.
-
-    Raises
-    ------
-    ArgumentError
-        Like :func:`normalise`.
-    """
-    black = _black_of(packed, cfa, black_level_dn).astype(np.float64)
-    white = float(_checked_levels(black.astype(np.float32), white_level_dn))
-    return np.clip(np.rint(packed * (white - black) + black), 0, 65535).astype(np.uint16)
-
-
-def _black_of(packed: NDArray[Any], cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[np.float32]:
-    black = packed_black_level_dn(cfa, black_level_dn)
-    if packed.ndim != 3 or packed.shape[0] != len(black):
-        raise ArgumentError(f"expected packed data ({len(black)}, h, w); found shape {packed.shape}")
-    return black[:, None, None]
+    check_choice("clip", clip, CLIP_RANGES)
+    sites = packing_sites(cfa)
+    if packed.ndim != 3 or packed.shape[0] != sites.channels:
+        raise ArgumentError(f"expected packed data ({sites.channels}, h, w); found shape {packed.shape}")
+    levels, white = _levels(sites, tuple(black_level_dn), white_level_dn)
+    black = levels[:, None, None]
+    normalised: NDArray[np.float32] = (packed.astype(np.float32) - black) / (white - black)
+    return np.clip(normalised, *_CLIP_RANGES[clip])

@@ -58,7 +58,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.files import read_file
-from eldata.errors import ArgumentError, RawFileError, UnusableRawError
+from eldata.errors import RawFileError, UnusableRawError
 from eldata.raw import tiff
 from eldata.raw.colour import neutral_of_white, white_balance_of
 from eldata.raw.container import RawContainer, check_container, read_container
@@ -209,7 +209,7 @@ def _read_frame(file: RawContainer) -> RawFrame:
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
         first = file.directories[0] if file.directories else tiff.Directory({})
         matrix, illuminant = camera_matrix(raw, first)
-        balance = as_shot_multipliers(path, raw, first)
+        balance = as_shot_multipliers(raw, first)
         mosaic, whites = raw.raw_image_visible.copy(), channel_whites(raw, index_of)
         height, width = mosaic.shape
         sensor = Sensor(header.make, header.model, cfa, black, white, height, width, balance, matrix, illuminant)
@@ -313,26 +313,15 @@ def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ..
     return tuple(float(levels[index]) for index in index_of)
 
 
-def as_shot_multipliers(path: Path, raw: rawpy.RawPy, first: Directory) -> tuple[float, float, float, float] | None:
+def as_shot_multipliers(raw: rawpy.RawPy, first: Directory) -> tuple[float, float, float, float] | None:
     """Multipliers of R, G1, B, G2 as shot, G1 = 1; None if they are not known.
 
     From the ``first`` directory of a DNG; LibRaw is asked for what the file does not state.
-
-    Raises
-    ------
-    RawFileError
-        If what eldata wrote into the file's DNGPrivateData is damaged.
     """
     neutral = tuple(map(Fraction, first.values.get(tiff.AS_SHOT_NEUTRAL, ())))
     if len(neutral) == 3 and min(neutral) > 0:
-        private = first.values.get(tiff.PRIVATE_DATA, ())
-        ours = bytes(map(int, private)) if private and 0 <= min(private) <= max(private) < 256 else b""
-        try:
-            exact = white_balance_of((neutral[0], neutral[1], neutral[2]), ours)
-        except ArgumentError as error:
-            raise RawFileError(path, f"the white balance in its DNGPrivateData is damaged: {error}") from error
-        red, green, blue, second_green = map(exact_number, exact)
-        return red, green, blue, second_green
+        exact = white_balance_of((neutral[0], neutral[1], neutral[2]))
+        return tuple(map(exact_number, exact))  # type: ignore[return-value] # of four
     white = _neutral_of_white(first)
     red, green, blue, second_green = raw.camera_whitebalance if white is None else (*1 / white, 0)
     if not (red > 0 and green > 0 and blue > 0):

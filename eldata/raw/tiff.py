@@ -42,7 +42,7 @@ BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS, WHITE_LEVEL = 50713, 50714, (50715, 507
 CFA_PHOTOMETRIC = 32803
 CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT = 33421, 33422, 50711
 OPCODE_LISTS = (51008, 51009, 51022)  # of the stored, the linear and the demosaiced image
-AS_SHOT_NEUTRAL, AS_SHOT_WHITE_XY, PRIVATE_DATA = 50728, 50729, 50740
+AS_SHOT_NEUTRAL, AS_SHOT_WHITE_XY = 50728, 50729
 COLOUR_MATRICES = ((50721, 50778), (50722, 50779))
 """Each with the tag of its illuminant."""
 CALIBRATIONS, ANALOG_BALANCE = (50723, 50724), 50727
@@ -66,7 +66,7 @@ _READ = {
     *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT, SAMPLES, ROWS_PER_STRIP),
     *(SAMPLE_FORMAT, DNG_VERSION, ROW_INTERLEAVE, COLUMN_INTERLEAVE, _SUB_IFDS, EXIF_IFD, ACTIVE_AREA, MASKED_AREAS),
     *(BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS, WHITE_LEVEL, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, *OPCODE_LISTS),
-    *(AS_SHOT_NEUTRAL, AS_SHOT_WHITE_XY, PRIVATE_DATA, *COLOUR_MATRICES[0], *COLOUR_MATRICES[1], *CALIBRATIONS),
+    *(AS_SHOT_NEUTRAL, AS_SHOT_WHITE_XY, *COLOUR_MATRICES[0], *COLOUR_MATRICES[1], *CALIBRATIONS),
     *(ANALOG_BALANCE, *SIGNATURES, MAKE, MODEL, UNIQUE_MODEL, EXPOSURE_TIME, F_NUMBER, TAKEN, TAKEN_FRACTION),
     *(ISO, SENSITIVITY_TYPE, OUTPUT_SENSITIVITY, EXPOSURE_INDEX, ISO_SPEED, *PANASONIC_ISOS, *STRIPS, *TILES),
 }
@@ -79,7 +79,6 @@ _CODES = {1: "B", 3: "H", 4: "I", 5: "I", 6: "b", 7: "B", 8: "h", 9: "i", 10: "i
 # entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
 # tiles of 128 x 128 pixels have 20,000.
 _MOST = {"directories": 64, "entries": 1 << 12, "values": 1 << 17}
-_MOST_PRIVATE = 1000  # bytes of DNGPrivateData: ours have some hundred, makers' up to megabytes
 _MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: those of cameras have up to 8
 _MOST_MASKED = 8  # areas of masked pixels: those of cameras have up to 4
 # How many numbers these tags of a mosaic hold: readers take them apart.
@@ -344,7 +343,7 @@ class TiffReader:
             length = _SIZES.get(kind, 1) * number
             if length > 4:
                 starts.append(offset)
-            if tag not in tags or (tag == PRIVATE_DATA and length >= _MOST_PRIVATE):
+            if tag not in tags:
                 continue
             if length > 4:
                 self._require(offset + length - (kind == ASCII))  # some writers leave out a text's last zero

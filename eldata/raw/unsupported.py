@@ -7,6 +7,7 @@ LibRaw also takes the colours of a declared pattern of 4 x 4 for one of 8 x 2: i
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from eldata.base.numbers import counted
@@ -57,12 +58,7 @@ _NO_GPR = "convert it to DNG with GoPro's gpr_tools (gpr_tools -i NAME.GPR -o NA
 _REFUSED: tuple[tuple[int, tuple[int, ...], str, str], ...] = (
     (tiff.SAMPLE_FORMAT, (3,), "has pixels that are floating-point numbers (its SampleFormat is {})", _WRITE),
     (tiff.COMPRESSION, (tiff.JPEG_XL,), "has pixels in JPEG XL (its Compression is {})", _NO_JPEG_XL),
-    (
-        tiff.COMPRESSION,
-        (8, 32946),
-        "is a DNG of whole numbers in Deflate compression (its Compression is {})",
-        _NO_DEFLATE,
-    ),
+    (tiff.COMPRESSION, (8, 32946), "is a DNG of whole numbers in Deflate compression", _NO_DEFLATE),
     (tiff.COMPRESSION, (9,), "is a GPR (GoPro, VC-5 compression)", _NO_GPR),
     (tiff.SAMPLES, (), "has several samples of each pixel, as of dual pixels (its SamplesPerPixel is {})", _WRITE),
     (tiff.ROW_INTERLEAVE, (), "has interleaved rows (its RowInterleaveFactor is {})", _WRITE),
@@ -70,7 +66,6 @@ _REFUSED: tuple[tuple[int, tuple[int, ...], str, str], ...] = (
     (tiff.CFA_LAYOUT, (), "unsupported colour filter array: its CFALayout is {} (staggered, as a Super CCD's)", NEEDED),
 )
 _OF_ANY_IMAGE = _REFUSED[:2]  # demosaiced ones too: LibRaw makes other numbers of floats
-_DELTAS = ("BlackLevelDeltaH", "BlackLevelDeltaV")
 _CFA_NAMES = {  # by colours that no other kind has
     "CYGM": "CYGM (cyan, yellow, green, magenta), ",
     "W": "RGBW (with white sites), ",
@@ -119,25 +114,17 @@ def _refuse_layout(path: Path, image: Directory, refused: tuple[tuple[int, tuple
 
 def _refuse_black(path: Path, main: Directory) -> None:
     """Refuse a DNG whose black level is not stated by the site of the CFA."""
-    levels, repeat = main.values.get(tiff.BLACK_LEVEL, ()), main.values.get(tiff.BLACK_REPEAT, ())
-    rows, columns = main.black_repeat
-    if len(levels) not in (0, rows * columns):
-        dim = (
-            f"its BlackLevelRepeatDim is {' x '.join(map(str, repeat))}" if repeat else "it has no BlackLevelRepeatDim"
-        )
+    levels, expected = main.values.get(tiff.BLACK_LEVEL, ()), math.prod(main.black_repeat)
+    if len(levels) not in (0, expected):
         raise UnusableRawError(
             path,
-            f"its BlackLevel has {counted(len(levels), 'number')}, expected {rows * columns}, as {dim}: which is of "
-            "which pixel is not known",
+            f"its BlackLevel has {counted(len(levels), 'number')}, expected {expected} by its BlackLevelRepeatDim: "
+            "which is of which pixel is not known",
             "write it again with a BlackLevelRepeatDim that fits, such as 2 2 for four levels",
         )
-    for tag, name in zip(tiff.BLACK_DELTAS, _DELTAS, strict=True):
-        deltas = main.values.get(tag, ())
-        if any(deltas):
-            found = f"{float(min(deltas)):.4g} to {float(max(deltas)):.4g} DN"
-            raise UnusableRawError(
-                path, f"has a black level that differs by row or column (its {name} goes from {found})", _WRITE
-            )
+    for tag, name in zip(tiff.BLACK_DELTAS, ("BlackLevelDeltaH", "BlackLevelDeltaV"), strict=True):
+        if any(main.values.get(tag, ())):
+            raise UnusableRawError(path, f"has a black level that differs by row or column (its {name})", _WRITE)
     if not levels and main.values.get(tiff.MASKED_AREAS):
         raise UnusableRawError(
             path,
@@ -159,4 +146,6 @@ def unsupported_cfa(path: Path, rows: Sequence[str]) -> UnusableRawError:
     colours = "".join(sorted(set("".join(rows))))
     kind = next((name for letters, name in _CFA_NAMES.items() if set(letters) <= set(colours)), "")
     size = f"{len(rows)} x {len(rows[0]) if rows else 0}"
+    if (size, colours) == ("8 x 8", "BGR"):
+        kind = "as of hexadeca-Bayer, "
     return UnusableRawError(path, f"unsupported colour filter array: {kind}{size} sites of {colours}", NEEDED)

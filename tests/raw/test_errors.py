@@ -247,8 +247,7 @@ def in_blocks(side: int, rows: tuple[str, str] = ("RG", "GB")) -> list[str]:
 
 
 NAMED = {
-    "hexadeca-Bayer": (in_blocks(4), r"hexadeca-Bayer \(blocks of 4 x 4 sites of one colour\), 8 x 8 sites of BGR"),
-    "hexadeca-Bayer from green": (in_blocks(4, ("GR", "BG")), "hexadeca-Bayer"),
+    "hexadeca-Bayer": (in_blocks(4), "as of hexadeca-Bayer, 8 x 8 sites of BGR"),
     "nearly quad-Bayer": (["RRGG", "RRGG", "GGBB", "GGBG"], "4 x 4 sites of BGR"),
     "nearly nona-Bayer": ([*in_blocks(3)[:5], "GGGBBG"], "6 x 6 sites of BGR"),
     # Regression: LibRaw takes the first four colours of the next for the pattern, so it was read as Bayer.

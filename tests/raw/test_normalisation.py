@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eldata.errors import ArgumentError
-from eldata.raw import denormalise, normalise, pack, pack_normalised, packed_shape
+from eldata.raw import normalise, pack, pack_normalised, packed_shape
 from eldata.raw.levels import (
     FRAME_LEVELS,
     FrameLevels,
@@ -117,27 +117,6 @@ def every_dn(cfa: Cfa) -> NDArray[np.uint16]:
     return np.tile(np.arange(65536, dtype=np.uint16).reshape(256, 256), (channels, 1, 1))
 
 
-@pytest.mark.parametrize("name", ["RGGB", "GBRG", "xtrans-00", "xtrans-25", "quad-12"])
-@pytest.mark.parametrize("white", [1100.0, 15871.0, 65535.0])
-def test_denormalise_inverts_normalise_for_every_dn(name: str, white: float) -> None:
-    cfa = CFAS[name]
-    packed = every_dn(cfa)
-    back = denormalise(normalise(packed, cfa, black_of(cfa), white, clip="none"), cfa, black_of(cfa), white)
-    np.testing.assert_array_equal(back, packed, strict=True)
-
-    clipped = denormalise(normalise(packed, cfa, black_of(cfa), white), cfa, black_of(cfa), white)
-    black = np.rint(packed_black_level_dn(cfa, black_of(cfa)))[:, None, None]
-    np.testing.assert_array_equal(clipped, np.clip(packed, black, white))
-
-
-def test_denormalise_rounds_to_the_nearest_and_stays_in_16_bits() -> None:
-    values = np.array([-1.0, 0.0, 0.5004, 0.5006, 1.0, 1e6])
-    packed = np.tile(values, (4, 1, 1))
-    dn = denormalise(packed, BAYER["RGGB"], (100.0,) * 4, 1100.0)
-    assert dn.dtype == np.uint16
-    assert dn[2, 0].tolist() == [0, 100, 600, 601, 1100, 65535]
-
-
 def test_black_levels_of_the_packed_channels() -> None:
     assert packed_black_level_dn(BAYER["GBRG"], (1, 2, 3, 4)).tolist() == [1, 2, 3, 4]
     assert packed_black_level_dn(xtrans_at(2, 5), (1, 2, 3)).tolist() == [1, 2, 3, 1, 3, 2, 2, 2, 2]
@@ -152,7 +131,6 @@ def test_as_many_black_levels_as_the_cfa_has_channels(name: str, count: int) -> 
         lambda: packed_black_level_dn(cfa, (512.0,) * count),
         lambda: pack_normalised(mosaic, cfa, (512.0,) * count, 16000.0),
         lambda: normalise(packed, cfa, (512.0,) * count, 16000.0),
-        lambda: denormalise(packed.astype(np.float32), cfa, (512.0,) * count, 16000.0),
     ):
         with pytest.raises(ArgumentError, match=f"black levels for this CFA, found {count}"):
             refused()

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eldata.errors import RawFileError
-from eldata.raw import write_dng
 from eldata.raw.container import lossy_compression
 from tests.cases import in_one_test
-from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -97,20 +95,6 @@ def test_what_headers_say(name: str, order: str, tmp_path: Path) -> None:
     else:
         assert found is not None
         assert words in found
-
-
-@pytest.mark.parametrize("compression", ["none", "lossless-jpeg"])
-def test_what_this_package_writes_is_lossless(compression: Literal["none", "lossless-jpeg"], tmp_path: Path) -> None:
-    path = tmp_path / "a.dng"
-    write_dng(path, random_mosaic(60, 64), make_sensor(BAYER["RGGB"]), EXPOSURE, compression=compression)
-    assert lossy_compression(path) is None
-
-
-@pytest.mark.parametrize("content", [b"", b"FUJIFILMCCD-RAW 0201", b"\0\0\0\x18ftypcrx ", b"II*\0"])
-def test_other_formats_do_not_say_it(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "a.raf"
-    path.write_bytes(content.ljust(4, b"\0"))
-    assert lossy_compression(path) is None
 
 
 def test_a_truncated_file_is_refused(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ How often: with n trials and no miss, the rate of misses is below 3/n with a con
 from __future__ import annotations
 
 from fractions import Fraction
-from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import imagecodecs
@@ -14,7 +13,6 @@ import numpy as np
 import pytest
 import tifffile
 
-from eldata.demo.tree import make_tree
 from eldata.errors import ArgumentError, RawFileError
 from eldata.raw import read_raw, write_dng
 from eldata.raw.damage import data_fault, find_stream, long_run, mosaic_fault, picture_area
@@ -24,17 +22,14 @@ from tests.raw.damaging import PAGE, Whole, rates
 from tests.raw.helpers import (
     BAYER,
     EXPOSURE,
-    SOME_CFAS,
     levels_of,
     make_sensor,
     random_mosaic,
     write_plain_dng,
     xtrans_at,
 )
-from tests.shared import made_once
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -107,39 +102,6 @@ def test_lost_pages_are_noticed_on_reading(
     assert counts["read"] >= 12
 
 
-def test_what_only_a_hash_finds(photographs: dict[str, list[Path]], tmp_path: Path) -> None:
-    """Stated in docs/raw-files.md: if this finds more some day, say so there."""
-    for harm in ("page of random bytes", "page copied from elsewhere", "one bit flipped"):
-        assert rates(photographs["uncompressed"], harm, 20, 1, tmp_path)["silent"] == 20
-
-
-@pytest.fixture(scope="module")
-def demo_raws(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Path]]:
-    """The 32 raw files of `eldata demo --scenes 1`."""
-    with made_once(tmp_path_factory, "one-scene", partial(make_tree, scenes=1)) as folder:
-        yield sorted(folder.rglob("*.dng"))
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("harm", LOST)
-def test_lost_pages_of_a_demo_are_noticed_on_reading(harm: str, demo_raws: list[Path], tmp_path: Path) -> None:
-    """200 trials of each damage and no miss: the rate of misses is below 1.5 %, of 1,000 together below 0.3 %."""
-    counts = rates(demo_raws, harm, 200, 2, tmp_path)
-    assert set(counts) <= {"read", "harmless"}, counts
-    assert counts["harmless"] < 3
-
-
-@pytest.mark.study
-def test_clean_demos_of_many_seeds_are_well(tmp_path: Path) -> None:
-    """640 files: without a false alarm their rate is below 0.5 %."""
-    for seed in range(20):
-        make_tree(tmp_path / str(seed), scenes=1, size=(128, 192), seed=seed)
-    paths = sorted(tmp_path.rglob("*.dng"))
-    assert len(paths) == 640
-    for path in paths:
-        read_raw(path)
-
-
 # --- unusual, but not damaged -------------------------------------------------------------------------------------
 
 
@@ -196,12 +158,6 @@ def test_zeros_over_a_black_level_of_zero_are_darkness(kind: str, tmp_path: Path
     np.testing.assert_array_equal(read_raw(write(tmp_path / "a.dng", mosaic, kind, black=0)).mosaic, mosaic)
 
 
-@in_one_test("cfa", SOME_CFAS.values())
-@in_one_test("shape", [(22, 22), (24, 70), (64, 96)])
-def test_frames_of_any_shape(cfa: Cfa, shape: tuple[int, int]) -> None:
-    assert mosaic_fault(random_mosaic(*shape), (512.0,) * levels_of(cfa), 15871.0) is None
-
-
 def test_in_tiles(tmp_path: Path) -> None:
     """Each tile is a stream of its own; the last is damaged."""
     path, mosaic = tmp_path / "a.dng", photograph(3, 3000)[:, :240]
@@ -247,13 +203,6 @@ def damaged(path: Path, at: int, fill: bytes) -> tuple[Path, int]:
     data[whole.first + at : whole.first + at + len(fill)] = fill
     path.write_bytes(data)
     return path, whole.first + at
-
-
-def test_zeros_in_compressed_data(tmp_path: Path) -> None:
-    path, at = damaged(write(tmp_path / "a.dng", photograph(3, 3000)), 9000, b"\x01" + bytes(PAGE) + b"\x01")
-    refused(
-        path, f"its image data, at byte {at + 1} of the file, has {PAGE} bytes of 0x00 in a row, which cannot be code"
-    )
 
 
 def test_a_strip_may_be_filled_up_behind_its_end(tmp_path: Path) -> None:
@@ -303,14 +252,6 @@ def test_what_is_not_a_lossless_jpeg() -> None:
     lossy = bytes(imagecodecs.jpeg_encode((random_mosaic(64, 64) >> 8).astype(np.uint8)))
     for content in (b"", b"not a JPEG", bytes(100), lossy):
         assert find_stream(content) is None
-
-
-def test_a_jpeg_without_its_header(tmp_path: Path) -> None:
-    """Regression: LibRaw gives a frame all the same."""
-    path, _ = damaged(write(tmp_path / "a.dng", photograph(3, 3000)), 0, bytes(PAGE))
-    for check in (read_raw, lambda path: data_fault(path, read_directories(path), photograph(3, 3000))):
-        with pytest.raises(RawFileError, match=r"damaged|decode it"):
-            check(path)
 
 
 @pytest.mark.parametrize(

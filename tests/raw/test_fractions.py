@@ -57,7 +57,6 @@ ONE_FILE = settings(deadline=None, max_examples=30, suppress_health_check=[Healt
 DENOMINATORS = (100, 1024, 4096, 10**4, 10**6)
 parts = st.integers(1, RATIONAL)
 plain_rationals = st.builds(lambda n, d: (n, d), st.integers(1, 10**7), st.sampled_from(DENOMINATORS))
-any_rationals = st.builds(lambda n, d: (n, d), parts, parts)
 neutrals = st.tuples(*[plain_rationals] * 3)
 blacks = st.builds(lambda n, d: (n % (4000 * d), d), parts, st.one_of(st.sampled_from(DENOMINATORS), parts))
 signed = st.integers(-SRATIONAL, SRATIONAL)
@@ -66,7 +65,6 @@ entries = st.one_of(
     st.builds(lambda n, d: (n, d), signed, st.integers(1, SRATIONAL)),
 )
 matrices = st.lists(entries, min_size=9, max_size=9).filter(lambda values: any(n for n, _ in values))
-multipliers = st.builds(Fraction, st.integers(1, 10**19), st.integers(1, 10**19)).filter(lambda m: 2**-30 < m < 2**30)
 
 Parts = tuple[int, int]
 
@@ -260,17 +258,6 @@ def test_a_pattern_of_levels_is_laid_over_the_cfa_pixel_by_pixel(
     else:
         found = dng_black_levels(path, directory, raw, cfa)
         assert found == tuple(float(*naive[index]) for index in sorted(naive))
-
-
-@pytest.mark.parametrize(
-    "tag",
-    [(50713, "H", 3, (1, 1, 1), True), (50829, "I", 1, 0, True)],
-    ids=["3", "area"],
-)
-def test_numbers_that_are_missing_are_named(tag: Tag, tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(24, 30), ("RG", "GB"), (50714, "H", 1, 5, True), tag)
-    with pytest.raises(RawFileError, match=r"a\.dng: "):
-        read_raw(tmp_path / "a.dng")
 
 
 # --- two matrices -------------------------------------------------------------------------------------------

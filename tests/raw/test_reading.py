@@ -12,7 +12,6 @@ import imagecodecs
 import numpy as np
 import pytest
 import rawpy
-import tifffile
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
@@ -110,20 +109,6 @@ def test_quad_and_nona_in_tiles_and_in_lossless_jpeg(name: str, tmp_path: Path) 
         assert frame.sensor.black_level_dn == (0.0,) * 4
 
 
-@pytest.mark.parametrize("kind", ["B", "undefined"])
-def test_the_pattern_may_be_bytes_of_any_kind(kind: str, tmp_path: Path) -> None:
-    pattern = letters(QUAD["quad-00"])
-    path = tmp_path / "a.dng"
-    write_plain_dng(path, random_mosaic(64, 66), pattern)
-    with tifffile.TiffFile(path) as tiff:
-        entry = tiff.pages.first.tags[33422].offset
-    if kind == "undefined":
-        content = bytearray(path.read_bytes())
-        content[entry + 2 : entry + 4] = struct.pack("<H", 7)
-        path.write_bytes(content)
-    assert read_raw(path).sensor.cfa == QUAD["quad-00"]
-
-
 def test_white_is_what_the_file_says_and_not_what_libraw_knows_of_the_model(tmp_path: Path) -> None:
     path = tmp_path / "a.dng"
     write_plain_dng(path, random_mosaic(64, 66, high=15000), make="NIKON CORPORATION", model="NIKON D850", white=15520)
@@ -166,15 +151,6 @@ def test_a_missing_field_is_none_and_the_ratio_names_field_and_file(field: str, 
         with pytest.raises(RawFileError, match=rf"poor\.dng: states no {field}\b") as caught:
             exposure_ratio(*pair)
         assert caught.value.path == poor
-
-
-def test_a_file_without_any_exif(tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66))
-    frame = read_raw(tmp_path / "a.dng")
-    assert frame.exposure == Exposure(None, None, None)
-    assert frame.sensor.white_balance is None
-    assert frame.sensor.xyz_to_camera is None
-    assert (frame.sensor.make, frame.sensor.model) == ("Acme", "Nocturne 1")
 
 
 def test_the_exposure_ratio_is_exact(tmp_path: Path) -> None:
@@ -272,13 +248,6 @@ def test_a_raf_cut_inside_of_its_pixels(at: int, tmp_path: Path) -> None:
     path.write_bytes(data + bytes(4999))
     with pytest.raises(RawFileError, match=f"declares data up to byte {len(data) + 5000} but has {len(data) + 4999}"):
         read_raw(path)
-
-
-def test_a_raf_without_pixels_is_not_decoded(tmp_path: Path) -> None:
-    (tmp_path / "a.RAF").write_bytes(raf_with_exif())
-    for read in (read_raw, read_header):
-        with pytest.raises(RawFileError, match=r"a\.RAF"):
-            read(tmp_path / "a.RAF")
 
 
 def test_a_maker_that_is_no_utf_8(

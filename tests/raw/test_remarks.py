@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from eldata.cli.main import main
 from eldata.errors import RawFileError
 from eldata.raw import read_header, read_raw
-from tests.raw.helpers import Tag, add_tags, opcode_list, random_mosaic, write_plain_dng
-from tests.trees import ALPHA, copy_tree, frame, tree_in
+from tests.raw.helpers import Tag, opcode_list, random_mosaic, write_plain_dng
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,23 +49,3 @@ def test_opcodes_beyond_their_list_are_refused(damaged: Tag, tmp_path: Path) -> 
 
 
 # --- verify -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("level", ["metadata", "full"])
-def test_verify_says_each_remark_once_and_it_is_no_problem(
-    level: str, demo_tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    tree = copy_tree(tree_in(demo_tree), tmp_path)
-    for number in (3, 5, 7):
-        tags = [opcode_list(2, 9)] + [opcode_list(3, 1)] * (number == 5)
-        add_tags(tree.file(number), *tags)
-    report = tmp_path / "report.json"
-    arguments = ["verify", str(tree.csv), "--root", str(tree.root), "--level", level, "--jobs", "1"]
-    assert main([*arguments, "--json", str(report)]) == 0
-    said = [line for line in capsys.readouterr().out.splitlines() if ": remark: " in line]
-    assert len(said) == 2
-    assert said[0].startswith(f"{frame(3)} and 2 others alike: remark: its OpcodeList2 (GainMap) is not applied")
-    assert said[1].startswith(f"{frame(5)}: remark: its OpcodeList3 (WarpRectilinear) is not applied")
-    (dataset,) = json.loads(report.read_text())["datasets"]
-    assert [(one["path"], one["files"]) for one in dataset["remarks"]] == [(f"{ALPHA}/IMG_0003.dng", 3), (frame(5), 1)]
-    assert dataset["remarks"][1]["text"].startswith("its OpcodeList3 (WarpRectilinear) is not applied")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.errors import ArgumentError
-from eldata.raw.tiff import RATIONAL, nearest_fraction
+from eldata.raw.tiff import RATIONAL, round_fraction
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,7 +86,7 @@ def neutral_of(white_balance: Multipliers) -> Neutral:
             return neutral
     if not all(1 <= RATIONAL * value <= RATIONAL**2 for value in (red, blue)):
         raise ArgumentError(f"white_balance ({shown}): expected multipliers within 32 bits of green's")
-    return nearest_fraction(1 / red, RATIONAL), Fraction(1), nearest_fraction(1 / blue, RATIONAL)
+    return round_fraction(1 / red, RATIONAL), Fraction(1), round_fraction(1 / blue, RATIONAL)
 
 
 def white_balance_of(neutral: Neutral) -> Multipliers:

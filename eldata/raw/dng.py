@@ -18,7 +18,7 @@ from eldata.raw import tiff
 from eldata.raw.colour import neutral_of
 from eldata.raw.damage import mosaic_fault
 from eldata.raw.levels import packed_black_level_dn
-from eldata.raw.tiff import RATIONAL, SRATIONAL, nearest_fraction
+from eldata.raw.tiff import RATIONAL, SRATIONAL, round_fraction
 from eldata.records import exact_fraction
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def _exif_entries(exposure: Exposure, taken: datetime | None) -> list[Entry]:
                 raise ArgumentError(
                     f"{name} = {value}: expected a number from 1 / (2^32 - 1) to 2^32 - 1, as EXIF holds"
                 )
-            entries.append((tag, "2I", _parts([nearest_fraction(value, RATIONAL)])))
+            entries.append((tag, "2I", _parts([round_fraction(value, RATIONAL)])))
     if exposure.iso is not None:
         iso = _exact(exposure.iso)
         if iso.denominator != 1 or not 0 < iso <= RATIONAL:
@@ -114,7 +114,7 @@ def _check_sensor(sensor: Sensor) -> None:
 def _sensor_entries(sensor: Sensor) -> list[Entry]:
     sites = [index for row in sensor.cfa for index in row]
     period = len(sensor.cfa), len(sensor.cfa[0])
-    black = [nearest_fraction(exact_fraction(sensor.black_level_dn[index]), RATIONAL) for index in sites]
+    black = [round_fraction(exact_fraction(sensor.black_level_dn[index]), RATIONAL) for index in sites]
     whole = all(level.denominator == 1 for level in black)
     entries: list[Entry] = [
         (tiff.CFA_REPEAT, "H", period),
@@ -130,7 +130,7 @@ def _sensor_entries(sensor: Sensor) -> list[Entry]:
     names[tiff.UNIQUE_MODEL] = f"{sensor.make} {sensor.model}".strip()
     entries += [_text(tag, name) for tag, name in names.items() if name]
     if sensor.xyz_to_camera is not None:
-        matrix = [nearest_fraction(exact_fraction(value), SRATIONAL) for row in sensor.xyz_to_camera for value in row]
+        matrix = [round_fraction(exact_fraction(value), SRATIONAL) for row in sensor.xyz_to_camera for value in row]
         of_matrix, of_illuminant = tiff.COLOUR_MATRICES[0]
         entries.append((of_matrix, "2i", _parts(matrix)))
         if sensor.matrix_illuminant:  # 0 is what stands for a tag that is not there
@@ -156,7 +156,7 @@ def write_dng(
     :func:`eldata.raw.read_raw` gives back the same mosaic, sensor and exposure (a sensor without a matrix gets that of
     LibRaw's table if LibRaw knows the model). Numbers are written as the fractions that they stand for
     (:func:`eldata.records.exact_fraction`). One that the fields of TIFF, two whole numbers of 32 bits, cannot hold
-    becomes the nearest that they can (:func:`eldata.raw.tiff.nearest_fraction`), off by less than one part in four
+    becomes the nearest that they can (:func:`eldata.raw.tiff.round_fraction`), off by less than one part in four
     billion (of matrices, which have signs, two billion). A DNG has one white balance for both greens: that of G1.
 
     Parameters

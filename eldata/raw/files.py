@@ -33,7 +33,7 @@ PICTURES = frozenset((".jpg", ".jpeg", ".heic", ".heif", ".hif", ".webp", ".avif
 
 
 def raws_below(folder: Path) -> list[Path]:
-    """Return the camera raws of a folder at any depth, sorted; hidden files are passed over.
+    """List the camera raws of a folder at any depth, sorted; hidden files are passed over.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def raws_below(folder: Path) -> list[Path]:
 
 
 def is_raw(path: Path | str) -> bool:
-    """Return whether a file's extension is a camera raw's."""
+    """Say whether a file's extension is a camera raw's."""
     return Path(path).suffix.lower() in RAW_EXTENSIONS
 
 
@@ -94,24 +94,23 @@ def find_doubles(files: Mapping[Path, ShotFacts], workers: AnyWorkers, *, across
 
 
 def no_raws(folder: Path, names: Iterable[str]) -> DatasetError:
-    """Return the error that a folder is not there, or has files of these names, none of them a camera raw."""
+    """Make the error that a folder is not there, or has files of these names, none of them a camera raw."""
     problem = folder_problem(folder)
     if problem is not None:
         return DatasetError(f"{folder}: {problem}; give a folder of camera raws")
-    found = Counter(Path(name).suffix.lower() for name in names if not name.startswith("."))
-    (suffix, count), *_ = found.most_common(1) or [("", 0)]
+    suffixes = Counter(Path(name).suffix.lower() for name in names if not name.startswith("."))
+    (suffix, count), *_ = suffixes.most_common(1) or [("", 0)]
+    counted = f", but {count} {suffix or 'without extension'}" if count else ", and nothing else"
     if suffix in PICTURES:
-        counted = f"but {count} picture{'s' if count > 1 else ''} ({suffix})"
-        return DatasetError(
-            f"{folder}: holds no camera raw file, {counted}, which the camera or a phone has rendered and which are no "
-            "longer linear: use the raw files that it writes beside them (DNG, ARW, CR3, NEF and the like)"
+        counted = (
+            f", but {count} picture{'s' if count > 1 else ''} ({suffix}), which the camera or a phone has rendered and "
+            "which are no longer linear: use the raw files that it writes beside them (DNG, ARW, CR3, NEF and the like)"
         )
-    others = f", but {count} {suffix or 'without extension'}" if count else ", and nothing else"
-    return DatasetError(f"{folder}: holds no camera raw file{others}{of_arrays(suffix)}")
+    return DatasetError(f"{folder}: holds no camera raw file{counted}{of_arrays(suffix)}")
 
 
 def of_arrays(suffix: str) -> str:
-    """Return what to do with files of this extension, if they hold arrays; empty of others."""
+    """Advise on files of this extension, if they hold arrays; empty of others."""
     if suffix.lower() not in ARRAY_EXTENSIONS:
         return ""
     return (

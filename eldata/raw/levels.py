@@ -59,7 +59,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 BAYER_CHANNELS = ("R", "G1", "B", "G2")
 XTRANS_CHANNELS = ("R", "G", "B", "R", "B", "G", "G", "G", "G")
 
-_BLOCK_NAMES = {2: "quad-Bayer", 3: "nona-Bayer"}
+_BLOCK_NAMES = {1: "Bayer", 2: "quad-Bayer", 3: "nona-Bayer"}  # by sites along each side of a block
 
 BAYER_PHASES: dict[str, CfaRows] = {
     "RGGB": ((0, 1), (3, 2)),
@@ -170,13 +170,13 @@ class Sites:
 
 
 def cfa_from(cfa: CfaRows, top: int, left: int) -> CfaRows:
-    """Return the CFA of a mosaic without its first rows and columns."""
+    """CFA of a mosaic without its first rows and columns."""
     period = len(cfa)
     return tuple(tuple(cfa[(y + top) % period][(x + left) % period] for x in range(period)) for y in range(period))
 
 
 def bayer_cfa(first: str = "RGGB", block: int = 1) -> CfaRows:
-    """Return a Bayer CFA, or one whose sites are blocks of one colour.
+    """Make a Bayer CFA, or one whose sites are blocks of one colour.
 
     Parameters
     ----------
@@ -195,14 +195,14 @@ def bayer_cfa(first: str = "RGGB", block: int = 1) -> CfaRows:
     ArgumentError
         If the colours are not those of a Bayer pattern, or the block is of another size.
     """
-    if block not in (1, *_BLOCK_NAMES):
+    if block not in _BLOCK_NAMES:
         raise ArgumentError(f"block must be 1 (Bayer), 2 (quad-Bayer) or 3 (nona-Bayer); found {block!r}")
     check_choice("first", first, BAYER_PHASES)
     return _in_blocks(BAYER_PHASES[first], block)
 
 
 def cfa_of_letters(rows: Sequence[str]) -> CfaRows | None:
-    """Return the CFA that has these colours (R, G, B), one period by row; None if it is unsupported."""
+    """Find the CFA that has these colours (R, G, B), one period by row; None if it is unsupported."""
     # Of a pattern that tells its greens apart, G1 is that of R's rows.
     two_greens = tuple(tuple({"R": 0, "B": 2}.get(c, 1 if "R" in row else 3) for c in row) for row in rows)
     one_green = tuple(tuple({"R": 0, "B": 2}.get(c, 1) for c in row) for row in rows)
@@ -229,8 +229,8 @@ def _as_table(sub: int, channel_of: CfaRows) -> NDArray[np.int64]:
     return table
 
 
-def _sites_of_blocks(cfa: CfaRows, block: int, top: int, left: int) -> Sites:
-    """Return the sites of a pattern of blocks that begins with a whole one after ``top`` rows and ``left`` columns."""
+def _block_sites(cfa: CfaRows, block: int, top: int, left: int) -> Sites:
+    """Sites of a pattern of blocks that begins with a whole one after ``top`` rows and ``left`` columns."""
     count = block * block
     names = tuple(f"{name}.{y}{x}" for name in BAYER_CHANNELS for y, x in np.ndindex(block, block))
     channel_of = tuple(
@@ -238,21 +238,20 @@ def _sites_of_blocks(cfa: CfaRows, block: int, top: int, left: int) -> Sites:
         for y, row in enumerate(cfa)
     )
     colours = tuple(index for index in range(len(BAYER_CHANNELS)) for _ in range(count))
+    names = BAYER_CHANNELS if block == 1 else names
     return Sites(_BLOCK_NAMES[block], cfa, 2 * block, 1, top, left, names, _as_table(1, channel_of), colours)
 
 
 @cache
 def _find_sites(cfa: CfaRows) -> Sites | None:
-    if cfa in BAYER_PHASES.values():
-        return Sites("Bayer", cfa, 2, 1, 0, 0, BAYER_CHANNELS, _as_table(1, cfa), (0, 1, 2, 3))
-    period = len(cfa)
-    if period not in (4, 6) or any(len(row) != period for row in cfa):
+    period, block = len(cfa), len(cfa) // 2
+    if block not in _BLOCK_NAMES or any(len(row) != period for row in cfa):
         return None
-    in_blocks = {_in_blocks(bayer, period // 2) for bayer in BAYER_PHASES.values()}
+    in_blocks = {_in_blocks(bayer, block) for bayer in BAYER_PHASES.values()}
     for top, left in sorted(np.ndindex(period, period), key=sum):
         here = cfa_from(cfa, top, left)
         if here in in_blocks:
-            return _sites_of_blocks(here, period // 2, top, left)
+            return _block_sites(here, block, top, left)
         if here == XTRANS_CFA:
             colours = tuple("RGB".index(name) for name in XTRANS_CHANNELS)
             return Sites("X-Trans", here, 6, 2, top, left, XTRANS_CHANNELS, _as_table(2, _XTRANS_CHANNEL), colours)
@@ -261,23 +260,22 @@ def _find_sites(cfa: CfaRows) -> Sites | None:
 
 @cache
 def packed_layouts() -> dict[int, Sites]:
-    """Return the sites of a CFA of each kind, by its number of packed channels, which tells them apart.
+    """Find the sites of a CFA of each kind, by its number of packed channels, which tells them apart.
 
     Of the phases of a kind, which change no channel's meaning, that which begins with R.
     """
-    first = BAYER_PHASES["RGGB"]
-    each = (first, XTRANS_CFA, *(_in_blocks(first, block) for block in _BLOCK_NAMES))
+    each = (bayer_cfa(), XTRANS_CFA, bayer_cfa(block=2), bayer_cfa(block=3))
     return {sites.channels: sites for sites in map(packing_sites, each)}
 
 
 def packed_forms(form: str = "{channels} ({name})") -> str:
-    """Return the numbers of packed channels that there are, in words: ``"4 (Bayer), ... or 36 (nona-Bayer)"``."""
+    """Name the numbers of packed channels that there are: ``"4 (Bayer), ... or 36 (nona-Bayer)"``."""
     *others, last = (form.format(channels=sites.channels, name=sites.name) for sites in packed_layouts().values())
     return f"{', '.join(others)} or {last}"
 
 
 def packing_sites(cfa: Cfa) -> Sites:
-    """Return where packing puts the sites of a CFA.
+    """Find where packing puts the sites of a CFA.
 
     Raises
     ------
@@ -304,12 +302,12 @@ def _cached_sites(cfa: Any) -> Sites:
 
 
 def packed_channels(cfa: Cfa) -> int:
-    """Return the number of channels of the packed form: 4 for Bayer, 9 for X-Trans, 16 for quad, 36 for nona."""
+    """Count the channels of the packed form: 4 for Bayer, 9 for X-Trans, 16 for quad, 36 for nona."""
     return packing_sites(cfa).channels
 
 
 def packed_area(shape: tuple[int, int], cfa: Cfa) -> PackedArea:
-    """Return the area of a mosaic of ``shape`` (H, W) that packing keeps (see the module's text).
+    """Find the area of a mosaic of ``shape`` (H, W) that packing keeps (see the module's text).
 
     Raises
     ------
@@ -332,21 +330,21 @@ def _known_area(shape: tuple[int, int], sites: Sites) -> PackedArea:
 
 
 def packed_shape(shape: tuple[int, int], cfa: Cfa) -> tuple[int, int, int]:
-    """Return the packed shape (C, h, w) of a mosaic of ``shape`` (H, W)."""
+    """Compute the packed shape (C, h, w) of a mosaic of ``shape`` (H, W)."""
     sites = packing_sites(cfa)
     area = _known_area(shape, sites)
     return sites.channels, area.height // sites.scale, area.width // sites.scale
 
 
 def kept_area(mosaic: NDArray[Scalar], sites: Sites) -> NDArray[Scalar]:
-    """Return the part of a mosaic (H, W) that packing keeps, with rows that are contiguous in memory."""
+    """Crop a mosaic (H, W) to what packing keeps, with rows that are contiguous in memory."""
     if mosaic.ndim != 2:
         raise ArgumentError(f"a mosaic has two dimensions (H, W); found shape {mosaic.shape}")
     return with_rows(mosaic[_known_area(mosaic.shape, sites).slices])
 
 
 def with_rows(values: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Return the same values with rows that are contiguous in memory, as kernels read them: as they are, or a copy."""
+    """Give the same values rows that are contiguous in memory, as kernels read them: as they are, or a copy."""
     return values if values.strides[-1] == values.itemsize else np.ascontiguousarray(values)
 
 
@@ -439,7 +437,7 @@ def unpack(packed: NDArray[Scalar], cfa: Cfa) -> NDArray[Scalar]:
 
 
 def _as_bits(values: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
-    """Return the same memory as unsigned integers: packing moves values, whatever they are."""
+    """View the same memory as unsigned integers: packing moves values, whatever they are."""
     if values.dtype.hasobject or values.dtype.itemsize not in (1, 2, 4, 8):
         raise ArgumentError(f"values of 1, 2, 4 or 8 bytes can be packed, not {values.dtype}")
     return values.view(f"u{values.dtype.itemsize}")
@@ -489,12 +487,12 @@ MeanLevels = tuple[float, float]
 
 
 def mean_levels(sensor: Sensor) -> MeanLevels:
-    """Return a sensor's mean black level and its white level, DN."""
+    """Compute a sensor's mean black level and its white level, DN."""
     return sum(sensor.black_level_dn) / len(sensor.black_level_dn), sensor.white_level_dn
 
 
 def differ_in_white(levels: MeanLevels, reference: MeanLevels) -> bool:
-    """Return whether two files of a pair state two white levels of one DN scale, as Canon's do from ISO to ISO.
+    """Say whether two files of a pair state two white levels of one DN scale, as Canon's do from ISO to ISO.
 
     Not so of shares of white, nor where the ranges are a power of two apart, as of files of 12 bits beside 14.
     """
@@ -508,7 +506,7 @@ def differ_in_white(levels: MeanLevels, reference: MeanLevels) -> bool:
 
 
 def white_remark(levels: MeanLevels, reference: MeanLevels) -> str | None:
-    """Return what there is to say of a noisy file whose white level is not its reference's; ``None`` if it is."""
+    """Remark on a noisy file whose white level is not its reference's; ``None`` if it is."""
     if levels[1] == reference[1]:
         return None
     why, taken = "ranges a power of two apart", "each is divided by its own range"
@@ -522,7 +520,7 @@ def white_remark(levels: MeanLevels, reference: MeanLevels) -> str | None:
 
 
 def with_levels(sensor: Sensor, levels: FrameLevels, reference: Sensor | None = None) -> Sensor:
-    """Return a sensor with the chosen black and white level.
+    """Give a sensor the chosen black and white level.
 
     ``"metadata"``: the file's own; beside a ``reference`` whose white level is another on the same DN scale
     (:func:`differ_in_white`), white is where the range is the reference's. ``"published"``: white is 16383, black is
@@ -570,7 +568,7 @@ def check_white_in_dn(name: str, sensor: Sensor, white_level_dn: float) -> None:
 def packed_frame(
     frame: RawFrame, *, levels: FrameLevels, clip: Clip, gain: float = 1.0, reference: Sensor | None = None
 ) -> NDArray[np.float32]:
-    """Return a frame packed and normalised, (C, h, w) float32.
+    """Pack and normalise a frame, (C, h, w) float32.
 
     Arguments are those of :func:`pack_normalised`, and levels and reference as :func:`with_levels` has them.
 
@@ -592,7 +590,7 @@ def packed_frame(
 
 
 def packed_black_level_dn(cfa: Cfa, black_level_dn: Sequence[float]) -> NDArray[np.float32]:
-    """Return the black level of each packed channel, (C,) float32 in DN, from those of the CFA's channels.
+    """Black level of each packed channel, (C,) float32 in DN, from those of the CFA's channels.
 
     Raises
     ------
@@ -697,7 +695,7 @@ def pack_normalised(
 def normalise(
     packed: NDArray[Any], cfa: Cfa, black_level_dn: Sequence[float], white_level_dn: float, *, clip: Clip = "both"
 ) -> NDArray[np.float32]:
-    """Return packed DN as (DN - black) / (white - black), (C, h, w) float32, clipped as named.
+    """Normalise packed DN: (DN - black) / (white - black), (C, h, w) float32, clipped as named.
 
     Raises
     ------

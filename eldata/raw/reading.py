@@ -50,8 +50,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
-from functools import partial
 from itertools import product
+from math import lcm
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -119,11 +119,10 @@ def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileE
     RawFileError
         Like :func:`read_header`.
     """
-    return read_file(partial(_read_facts, decode=decode), path, RawFileError)
+    return read_file(lambda path: _read_facts(_read_container(path), decode), path, RawFileError)
 
 
-def _read_facts(path: Path, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
-    file = _read_container(path)
+def _read_facts(file: RawContainer, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
     header = _read_header(file)
     if not decode and (file.main is None or tiff.MASKED_AREAS not in file.main.values):
         return header, None
@@ -278,29 +277,24 @@ def dng_black_levels(path: Path, mosaic: Directory, raw: rawpy.RawPy, cfa: CfaRo
     Raises
     ------
     UnusableRawError
-        If the pattern does not fit the CFA: it repeats otherwise, or has several levels for sites of one channel.
+        If the pattern has several levels for sites of one channel.
     """
     if not any(mosaic.values.get(tag) for tag in (tiff.BLACK_LEVEL, *tiff.BLACK_DELTAS)):  # others are refused
         return None
     rows, columns = mosaic.black_repeat
     pattern = mosaic.values.get(tiff.BLACK_LEVEL) or (0,) * (rows * columns)
     period = len(cfa)
-    if len(set(pattern)) > 1 and (period % rows or period % columns):
-        raise UnusableRawError(
-            path,
-            f"its BlackLevel repeats every {rows} x {columns} pixels (BlackLevelRepeatDim), and its colour filter "
-            f"array every {period} x {period}",
-            "one level per channel is needed",
-        )
     top, left = mosaic.corner()
     down, right = raw.sizes.top_margin - top, raw.sizes.left_margin - left  # LibRaw's area may start a pixel off it
     levels: dict[int, set[Fraction]] = {}
-    for y, x in product(range(period), repeat=2):
+    for y, x in product(range(lcm(period, rows)), range(lcm(period, columns))):
         level = Fraction(pattern[(y + down) % rows * columns + (x + right) % columns])
-        levels.setdefault(cfa[y][x], set()).add(level)
+        levels.setdefault(cfa[y % period][x % period], set()).add(level)
     if any(len(of_channel) > 1 for of_channel in levels.values()):
         raise UnusableRawError(
-            path, "its BlackLevel differs between sites of one colour", "one level per channel is needed"
+            path,
+            f"its BlackLevel (repeated every {rows} x {columns} pixels) differs between sites of one colour",
+            "one level per channel is needed",
         )
     return tuple(exact_number(levels[channel].pop()) for channel in sorted(levels))
 

@@ -401,8 +401,8 @@ def _unpack_numbers(order: str, kind: int, data: bytes) -> Numbers | None:
     return flat
 
 
-def nearest_fraction(value: Fraction, largest: int) -> Fraction:
-    """Fraction nearest to a value whose numerator and denominator are at most ``largest``.
+def round_fraction(value: Fraction, largest: int) -> Fraction:
+    """Round a value to a fraction whose numerator and denominator are at most ``largest``.
 
     The value itself if its parts fit. Else, from 1 / ``largest`` to ``largest``, it is off by less than one part in
     ``largest`` - 1; below that it is off by less than 1 / ``largest``.
@@ -412,12 +412,6 @@ def nearest_fraction(value: Fraction, largest: int) -> Fraction:
     ValueError
         If the value, without its sign, is above ``largest``.
     """
-    size = abs(value)
-    if size > largest:
+    if abs(value) > largest:
         raise ValueError(f"{value} is beyond {largest}")
-    denominator = largest if size <= 1 else int(largest / size)
-    candidates = [size.limit_denominator(denominator)]
-    if size > 1:  # the one denominator more at which the numerator is still near enough to count
-        candidates.append(Fraction(largest, denominator + 1))
-    best = min(candidates, key=lambda candidate: abs(candidate - size))
-    return best if value >= 0 else -best
+    return value.limit_denominator(largest if abs(value) <= 1 else int(largest / abs(value)))

@@ -94,7 +94,7 @@ def test_a_pattern_that_does_not_fit_the_cfa_is_named(repeat: tuple[int, int], t
     assert read_raw(tmp_path / "a.dng").sensor.black_level_dn == (64,) * 4  # one level whatever it repeats after
     levels[0][0] = 65
     write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *black_levels(levels))
-    words = rf"repeats every {rows} x {columns} pixels .BlackLevelRepeatDim., and its colour filter array every 2 x 2"
+    words = rf"BlackLevel .repeated every {rows} x {columns} pixels. differs between sites of one colour"
     with pytest.raises(UnusableRawError, match=words):
         read_raw(tmp_path / "a.dng")
 

@@ -279,7 +279,7 @@ def test_an_xtrans_dng_whose_black_differs_by_site(size: int, tmp_path: Path) ->
     assert read_raw(path).sensor.black_level_dn == (400.0,) * 3
     levels[1][0] = 401
     write_plain_dng(path, random_mosaic(66, 72), pattern, *black_levels(levels))
-    refused(path, "BlackLevel differs between sites of one colour", [read_raw])
+    refused(path, "BlackLevel .* differs between sites of one colour", [read_raw])
 
 
 @pytest.mark.parametrize("white", [400, 100])

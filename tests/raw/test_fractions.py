@@ -30,7 +30,7 @@ from eldata.raw.tiff import (
     RATIONAL,
     SRATIONAL,
     Directory,
-    nearest_fraction,
+    round_fraction,
 )
 from eldata.records import ExactFloat, Sensor, exact_fraction, exact_number
 from tests.raw.helpers import (
@@ -137,17 +137,17 @@ def test_the_nearest_of_all_fractions_is_found(largest: int) -> None:
         value = Fraction(numerator, denominator)
         if value > largest:
             with pytest.raises(ValueError, match="beyond"):
-                nearest_fraction(value, largest)
+                round_fraction(value, largest)
             continue
-        found = nearest_fraction(value, largest)
+        found = round_fraction(value, largest)
         assert found in every
         assert abs(found - value) == min(abs(one - value) for one in every)
-        assert nearest_fraction(-value, largest) == -found
+        assert round_fraction(-value, largest) == -found
 
 
 @given(st.fractions(min_value=Fraction(1, RATIONAL), max_value=RATIONAL))
 def test_rounding_is_off_by_less_than_one_part_in_four_billion(value: Fraction) -> None:
-    found = nearest_fraction(value, RATIONAL)
+    found = round_fraction(value, RATIONAL)
     assert max(found.numerator, found.denominator) <= RATIONAL
     assert found == value or abs(found / value - 1) < Fraction(1, RATIONAL - 1)
 
@@ -250,10 +250,7 @@ def test_a_pattern_of_levels_is_laid_over_the_cfa_pixel_by_pixel(
     raw: Any = SimpleNamespace(sizes=SimpleNamespace(top_margin=visible[0], left_margin=visible[1]))
     path: Any = "a.dng"
     if any(len(levels) > 1 for levels in naive.values()):
-        with pytest.raises(RawFileError, match=r"a\.dng: its BlackLevel (differs between sites of one|repeats every)"):
-            dng_black_levels(path, directory, raw, cfa)
-    elif len(set(pattern)) > 1 and (period % rows or period % columns):  # whose levels agree all the same
-        with pytest.raises(RawFileError, match=rf"a\.dng: its BlackLevel repeats every {rows} x {columns} pixels"):
+        with pytest.raises(RawFileError, match=r"a\.dng: its BlackLevel .* differs between sites of one colour"):
             dng_black_levels(path, directory, raw, cfa)
     else:
         found = dng_black_levels(path, directory, raw, cfa)

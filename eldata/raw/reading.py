@@ -230,7 +230,7 @@ def _unpack(file: RawContainer, raw: rawpy.RawPy) -> None:
 
 
 def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
-    """Return (ISO * t) of the reference over (ISO * t) of the noisy frame, exactly.
+    """Compute (ISO * t) of the reference over (ISO * t) of the noisy frame, exactly.
 
     Raises
     ------

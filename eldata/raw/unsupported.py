@@ -134,7 +134,7 @@ def _refuse_black(path: Path, main: Directory) -> None:
 
 
 def _is_grey_tiff(directories: Sequence[Directory]) -> bool:
-    """Return whether the largest image of a TIFF-based file is grey, and nothing says that a camera wrote it as raw."""
+    """Say whether the largest image of a TIFF-based file is grey, and nothing says that a camera wrote it as raw."""
     largest = max(directories, key=lambda one: one.pixels, default=None)
     if largest is None or not largest.pixels or any(_OF_CAMERAS & one.entries.keys() for one in directories):
         return False

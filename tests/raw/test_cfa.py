@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eldata.errors import ArgumentError
-from eldata.raw import pack, packed_area, packed_shape, unpack
-from eldata.raw.levels import bayer_cfa, cfa_of_letters, packed_channels, packed_layouts, packing_sites
+from eldata.raw import pack, packed_area, unpack
+from eldata.raw.levels import bayer_cfa, cfa_of_letters, packed_layouts, packing_sites
 from tests.cases import in_one_test
 from tests.raw.helpers import (
     BAYER,
@@ -24,7 +24,6 @@ from tests.raw.helpers import (
     colours_of,
     indices_of,
     layout_of,
-    letters,
     random_mosaic,
     reference_area,
     reference_pack,
@@ -71,15 +70,6 @@ def test_xtrans_at_any_offset_loses_the_fewest_rows_and_columns_and_packs_as_sid
     assert area.top + area.left == min(map(sum, possible))
     assert (area.height, area.width) == ((31 - area.top) // 6 * 6, (40 - area.left) // 6 * 6)
     np.testing.assert_array_equal(pack(mosaic, cfa), sid_pack(mosaic[area.slices]))
-
-
-@in_one_test("name", CFAS)
-@in_one_test("shape", [(23, 25), (24, 24), (12, 35), (11, 11)])
-def test_packed_shape_is_what_pack_returns(name: str, shape: tuple[int, int]) -> None:
-    cfa = CFAS[name]
-    packed = pack(np.zeros(shape, np.uint16), cfa)
-    assert packed.shape == packed_shape(shape, cfa) == reference_pack(np.zeros(shape, np.uint16), cfa).shape
-    assert packed.shape[0] == packed_channels(cfa) == layout_of(cfa)[0]
 
 
 @given(
@@ -159,11 +149,6 @@ def test_the_number_of_channels_tells_the_kinds_apart() -> None:
         4: "Bayer", 9: "X-Trans", 16: "quad-Bayer", 36: "nona-Bayer"
     }  # fmt: skip
     assert packing_sites(QUAD["quad-13"]).names[:6] == ("R.00", "R.01", "R.10", "R.11", "G1.00", "G1.01")
-
-
-@in_one_test("name", CFAS)
-def test_letters_are_the_cfa(name: str) -> None:
-    assert cfa_of_letters(letters(CFAS[name])) == CFAS[name]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ They are read rightly, or refused by the name of the field, with what to do.
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,11 +24,9 @@ from eldata.raw.unsupported import refuse_unsupported
 from eldata.records import exact_fraction
 from tests.raw.helpers import (
     BAYER,
-    EXPOSURE,
     active_area,
     add_tags,
     letters,
-    make_sensor,
     opcode_list,
     random_mosaic,
     write_plain_dng,
@@ -202,11 +199,6 @@ def test_images_that_no_directory_lists_are_asked_of_libraw(tmp_path: Path) -> N
             check_one_image(tmp_path / "a.dng")
 
 
-def test_a_crw_is_named(tmp_path: Path) -> None:
-    (tmp_path / "a.CRW").write_bytes(b"II" + struct.pack("<I", 26) + b"HEAPCCDR" + bytes(1000))
-    refused(tmp_path / "a.CRW", r"is a CRW \(Canon's CIFF\), which has no EXIF; convert it with Adobe DNG Converter")
-
-
 # --- what says no mosaic --------------------------------------------------------------------------------------
 
 GREY = "is a grey TIFF, which states no colour filter array .*; use the camera's raw file, or state them in the mosaics"
@@ -252,27 +244,3 @@ def test_a_cfa_pattern_of_16_bit_numbers_is_read(
     short, as_bytes = read_raw(tmp_path / "short.dng"), read_raw(tmp_path / "bytes.dng")
     assert short.sensor == as_bytes.sensor
     assert np.array_equal(short.mosaic, as_bytes.mosaic)
-
-
-def test_names_beyond_ascii_are_written_back(tmp_path: Path) -> None:
-    sensor = replace(make_sensor(), make="Зенит", model="小米 14 Ultra é")
-    mosaic = random_mosaic(60, 64)
-    write_dng(tmp_path / "a.dng", mosaic, sensor, EXPOSURE)
-    frame = read_raw(tmp_path / "a.dng")
-    assert (frame.sensor.make, frame.sensor.model) == (sensor.make, sensor.model)
-    write_dng(tmp_path / "b.dng", frame.mosaic, frame.sensor, frame.exposure)
-    assert (tmp_path / "a.dng").read_bytes() == (tmp_path / "b.dng").read_bytes()
-
-
-@pytest.mark.parametrize("name", [b"Caf\xe9 1", b"\xff\xfe\x81"])
-def test_names_that_are_no_utf8_do_not_end_in_an_error_of_python(name: bytes, tmp_path: Path) -> None:
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 64), ("RG", "GB"), BLACK)
-    with tifffile.TiffFile(tmp_path / "a.dng") as tiff:
-        tag = tiff.pages.first.tags[272]
-        at, count = tag.valueoffset, tag.count
-    content = bytearray((tmp_path / "a.dng").read_bytes())
-    content[at : at + count] = name.ljust(count, b"\0")
-    (tmp_path / "a.dng").write_bytes(content)
-    frame = read_raw(tmp_path / "a.dng")
-    write_dng(tmp_path / "b.dng", frame.mosaic, frame.sensor, frame.exposure)
-    assert read_raw(tmp_path / "b.dng").sensor.model == frame.sensor.model

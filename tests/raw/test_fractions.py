@@ -8,8 +8,6 @@ import json
 import pickle
 from dataclasses import fields
 from fractions import Fraction
-from math import lcm
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,18 +16,11 @@ import rawpy
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from eldata.errors import RawFileError
-from eldata.raw import pack_normalised, read_raw, write_dng
+from eldata.raw import read_raw, write_dng
 from eldata.raw.colour import camera_to_srgb
-from eldata.raw.reading import dng_black_levels
 from eldata.raw.tiff import (
-    ACTIVE_AREA,
-    BLACK_LEVEL,
-    BLACK_REPEAT,
-    PHOTOMETRIC,
     RATIONAL,
     SRATIONAL,
-    Directory,
     round_fraction,
 )
 from eldata.records import ExactFloat, Sensor, exact_fraction, exact_number
@@ -37,12 +28,10 @@ from tests.raw.helpers import (
     BAYER,
     CFAS,
     EXPOSURE,
-    indices_of,
     letters,
     levels_of,
     make_sensor,
     random_mosaic,
-    reference_pack,
     write_plain_dng,
 )
 
@@ -129,22 +118,6 @@ def test_a_plain_float_stands_for_the_decimal_that_it_prints_as(number: float, f
 # --- rounding to what a field can hold ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("largest", [3, 16])
-def test_the_nearest_of_all_fractions_is_found(largest: int) -> None:
-    every = [Fraction(n, d) for n in range(largest + 1) for d in range(1, largest + 1)]
-    generator = np.random.default_rng(largest)
-    for numerator, denominator in generator.integers(1, 10**6, (150, 2)).tolist():
-        value = Fraction(numerator, denominator)
-        if value > largest:
-            with pytest.raises(ValueError, match="beyond"):
-                round_fraction(value, largest)
-            continue
-        found = round_fraction(value, largest)
-        assert found in every
-        assert abs(found - value) == min(abs(one - value) for one in every)
-        assert round_fraction(-value, largest) == -found
-
-
 @given(st.fractions(min_value=Fraction(1, RATIONAL), max_value=RATIONAL))
 def test_rounding_is_off_by_less_than_one_part_in_four_billion(value: Fraction) -> None:
     found = round_fraction(value, RATIONAL)
@@ -201,60 +174,6 @@ def test_libraw_gives_both_greens_the_first(tmp_path: Path) -> None:
 
 
 # --- black levels -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["GBRG", "xtrans-13", "quad-11", "nona-30"])
-def test_pixels_are_normalised_with_a_fraction_of_a_dn(name: str, tmp_path: Path) -> None:
-    cfa, mosaic = CFAS[name], random_mosaic(60, 66)
-    levels = (1023 / 4, 256.125, 255.5, 254.0)[: levels_of(cfa)]
-    write_dng(tmp_path / "a.dng", mosaic, make_sensor(cfa, 60, 66, black_level_dn=levels), EXPOSURE)
-    frame = read_raw(tmp_path / "a.dng")
-    assert frame.sensor.black_level_dn == levels
-    black = np.array([levels[index] for index in indices_of(cfa)])[:, None, None]
-    expected = (reference_pack(mosaic, cfa) - black) / (15871.0 - black)
-    found = pack_normalised(frame.mosaic, cfa, frame.sensor.black_level_dn, frame.sensor.white_level_dn, clip="none")
-    np.testing.assert_allclose(found, expected, atol=2e-7)
-
-
-@given(
-    name=st.sampled_from(["RGGB", "GBRG", "xtrans-00", "xtrans-31", "quad-00", "quad-12", "nona-30"]),
-    repeat=st.tuples(*[st.sampled_from((1, 2, 3, 4, 6, 8))] * 2),
-    margins=st.tuples(*[st.integers(0, 7)] * 4),
-    seed=st.integers(0, 10**6),
-)
-@settings(deadline=None, max_examples=300)
-def test_a_pattern_of_levels_is_laid_over_the_cfa_pixel_by_pixel(
-    name: str, repeat: tuple[int, int], margins: tuple[int, int, int, int], seed: int
-) -> None:
-    cfa, (rows, columns) = CFAS[name], repeat
-    period, generator = len(cfa), np.random.default_rng(seed)
-    active, visible = margins[:2], (margins[0] + margins[2] % 2, margins[1] + margins[3] % 2)
-    top, left = visible[0] - active[0], visible[1] - active[1]
-    # Levels that often agree within a colour: that of the colour at one of the sites that the pattern's place meets.
-    pattern = [
-        Fraction(500 + cfa[(y - top) % period][(x - left) % period]) if generator.random() < 0.95 else Fraction(9)
-        for y, x in itertools.product(range(rows), range(columns))
-    ]
-    naive: dict[int, set[Fraction]] = {}
-    for y, x in itertools.product(range(lcm(period, rows)), range(lcm(period, columns))):
-        level = pattern[(y + top) % rows * columns + (x + left) % columns]
-        naive.setdefault(cfa[y % period][x % period], set()).add(level)
-    directory = Directory(
-        {
-            PHOTOMETRIC: (Fraction(32803),),
-            BLACK_REPEAT: tuple(map(Fraction, repeat)),
-            BLACK_LEVEL: tuple(pattern),
-            ACTIVE_AREA: tuple(map(Fraction, (*active, 60, 60))),
-        }
-    )
-    raw: Any = SimpleNamespace(sizes=SimpleNamespace(top_margin=visible[0], left_margin=visible[1]))
-    path: Any = "a.dng"
-    if any(len(levels) > 1 for levels in naive.values()):
-        with pytest.raises(RawFileError, match=r"a\.dng: its BlackLevel .* differs between sites of one colour"):
-            dng_black_levels(path, directory, raw, cfa)
-    else:
-        found = dng_black_levels(path, directory, raw, cfa)
-        assert found == tuple(float(*naive[index]) for index in sorted(naive))
 
 
 # --- two matrices -------------------------------------------------------------------------------------------

@@ -6,22 +6,18 @@ limit on time, or the machine, would end those tests.
 
 from __future__ import annotations
 
-import os
-import socket
 import struct
 from typing import TYPE_CHECKING
 
 import pytest
 
 from eldata.errors import RawFileError
-from eldata.isp.libraw import render_libraw
 from eldata.raw import read_header, read_raw
 from eldata.raw.tiff import read_directories
 from tests.cases import in_one_test
 from tests.raw.helpers import (
     Tag,
     add_tags,
-    black_levels,
     random_mosaic,
     write_plain_dng,
 )
@@ -84,13 +80,6 @@ def test_a_text_of_many_megabytes_that_entries_share(tag: int, tmp_path: Path) -
     content = b"II*\0" + struct.pack("<I", 8) + directory(*[(tag, 2, length, 8)] * 4000)
     path.write_bytes(content.ljust(length + 8, b"x"))
     refused(path, "made to keep a reader busy: its directories declare far too many values")
-
-
-@in_one_test("size,reason", [(1021, "far too many values"), (200, "its BlackLevel repeats every 200 x 200 pixels")])
-def test_a_pattern_of_black_levels_larger_than_any_cameras(size: int, reason: str, tmp_path: Path) -> None:
-    levels = [[512] * size] * size
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *black_levels(levels))
-    refused(tmp_path / "a.dng", reason)
 
 
 @in_one_test(
@@ -179,20 +168,3 @@ def test_memory_that_there_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 # --- what is no file --------------------------------------------------------------------------------------------------
-
-
-def test_what_is_no_file_is_not_opened(tmp_path: Path) -> None:
-    """A named pipe would be waited for, and a device read, without end."""
-    if not hasattr(os, "mkfifo"):
-        pytest.skip("this system has no named pipes")
-    os.mkfifo(tmp_path / "pipe.dng")
-    (tmp_path / "device.dng").symlink_to("/dev/zero")
-    (tmp_path / "loop.dng").symlink_to("loop.dng")
-    refused(tmp_path / "pipe.dng", "is a named pipe, not a file")
-    refused(tmp_path / "device.dng", "is a device, not a file")
-    refused(tmp_path / "loop.dng", "cannot be read: Too many levels of symbolic links")
-    with pytest.raises(RawFileError, match="is a named pipe, not a file"):
-        render_libraw(tmp_path / "pipe.dng")
-    with socket.socket(socket.AF_UNIX) as listening:
-        listening.bind(str(tmp_path / "socket.dng"))
-        refused(tmp_path / "socket.dng", "is a socket, not a file")

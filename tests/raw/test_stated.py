@@ -160,21 +160,6 @@ def test_an_unknown_exposure_is_none(parts: tuple[int, int], tmp_path: Path) -> 
         exposure_ratio(read_raw(path), read_header(path))
 
 
-def test_an_apex_of_0_is_not_1_s_at_f1(tmp_path: Path) -> None:
-    """Of a real DNG (syoyo/tinydng, colorchart.dng): 0/1000000 s, and 0 as ShutterSpeedValue and ApertureValue."""
-    path = tmp_path / "a.dng"
-    write_dng(path, random_mosaic(64, 66), make_sensor(height=64, width=66), EXPOSURE)
-    data = path.read_bytes()
-    for tag, apex, value in ((33434, 37377, EXPOSURE.exposure_s), (33437, 37378, EXPOSURE.f_number)):
-        assert value is not None
-        data = data.replace(struct.pack("<HHI", tag, 5, 1), struct.pack("<HHI", apex, 5, 1))
-        data = data.replace(struct.pack("<II", *value.as_integer_ratio()), struct.pack("<II", 0, 1_000_000))
-    path.write_bytes(data)
-    with rawpy.imread(str(path)) as raw:
-        assert (raw.other.shutter_speed, raw.other.aperture) == (1, 1)  # the trap is set
-    assert read_raw(path).exposure == read_header(path).exposure == Exposure(EXPOSURE.iso, None, None)
-
-
 @pytest.mark.parametrize(
     ("tags", "iso"),
     [
@@ -216,6 +201,12 @@ def test_the_first_nikons_state_their_iso_in_their_own_tags(tmp_path: Path) -> N
     assert stated(path).exposure.iso == 200
     path.write_bytes(path.read_bytes().replace(b"NIKON", b"NOKIN"))  # of no other maker are such tags read
     assert stated(path).exposure.iso is None
+
+
+@pytest.mark.parametrize("text", ["0000:00:00 00:00:00", "    :  :     :  :  ", "2026-11-21 10:00:00"])
+def test_a_clock_that_was_never_set_is_unknown(text: str, tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(60, 64), ("RG", "GB"), (36867, "s", 0, text, True))
+    assert stated(tmp_path / "a.dng").taken is None
 
 
 def test_a_dng_that_names_its_camera_in_one_tag(tmp_path: Path) -> None:

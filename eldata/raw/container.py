@@ -45,7 +45,7 @@ _MRW = b"\0MRM"
 _CR3 = b"ftypcrx "  # after the four bytes of the first box's size
 _CANON_UUID = bytes.fromhex("85c0b687820f11e08111f4ce462b6a48")
 
-_MOST_BOXES = 1000  # or blocks, of one level; a file with more is damaged, or made to keep a reader busy
+_MOST_BOXES = 1000  # or blocks, or segments, of one level; a file with more is damaged, or made to keep a reader busy
 _LARGEST_BLOCK = 1 << 24  # of one block of EXIF: cameras write some kilobytes, a RAF's JPEG some megabytes
 _SONY, _LOSSY_JPEG = 32767, 34892
 
@@ -209,7 +209,9 @@ def _exif_blocks(path: Path, file: BinaryIO, head: bytes) -> Iterator[tuple[byte
 def _exif_of_jpeg(content: bytes) -> bytes:
     """TIFF file in a JPEG's segment APP1; empty if it has none."""
     at = 2
-    while content[at : at + 1] == b"\xff" and len(content) >= at + 4:
+    for _ in range(_MOST_BOXES):
+        if content[at : at + 1] != b"\xff" or len(content) < at + 4:
+            break
         marker, length = struct.unpack_from(">xBH", content, at)
         if marker == 0xE1 and content[at + 4 : at + 10] == b"Exif\0\0":
             return content[at + 10 : at + 2 + length]
@@ -385,14 +387,14 @@ def _check_short(
     following = sorted(starts)
     for offset, needed, stated in short:
         room = following[bisect_right(following, offset, hi=len(following) - 1)] - offset
-        found = f"its {name} at byte {offset} states {stated} bytes, and its rows take {needed}"
+        text = f"its {name} at byte {offset} states {stated} bytes, and its rows take {needed}"
         if not 0 <= room - needed < _MOST_PADDING:
             raise RawFileError(
                 path,
-                f"{'truncated' if room < needed else 'damaged'}: {found}; the file has {room} bytes there before "
+                f"{'truncated' if room < needed else 'damaged'}: {text}; the file has {room} bytes there before "
                 "something else, so which of them are pixels is not known: copy it again, or correct the byte count",
             )
-    return (f"{found}: all are read, since the file has just as many there",)
+    return (f"{text}: all are read, since the file has just as many there",)
 
 
 # --- lossy compression ------------------------------------------------------------------------------------------------

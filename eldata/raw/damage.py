@@ -141,15 +141,15 @@ def find_stream(head: bytes) -> Stream | None:
 
 def _first_symbols(tables: bytes) -> dict[int, int]:
     """Read what the code of zero bits means, of each Huffman table by its number."""
-    found = {}
+    first = {}
     while tables:
         counts = tables[1:17]
         symbols = tables[17 : 17 + sum(counts)]
         if len(counts) != 16 or not symbols or len(symbols) != sum(counts):
             raise ValueError("has a damaged Huffman code in its JPEG header")
-        found[tables[0] & 15] = symbols[0]
+        first[tables[0] & 15] = symbols[0]
         tables = tables[17 + sum(counts) :]
-    return found
+    return first
 
 
 def _compressed(path: Path, directories: Sequence[Directory]) -> Iterator[tuple[Directory, int, int]]:

@@ -41,10 +41,10 @@ def raws_below(folder: Path) -> list[Path]:
         If there is none, or no such folder.
     """
     paths = visible_below(folder)
-    found = [path for path in paths if is_raw(path)]
-    if not found:
+    raws = [path for path in paths if is_raw(path)]
+    if not raws:
         raise no_raws(folder, (path.name for path in paths if path.is_file()))
-    return found
+    return raws
 
 
 def is_raw(path: Path | str) -> bool:

@@ -238,10 +238,9 @@ def _check_mosaic(path: Path, mosaic: Directory, of_dng: bool) -> None:
     if not 1 <= min(repeats) <= max(repeats) <= _MOST_REPEATED:
         raise RawFileError(
             path,
-            f"damaged: its BlackLevel repeats every {' x '.join(map(str, repeats))} pixels; expected 1 to "
-            f"{_MOST_REPEATED} either way",
+            f"damaged: its BlackLevel repeats every {repeats} pixels; expected 1 to {_MOST_REPEATED} either way",
         )
-    # JPEG XL is refused by name; what a DNG states of uncompressed data is held against its rows (eldata.raw.libraw).
+    # JPEG XL is refused by name; what a DNG states of uncompressed data is held against its rows (eldata.raw.container).
     elsewhere = (JPEG_XL, UNCOMPRESSED) if of_dng else (JPEG_XL,)
     if mosaic.held * MOST_PIXELS < mosaic.pixels and mosaic.compression not in elsewhere:
         raise RawFileError(path, f"truncated: its image data, {mosaic.held} bytes, cannot hold {mosaic.pixels} pixels")

@@ -90,13 +90,13 @@ def refuse_unsupported(container: RawContainer) -> None:
     mosaics = tiff.main_mosaics(directories)
     if not mosaics:
         if tiff.is_dng(directories):
-            _refuse_layout(path, max(directories, key=lambda one: one.pixels), _OF_ANY_IMAGE)
+            _refuse_layout(path, max(directories, key=lambda image: image.pixels), _OF_ANY_IMAGE)
         return
     main = mosaics[0]
     _refuse_layout(path, main, _REFUSED)
     if len(mosaics) > 1:
-        found = f"holds {len(mosaics)} mosaics of one size (PhotometricInterpretation 32803), as of a pixel shift"
-        raise UnusableRawError(path, found, _WRITE)
+        text = f"holds {len(mosaics)} mosaics of one size (PhotometricInterpretation 32803), as of a pixel shift"
+        raise UnusableRawError(path, text, _WRITE)
     if tiff.is_dng(directories):
         _refuse_black(path, main)
     pattern = main.cfa_letters  # without one LibRaw's word counts
@@ -106,10 +106,10 @@ def refuse_unsupported(container: RawContainer) -> None:
 
 
 def _refuse_layout(path: Path, image: Directory, refused: tuple[tuple[int, tuple[int, ...], str, str], ...]) -> None:
-    for tag, numbers, found, advice in refused:
+    for tag, numbers, text, advice in refused:
         number = image.number(tag, 1)
         if number in numbers or (not numbers and number != 1):
-            raise UnusableRawError(path, found.format(number), advice)
+            raise UnusableRawError(path, text.format(number), advice)
 
 
 def _refuse_black(path: Path, main: Directory) -> None:
@@ -135,8 +135,12 @@ def _refuse_black(path: Path, main: Directory) -> None:
 
 def _is_grey_tiff(directories: Sequence[Directory]) -> bool:
     """Say whether the largest image of a TIFF-based file is grey, and nothing says that a camera wrote it as raw."""
-    largest = max(directories, key=lambda one: one.pixels, default=None)
-    if largest is None or not largest.pixels or any(_OF_CAMERAS & one.entries.keys() for one in directories):
+    largest = max(directories, key=lambda image: image.pixels, default=None)
+    if (
+        largest is None
+        or not largest.pixels
+        or any(_OF_CAMERAS & directory.entries.keys() for directory in directories)
+    ):
         return False
     return largest.number(tiff.PHOTOMETRIC, -1) in _GREY
 

@@ -79,6 +79,7 @@ _CODES = {1: "B", 3: "H", 4: "I", 5: "I", 6: "b", 7: "B", 8: "h", 9: "i", 10: "i
 # entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
 # tiles of 128 x 128 pixels have 20,000.
 _MOST = {"directories": 64, "entries": 1 << 12, "values": 1 << 17}
+_LONGEST_NOTE = 1 << 20  # bytes of a maker's own tags: the first Nikons' have some hundred
 _MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: those of cameras have up to 8
 _MOST_MASKED = 8  # areas of masked pixels: those of cameras have up to 4
 # How many numbers these tags of a mosaic hold: readers take them apart.
@@ -240,7 +241,7 @@ def _check_mosaic(path: Path, mosaic: Directory, of_dng: bool) -> None:
             path,
             f"damaged: its BlackLevel repeats every {repeats} pixels; expected 1 to {_MOST_REPEATED} either way",
         )
-    # JPEG XL is refused by name; what a DNG states of uncompressed data is held against its rows (eldata.raw.container).
+    # JPEG XL is refused by name; a DNG's uncompressed data are held against its rows (eldata.raw.container).
     elsewhere = (JPEG_XL, UNCOMPRESSED) if of_dng else (JPEG_XL,)
     if mosaic.held * MOST_PIXELS < mosaic.pixels and mosaic.compression not in elsewhere:
         raise RawFileError(path, f"truncated: its image data, {mosaic.held} bytes, cannot hold {mosaic.pixels} pixels")
@@ -302,7 +303,7 @@ class TiffReader:
         self._file.seek(place + 4)
         length, at = struct.unpack(self._order + "II", self._file.read(8))
         self._require(at + length)
-        note = self._read_at(at, length)
+        note = self._read_at(at, min(length, _LONGEST_NOTE))
         if note[:7] == b"Nikon\0\2":
             own = TiffReader(self._path, io.BytesIO(note[10:]))
             directory = own._read(own._first, {_NIKON_ISO})[0]

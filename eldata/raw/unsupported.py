@@ -136,11 +136,8 @@ def _refuse_black(path: Path, main: Directory) -> None:
 def _is_grey_tiff(directories: Sequence[Directory]) -> bool:
     """Say whether the largest image of a TIFF-based file is grey, and nothing says that a camera wrote it as raw."""
     largest = max(directories, key=lambda image: image.pixels, default=None)
-    if (
-        largest is None
-        or not largest.pixels
-        or any(_OF_CAMERAS & directory.entries.keys() for directory in directories)
-    ):
+    by_camera = any(_OF_CAMERAS & directory.entries.keys() for directory in directories)
+    if largest is None or not largest.pixels or by_camera:
         return False
     return largest.number(tiff.PHOTOMETRIC, -1) in _GREY
 

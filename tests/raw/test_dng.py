@@ -298,13 +298,3 @@ def test_a_sensor_that_does_not_fit_is_refused(words: str, field: str, values: l
     for value in values:
         fields = {field: value} | ({"black_level_dn": (256.0,) * 4} if field == "cfa" else {})
         check_refused(tmp_path, words, fields)
-
-
-def test_a_refused_write_leaves_an_older_file_as_it_was(tmp_path: Path) -> None:
-    path = tmp_path / "a.dng"
-    check_round_trip(path, random_mosaic(60, 64), make_sensor())
-    before = path.read_bytes()
-    with pytest.raises(ArgumentError):
-        write_dng(path, random_mosaic(60, 64), make_sensor(make=" é"), EXPOSURE)
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]

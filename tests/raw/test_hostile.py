@@ -109,19 +109,13 @@ def test_a_directory_before_the_files_begin(tmp_path: Path) -> None:
     "tags",
     [
         ((50721, "2i", 9, (1, 0) * 9, True), (50778, "H", 1, 21, True)),  # a matrix of 1/0
-        ((50721, "2i", 9, (1, 2) * 9, True), (50778, "B", 0, b"", True)),  # an illuminant of no values
-        ((50728, "2I", 3, (1, 0) * 3, True),),  # AsShotNeutral of 1/0
+        ((50721, "2i", 9, (0, 2) * 9, True), (50778, "B", 0, b"", True)),  # an illuminant of no values
     ],
 )
-def test_colours_that_are_no_numbers(tags: tuple[Tag, ...], tmp_path: Path) -> None:
-    """Regression: ZeroDivisionError and IndexError. Refused, or not known, but no error of another kind."""
+def test_colours_that_are_no_numbers_are_not_known(tags: tuple[Tag, ...], tmp_path: Path) -> None:
     write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags)
-    try:
-        sensor = read_raw(tmp_path / "a.dng").sensor
-    except RawFileError:
-        return
-    for known in (sensor.white_balance, sensor.xyz_to_camera):
-        assert known is None or "1, 0" not in str(known)
+    sensor = read_raw(tmp_path / "a.dng").sensor
+    assert sensor.xyz_to_camera is None
 
 
 # --- sizes ------------------------------------------------------------------------------------------------------------

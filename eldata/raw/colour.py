@@ -7,7 +7,6 @@ factor, with one green for both (Adobe DNG specification 1.6). White balance is 
 from __future__ import annotations
 
 from fractions import Fraction
-from math import gcd
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,10 +64,9 @@ def camera_to_srgb(xyz_to_camera: Matrix3) -> NDArray[np.float64]:
 
 
 def neutral_of(white_balance: Multipliers) -> Neutral:
-    """AsShotNeutral for the multipliers of R, G1, B, G2, of which the last has no place in it.
+    """AsShotNeutral, green 1, for the multipliers of R, G1, B, G2, of which the last has no place in it.
 
-    Of the common factors, 1 is taken, or else that which undoes what dividing by green's response multiplied; if with
-    neither all parts fit 32 bits, the fractions nearest to those with 1.
+    Fractions whose parts do not fit 32 bits are rounded.
 
     Raises
     ------
@@ -79,11 +77,6 @@ def neutral_of(white_balance: Multipliers) -> Neutral:
     if not all(value > 0 for value in white_balance):
         raise ArgumentError(f"white_balance ({shown}): expected positive multipliers")
     red, blue = white_balance[0] / white_balance[1], white_balance[2] / white_balance[1]
-    shared = Fraction(gcd(red.numerator, blue.numerator), gcd(red.denominator, blue.denominator))
-    for factor in (Fraction(1), shared):
-        neutral = factor / red, factor, factor / blue
-        if all(max(value.numerator, value.denominator) <= RATIONAL for value in neutral):
-            return neutral
     if not all(1 <= RATIONAL * value <= RATIONAL**2 for value in (red, blue)):
         raise ArgumentError(f"white_balance ({shown}): expected multipliers within 32 bits of green's")
     return round_fraction(1 / red, RATIONAL), Fraction(1), round_fraction(1 / blue, RATIONAL)

@@ -45,8 +45,11 @@ ONE_FILE = settings(deadline=None, max_examples=30, suppress_health_check=[Healt
 # What cameras and converters use, and anything that 32 bits can hold.
 DENOMINATORS = (100, 1024, 4096, 10**4, 10**6)
 parts = st.integers(1, RATIONAL)
-plain_rationals = st.builds(lambda n, d: (n, d), st.integers(1, 10**7), st.sampled_from(DENOMINATORS))
-neutrals = st.tuples(*[plain_rationals] * 3)
+neutrals = st.builds(  # over one denominator, as cameras write them
+    lambda parts, d: tuple((n, d) for n in parts),
+    st.tuples(*[st.integers(1, 10**7)] * 3),
+    st.sampled_from(DENOMINATORS),
+)
 blacks = st.builds(lambda n, d: (n % (4000 * d), d), parts, st.one_of(st.sampled_from(DENOMINATORS), parts))
 signed = st.integers(-SRATIONAL, SRATIONAL)
 entries = st.one_of(

@@ -307,6 +307,8 @@ class TiffReader:
         if note[:7] == b"Nikon\0\2":
             own = TiffReader(self._path, io.BytesIO(note[10:]))
             directory = own._read(own._first, {_NIKON_ISO})[0]
+        elif note.startswith(b"Nikon"):  # of another kind, which has it in words
+            return 0
         else:
             directory = self._read(at, {_NIKON_ISO})[0]
         return int((0, *directory.values.get(_NIKON_ISO, ()))[-1])

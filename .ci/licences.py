@@ -19,6 +19,7 @@ LOCK = ROOT / "requirements-dev.txt"
 
 # Packages whose metadata hold the licence's whole text, or nothing; where it was read.
 STATED = {
+    "exifread": "BSD-3-Clause",  # its licence field, in full
     "hdf5plugin": "MIT",  # LICENSE; its compressors have their own, in doc/information.rst
     "kiwisolver": "BSD-3-Clause",  # its licence field, in full
     "matplotlib": "PSF-based, as BSD",  # its licence field, in full

@@ -230,6 +230,15 @@ def test_a_header_damaged_anywhere(tmp_path: Path) -> None:
                 assert "JPEG header" in str(error)  # noqa: PT017 # most are refused, some are fine
 
 
+def test_a_jpeg_without_its_header(tmp_path: Path) -> None:
+    """Regression: LibRaw gives a frame all the same."""
+    path, _ = damaged(write(tmp_path / "a.dng", photograph(3, 3000)), 0, bytes(PAGE))
+    with pytest.raises(RawFileError, match=r"damaged|decode it"):
+        read_raw(path)
+    with pytest.raises(RawFileError, match="does not begin as a JPEG"):
+        data_fault(path, read_directories(path), photograph(3, 3000))
+
+
 @pytest.mark.parametrize(
     ("fill", "said"),
     [

@@ -12,7 +12,7 @@ import numpy as np
 from eldata.manifest.card import CameraCard, Card, card_text
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.table import table_text
-from eldata.raw.cfa import bayer_cfa
+from eldata.raw.levels import bayer_cfa
 from eldata.records import Exposure, FrameRecord, Sensor
 from eldata.sources.store.build import pixels_digest, write_frames
 from eldata.sources.store.format import PackedFile, StoredFrame, frame_key

@@ -169,7 +169,7 @@ class RawFrame:
     channel_white_levels_dn
         LibRaw's own white level per CFA channel, where it has one; protocols may ask for it.
     remarks
-        What is right about the file but should be known, a sentence each (:mod:`eldata.raw.sensor_facts`).
+        What is right about the file but should be known, a sentence each (:mod:`eldata.raw.reading`).
     """
 
     path: Path

@@ -128,7 +128,7 @@ def test_the_modules_are_found() -> None:
 
 def test_the_scan_sees_every_kind_of_import() -> None:
     source = """
-import eldata.raw.cfa, numpy
+import eldata.raw.levels, numpy
 from eldata import __version__, manifest
 from ..raw import reading
 from . import card
@@ -142,7 +142,7 @@ if TYPE_CHECKING:
         ("eldata.datasets.base.PairDataset", True),
         ("eldata.manifest", True),
         ("eldata.manifest.card", True),
-        ("eldata.raw.cfa", True),
+        ("eldata.raw.levels", True),
         ("eldata.raw.reading", True),
         ("eldata.records.Sensor", False),
     ]

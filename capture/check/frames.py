@@ -19,8 +19,7 @@ from capture.observed import exposure_text
 from eldata.base.files import inside
 from eldata.errors import EldataError, UnusableRawError
 from eldata.isp.preview import srgb_encode
-from eldata.raw.cfa import packing_sites
-from eldata.raw.levels import differ_in_white, mean_levels, packed_black_level_dn
+from eldata.raw.levels import differ_in_white, mean_levels, packed_black_level_dn, packing_sites
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -230,7 +229,7 @@ def reduced_frames(unit: Unit, group: CheckedGroup) -> Iterator[ReducedFrame]:
     """
 
     def reduce(record: FrameRecord) -> ReducedFrame | EldataError:
-        from eldata.raw.cfa import pack
+        from eldata.raw.levels import pack
         from eldata.raw.reading import read_raw
 
         try:

@@ -29,8 +29,7 @@ from capture.check.result import (
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles, shift_length
 from capture.observed import f_text, same_aperture
 from eldata.manifest.pairs import UNCERTAIN_ISO
-from eldata.raw.cfa import packing_sites
-from eldata.raw.levels import mean_levels, white_remark
+from eldata.raw.levels import mean_levels, packing_sites, white_remark
 
 if TYPE_CHECKING:
     from capture.check.frames import Cells

@@ -27,7 +27,7 @@ TIP = (
 
 
 def room_of(module: str) -> str:
-    """Return the room of a module: ``eldata.raw.cfa`` is in ``raw``, ``capture.plan`` in ``capture``."""
+    """Return the room of a module: ``eldata.raw.levels`` is in ``raw``, ``capture.plan`` in ``capture``."""
     parts = module.split(".")
     return parts[0] if parts[0] == "capture" or len(parts) == 1 else parts[1]
 

@@ -242,7 +242,7 @@ class FrameReader:
 
 def cropped(frame: RawFrame, crop: Crop) -> RawFrame:
     """Return a part of a frame, whose CFA is that of its own first pixel."""
-    from eldata.raw.cfa import cfa_from
+    from eldata.raw.levels import cfa_from
 
     mosaic = np.ascontiguousarray(frame.mosaic[crop])
     if not mosaic.size:

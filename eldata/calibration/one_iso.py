@@ -37,7 +37,7 @@ from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, tra
 from eldata.calibration.reproduction import compared_piece, reproduction
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
-from eldata.raw.sensor_facts import lossy_compression
+from eldata.raw.container import lossy_compression
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

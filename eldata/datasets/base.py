@@ -18,7 +18,7 @@ from eldata.errors import DatasetError
 from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest
 from eldata.manifest.pairs import Choice
 from eldata.protocols.named import default_protocol
-from eldata.raw.cfa import packed_area, packed_shape, unpack
+from eldata.raw.levels import packed_area, packed_shape, unpack
 from eldata.records import Exposure, Records
 from eldata.sources.frames import Files, Frame, checked_ratio, stated_ratio
 

@@ -11,15 +11,13 @@ import numpy as np
 
 from eldata.base.memory import scratch
 from eldata.errors import ArgumentError, DatasetError
-from eldata.raw.cfa import PackedArea, cfa_from, packed_area, packed_shape, packing_sites, with_rows
-from eldata.raw.levels import pack_normalised
+from eldata.raw.levels import PackedArea, cfa_from, pack_normalised, packed_area, packed_shape, packing_sites, with_rows
 from eldata.sources.frames import RGB_WHITE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import CfaRows
-    from eldata.raw.levels import Clip
+    from eldata.raw.levels import CfaRows, Clip
     from eldata.sources.frames import Frame
 
 

@@ -51,7 +51,7 @@ Images: TypeAlias = "Sequence[tuple[UnitScore, ...]]"
 # What of the provenance decides neither which images are scored nor against what.
 _NOT_DECIDING = (
     *("predictions", "protocol_digest", "included_flags", "equal_choices", "task"),
-    *("eldata", "python", "libraw", "numpy", "numba", "rawpy", "exifread", "imagecodecs", "scipy"),
+    *("eldata", "python", "libraw", "numpy", "numba", "rawpy", "imagecodecs", "scipy"),
 )
 # What of it chooses the images, which does not count where the same were chosen.
 _CHOOSING = ("cameras", "subset", "ids", "ratios", "set_aside", "excluded_flags")

@@ -390,7 +390,7 @@ def provenance_of(request: Request, plan: ScoringPlan, scored: PairScores) -> di
         "python": platform.python_version(),
         "libraw": ".".join(map(str, rawpy.libraw_version)),
         "eldata": __version__,
-        **{name: version(name) for name in ("numpy", "numba", "rawpy", "exifread")},
+        **{name: version(name) for name in ("numpy", "numba", "rawpy")},
         "protocol_digest": request.protocol.digest,
         **plan.facts,
         "equal_choices": {name: [choice for choice in CHOICES[name] if choice in equal[name]] for name in equal},

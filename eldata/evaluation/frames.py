@@ -24,8 +24,7 @@ from eldata.isp.response import response_of
 from eldata.metrics.registry import OF_FRAMES
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.protocol import NO_SHADING, Amplification, Levels
-from eldata.raw.cfa import unpack
-from eldata.raw.levels import check_in_dn, packed_black_level_dn, with_levels
+from eldata.raw.levels import check_in_dn, packed_black_level_dn, unpack, with_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

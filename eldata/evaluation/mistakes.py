@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.raw.cfa import BAYER_CHANNELS, pack, packing_sites, unpack
-from eldata.raw.levels import PUBLISHED_WHITE_LEVEL_DN, with_levels
+from eldata.raw.levels import BAYER_CHANNELS, PUBLISHED_WHITE_LEVEL_DN, pack, packing_sites, unpack, with_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
     from eldata.metrics.image_score import Score
     from eldata.protocols.protocol import Protocol
-    from eldata.raw.cfa import CfaRows
+    from eldata.raw.levels import CfaRows
     from eldata.records import Sensor
 
     Array: TypeAlias = NDArray[Any]

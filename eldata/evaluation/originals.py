@@ -11,8 +11,7 @@ from eldata.base.files import inside
 from eldata.base.pixels import rgb_frame
 from eldata.base.workers import require_files
 from eldata.errors import ArgumentError
-from eldata.raw.cfa import pack
-from eldata.raw.levels import CLIP_RANGES, packed_black_level_dn, packed_frame, with_levels
+from eldata.raw.levels import CLIP_RANGES, pack, packed_black_level_dn, packed_frame, with_levels
 from eldata.sources.frames import Frame
 
 if TYPE_CHECKING:

@@ -23,8 +23,7 @@ from eldata.evaluation.layouts import stem_of
 from eldata.evaluation.originals import normalised_frame
 from eldata.evaluation.scores import place_of
 from eldata.protocols.named import protocols_for
-from eldata.raw.cfa import pack, packed_shape
-from eldata.raw.levels import with_levels
+from eldata.raw.levels import pack, packed_shape, with_levels
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

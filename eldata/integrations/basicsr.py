@@ -23,9 +23,8 @@ from eldata.datasets.registry import dataset_class, dataset_names, open_dataset
 from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean
 from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
 from eldata.manifest.pairs import Choice
-from eldata.raw.cfa import pack
 from eldata.raw.colour import camera_to_srgb
-from eldata.raw.levels import FrameLevels, packed_black_level_dn
+from eldata.raw.levels import FrameLevels, pack, packed_black_level_dn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -10,7 +10,7 @@ import numpy as np
 
 from eldata.base.files import read_file
 from eldata.errors import ArgumentError, RawFileError
-from eldata.raw.cfa import packing_sites
+from eldata.raw.levels import packing_sites
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -60,9 +60,9 @@ def render_libraw(path: Path | str, *, bits: Bits = 8) -> NDArray[np.uint8] | ND
 
 
 def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    from eldata.raw.libraw import opened_raw
+    from eldata.raw.container import read_container
+    from eldata.raw.libraw import open_raw
     from eldata.raw.reading import read_raw
-    from eldata.raw.tiff import read_directories
 
     # Decoded first for its checks, which LibRaw lacks. It also leaves this thread's OpenMP at one thread: a pool, which
     # demosaicing would start, makes workers forked later hang (eldata.raw.reading).
@@ -86,7 +86,7 @@ def _rendered(path: Path, *, bits: Bits) -> NDArray[np.uint8] | NDArray[np.uint1
         )
     balance = frame.sensor.white_balance
     del frame  # its pixels
-    with opened_raw(path, read_directories(path), "render") as raw:
+    with open_raw(read_container(path), "render") as raw:
         has_balance = min(raw.camera_whitebalance[:3]) > 0  # LibRaw knows no AsShotWhiteXY
         rendered: NDArray[Any] = raw.postprocess(
             use_camera_wb=has_balance,

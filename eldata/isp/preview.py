@@ -8,8 +8,8 @@ import numpy as np
 
 from eldata.errors import ArgumentError
 from eldata.isp.steps import CHANNELS_OF_COLOUR
-from eldata.raw.cfa import packed_forms
 from eldata.raw.colour import camera_to_srgb
+from eldata.raw.levels import packed_forms
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from eldata.errors import ArgumentError
-from eldata.raw.cfa import packed_forms, packed_layouts
+from eldata.raw.levels import packed_forms, packed_layouts
 
 if TYPE_CHECKING:
     import torch

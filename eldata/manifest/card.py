@@ -233,7 +233,7 @@ def find_subset(subsets: Sequence[Subset], name: str) -> Subset:
 
 
 def cfa_word(names: Iterable[str]) -> str:
-    """Return a card's word for files of these colour filter arrays, as :class:`eldata.raw.cfa.Sites` names them."""
+    """Return a card's word for files of these colour filter arrays, as :class:`eldata.raw.levels.Sites` names them."""
     words = {"xtrans" if name == "X-Trans" else name.lower() for name in names}
     if len(words) == 1:
         return words.pop()
@@ -329,13 +329,7 @@ def _mosaic(entry: Fields) -> MosaicFacts:
         cfa=entry.choice("cfa", MOSAIC_CFAS),
         black_level_dn=black,
         white_level_dn=entry.number("white_level_dn", above=max(black)),
-        shape=entry.optional("shape", partial(_sides, entry)),
     )
-
-
-def _sides(entry: Fields, name: str) -> tuple[int, int]:
-    height, width = entry.each(name, Fields.whole, expected="[rows, columns]", count=2, at_least=1)
-    return height, width
 
 
 def save_card(path: Path, card: Card) -> None:

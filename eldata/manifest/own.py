@@ -20,8 +20,8 @@ from eldata.errors import ArgumentError, RawFileError
 from eldata.manifest.card import CameraCard, Card, cfa_word, counts_of, title_of_set
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.verify_report import Problem
-from eldata.raw.cfa import packing_sites
-from eldata.raw.files import ShotFacts, find_doubles, raw_facts, raws_below
+from eldata.raw.files import ShotFacts, find_doubles, raws_below
+from eldata.raw.levels import packing_sites
 from eldata.records import FrameRecord, Sensor
 
 if TYPE_CHECKING:
@@ -143,6 +143,8 @@ def sort_own_set(
     ArgumentError
         If the pattern of scenes has not one ``{scene}``.
     """
+    from eldata.raw.reading import raw_facts
+
     pattern = None if scene is None else _scene_pattern(scene)
     problem = partial(Problem, name)
     problems: list[Problem] = []
@@ -215,6 +217,8 @@ def _scene_pattern(scene: str) -> re.Pattern[str]:
 
 
 def _looked_into(folder: Path, path: Path) -> _Frame:
+    from eldata.raw.reading import raw_facts
+
     header, _ = raw_facts(path, decode=False)
     camera, exposure = _UNFIT.sub("", header.model), header.exposure
     place = path.relative_to(folder).as_posix()

@@ -35,7 +35,7 @@ from eldata.manifest.pair_checks import RATIO_TOLERANCE, ratio_findings, white_r
 from eldata.manifest.patterns import expand, find_elsewhere, is_png, pattern_findings
 from eldata.manifest.table import number_text
 from eldata.manifest.verify_report import LEVELS, DatasetReport, VerifyReport, distinct, row_fault
-from eldata.raw.files import RAW_EXTENSIONS, raw_facts
+from eldata.raw.files import RAW_EXTENSIONS
 from eldata.raw.stated import StatedFile
 
 if TYPE_CHECKING:
@@ -316,6 +316,8 @@ def _decoded_findings(record: FrameRecord, decoded: Sensor | RawFileError | None
 
 def _raw_findings(path: Path, record: FrameRecord, models: Sequence[str], *, decode: bool) -> CheckedFile:
     """Compare a raw file with its row and, if its hash is not known, decode it."""
+    from eldata.raw.reading import raw_facts
+
     try:
         header, decoded = raw_facts(path, decode=decode)
     except RawFileError as error:

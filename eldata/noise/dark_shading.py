@@ -31,13 +31,13 @@ from eldata.base.files import atomic_write, file_problem, json_text
 from eldata.base.pixels import NpyError, opened_npz
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, DatasetError, ShadingError
-from eldata.raw.cfa import cfa_from, pack, packed_area, packed_channels, packed_shape, packing_sites
+from eldata.raw.levels import cfa_from, pack, packed_area, packed_channels, packed_shape, packing_sites
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.pixels import NpyHeader, NpzArchive
-    from eldata.raw.cfa import CfaRows
+    from eldata.raw.levels import CfaRows
 
 _SCHEMA, _SCHEMA_WITH_MODEL = 1, 2
 _FIELDS = ("slope_dn", "offset_dn")

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import Cfa
-    from eldata.raw.levels import Clip
+    from eldata.raw.levels import Cfa, Clip
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
 
@@ -159,8 +158,8 @@ class NoiseModel:
         Parameters
         ----------
         clean
-            (..., C, h, w), normalised, C = 4, 9, 16 or 36 (:mod:`eldata.raw.cfa`); a numpy array or a torch tensor of
-            floating numbers: whole numbers are DN, which are refused. Leading dimensions are images of a batch or
+            (..., C, h, w), normalised, C = 4, 9, 16 or 36 (:mod:`eldata.raw.levels`); a numpy array or a torch tensor
+            of floating numbers: whole numbers are DN, which are refused. Leading dimensions are images of a batch or
             frames of a clip; each gets fresh noise. Values below 0 count as no light.
         parameters
             One draw for everything (a clip), or one for each image of a batch (N, C, h, w).

@@ -1,7 +1,7 @@
 """The mosaic under packed data: its rows, and packing that loses no pixel.
 
-:func:`eldata.raw.cfa.pack` crops what does not fill a period. Here the mosaic is extended instead, and cropped again on
-the way back: noise is wanted on every pixel.
+:func:`eldata.raw.levels.pack` crops what does not fill a period. Here the mosaic is extended instead, and cropped again
+on the way back: noise is wanted on every pixel.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from eldata.errors import ArgumentError
-from eldata.raw.cfa import packed_forms, packed_layouts, packing_sites
+from eldata.raw.levels import packed_forms, packed_layouts, packing_sites
 
 if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import Cfa
+    from eldata.raw.levels import Cfa
 
 Image = TypeVar("Image", "NDArray[Any]", "torch.Tensor")
 

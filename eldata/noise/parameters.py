@@ -12,7 +12,7 @@ import numpy as np
 
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
-from eldata.raw.cfa import packed_layouts
+from eldata.raw.levels import packed_layouts
 
 if TYPE_CHECKING:
     import torch

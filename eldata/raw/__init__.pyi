@@ -1,12 +1,11 @@
-from .cfa import bayer_cfa as bayer_cfa
-from .cfa import pack as pack
-from .cfa import packed_area as packed_area
-from .cfa import packed_shape as packed_shape
-from .cfa import unpack as unpack
 from .dng import write_dng as write_dng
-from .levels import denormalise as denormalise
+from .levels import bayer_cfa as bayer_cfa
 from .levels import normalise as normalise
+from .levels import pack as pack
 from .levels import pack_normalised as pack_normalised
+from .levels import packed_area as packed_area
+from .levels import packed_shape as packed_shape
+from .levels import unpack as unpack
 from .reading import exposure_ratio as exposure_ratio
 from .reading import read_header as read_header
 from .reading import read_raw as read_raw

@@ -3,8 +3,8 @@
 A site table says where each site of one CFA period goes: rows of (mosaic row, mosaic column, channel, packed
 row, packed column), with ``period`` the CFA's size and ``sub`` the packed image's share of it (2 for X-Trans, else 1).
 The Bayer loops are written out for their constant stride of two, which the compiler vectorises; what they do not
-serve, numpy copies as fast (:mod:`eldata.raw.cfa`). For them, and where mosaics are turned, each row of the mosaic and
-of the packed channels is contiguous in memory.
+serve, numpy copies as fast (:mod:`eldata.raw.levels`). For them, and where mosaics are turned, each row of the mosaic
+and of the packed channels is contiguous in memory.
 """
 
 from __future__ import annotations

@@ -1,24 +1,18 @@
 """Camera colour to sRGB, from the file's own matrix; and white balance as a DNG holds it.
 
-A DNG has AsShotNeutral, and beside it what that has no room for.
-
 AsShotNeutral is the camera's response to a neutral colour in R, G, B: three fractions of 32 bits, known up to a common
-factor, with one green for both (Adobe DNG specification 1.6). White balance is its inverse, R, G1, B, G2 over G1. Where
-these differ, because the greens do or because a part would take more than 32 bits, AsShotNeutral has the fractions
-nearest to R, G1 and B, and DNGPrivateData, which other software passes over, has all four to the last digit.
+factor, with one green for both (Adobe DNG specification 1.6). White balance is its inverse, R, G1, B, G2 over G1.
 """
 
 from __future__ import annotations
 
 from fractions import Fraction
-from math import gcd
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.base.numbers import fraction_of
 from eldata.errors import ArgumentError
-from eldata.raw.tiff import RATIONAL, nearest_fraction
+from eldata.raw.tiff import RATIONAL, round_fraction
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,9 +23,6 @@ if TYPE_CHECKING:
 
 Neutral = tuple[Fraction, Fraction, Fraction]
 Multipliers = tuple[Fraction, Fraction, Fraction, Fraction]
-
-_PRIVATE = b"eldata\0white_balance "  # the specification asks for a name that ends in a zero byte
-_DIGITS = 40
 
 # Temperatures of the sources of light, as EXIF numbers them: CIE's, and those of the DNG SDK for the others.
 _KELVIN = {17: 2850, 3: 2850, 24: 3200, 23: 5000, **dict.fromkeys((20, 1, 4, 9, 18), 5500)}
@@ -45,7 +36,7 @@ SRGB_TO_XYZ = np.array(
 
 
 def camera_to_srgb(xyz_to_camera: Matrix3) -> NDArray[np.float64]:
-    """Return the matrix (3, 3) from white-balanced camera R, G, B to linear sRGB.
+    """Matrix (3, 3) from white-balanced camera R, G, B to linear sRGB.
 
     sRGB to camera is ``xyz_to_camera @ SRGB_TO_XYZ`` with each row scaled to sum to 1, so that sRGB white is
     camera white after white balance; the result is its inverse. That is dcraw's rule, which LibRaw follows.
@@ -73,70 +64,34 @@ def camera_to_srgb(xyz_to_camera: Matrix3) -> NDArray[np.float64]:
 
 
 def neutral_of(white_balance: Multipliers) -> Neutral:
-    """Return AsShotNeutral for the multipliers of R, G1, B, G2.
+    """AsShotNeutral, green 1, for the multipliers of R, G1, B, G2, of which the last has no place in it.
 
-    Of the common factors, 1 is taken, or else that which undoes what dividing by green's response multiplied; if with
-    neither all parts fit 32 bits, the fractions nearest to those with 1.
+    Fractions whose parts do not fit 32 bits are rounded.
 
     Raises
     ------
     ArgumentError
         If a multiplier is not positive, or 2^32 times green's or the other way round, which no rounding mends.
     """
-    red, _, blue, _ = _over_green(white_balance)
-    shared = Fraction(gcd(red.numerator, blue.numerator), gcd(red.denominator, blue.denominator))
-    for factor in (Fraction(1), shared):
-        neutral = factor / red, factor, factor / blue
-        if all(max(value.numerator, value.denominator) <= RATIONAL for value in neutral):
-            return neutral
+    shown = ", ".join(f"{float(value):.17g}" for value in white_balance)
+    if not all(value > 0 for value in white_balance):
+        raise ArgumentError(f"white_balance ({shown}): expected positive multipliers")
+    red, blue = white_balance[0] / white_balance[1], white_balance[2] / white_balance[1]
     if not all(1 <= RATIONAL * value <= RATIONAL**2 for value in (red, blue)):
-        raise ArgumentError(f"white_balance ({_shown(white_balance)}): expected multipliers within 32 bits of green's")
-    return nearest_fraction(1 / red, RATIONAL), Fraction(1), nearest_fraction(1 / blue, RATIONAL)
+        raise ArgumentError(f"white_balance ({shown}): expected multipliers within 32 bits of green's")
+    return round_fraction(1 / red, RATIONAL), Fraction(1), round_fraction(1 / blue, RATIONAL)
 
 
-def private_data(white_balance: Multipliers) -> bytes:
-    """Return DNGPrivateData for the multipliers of R, G1, B, G2; nothing if AsShotNeutral holds them.
-
-    Raises
-    ------
-    ArgumentError
-        If a multiplier has more than 40 digits; or like :func:`neutral_of`.
-    """
-    exact = _over_green(white_balance)
-    if _multipliers(neutral_of(white_balance)) == exact:
-        return b""
-    if any(max(value.numerator, value.denominator) >= 10**_DIGITS for value in exact):
-        raise ArgumentError(
-            f"white_balance {tuple(map(str, exact))}: expected fractions of up to {_DIGITS} digits a part"
-        )
-    return _PRIVATE + " ".join(map(str, exact)).encode("ascii") + b"\0"
-
-
-def white_balance_of(neutral: Neutral, private: bytes) -> Multipliers:
-    """Return the multipliers of R, G1, B, G2 from AsShotNeutral, all above 0, and DNGPrivateData.
-
-    The latter counts if it is ours and goes with the neutral: another program may have changed that since.
-
-    Raises
-    ------
-    ArgumentError
-        If private data of ours is damaged.
-    """
-    if private.startswith(_PRIVATE):
-        texts = private.removeprefix(_PRIVATE).removesuffix(b"\0").decode("ascii", "replace").split(" ")
-        values = [fraction_of(text, above=0, digits=_DIGITS) for text in texts]
-        if len(values) != 4:
-            raise ArgumentError(f"expected 4 multipliers, found {len(values)}")
-        exact = values[0], values[1], values[2], values[3]
-        if neutral_of(exact) == neutral:
-            return exact
-    return _multipliers(neutral)
+def white_balance_of(neutral: Neutral) -> Multipliers:
+    """Multipliers of R, G1, B, G2 from AsShotNeutral, all above 0."""
+    red, green, blue = neutral
+    return green / red, Fraction(1), green / blue, Fraction(1)
 
 
 def neutral_of_white(
     x: float, y: float, lights: Sequence[tuple[int, NDArray[np.float64], NDArray[np.float64]]]
 ) -> NDArray[np.float64]:
-    """Return the camera's response to a white of chromaticity x, y > 0: (3,), before the analog balance.
+    """Camera's response to a white of chromaticity x, y > 0: (3,), before the analog balance.
 
     ``CameraCalibration @ ColorMatrix @ XYZ``, both matrices interpolated between one or two ``lights`` (illuminant as
     EXIF numbers it, ColorMatrix, CameraCalibration) over the inverse of the white's temperature (DNG specification
@@ -152,19 +107,3 @@ def neutral_of_white(
         calibration = (1 - share) * calibration + share * other_calibration
     neutral: NDArray[np.float64] = calibration @ matrix @ np.array([x / y, 1.0, (1 - x - y) / y])
     return neutral
-
-
-def _over_green(white_balance: Multipliers) -> Multipliers:
-    red, green, blue, second = white_balance
-    if not all(value > 0 for value in white_balance):
-        raise ArgumentError(f"white_balance ({_shown(white_balance)}): expected positive multipliers")
-    return red / green, Fraction(1), blue / green, second / green
-
-
-def _multipliers(neutral: Neutral) -> Multipliers:
-    red, green, blue = neutral
-    return green / red, Fraction(1), green / blue, Fraction(1)
-
-
-def _shown(white_balance: Multipliers) -> str:
-    return ", ".join(f"{float(value):.17g}" for value in white_balance)

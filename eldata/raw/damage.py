@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from eldata.errors import RawFileError
-from eldata.raw.tiff import ACTIVE_AREA, HEIGHT, TILE_HEIGHT, TILE_WIDTH, UNCOMPRESSED
+from eldata.raw.tiff import UNCOMPRESSED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -47,7 +47,7 @@ _FLAT = 64  # pixels in a row that are alike: there, a code may repeat itself
 _SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
 _SOF3, _DHT, _SOS = 0xC3, 0xC4, 0xDA
 _FRAMES = {*range(0xC0, 0xD0)} - {_DHT, 0xC8, 0xCC}
-_HEADERS = (1 << 12, 1 << 16)  # bytes to look for a stream's header in: most have some hundred
+_HEADER = 1 << 16  # bytes to look for a stream's header in: most have some hundred
 
 
 def check_damage(
@@ -72,7 +72,7 @@ def check_damage(
     """
     rows = _between_zeros(mosaic) if min(black_dn) > 0 else slice(0, len(mosaic))
     fault = mosaic_fault(mosaic, black_dn, white_dn) or lost_rows_fault(directories, rows, len(mosaic))
-    fault = fault or tiles_fault(directories, mosaic, black_dn) or data_fault(path, directories, mosaic, rows)
+    fault = fault or data_fault(path, directories, mosaic, rows)
     if fault is not None:
         raise RawFileError(path, f"damaged: {fault}; {_AGAIN}")
 
@@ -84,15 +84,13 @@ def check_samples(path: Path, directories: Sequence[Directory]) -> None:
     """
     with path.open("rb") as file:
         for _, offset, count in _compressed(path, directories):
-            for most in _HEADERS:
-                file.seek(offset)
-                try:
-                    stream = find_stream(file.read(min(count, most)))
-                except ValueError:  # longer, or damaged: data_fault says how
-                    continue
-                if stream is not None and stream.samples > _BITS * count:
-                    raise _damaged_header(path, offset, f"declares {stream.samples} samples in {count} bytes")
-                break
+            file.seek(offset)
+            try:
+                stream = find_stream(file.read(min(count, _HEADER)))
+            except ValueError:  # damaged: data_fault says how
+                continue
+            if stream is not None and stream.samples > _BITS * count:
+                raise _damaged_header(path, offset, f"declares {stream.samples} samples in {count} bytes")
 
 
 # --- the file's image data ------------------------------------------------------------------------------------
@@ -110,7 +108,7 @@ class Stream(NamedTuple):
 
 
 def find_stream(head: bytes) -> Stream | None:
-    """Return the lossless JPEG that begins so; None if it begins as something else, another JPEG included.
+    """Read the header of the lossless JPEG that begins so; None if it begins as something else, another JPEG included.
 
     Raises
     ------
@@ -142,16 +140,16 @@ def find_stream(head: bytes) -> Stream | None:
 
 
 def _first_symbols(tables: bytes) -> dict[int, int]:
-    """Return what the code of zero bits means, of each Huffman table by its number."""
-    found = {}
+    """Read what the code of zero bits means, of each Huffman table by its number."""
+    first = {}
     while tables:
         counts = tables[1:17]
         symbols = tables[17 : 17 + sum(counts)]
         if len(counts) != 16 or not symbols or len(symbols) != sum(counts):
             raise ValueError("has a damaged Huffman code in its JPEG header")
-        found[tables[0] & 15] = symbols[0]
+        first[tables[0] & 15] = symbols[0]
         tables = tables[17 + sum(counts) :]
-    return found
+    return first
 
 
 def _compressed(path: Path, directories: Sequence[Directory]) -> Iterator[tuple[Directory, int, int]]:
@@ -174,7 +172,7 @@ def _damaged_header(path: Path, offset: int, what: str) -> RawFileError:
 def data_fault(
     path: Path, directories: Sequence[Directory], mosaic: NDArray[Any], rows: slice = slice(None)
 ) -> str | None:
-    """Return what shows in the compressed data of a TIFF-based file that some were lost; None if nothing does.
+    """Say what shows in the compressed data of a TIFF-based file that some were lost; None if nothing does.
 
     ``mosaic``: (H, W) uint16 as decoded: whether it has clipped areas decides what its data may look like. ``rows``:
     those between a border's rows of zeros, which lost data decode to, but for those of a lossless JPEG: they go on with
@@ -186,13 +184,13 @@ def data_fault(
         If the header of a strip's JPEG is damaged.
     """
     # What says that it is compressed and is as large as if it were not, is not.
-    small = [found for found in directories if not sum(count for _, count in found.extents) >= 2 * found.pixels > 0]
+    small = [directory for directory in directories if not directory.held >= 2 * directory.pixels > 0]
     with path.open("rb") as file:
         for directory, offset, count in _compressed(path, small):
             file.seek(offset)
             content = np.frombuffer(file.read(count), np.uint8)
             try:
-                stream = find_stream(content[: _HEADERS[-1]].tobytes())
+                stream = find_stream(content[:_HEADER].tobytes())
             except ValueError as error:
                 if directory.is_mosaic:
                     raise _damaged_header(path, offset, str(error)) from error
@@ -215,7 +213,7 @@ def data_fault(
 
 
 def _lost_run(codes: NDArray[np.uint8]) -> tuple[int, int] | None:
-    """Return where a long run of 0x00 or 0xFF begins and ends, but for what fills a strip up behind its last marker."""
+    """Find where a long run of 0x00 or 0xFF begins and ends, but for what fills a strip up behind its last marker."""
     for value in (0, 0xFF):
         run = long_run(codes, value)
         if run is not None and not (run[1] == len(codes) and codes[: run[0]][-2:].tobytes() == _EOI):
@@ -233,7 +231,7 @@ def _has_flat_area(mosaic: NDArray[Any]) -> bool:
 
 
 def long_run(values: NDArray[Any], value: int) -> tuple[int, int] | None:
-    """Return where the first run of at least 512 equal values begins, and the position behind it.
+    """Find where the first run of at least 512 equal values begins, and the position behind it.
 
     Reads little of an array (n,) without such a run.
     """
@@ -258,7 +256,7 @@ def long_run(values: NDArray[Any], value: int) -> tuple[int, int] | None:
 
 
 def picture_area(mosaic: NDArray[Any]) -> tuple[slice, slice]:
-    """Return the rows and columns of a mosaic (H, W) within a border whose rows and columns are each of one value.
+    """Find the rows and columns of a mosaic (H, W) within a border whose rows and columns are each of one value.
 
     No border are an edge that is saturated, or clipped at black, and noise too faint to change the DN: there the next
     row or column has the same value in most of its pixels. Nor is what takes more than an eighth of a side.
@@ -273,7 +271,7 @@ def _inner(lines: NDArray[Any]) -> slice:
 
 
 def _leading(lines: NDArray[Any]) -> int:
-    """Return how many of the first lines hold no picture."""
+    """Count the first lines that hold no picture."""
     count, most = 0, len(lines) // _MOST_BORDER
     while count < most and (lines[count] == lines[count][0]).all():
         count += 1
@@ -282,45 +280,47 @@ def _leading(lines: NDArray[Any]) -> int:
 
 
 def border_remarks(mosaic: NDArray[Any]) -> tuple[str, ...]:
-    """Return what there is to say of a border without picture."""
+    """Remark on a border without picture."""
     rows, columns = picture_area(mosaic)
     height, width = mosaic.shape
-    sides = {
+    lines = {
         "top": mosaic[: rows.start],
         "bottom": mosaic[rows.stop :],
         "left": mosaic[:, : columns.start].T,
         "right": mosaic[:, columns.stop :].T,
     }
-    found = [f"{len(lines)} at the {side} (of {lines[0, -1]} DN)" for side, lines in sides.items() if len(lines)]
-    if not found:
+    sides = [f"{len(part)} at the {side} (of {part[0, -1]} DN)" for side, part in lines.items() if len(part)]
+    if not sides:
         return ()
-    listed, area = " and ".join(found), f"{rows.start}:{rows.stop},{columns.start}:{columns.stop}"
-    text = (
-        f"{listed} of its {height} rows and {width} columns hold no picture: calibrate leaves them out (--crop {area})"
-    )
-    return (f"{text}, scores count them",)
+    area = f"{rows.start}:{rows.stop},{columns.start}:{columns.stop}"
+    where = f"{' and '.join(sides)} of its {height} rows and {width} columns"
+    return (f"{where} hold no picture: calibrate leaves them out (--crop {area}), scores count them",)
 
 
 def mosaic_fault(mosaic: NDArray[Any], black_dn: Sequence[float], white_dn: float) -> str | None:
-    """Return what no photograph can show, of a mosaic (H, W) in DN, and where; None if nothing is found."""
+    """Say what no photograph can show, of a mosaic (H, W) in DN, and where; None if nothing is found."""
     if min(black_dn) > 0:
-        levels = " ".join(f"{level:g}" for level in dict.fromkeys(black_dn))
-        area = _without_border(mosaic)
-        inner = mosaic[area]
-        run = long_run(inner.reshape(-1), 0)
-        if run is not None:
-            return f"{_place(inner.shape, *run, area)} are 0 DN, below the black level {levels} DN"
+        below = f"0 DN, below the black level {' '.join(f'{level:g}' for level in dict.fromkeys(black_dn))} DN"
+        rows, columns = _without_border(mosaic)
+        inner = mosaic[rows, columns]
+        if (run := long_run(inner.reshape(-1), 0)) is not None:
+            row, column = divmod(run[0], inner.shape[1])
+            place = f"row {row + rows.start}, column {column + columns.start}"
+            return f"{run[1] - run[0]} pixels in a row, from {place} on, are {below}"
         if not inner[-1].any():
-            return f"its last row is all 0 DN, below the black level {levels} DN"
-    if white_dn < 1 << 15:
-        run = long_run(mosaic.reshape(-1), (1 << 16) - 1)
-        if run is not None:
-            return f"{_place(mosaic.shape, *run)} are 65535 DN, far above the white level {white_dn:g} DN"
+            return f"its last row is all {below}"
+    if white_dn < 1 << 15 and (run := long_run(mosaic.reshape(-1), (1 << 16) - 1)) is not None:
+        row, column = divmod(run[0], mosaic.shape[1])
+        count = run[1] - run[0]
+        return (
+            f"{count} pixels in a row, from row {row}, column {column} on, are 65535 DN, far above the white level "
+            f"{white_dn:g} DN"
+        )
     return None
 
 
 def _without_border(mosaic: NDArray[Any]) -> tuple[slice, slice]:
-    """Return the picture's area, and with it a single last row or last rows that begin before their first pixel.
+    """Find the picture's area, and with it a single last row or last rows that begin before their first pixel.
 
     So end files whose last bytes were lost.
     """
@@ -332,61 +332,23 @@ def _without_border(mosaic: NDArray[Any]) -> tuple[slice, slice]:
 
 
 def _between_zeros(mosaic: NDArray[Any]) -> slice:
-    """Return the rows between those of zeros that are a border."""
+    """Find the rows between those of zeros that are a border."""
     rows, _ = _without_border(mosaic)
     return slice(0 if mosaic[0].any() else rows.start, len(mosaic) if mosaic[-1].any() else rows.stop)
 
 
 def lost_rows_fault(directories: Sequence[Directory], rows: slice, height: int) -> str | None:
-    """Return that the rows of zeros around these of an uncompressed mosaic begin or end with a sector of the disk.
+    """Say that the rows of zeros around these of an uncompressed mosaic begin or end with a sector of the disk.
 
     As those do that a disk or a download has lost; of a border's it is chance, but where all rows are whole sectors.
     """
-    for found in directories:
-        of_image = found.number(HEIGHT, 0)
-        if not (found.is_mosaic and found.compression == UNCOMPRESSED and found.extents and of_image > 0):
+    for directory in directories:
+        stored_height, extents = directory.shape[0], directory.extents
+        if not directory.is_mosaic or directory.compression != UNCOMPRESSED or not extents or stored_height <= 0:
             continue
-        row_bytes = sum(count for _, count in found.extents) // of_image
-        first = min(found.extents)[0] + found.number(ACTIVE_AREA, 0) * row_bytes
+        row_bytes = directory.held // stored_height
+        first = min(extents)[0] + directory.corner()[0] * row_bytes
         for row in {rows.start, rows.stop} - {0, height}:
             if (first + row * row_bytes) % _LEAST_RUN == 0:
                 return f"its rows of 0 DN, {'up to' if row == rows.start else 'from'} row {row}, are whole sectors"
     return None
-
-
-def tiles_fault(directories: Sequence[Directory], mosaic: NDArray[Any], black_dn: Sequence[float]) -> str | None:
-    """Return what no photograph can show of uncompressed tiles, of which a lost page takes a few columns of many rows.
-
-    Compressed tiles are examined in the file itself (:func:`data_fault`).
-    """
-    if min(black_dn) <= 0:
-        return None
-    for found in directories:
-        if not found.is_mosaic or found.compression != UNCOMPRESSED:
-            continue
-        width, height = found.number(TILE_WIDTH, 0), found.number(TILE_HEIGHT, 0)
-        if width < 1 or height < 1:
-            continue
-        top, left = map(int, found.values.get(ACTIVE_AREA, (0, 0))[:2])
-        inner = _without_border(mosaic)
-        rows, columns = range(-top, mosaic.shape[0], height), range(-left, mosaic.shape[1], width)
-        if len(rows) * len(columns) > len(found.extents):  # made to keep a reader busy: tiles of a pixel
-            continue
-        tiles = [mosaic[_shared(inner[0], y, height), _shared(inner[1], x, width)] for y in rows for x in columns]
-        run = long_run(np.concatenate([tile.reshape(-1) for tile in tiles]), 0)
-        if run is not None:
-            count, levels = run[1] - run[0], " ".join(f"{level:g}" for level in dict.fromkeys(black_dn))
-            return f"{count} pixels in a row of its tiles are 0 DN, below the black level {levels} DN"
-    return None
-
-
-def _shared(part: slice, start: int, size: int) -> slice:
-    return slice(max(part.start, start), max(part.start, min(part.stop, start + size)))
-
-
-def _place(
-    shape: tuple[int, ...], first: int, behind: int, area: tuple[slice, slice] = (slice(0, 0), slice(0, 0))
-) -> str:
-    row, column = divmod(first, shape[1])
-    top, left = (part.start for part in area)
-    return f"{behind - first} pixels in a row, from row {row + top}, column {column + left} on,"

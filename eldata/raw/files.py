@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from eldata.base.files import folder_problem, read_file, sha256_of, visible_below
+from eldata.base.files import folder_problem, sha256_of, visible_below
 from eldata.base.workers import Workers
-from eldata.errors import DatasetError, RawFileError
+from eldata.errors import DatasetError
 from eldata.raw.stated import ARRAY_EXTENSIONS
 
 if TYPE_CHECKING:
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from eldata.base.workers import AnyWorkers
-    from eldata.records import RawHeader, Sensor
 
 # Lower case, with the dot.
 RAW_EXTENSIONS = frozenset((
@@ -35,7 +33,7 @@ PICTURES = frozenset((".jpg", ".jpeg", ".heic", ".heif", ".hif", ".webp", ".avif
 
 
 def raws_below(folder: Path) -> list[Path]:
-    """Return the camera raws of a folder at any depth, sorted; hidden files are passed over.
+    """List the camera raws of a folder at any depth, sorted; hidden files are passed over.
 
     Raises
     ------
@@ -43,14 +41,14 @@ def raws_below(folder: Path) -> list[Path]:
         If there is none, or no such folder.
     """
     paths = visible_below(folder)
-    found = [path for path in paths if is_raw(path)]
-    if not found:
+    raws = [path for path in paths if is_raw(path)]
+    if not raws:
         raise no_raws(folder, (path.name for path in paths if path.is_file()))
-    return found
+    return raws
 
 
 def is_raw(path: Path | str) -> bool:
-    """Return whether a file's extension is a camera raw's."""
+    """Say whether a file's extension is a camera raw's."""
     return Path(path).suffix.lower() in RAW_EXTENSIONS
 
 
@@ -96,46 +94,26 @@ def find_doubles(files: Mapping[Path, ShotFacts], workers: AnyWorkers, *, across
 
 
 def no_raws(folder: Path, names: Iterable[str]) -> DatasetError:
-    """Return the error that a folder is not there, or has files of these names, none of them a camera raw."""
+    """Make the error that a folder is not there, or has files of these names, none of them a camera raw."""
     problem = folder_problem(folder)
     if problem is not None:
         return DatasetError(f"{folder}: {problem}; give a folder of camera raws")
-    found = Counter(Path(name).suffix.lower() for name in names if not name.startswith("."))
-    (suffix, count), *_ = found.most_common(1) or [("", 0)]
+    suffixes = Counter(Path(name).suffix.lower() for name in names if not name.startswith("."))
+    (suffix, count), *_ = suffixes.most_common(1) or [("", 0)]
+    counted = f", but {count} {suffix or 'without extension'}" if count else ", and nothing else"
     if suffix in PICTURES:
-        counted = f"but {count} picture{'s' if count > 1 else ''} ({suffix})"
-        return DatasetError(
-            f"{folder}: holds no camera raw file, {counted}, which the camera or a phone has rendered and which are no "
-            "longer linear: use the raw files that it writes beside them (DNG, ARW, CR3, NEF and the like)"
+        counted = (
+            f", but {count} picture{'s' if count > 1 else ''} ({suffix}), which the camera or a phone has rendered and "
+            "which are no longer linear: use the raw files that it writes beside them (DNG, ARW, CR3, NEF and the like)"
         )
-    others = f", but {count} {suffix or 'without extension'}" if count else ", and nothing else"
-    return DatasetError(f"{folder}: holds no camera raw file{others}{of_arrays(suffix)}")
+    return DatasetError(f"{folder}: holds no camera raw file{counted}{of_arrays(suffix)}")
 
 
 def of_arrays(suffix: str) -> str:
-    """Return what to do with files of this extension, if they hold arrays; empty of others."""
+    """Advise on files of this extension, if they hold arrays; empty of others."""
     if suffix.lower() not in ARRAY_EXTENSIONS:
         return ""
     return (
         "; arrays state no levels: give a manifest (.csv) of them, whose card states those in mosaics "
         "(docs/adding-a-dataset.md)"
     )
-
-
-def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
-    """Return a raw file's header and, if it is to be decoded, its sensor, or why it does not decode or is damaged.
-
-    The header has what there is to remark of the file; one with masked pixels is decoded for it.
-
-    Raises
-    ------
-    RawFileError
-        Like :func:`eldata.raw.read_header`.
-    """
-    return read_file(partial(_facts, decode=decode), path, RawFileError)
-
-
-def _facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
-    from eldata.raw.reading import facts_of
-
-    return facts_of(path, decode=decode)

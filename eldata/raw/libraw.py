@@ -18,24 +18,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.errors import RawFileError, UnusableRawError
-from eldata.raw.cfa import cfa_from, cfa_of_letters, packing_sites
-from eldata.raw.exif import check_container
-from eldata.raw.strips import find_rows
-from eldata.raw.tiff import ACTIVE_AREA, CFA_PATTERN, MOST_PIXELS, SHORT
+from eldata.raw.levels import cfa_from, cfa_of_letters, packing_sites
+from eldata.raw.tiff import CFA_PATTERN, MOST_PIXELS, SHORT
 from eldata.raw.unsupported import unsupported_cfa
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
     import rawpy
 
-    from eldata.raw.cfa import CfaRows
+    from eldata.raw.container import RawContainer
+    from eldata.raw.levels import CfaRows
     from eldata.raw.tiff import Directory
 
 
 @contextmanager
-def opened_raw(path: Path, directories: Sequence[Directory], what: str = "decode") -> Iterator[rawpy.RawPy]:
-    """Open a raw file, whose directories are given, with LibRaw. Its errors say that it cannot do ``what``.
+def open_raw(file: RawContainer, what: str = "decode") -> Iterator[rawpy.RawPy]:
+    """Open a raw file with LibRaw. Its errors say that it cannot do ``what``.
 
     Raises
     ------
@@ -44,47 +43,46 @@ def opened_raw(path: Path, directories: Sequence[Directory], what: str = "decode
     """
     import rawpy
 
-    check_container(path)
     _set_openmp_threads()(1)  # a setting of the calling thread, so it is made for each read
     # Not rawpy.imread: it warns in every forked process, of what the line above removes.
     raw = rawpy.RawPy()
     try:
-        content = _mend(path, directories)
+        content = _mend(file)
         if content is None:
-            _open(raw, path)
+            _open(raw, file.path)
         else:
             raw.open_buffer(io.BytesIO(content))
         yield raw
     except rawpy.LibRawFileUnsupportedError as error:
-        raise RawFileError(path, "is not a raw file that LibRaw knows") from error
+        raise RawFileError(file.path, "is not a raw file that LibRaw knows") from error
     except rawpy.LibRawError as error:
         reason = error.args[0] if error.args else error
         # "Unsufficient memory" is mostly said of sizes that cannot be, without asking for any.
         text = reason.decode(errors="replace") if isinstance(reason, bytes) else str(reason)
-        raise RawFileError(path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
+        raise RawFileError(file.path, f"LibRaw cannot {what} it ({text}); is the file whole?") from error
     finally:
         raw.close()
 
 
-def _mend(path: Path, directories: Sequence[Directory]) -> bytes | None:
-    """Return the bytes of a file as LibRaw reads them right; None if it does so as they are.
+def _mend(file: RawContainer) -> bytes | None:
+    """Bytes of a file as LibRaw reads them right; None if it does so as they are.
 
     It takes the bytes of a CFAPattern's 16-bit numbers for numbers, and strips for rows that follow one another.
     """
-    rows = find_rows(path, directories)
-    wide = [one for one in directories if one.entries.get(CFA_PATTERN, (0, 0))[1] == SHORT]
-    if not wide and (rows is None or rows.are_found):
+    wide = [directory for directory in file.directories if directory.entries.get(CFA_PATTERN, (0, 0))[1] == SHORT]
+    rows = None if file.rows is None or file.rows.are_found else file.rows
+    if not wide and rows is None:
         return None
-    content = bytearray(path.read_bytes())
-    for one in wide:
-        entry, _ = one.entries[CFA_PATTERN]
-        numbers = bytes(min(int(number), 255) for number in one.values[CFA_PATTERN])
-        struct.pack_into(f"{one.order}HHI", content, entry, CFA_PATTERN, 1, len(numbers))
+    content = bytearray(file.path.read_bytes())
+    for directory in wide:
+        entry, _ = directory.entries[CFA_PATTERN]
+        numbers = bytes(min(int(number), 255) for number in directory.values[CFA_PATTERN])
+        struct.pack_into(f"{directory.order}HHI", content, entry, CFA_PATTERN, 1, len(numbers))
         at = entry + 8
         if len(numbers) > 4:
-            (at,) = struct.unpack_from(f"{one.order}I", content, at)
+            (at,) = struct.unpack_from(f"{directory.order}I", content, at)
         content[at : at + len(numbers)] = numbers
-    return bytes(content) if rows is None or rows.are_found else rows.rearrange(content)
+    return bytes(content) if rows is None else rows.rearrange(content)
 
 
 def _open(raw: rawpy.RawPy, path: Path) -> None:
@@ -97,7 +95,7 @@ def _open(raw: rawpy.RawPy, path: Path) -> None:
 
 @cache
 def _set_openmp_threads() -> Callable[[int], object]:
-    """Return omp_set_num_threads of the runtime that rawpy's wheel brings; or a function that does nothing."""
+    """Find omp_set_num_threads of the runtime that rawpy's wheel brings; or a function that does nothing."""
     import rawpy
 
     package = Path(rawpy.__file__).parent
@@ -150,8 +148,8 @@ def check_one_image(path: Path) -> None:
 
 
 def visible_cfa(path: Path, raw: rawpy.RawPy, main: Directory | None) -> tuple[CfaRows, tuple[int, ...]]:
-    """Return the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
-    stated = None if main is None else stated_cfa(raw, main)
+    """Ask for the visible area's CFA in our channel indices, and LibRaw's colour index of each of them."""
+    stated = None if main is None else _stated_cfa(raw, main)
     if stated is not None and packing_sites(stated[0]).block > 1:
         return stated
     names = raw.color_desc.decode("ascii", "replace")
@@ -170,13 +168,13 @@ def visible_cfa(path: Path, raw: rawpy.RawPy, main: Directory | None) -> tuple[C
     return cfa, tuple(libraw_index[channel] for channel in sorted(libraw_index))
 
 
-def stated_cfa(raw: rawpy.RawPy, main: Directory) -> tuple[CfaRows, tuple[int, ...]] | None:
-    """Return what :func:`visible_cfa` does, from the tags beside the pixels; None if they state none that works."""
+def _stated_cfa(raw: rawpy.RawPy, main: Directory) -> tuple[CfaRows, tuple[int, ...]] | None:
+    """CFA as :func:`visible_cfa` has it, from the tags beside the pixels; None if they state none that works."""
     whole, names = cfa_of_letters(main.cfa_letters or ()), raw.color_desc.decode("ascii", "replace")
     if whole is None or not set("RGB") <= set(names):
         return None
     # The pattern starts at the active area; LibRaw moves an odd margin on to the next even one.
-    top, left = map(int, main.values.get(ACTIVE_AREA, (0, 0))[:2])
+    top, left = main.corner()
     cfa = cfa_from(whole, raw.sizes.top_margin - top, raw.sizes.left_margin - left)
     indices = (names.index("R"), names.index("G"), names.index("B"), names.rindex("G"))
     return cfa, indices[: packing_sites(cfa).levels]

@@ -1,4 +1,4 @@
-"""Files to :class:`~eldata.records.RawFrame`: decoding by LibRaw, EXIF by exifread. The one decoder of this package.
+"""Files to :class:`~eldata.records.RawFrame`: the one decoder of this package.
 
 Which figures are taken
 -----------------------
@@ -30,8 +30,8 @@ orientation
     Not applied: the mosaic stands as the sensor was read out, whichever way up the camera was held, so that two
     frames of a pair lie on each other.
 camera, ISO, exposure time, aperture
-    What the file states, exactly: EXIF, or what a format has in its place (:mod:`eldata.raw.exif`). ``None`` where it
-    states none: LibRaw's figures are not taken, because it makes some up.
+    What the file states, exactly: EXIF, or what a format has in its place (:mod:`eldata.raw.container`). ``None``
+    where it states none: LibRaw's figures are not taken, because it makes some up.
 
 What LibRaw does not notice
 ---------------------------
@@ -39,42 +39,59 @@ LibRaw opens some truncated files as whole frames. So the extents that a TIFF-ba
 inside it, and the file must hold at least one bit per pixel (no lossless code is shorter). It also decodes files that
 lost a part of their data, which are searched for what shows (:mod:`eldata.raw.damage`); only a recorded hash finds the
 rest (``eldata lock``).
+
+Remarks
+-------
+A remark is a sentence that says what was, or was not, done with a file that is read rightly. It is not a problem:
+``read_raw`` gives them with the frame, and ``eldata verify`` says each once.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
+from itertools import product
+from math import lcm
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from eldata.base.files import read_file
 from eldata.errors import RawFileError, UnusableRawError
+from eldata.raw import tiff
+from eldata.raw.colour import neutral_of_white, white_balance_of
+from eldata.raw.container import RawContainer, check_container, read_container
 from eldata.raw.damage import border_remarks, check_damage, check_samples
-from eldata.raw.exif import RawContainer
-from eldata.raw.libraw import check_one_image, check_sizes, opened_raw, visible_cfa
-from eldata.raw.sensor_facts import (
-    as_shot_multipliers,
-    camera_matrix,
-    channel_whites,
-    dng_black_levels,
-    dng_mean_levels,
-    dng_white_level,
-    masked_remarks,
-    opcode_remarks,
-)
+from eldata.raw.libraw import check_one_image, check_sizes, open_raw, visible_cfa
 from eldata.raw.stated import StatedFile
-from eldata.raw.strips import find_rows
-from eldata.raw.tiff import MASKED_AREAS, is_dng, main_mosaics, read_directories
 from eldata.raw.unsupported import NEEDED, refuse_unsupported
-from eldata.records import RawFrame, Sensor
+from eldata.records import D65, RawFrame, Sensor, exact_number
 
 if TYPE_CHECKING:
-    from fractions import Fraction
+    from collections.abc import Sequence
 
     import rawpy
+    from numpy.typing import NDArray
 
+    from eldata.raw.levels import CfaRows
     from eldata.raw.tiff import Directory
-    from eldata.records import RawHeader
+    from eldata.records import Matrix3, RawHeader
+
+_LEAST_APART_DN = 0.5  # between masked pixels and the stated level, to be remarked on
+# By number, DNG specification 1.7.1, chapter 7.
+_OPCODES = (
+    *("WarpRectilinear", "WarpFisheye", "FixVignetteRadial", "FixBadPixelsConstant", "FixBadPixelsList"),
+    *("TrimBounds", "MapTable", "MapPolynomial", "GainMap", "DeltaPerRow", "DeltaPerColumn", "ScalePerRow"),
+    *("ScalePerColumn", "WarpRectilinear2"),
+)
+_NOT_APPLIED = (
+    "the mosaic is what the sensor gave, as stored",
+    "the mosaic keeps what they would correct, such as lens shading",
+    "they are for a demosaiced image",
+)
+_DAYLIGHT = (1, 4, 20, 22, 23)  # daylight, flash, D55, D75, D50, as EXIF numbers sources of light
+_THIRD_MATRIX = 52531
 
 
 def read_header(path: Path | str | StatedFile) -> RawHeader:
@@ -89,49 +106,47 @@ def read_header(path: Path | str | StatedFile) -> RawHeader:
     """
     if isinstance(path, StatedFile):
         return path.header
-    return read_file(_header, Path(path), RawFileError)
+    return read_file(lambda path: _read_header(_read_container(path)), Path(path), RawFileError)
 
 
-def _header(path: Path) -> RawHeader:
-    return _stated_header(_container(path))
+def raw_facts(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
+    """Read a raw file's header and, if it is to be decoded, its sensor, or why it does not decode or is damaged.
+
+    The header has what there is to remark of the file; one with masked pixels is decoded for it.
+
+    Raises
+    ------
+    RawFileError
+        Like :func:`read_header`.
+    """
+    return read_file(lambda path: _read_facts(_read_container(path), decode), path, RawFileError)
 
 
-def _container(path: Path) -> RawContainer:
-    """Return what a file's container states, of a file that is not known not to work."""
-    directories = read_directories(path)
-    refuse_unsupported(path, directories)
-    return RawContainer(path, directories)
-
-
-def _stated_header(file: RawContainer) -> RawHeader:
-    with opened_raw(file.path, file.directories):  # LibRaw knows it
-        main = _main(file)
-        if main is None:
-            return file.header
-        levels_dn = dng_mean_levels(main) if is_dng(file.directories) else None  # LibRaw's cost decoding
-        return replace(file.header, remarks=_remarks(file, main), levels_dn=levels_dn)
-
-
-def _main(file: RawContainer) -> Directory | None:
-    return next(iter(main_mosaics(file.directories)), None)
-
-
-def _remarks(file: RawContainer, main: Directory) -> tuple[str, ...]:
-    rows = find_rows(file.path, file.directories)
-    return opcode_remarks(main) + (() if rows is None else rows.remarks)
-
-
-def facts_of(path: Path, *, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
-    """Return what :func:`eldata.raw.files.raw_facts` does."""
-    file = _container(path)
-    header, main = _stated_header(file), _main(file)
-    if not decode and (main is None or MASKED_AREAS not in main.values):
+def _read_facts(file: RawContainer, decode: bool) -> tuple[RawHeader, Sensor | RawFileError | None]:
+    header = _read_header(file)
+    if not decode and (file.main is None or tiff.MASKED_AREAS not in file.main.values):
         return header, None
     try:
-        frame = _frame(file)
+        frame = _read_frame(file)
     except RawFileError as error:
         return header, error
     return replace(header, remarks=frame.remarks), frame.sensor
+
+
+def _read_container(path: Path) -> RawContainer:
+    """Read what a file's container states, of a file that holds its data and is not known not to work."""
+    file = read_container(path)
+    check_container(file)
+    refuse_unsupported(file)
+    return file
+
+
+def _read_header(file: RawContainer) -> RawHeader:
+    with open_raw(file):  # LibRaw knows it
+        if file.main is None:
+            return file.header
+        levels_dn = dng_mean_levels(file.main) if file.is_dng else None  # LibRaw's cost decoding
+        return replace(file.header, remarks=_container_remarks(file), levels_dn=levels_dn)
 
 
 def read_raw(path: Path | str | StatedFile) -> RawFrame:
@@ -169,39 +184,35 @@ def read_raw(path: Path | str | StatedFile) -> RawFrame:
     """
     if isinstance(path, StatedFile):
         return path.read()
-    return read_file(_decoded, Path(path), RawFileError)
+    return read_file(lambda path: _read_frame(_read_container(path)), Path(path), RawFileError)
 
 
-def _decoded(path: Path) -> RawFrame:
-    return _frame(_container(path))
-
-
-def _frame(file: RawContainer) -> RawFrame:
-    path, directories, header, main = file.path, file.directories, file.header, _main(file)
-    remarks = () if main is None else _remarks(file, main)
-    check_samples(path, directories)
-    with opened_raw(path, directories) as raw:
+def _read_frame(file: RawContainer) -> RawFrame:
+    path, main, header = file.path, file.main, file.header
+    remarks = _container_remarks(file)
+    check_samples(path, file.directories)
+    with open_raw(file) as raw:
         check_sizes(path, raw)
         if main is None:
             check_one_image(path)
         _unpack(file, raw)
         cfa, index_of = visible_cfa(path, raw, main)
         black, white = tuple(float(raw.black_level_per_channel[index]) for index in index_of), float(raw.white_level)
-        if main is not None and is_dng(directories):
-            if sum(one.is_mosaic for one in directories) > 1:
+        if main is not None and file.is_dng:
+            if sum(directory.is_mosaic for directory in file.directories) > 1:
                 # What the image does not state, LibRaw takes from its proxy; by the specification black is 0.
                 black, white = (0.0,) * len(index_of), dng_white_level(main)
-            stated = dng_black_levels(path, main, raw, cfa)
-            black = black if stated is None else stated
+            black = dng_black_levels(path, main, raw, cfa) or black
             remarks += masked_remarks(main, raw.raw_image, black)
         if not white > max(black):
             raise RawFileError(path, f"white level {white:g} DN is not above the black level {black} DN")
-        matrix, illuminant = camera_matrix(raw, directories)
-        balance = as_shot_multipliers(path, raw, directories, file.tags)
+        first = file.directories[0] if file.directories else tiff.Directory({})
+        matrix, illuminant = camera_matrix(raw, first)
+        balance = as_shot_multipliers(raw, first)
         mosaic, whites = raw.raw_image_visible.copy(), channel_whites(raw, index_of)
         height, width = mosaic.shape
         sensor = Sensor(header.make, header.model, cfa, black, white, height, width, balance, matrix, illuminant)
-    check_damage(path, directories, mosaic, black, white)
+    check_damage(path, file.directories, mosaic, black, white)
     return RawFrame(path, mosaic, sensor, header.exposure, whites, (*remarks, *border_remarks(mosaic)))
 
 
@@ -213,13 +224,13 @@ def _unpack(file: RawContainer, raw: rawpy.RawPy) -> None:
     if raw.raw_type != rawpy.RawType.Flat or raw.num_colors == 1:
         shape = raw.raw_image.shape
         kind = "no colour filter array (monochrome)" if len(shape) == 2 else "already demosaiced (an RGB raw)"
-        if len(shape) == 3 and file.header.make == "Canon" and not is_dng(file.directories):
+        if len(shape) == 3 and file.header.make == "Canon" and not file.is_dng:
             kind = "already demosaiced (Canon's sRAW or mRAW)"
         raise UnusableRawError(file.path, f"{kind}: {shape} samples", NEEDED)
 
 
 def exposure_ratio(reference: RawFrame | RawHeader, noisy: RawFrame | RawHeader) -> Fraction:
-    """Return (ISO * t) of the reference over (ISO * t) of the noisy frame, exactly.
+    """Compute (ISO * t) of the reference over (ISO * t) of the noisy frame, exactly.
 
     Raises
     ------
@@ -241,3 +252,159 @@ def _exposure_product(frame: RawFrame | RawHeader) -> Fraction:
         if value is None:
             raise RawFileError(frame.path, f"states no {name}, and an exposure ratio needs it: use the original file")
     return frame.exposure.iso * frame.exposure.exposure_s  # type: ignore[operator] # checked above
+
+
+# --- levels and colours -----------------------------------------------------------------------------------------------
+
+
+def dng_white_level(mosaic: Directory) -> float:
+    """WhiteLevel of a DNG; where it states none, by the specification the largest number."""
+    (white, *_) = mosaic.values.get(tiff.WHITE_LEVEL) or ((1 << mosaic.number(tiff.BITS, 16)) - 1,)
+    return exact_number(Fraction(white))
+
+
+def dng_mean_levels(mosaic: Directory) -> tuple[float, float]:
+    """Mean black level and white level that a DNG states, DN."""
+    black = mosaic.values.get(tiff.BLACK_LEVEL) or (0,)
+    return float(sum(black) / len(black)), dng_white_level(mosaic)
+
+
+def dng_black_levels(path: Path, mosaic: Directory, raw: rawpy.RawPy, cfa: CfaRows) -> tuple[float, ...] | None:
+    """Black level of each channel of the visible area's CFA that a DNG states; None if it states none.
+
+    BlackLevel is a pattern that counts from the active area's first pixel (DNG specification 1.7.1, chapter 5).
+
+    Raises
+    ------
+    UnusableRawError
+        If the pattern has several levels for sites of one channel.
+    """
+    if not any(mosaic.values.get(tag) for tag in (tiff.BLACK_LEVEL, *tiff.BLACK_DELTAS)):  # others are refused
+        return None
+    rows, columns = mosaic.black_repeat
+    pattern = mosaic.values.get(tiff.BLACK_LEVEL) or (0,) * (rows * columns)
+    period = len(cfa)
+    top, left = mosaic.corner()
+    down, right = raw.sizes.top_margin - top, raw.sizes.left_margin - left  # LibRaw's area may start a pixel off it
+    levels: dict[int, set[Fraction]] = {}
+    for y, x in product(range(lcm(period, rows)), range(lcm(period, columns))):
+        level = Fraction(pattern[(y + down) % rows * columns + (x + right) % columns])
+        levels.setdefault(cfa[y % period][x % period], set()).add(level)
+    if any(len(of_channel) > 1 for of_channel in levels.values()):
+        raise UnusableRawError(
+            path,
+            f"its BlackLevel (repeated every {rows} x {columns} pixels) differs between sites of one colour",
+            "one level per channel is needed",
+        )
+    return tuple(exact_number(levels[channel].pop()) for channel in sorted(levels))
+
+
+def channel_whites(raw: rawpy.RawPy, index_of: Sequence[int]) -> tuple[float, ...] | None:
+    """LibRaw's white level per channel of the CFA, given LibRaw's indices of them; None if it has none."""
+    levels = raw.camera_white_level_per_channel
+    if levels is None or not all(levels[index] > 0 for index in index_of):
+        return None
+    return tuple(float(levels[index]) for index in index_of)
+
+
+def as_shot_multipliers(raw: rawpy.RawPy, first: Directory) -> tuple[float, float, float, float] | None:
+    """Multipliers of R, G1, B, G2 as shot, G1 = 1; None if they are not known.
+
+    From the ``first`` directory of a DNG; LibRaw is asked for what the file does not state.
+    """
+    neutral = tuple(map(Fraction, first.values.get(tiff.AS_SHOT_NEUTRAL, ())))
+    if len(neutral) == 3 and min(neutral) > 0:
+        exact = white_balance_of((neutral[0], neutral[1], neutral[2]))
+        return tuple(map(exact_number, exact))  # type: ignore[return-value] # of four
+    white = _neutral_of_white(first)
+    red, green, blue, second_green = raw.camera_whitebalance if white is None else (*1 / white, 0)
+    if not (red > 0 and green > 0 and blue > 0):
+        return None
+    # LibRaw keeps float32: six decimals give back the number that the file states.
+    values = (red, green, blue, second_green if second_green > 0 else green)
+    return tuple(round(float(value) / float(green), 6) for value in values)  # type: ignore[return-value] # of four
+
+
+def _neutral_of_white(first: Directory) -> NDArray[np.float64] | None:
+    """Camera's response to a DNG's AsShotWhiteXY, in R, G, B; None if its tags do not say it."""
+
+    def numbers(tag: int, otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
+        values = np.array([float(value) for value in first.values.get(tag, ())])
+        return values.reshape(otherwise.shape) if values.size == otherwise.size else otherwise
+
+    white = numbers(tiff.AS_SHOT_WHITE_XY, np.zeros(2))
+    of_camera, of_profile = ((first.texts.get(tag), first.values.get(tag)) for tag in tiff.SIGNATURES)
+    lights = [
+        (_illuminant(first, illuminant), matrix, numbers(tag if of_camera == of_profile else 0, np.eye(3)))
+        for (matrix_tag, illuminant), tag in zip(tiff.COLOUR_MATRICES, tiff.CALIBRATIONS, strict=True)
+        if (matrix := numbers(matrix_tag, np.zeros((3, 3)))).any()
+    ]
+    if not white[1] > 0 or not lights or _THIRD_MATRIX in first.entries:
+        return None
+    neutral = numbers(tiff.ANALOG_BALANCE, np.ones(3)) * neutral_of_white(white[0], white[1], lights)
+    return neutral if (neutral > 0).all() else None
+
+
+def camera_matrix(raw: rawpy.RawPy, first: Directory) -> tuple[Matrix3 | None, int]:
+    """Matrix from XYZ to the camera's colours, and the light that it is for; None if it is not known.
+
+    Of a DNG's two matrices that for D65, else the first for another daylight, else the second: LibRaw's order.
+    """
+    stated = [
+        (_illuminant(first, illuminant), first.values[matrix])
+        for matrix, illuminant in tiff.COLOUR_MATRICES
+        if len(first.values.get(matrix, ())) == 9
+    ]
+    illuminant, numbers = D65, [round(float(value), 6) for row in raw.rgb_xyz_matrix[:3] for value in row]  # its table
+    if stated:
+        preferred = [one for one in stated if one[0] == D65] or [one for one in stated if one[0] in _DAYLIGHT]
+        illuminant, values = (preferred or stated[-1:])[0]
+        numbers = [exact_number(Fraction(value)) for value in values]
+    if not any(numbers):
+        return None, D65
+    x, y, z, *others = numbers
+    return ((x, y, z), (others[0], others[1], others[2]), (others[3], others[4], others[5])), illuminant
+
+
+def _illuminant(first: Directory, tag: int) -> int:
+    """Read the number of a source of light; 0, "unknown", if none of 16 bits is stated."""
+    number = first.number(tag, 0)
+    return number if 0 <= number < 1 << 16 else 0
+
+
+# --- remarks ----------------------------------------------------------------------------------------------------------
+
+
+def _container_remarks(file: RawContainer) -> tuple[str, ...]:
+    if file.main is None:
+        return ()
+    return opcode_remarks(file.main) + (() if file.rows is None else file.rows.remarks)
+
+
+def opcode_remarks(mosaic: Directory) -> tuple[str, ...]:
+    """Remark on each of a mosaic's lists of opcodes."""
+    remarks = []
+    for number, (tag, meaning) in enumerate(zip(tiff.OPCODE_LISTS, _NOT_APPLIED, strict=True), 1):
+        codes = map(int, mosaic.values.get(tag, ()))
+        names = dict.fromkeys(_OPCODES[code - 1] if 0 < code <= len(_OPCODES) else "unknown" for code in codes)
+        if names:
+            remarks.append(f"its OpcodeList{number} ({', '.join(names)}) is not applied: {meaning}")
+    return tuple(remarks)
+
+
+def masked_remarks(mosaic: Directory, stored: NDArray[np.uint16], black_dn: Sequence[float]) -> tuple[str, ...]:
+    """Remark on masked pixels, which no light reaches, if their mean is not the stated black.
+
+    ``stored``: all pixels, (H, W) in DN.
+    """
+    corners = zip(*[map(int, mosaic.values.get(tiff.MASKED_AREAS, ()))] * 4, strict=True)
+    values = np.concatenate([stored[:0, 0], *(stored[y:below, x:beside].ravel() for y, x, below, beside in corners)])
+    level = float(np.mean(black_dn))
+    mean = float(values.mean()) if values.size else level
+    if abs(mean - level) < _LEAST_APART_DN:
+        return ()
+    remark = (
+        f"its masked pixels (MaskedAreas) have a mean of {mean:.1f} DN, but its BlackLevel says {level:.1f} DN, which "
+        "is taken, as the DNG specification has it"
+    )
+    return (remark,)

@@ -1,12 +1,14 @@
-"""The directories of a TIFF-based raw file, and whether the file holds what they declare.
+"""The directories of a TIFF-based raw file: the one reader of its tags, extents and exposure.
 
-exifread and LibRaw read past the end of a cut-off file without a word; this walker does not. It reads tables and the
-few tags that this package relies on, no pixels. What a file may make it read is bounded for the whole walk: directories
-may share their entries, and values their bytes, so that a small file can declare work for hours.
+It reads tables and the tags that this package relies on, no pixels, and refuses a file that does not hold what they
+declare: LibRaw reads past the end of a cut-off file without a word. What a file may make it read is bounded for the
+whole walk: directories may share their entries, and values their bytes, so that a small file can declare work for
+hours.
 """
 
 from __future__ import annotations
 
+import io
 import math
 import struct
 from dataclasses import dataclass, field
@@ -40,6 +42,16 @@ BLACK_REPEAT, BLACK_LEVEL, BLACK_DELTAS, WHITE_LEVEL = 50713, 50714, (50715, 507
 CFA_PHOTOMETRIC = 32803
 CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT = 33421, 33422, 50711
 OPCODE_LISTS = (51008, 51009, 51022)  # of the stored, the linear and the demosaiced image
+AS_SHOT_NEUTRAL, AS_SHOT_WHITE_XY = 50728, 50729
+COLOUR_MATRICES = ((50721, 50778), (50722, 50779))
+"""Each with the tag of its illuminant."""
+CALIBRATIONS, ANALOG_BALANCE = (50723, 50724), 50727
+SIGNATURES = (50931, 50932)  # of the calibrations, and of the profile that they are for
+
+MAKE, MODEL, UNIQUE_MODEL = 271, 272, 50708
+EXPOSURE_TIME, F_NUMBER, TAKEN, TAKEN_FRACTION, MAKER_NOTE = 33434, 33437, 36867, 37521, 37500
+ISO, SENSITIVITY_TYPE, OUTPUT_SENSITIVITY, EXPOSURE_INDEX, ISO_SPEED = 34855, *range(34864, 34868)
+PANASONIC, PANASONIC_ISOS = 1, (55, 23)  # in a Panasonic's first directory
 
 MOST_PIXELS = 8
 """That a byte of image data can hold: no lossless code of noise takes less than one bit."""
@@ -47,28 +59,27 @@ MOST_PIXELS = 8
 _LEVELS = {BLACK_LEVEL: "BlackLevel", BLACK_DELTAS[0]: "BlackLevelDeltaH", BLACK_DELTAS[1]: "BlackLevelDeltaV"}
 _LEVELS |= {WHITE_LEVEL: "WhiteLevel"}
 
-_SUB_IFDS, _EXIF_IFD = 330, 34665
-# Tags whose values must lie inside the file: those above, and what reading.py takes from EXIF and DNG tags.
-_EXIF = {33434, 33437, 34855, 34864, 34865, 34866, 34867}
-_READ = _EXIF | {
-    *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT),
-    *(SAMPLES, ROWS_PER_STRIP, SAMPLE_FORMAT, DNG_VERSION, ROW_INTERLEAVE, COLUMN_INTERLEAVE),
-    *(271, 272, _SUB_IFDS, _EXIF_IFD, ACTIVE_AREA, MASKED_AREAS, BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS),
-    *(WHITE_LEVEL, *range(50721, 50725), *range(50727, 50730), 50778, 50779, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT),
-    *OPCODE_LISTS,
-    *STRIPS,
-    *TILES,
+_SUB_IFDS, EXIF_IFD = 330, 34665
+_NIKON_ISO = 2  # in a Nikon's own directory
+# Tags whose values are read, and so must lie inside the file.
+_READ = {
+    *(SUBFILE, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, TILE_WIDTH, TILE_HEIGHT, SAMPLES, ROWS_PER_STRIP),
+    *(SAMPLE_FORMAT, DNG_VERSION, ROW_INTERLEAVE, COLUMN_INTERLEAVE, _SUB_IFDS, EXIF_IFD, ACTIVE_AREA, MASKED_AREAS),
+    *(BLACK_REPEAT, BLACK_LEVEL, *BLACK_DELTAS, WHITE_LEVEL, CFA_REPEAT, CFA_PATTERN, CFA_LAYOUT, *OPCODE_LISTS),
+    *(AS_SHOT_NEUTRAL, AS_SHOT_WHITE_XY, *COLOUR_MATRICES[0], *COLOUR_MATRICES[1], *CALIBRATIONS),
+    *(ANALOG_BALANCE, *SIGNATURES, MAKE, MODEL, UNIQUE_MODEL, EXPOSURE_TIME, F_NUMBER, TAKEN, TAKEN_FRACTION),
+    *(ISO, SENSITIVITY_TYPE, OUTPUT_SENSITIVITY, EXPOSURE_INDEX, ISO_SPEED, *PANASONIC_ISOS, *STRIPS, *TILES),
 }
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
-SHORT = 3
-_CODES = {1: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 11: "f", 12: "d", 13: "I"}
+ASCII, SHORT = 2, 3
+_FRACTIONS, _FLOATS = (5, 10), (11, 12)
+_CODES = {1: "B", 3: "H", 4: "I", 5: "I", 6: "b", 7: "B", 8: "h", 9: "i", 10: "i", 11: "f", 12: "d", 13: "I"}
 # Of all directories together; a file with more is damaged, or made to keep a reader busy. Cameras write some hundred
 # entries. The values are those of the tags above: two for each strip or tile, of which 150 megapixels in rows or in
 # tiles of 128 x 128 pixels have 20,000.
-_MOST_DIRECTORIES = 64
-_MOST_ENTRIES = 1 << 12
-_MOST_VALUES = 1 << 17
+_MOST = {"directories": 64, "entries": 1 << 12, "values": 1 << 17}
+_LONGEST_NOTE = 1 << 20  # bytes of a maker's own tags: the first Nikons' have some hundred
 _MOST_REPEATED = 64  # rows or columns of BlackLevel's pattern: those of cameras have up to 8
 _MOST_MASKED = 8  # areas of masked pixels: those of cameras have up to 4
 # How many numbers these tags of a mosaic hold: readers take them apart.
@@ -81,32 +92,48 @@ _COUNTS = {
     MASKED_AREAS: range(4, 4 * _MOST_MASKED + 1, 4),  # four for each
 }
 
-Numbers = tuple[Fraction, ...]
+Order = Literal["<", ">"]
+Numbers = tuple[int | Fraction, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Directory:
-    """The numbers of one IFD's relied-on tags, by tag, exactly; not of those that state none (0/0).
+    """One IFD: the values of the tags that are relied on, exactly.
 
-    Of a list of opcodes their ids.
+    Attributes
+    ----------
+    values
+        Numbers by tag; not of tags that state none (0/0). Of a list of opcodes their ids.
+    order
+        Of its bytes, as struct and numpy name it.
+    entries
+        Of every tag, relied on or not: where its entry stands in the file, and the type of its values.
+    starts
+        Where it, and the values that it has elsewhere in the file, begin.
+    texts
+        Texts by tag.
     """
 
     values: dict[int, Numbers]
-    order: Literal["<", ">"] = "<"
-    """Of its bytes, as struct and numpy name it."""
+    order: Order = "<"
     entries: Mapping[int, tuple[int, int]] = field(default_factory=dict)
-    """Of every tag that it has, relied on or not: where its entry stands in the file, and the type of its values."""
     starts: tuple[int, ...] = ()
-    """Where it, and the values that it has elsewhere in the file, begin."""
+    texts: Mapping[int, str] = field(default_factory=dict)
 
     def number(self, tag: int, default: int) -> int:
-        """Return the first number of a tag; ``default`` if it is not there."""
-        return int(next(iter(self.values.get(tag, ())), default))
+        """First number of a tag; ``default`` if it is missing."""
+        values = self.values.get(tag)
+        return int(values[0]) if values else default
+
+    def corner(self) -> tuple[int, int]:
+        """Row and column at which its active area begins."""
+        top, left = self.values.get(ACTIVE_AREA, (0, 0))[:2]
+        return int(top), int(left)
 
     @property
     def compression(self) -> int:
         """How its data are compressed; 1: they are not."""
-        return self.number(COMPRESSION, 1)
+        return self.number(COMPRESSION, UNCOMPRESSED)
 
     @property
     def black_repeat(self) -> tuple[int, int]:
@@ -138,9 +165,14 @@ class Directory:
         return self.extents_of(STRIPS) + self.extents_of(TILES)
 
     def extents_of(self, tags: tuple[int, int]) -> tuple[tuple[int, int], ...]:
-        """Return offset and byte count of each strip, or of each tile."""
+        """Offset and byte count of each strip, or of each tile."""
         offsets, counts = (map(int, self.values.get(tag, ())) for tag in tags)
         return tuple(zip(offsets, counts, strict=False))
+
+    @property
+    def held(self) -> int:
+        """Bytes of all its strips or tiles."""
+        return sum(count for _, count in self.extents)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -154,7 +186,7 @@ class Directory:
 
 
 def read_directories(path: Path) -> tuple[Directory, ...]:
-    """Return every directory of a TIFF-based file: the chain, sub-IFDs and EXIF; none for another file.
+    """Read every directory of a TIFF-based file: the chain, sub-IFDs and EXIF; none of another file.
 
     Raises
     ------
@@ -162,159 +194,57 @@ def read_directories(path: Path) -> tuple[Directory, ...]:
         If a directory, a relied-on value, or the raw image's data lies beyond the end of the file, or that data is too
         little for its pixels.
     """
-    size = path.stat().st_size
     with path.open("rb") as file:
-        head = file.read(8)
-        if head[:4] not in MAGIC or len(head) < 8:
-            return ()
-        order: Literal["<", ">"] = "<" if head[:2] == b"II" else ">"
-        budget = _Budget(path, {"directories": _MOST_DIRECTORIES, "entries": _MOST_ENTRIES, "values": _MOST_VALUES})
-        waiting = [struct.unpack(order + "I", head[4:])[0]]
-        seen: set[int] = set()
-        found: list[Directory] = []
-        while waiting:
-            at = waiting.pop()
-            if at == 0 or at in seen:
-                continue
-            if at < 0:
-                raise RawFileError(path, f"damaged: it declares a directory at byte {at}")
-            seen.add(at)
-            budget.spend("directories", 1)
-            directory, following = _read_directory(path, file, size, order, at, budget)
-            found.append(directory)
-            # In LibRaw's order: those within a directory before those behind it, each as listed.
-            within = (int(place) for tag in (_SUB_IFDS, _EXIF_IFD) for place in directory.values.get(tag, ()))
-            waiting += reversed([*within, following])
-    for directory in found:
-        _check_mosaic(path, directory, is_dng(found))
-    # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
-    images = [directory for directory in found if directory.is_mosaic] or found
-    for extent in (extent for directory in images for extent in directory.extents if min(extent) < 0):
-        raise RawFileError(path, f"damaged: it declares {extent[1]} bytes of image data at byte {extent[0]}")
-    require(path, size, max((sum(extent) for directory in images for extent in directory.extents), default=0))
-    return tuple(found)
+        directories = TiffReader(path, file).walk() if file.read(4) in MAGIC else ()
+    check_images(path, directories)
+    return directories
 
 
 def is_dng(directories: Sequence[Directory]) -> bool:
-    """Return whether a file of these directories is a DNG."""
+    """Whether a file of these directories is a DNG."""
     return any(DNG_VERSION in directory.values for directory in directories)
 
 
 def main_mosaics(directories: Sequence[Directory]) -> tuple[Directory, ...]:
-    """Return the directories of the largest mosaics, in order: one, but of a pixel shift; no proxies."""
+    """Directories of the largest mosaics, in order: one, but of a pixel shift; no proxies."""
     mosaics = [directory for directory in directories if directory.is_mosaic]
     most = max((directory.pixels for directory in mosaics), default=0)
     largest = [directory for directory in mosaics if directory.pixels == most]
     return tuple([directory for directory in largest if not directory.number(SUBFILE, 0)] or largest)
 
 
-@dataclass(frozen=True, slots=True)
-class _Budget:
-    """What may still be read of a file."""
+def check_images(path: Path, directories: Sequence[Directory]) -> None:
+    """Refuse a file that does not hold its raw image; raises like :func:`read_directories`."""
+    of_dng = is_dng(directories)
+    # The raw image alone where it is marked as such: some cameras declare previews that they do not write.
+    images = [directory for directory in directories if directory.is_mosaic]
+    for mosaic in images:
+        _check_mosaic(path, mosaic, of_dng)
+    end = 0
+    for extent in (extent for directory in images or directories for extent in directory.extents):
+        if min(extent) < 0:
+            raise RawFileError(path, f"damaged: it declares {extent[1]} bytes of image data at byte {extent[0]}")
+        end = max(end, sum(extent))
+    require(path, path.stat().st_size, end)
 
-    path: Path
-    left: dict[str, int]
 
-    def spend(self, what: str, count: int) -> None:
-        self.left[what] -= count
-        if self.left[what] < 0:
-            raise RawFileError(
-                self.path, f"damaged, or made to keep a reader busy: its directories declare far too many {what}"
-            )
-
-
-def _check_mosaic(path: Path, directory: Directory, of_dng: bool) -> None:
+def _check_mosaic(path: Path, mosaic: Directory, of_dng: bool) -> None:
     """Refuse a mosaic of which numbers that are relied on are missing or impossible, or that has too little data."""
-    if not directory.is_mosaic:
-        return
     for tag, counts in _COUNTS.items():
-        values = directory.values.get(tag)
+        values = mosaic.values.get(tag)
         if values is not None and (len(values) not in counts or min(values, default=0) < 0):
             shown = ", ".join(map(str, values[:5]))
             raise RawFileError(path, f"damaged: expected {counts[0]} numbers from 0 on as its tag {tag}; found {shown}")
-    repeat = directory.values.get(BLACK_REPEAT, (1, 1))
-    if not 1 <= min(repeat) <= max(repeat) <= _MOST_REPEATED:
+    repeats = mosaic.values.get(BLACK_REPEAT, (1, 1))
+    if not 1 <= min(repeats) <= max(repeats) <= _MOST_REPEATED:
         raise RawFileError(
             path,
-            f"damaged: its BlackLevel repeats every {' x '.join(map(str, repeat))} pixels; expected 1 to "
-            f"{_MOST_REPEATED} either way",
+            f"damaged: its BlackLevel repeats every {repeats} pixels; expected 1 to {_MOST_REPEATED} either way",
         )
-    held = sum(count for _, count in directory.extents)
-    # JPEG XL is refused by name; what a DNG states of uncompressed data is held against its rows (eldata.raw.strips).
+    # JPEG XL is refused by name; a DNG's uncompressed data are held against its rows (eldata.raw.container).
     elsewhere = (JPEG_XL, UNCOMPRESSED) if of_dng else (JPEG_XL,)
-    if held * MOST_PIXELS < directory.pixels and directory.compression not in elsewhere:
-        raise RawFileError(path, f"truncated: its image data, {held} bytes, cannot hold {directory.pixels} pixels")
-
-
-def _read_directory(
-    path: Path, file: IO[bytes], size: int, order: Literal["<", ">"], at: int, budget: _Budget
-) -> tuple[Directory, int]:
-    require(path, size, at + 2)
-    file.seek(at)
-    count = struct.unpack(order + "H", file.read(2))[0]
-    budget.spend("entries", count)
-    require(path, size, at + 2 + 12 * count)
-    table = file.read(12 * count + 4)
-    values: dict[int, Numbers] = {}
-    entries: dict[int, tuple[int, int]] = {}
-    starts = [at]
-    for index in range(count):
-        entry = table[12 * index : 12 * index + 12]
-        tag, kind, number = struct.unpack(order + "HHI", entry[:8])
-        entries[tag] = at + 2 + 12 * index, kind
-        length = _SIZES.get(kind, 1) * number
-        data = entry[8:12]
-        offset = struct.unpack(order + "I", data)[0]
-        if length > 4:
-            starts.append(offset)
-        if tag not in _READ:
-            continue
-        if length > 4:
-            require(path, size, offset + length)
-        if tag in OPCODE_LISTS:
-            values[tag] = tuple(_opcodes(path, file, range(offset, offset + length), budget)) if length > 4 else ()
-            continue
-        code = _CODES.get(kind)
-        if code is None:
-            continue
-        budget.spend("values", number)
-        if length > 4:
-            file.seek(offset)
-            data = file.read(length)
-        numbers = _numbers(order, code, number, data)
-        if numbers is not None:
-            values[tag] = numbers
-        elif tag in _LEVELS:  # LibRaw takes such a level for 0
-            raise RawFileError(path, f"damaged: its {_LEVELS[tag]} is not a number (0 for its denominator, or NaN)")
-    # The pointer to the next directory may be missing at the very end of a file.
-    following = struct.unpack(order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
-    return Directory(values, order, entries, tuple(starts)), following
-
-
-def _opcodes(path: Path, file: IO[bytes], place: range, budget: _Budget) -> Iterator[Fraction]:
-    """Yield the ids of a list of opcodes, whose byte order is always big-endian."""
-    file.seek(place.start)
-    at = place.start + 4
-    for _ in range(int.from_bytes(file.read(4), "big")):
-        if at + 16 > place.stop:
-            raise RawFileError(path, f"damaged: its list of opcodes holds more of them than its {len(place)} bytes")
-        budget.spend("values", 1)
-        file.seek(at)
-        opcode, _, _, length = struct.unpack(">4I", file.read(16))
-        yield Fraction(opcode)
-        at += 16 + length
-
-
-def _numbers(order: str, code: str, number: int, data: bytes) -> Numbers | None:
-    """Return an entry's values; ``None`` if one is a fraction over 0, which says "not known", or not finite."""
-    flat = struct.unpack_from(f"{order}{number * len(code)}{code[0]}", data)
-    if not all(map(math.isfinite, flat)):
-        return None
-    if len(code) == 1:
-        return tuple(map(Fraction, flat))
-    if not all(flat[1::2]):
-        return None
-    return tuple(Fraction(numerator, denominator) for numerator, denominator in zip(flat[::2], flat[1::2], strict=True))
+    if mosaic.held * MOST_PIXELS < mosaic.pixels and mosaic.compression not in elsewhere:
+        raise RawFileError(path, f"truncated: its image data, {mosaic.held} bytes, cannot hold {mosaic.pixels} pixels")
 
 
 def require(path: Path, size: int, end: int) -> None:
@@ -325,8 +255,156 @@ def require(path: Path, size: int, end: int) -> None:
         )
 
 
-def nearest_fraction(value: Fraction, largest: int) -> Fraction:
-    """Return the fraction nearest to a value whose numerator and denominator are at most ``largest``.
+class TiffReader:
+    """Reads the directories of one open TIFF file, which may be a part of another, within bounds for all of them."""
+
+    def __init__(self, path: Path, file: IO[bytes]) -> None:
+        self._path, self._file = path, file
+        self._size = file.seek(0, io.SEEK_END)
+        self._left = dict(_MOST)
+        file.seek(0)
+        head = file.read(8)
+        self._order: Order = ">" if head[:1] == b"M" else "<"
+        self._first = struct.unpack(self._order + "I", head[4:])[0] if len(head) == 8 else 0
+        file.seek(0)
+
+    def walk(self) -> tuple[Directory, ...]:
+        """Read every directory, in LibRaw's order: those within one before those behind it, each as listed."""
+        waiting, seen = [self._first], {0}
+        directories: list[Directory] = []
+        while waiting:
+            at = waiting.pop()
+            if at in seen:
+                continue
+            seen.add(at)
+            directory, following = self._read(at)
+            directories.append(directory)
+            within = [int(place) for tag in (_SUB_IFDS, EXIF_IFD) for place in directory.values.get(tag, ())]
+            waiting += [following, *reversed(within)]
+        return tuple(directories)
+
+    def read_first(self) -> tuple[Directory, Directory]:
+        """Read the first directory and the EXIF directory that it names; empty ones where there are none."""
+        first = self.read(self._first)
+        return first, self.read(first.number(EXIF_IFD, 0))
+
+    def read(self, at: int) -> Directory:
+        """Read the directory at a place of the file; an empty one at 0."""
+        return self._read(at)[0] if at else Directory({})
+
+    def read_nikon_iso(self, exif: Directory) -> int:
+        """Read the ISO of a Nikon's own tags, where the first of them have it alone; 0 if they have none.
+
+        They stand in a TIFF file of their own behind ten bytes, or in the first ones without any (ExifTool's Nikon.pm).
+        """
+        place, _ = exif.entries.get(MAKER_NOTE, (0, 0))
+        if not place:
+            return 0
+        self._file.seek(place + 4)
+        length, at = struct.unpack(self._order + "II", self._file.read(8))
+        self._require(at + length)
+        note = self._read_at(at, min(length, _LONGEST_NOTE))
+        if note[:7] == b"Nikon\0\2":
+            own = TiffReader(self._path, io.BytesIO(note[10:]))
+            directory = own._read(own._first, {_NIKON_ISO})[0]
+        elif note.startswith(b"Nikon"):  # of another kind, which has it in words
+            return 0
+        else:
+            directory = self._read(at, {_NIKON_ISO})[0]
+        return int((0, *directory.values.get(_NIKON_ISO, ()))[-1])
+
+    def _require(self, end: int) -> None:
+        require(self._path, self._size, end)
+
+    def _spend(self, what: str, count: int) -> None:
+        self._left[what] -= count
+        if self._left[what] < 0:
+            raise RawFileError(
+                self._path, f"damaged, or made to keep a reader busy: its directories declare far too many {what}"
+            )
+
+    def _read(self, at: int, tags: set[int] = _READ) -> tuple[Directory, int]:
+        """Read the directory at a place, and where the next one is."""
+        if at < 0:
+            raise RawFileError(self._path, f"damaged: it declares a directory at byte {at}")
+        self._spend("directories", 1)
+        self._require(at + 2)
+        self._file.seek(at)
+        count = struct.unpack(self._order + "H", self._file.read(2))[0]
+        self._spend("entries", count)
+        self._require(at + 2 + 12 * count)
+        table = self._file.read(12 * count + 4)
+        values: dict[int, Numbers] = {}
+        texts: dict[int, str] = {}
+        entries: dict[int, tuple[int, int]] = {}
+        starts = [at]
+        for index, (tag, kind, number, offset) in enumerate(
+            struct.iter_unpack(self._order + "HHII", table[: 12 * count])
+        ):
+            entries[tag] = at + 2 + 12 * index, kind
+            length = _SIZES.get(kind, 1) * number
+            if length > 4:
+                starts.append(offset)
+            if tag not in tags:
+                continue
+            if length > 4:
+                self._require(offset + length - (kind == ASCII))  # some writers leave out a text's last zero
+            if tag in OPCODE_LISTS:
+                values[tag] = tuple(self._read_opcodes(range(offset, offset + length))) if length > 4 else ()
+            elif kind == ASCII or kind in _CODES:
+                self._spend("values", number)
+                data = self._read_at(offset, length) if length > 4 else table[12 * index + 8 : 12 * index + 8 + length]
+                if kind == ASCII:
+                    texts[tag] = _decode_text(data)
+                elif (numbers := _unpack_numbers(self._order, kind, data)) is not None:
+                    values[tag] = numbers
+                elif tag in _LEVELS:  # LibRaw takes such a level for 0
+                    raise RawFileError(
+                        self._path, f"damaged: its {_LEVELS[tag]} is not a number (0 for its denominator, or NaN)"
+                    )
+        # The pointer to the next directory may be missing at the very end of a file.
+        following = struct.unpack(self._order + "I", table[-4:])[0] if len(table) == 12 * count + 4 else 0
+        return Directory(values, self._order, entries, tuple(starts), texts), following
+
+    def _read_at(self, offset: int, length: int) -> bytes:
+        self._file.seek(offset)
+        return self._file.read(length)
+
+    def _read_opcodes(self, place: range) -> Iterator[int]:
+        """Read the ids of a list of opcodes, whose byte order is always big-endian."""
+        at = place.start + 4
+        for _ in range(int.from_bytes(self._read_at(place.start, 4), "big")):
+            if at + 16 > place.stop:
+                raise RawFileError(
+                    self._path, f"damaged: its list of opcodes holds more of them than its {len(place)} bytes"
+                )
+            self._spend("values", 1)
+            opcode, _, _, length = struct.unpack(">4I", self._read_at(at, 16))
+            yield opcode
+            at += 16 + length
+
+
+def _decode_text(data: bytes) -> str:
+    text = data.partition(b"\0")[0]
+    try:
+        return text.decode().strip()
+    except UnicodeDecodeError:
+        return text.decode("latin-1").strip()
+
+
+def _unpack_numbers(order: str, kind: int, data: bytes) -> Numbers | None:
+    """Unpack an entry's values; ``None`` if one is a fraction over 0, which says "not known", or not finite."""
+    code = _CODES[kind]
+    flat = struct.unpack(f"{order}{len(data) // struct.calcsize('=' + code)}{code}", data)
+    if kind in _FRACTIONS:
+        return tuple(map(Fraction, flat[::2], flat[1::2])) if all(flat[1::2]) else None
+    if kind in _FLOATS:
+        return tuple(map(Fraction, flat)) if all(map(math.isfinite, flat)) else None
+    return flat
+
+
+def round_fraction(value: Fraction, largest: int) -> Fraction:
+    """Round a value to a fraction whose numerator and denominator are at most ``largest``.
 
     The value itself if its parts fit. Else, from 1 / ``largest`` to ``largest``, it is off by less than one part in
     ``largest`` - 1; below that it is off by less than 1 / ``largest``.
@@ -336,12 +414,6 @@ def nearest_fraction(value: Fraction, largest: int) -> Fraction:
     ValueError
         If the value, without its sign, is above ``largest``.
     """
-    size = abs(value)
-    if size > largest:
+    if abs(value) > largest:
         raise ValueError(f"{value} is beyond {largest}")
-    denominator = largest if size <= 1 else int(largest / size)
-    candidates = [size.limit_denominator(denominator)]
-    if size > 1:  # the one denominator more at which the numerator is still near enough to count
-        candidates.append(Fraction(largest, denominator + 1))
-    best = min(candidates, key=lambda candidate: abs(candidate - size))
-    return best if value >= 0 else -best
+    return value.limit_denominator(largest if abs(value) <= 1 else int(largest / abs(value)))

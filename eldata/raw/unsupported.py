@@ -7,17 +7,19 @@ LibRaw also takes the colours of a declared pattern of 4 x 4 for one of 8 x 2: i
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from eldata.base.numbers import counted
 from eldata.errors import UnusableRawError
 from eldata.raw import tiff
-from eldata.raw.cfa import cfa_of_letters
+from eldata.raw.levels import cfa_of_letters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from eldata.raw.container import RawContainer
     from eldata.raw.tiff import Directory
 
 NEEDED = "a mosaic of a Bayer, quad-Bayer, nona-Bayer or X-Trans sensor is needed"
@@ -33,7 +35,6 @@ _BY_HEAD = {
     b"PK\x03\x04": ("is a ZIP archive (Capture One's EIP is one)", "unpack it and use the raw file inside"),
     b"II\x1a\0\0\0HEAPCCDR": ("is a CRW (Canon's CIFF), which has no EXIF", "convert it with Adobe DNG Converter"),
 }
-_LONGEST_HEAD = max(map(len, _BY_HEAD))
 _GREY_TIFF = (
     "is a grey TIFF, which states no colour filter array and neither black nor white level",
     f"use the camera's raw file, or {_STATE}",
@@ -57,12 +58,7 @@ _NO_GPR = "convert it to DNG with GoPro's gpr_tools (gpr_tools -i NAME.GPR -o NA
 _REFUSED: tuple[tuple[int, tuple[int, ...], str, str], ...] = (
     (tiff.SAMPLE_FORMAT, (3,), "has pixels that are floating-point numbers (its SampleFormat is {})", _WRITE),
     (tiff.COMPRESSION, (tiff.JPEG_XL,), "has pixels in JPEG XL (its Compression is {})", _NO_JPEG_XL),
-    (
-        tiff.COMPRESSION,
-        (8, 32946),
-        "is a DNG of whole numbers in Deflate compression (its Compression is {})",
-        _NO_DEFLATE,
-    ),
+    (tiff.COMPRESSION, (8, 32946), "is a DNG of whole numbers in Deflate compression", _NO_DEFLATE),
     (tiff.COMPRESSION, (9,), "is a GPR (GoPro, VC-5 compression)", _NO_GPR),
     (tiff.SAMPLES, (), "has several samples of each pixel, as of dual pixels (its SamplesPerPixel is {})", _WRITE),
     (tiff.ROW_INTERLEAVE, (), "has interleaved rows (its RowInterleaveFactor is {})", _WRITE),
@@ -70,11 +66,14 @@ _REFUSED: tuple[tuple[int, tuple[int, ...], str, str], ...] = (
     (tiff.CFA_LAYOUT, (), "unsupported colour filter array: its CFALayout is {} (staggered, as a Super CCD's)", NEEDED),
 )
 _OF_ANY_IMAGE = _REFUSED[:2]  # demosaiced ones too: LibRaw makes other numbers of floats
-_DELTAS = ("BlackLevelDeltaH", "BlackLevelDeltaV")
-_HEXADECA = 4  # sites along a side of its blocks
+_CFA_NAMES = {  # by colours that no other kind has
+    "CYGM": "CYGM (cyan, yellow, green, magenta), ",
+    "W": "RGBW (with white sites), ",
+    "E": "RGBE (with emerald sites), ",
+}
 
 
-def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
+def refuse_unsupported(container: RawContainer) -> None:
     """Refuse a file that is known not to work, from its first bytes and its directories (of a TIFF-based file).
 
     Raises
@@ -82,23 +81,22 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
     UnusableRawError
         If the file is of a kind, a compression, a layout or a colour filter array that cannot be used; it says which.
     """
-    with path.open("rb") as file:
-        head = file.read(_LONGEST_HEAD)
+    path, directories = container.path, container.directories
     for magic, of_kind in _BY_HEAD.items():
-        if head.startswith(magic):
+        if container.head.startswith(magic):
             raise UnusableRawError(path, *of_kind)
     if _is_grey_tiff(directories):
         raise UnusableRawError(path, *_GREY_TIFF)
     mosaics = tiff.main_mosaics(directories)
     if not mosaics:
         if tiff.is_dng(directories):
-            _refuse_layout(path, max(directories, key=lambda one: one.pixels), _OF_ANY_IMAGE)
+            _refuse_layout(path, max(directories, key=lambda image: image.pixels), _OF_ANY_IMAGE)
         return
     main = mosaics[0]
     _refuse_layout(path, main, _REFUSED)
     if len(mosaics) > 1:
-        found = f"holds {len(mosaics)} mosaics of one size (PhotometricInterpretation 32803), as of a pixel shift"
-        raise UnusableRawError(path, found, _WRITE)
+        text = f"holds {len(mosaics)} mosaics of one size (PhotometricInterpretation 32803), as of a pixel shift"
+        raise UnusableRawError(path, text, _WRITE)
     if tiff.is_dng(directories):
         _refuse_black(path, main)
     pattern = main.cfa_letters  # without one LibRaw's word counts
@@ -108,33 +106,25 @@ def refuse_unsupported(path: Path, directories: Sequence[Directory]) -> None:
 
 
 def _refuse_layout(path: Path, image: Directory, refused: tuple[tuple[int, tuple[int, ...], str, str], ...]) -> None:
-    for tag, numbers, found, advice in refused:
+    for tag, numbers, text, advice in refused:
         number = image.number(tag, 1)
         if number in numbers or (not numbers and number != 1):
-            raise UnusableRawError(path, found.format(number), advice)
+            raise UnusableRawError(path, text.format(number), advice)
 
 
 def _refuse_black(path: Path, main: Directory) -> None:
     """Refuse a DNG whose black level is not stated by the site of the CFA."""
-    levels, repeat = main.values.get(tiff.BLACK_LEVEL, ()), main.values.get(tiff.BLACK_REPEAT, ())
-    rows, columns = main.black_repeat
-    if len(levels) not in (0, rows * columns):
-        dim = (
-            f"its BlackLevelRepeatDim is {' x '.join(map(str, repeat))}" if repeat else "it has no BlackLevelRepeatDim"
-        )
+    levels, expected = main.values.get(tiff.BLACK_LEVEL, ()), math.prod(main.black_repeat)
+    if len(levels) not in (0, expected):
         raise UnusableRawError(
             path,
-            f"its BlackLevel has {counted(len(levels), 'number')}, expected {rows * columns}, as {dim}: which is of "
-            "which pixel is not known",
+            f"its BlackLevel has {counted(len(levels), 'number')}, expected {expected} by its BlackLevelRepeatDim: "
+            "which is of which pixel is not known",
             "write it again with a BlackLevelRepeatDim that fits, such as 2 2 for four levels",
         )
-    for tag, name in zip(tiff.BLACK_DELTAS, _DELTAS, strict=True):
-        deltas = main.values.get(tag, ())
-        if any(deltas):
-            found = f"{float(min(deltas)):.4g} to {float(max(deltas)):.4g} DN"
-            raise UnusableRawError(
-                path, f"has a black level that differs by row or column (its {name} goes from {found})", _WRITE
-            )
+    for tag, name in zip(tiff.BLACK_DELTAS, ("BlackLevelDeltaH", "BlackLevelDeltaV"), strict=True):
+        if any(main.values.get(tag, ())):
+            raise UnusableRawError(path, f"has a black level that differs by row or column (its {name})", _WRITE)
     if not levels and main.values.get(tiff.MASKED_AREAS):
         raise UnusableRawError(
             path,
@@ -144,33 +134,19 @@ def _refuse_black(path: Path, main: Directory) -> None:
 
 
 def _is_grey_tiff(directories: Sequence[Directory]) -> bool:
-    """Return whether the largest image of a TIFF-based file is grey, and nothing says that a camera wrote it as raw."""
-    largest = max(directories, key=lambda one: one.pixels, default=None)
-    if largest is None or not largest.pixels or any(_OF_CAMERAS & one.entries.keys() for one in directories):
+    """Say whether the largest image of a TIFF-based file is grey, and nothing says that a camera wrote it as raw."""
+    largest = max(directories, key=lambda image: image.pixels, default=None)
+    by_camera = any(_OF_CAMERAS & directory.entries.keys() for directory in directories)
+    if largest is None or not largest.pixels or by_camera:
         return False
     return largest.number(tiff.PHOTOMETRIC, -1) in _GREY
 
 
 def unsupported_cfa(path: Path, rows: Sequence[str]) -> UnusableRawError:
-    """Return the error of a colour filter array, one period of it in letters by row, that cannot be used."""
-    size, colours = f"{len(rows)} x {len(rows[0]) if rows else 0}", "".join(sorted(set("".join(rows))))
-    found = f"unsupported colour filter array: {_kind(rows)}{size} sites of {colours}"
-    return UnusableRawError(path, found, NEEDED)
-
-
-def _kind(rows: Sequence[str]) -> str:
-    """Return the name of an unsupported colour filter array with a comma behind it; nothing if it has none."""
-    colours = set("".join(rows))
-    corners = [row[::_HEXADECA] for row in rows[::_HEXADECA]]
-    in_blocks = ["".join(colour * _HEXADECA for colour in row) for row in corners for _ in range(_HEXADECA)]
-    if len(corners) == 2 and [*rows] == in_blocks and cfa_of_letters(corners) is not None:
-        return f"hexadeca-Bayer (blocks of {_HEXADECA} x {_HEXADECA} sites of one colour), "
-    if colours == set("CYGM"):
-        return "CYGM (cyan, yellow, green, magenta), "
-    if "W" in colours:
-        return "RGBW (with white sites), "
-    if "E" in colours:
-        return "RGBE (with emerald sites), "
-    if len(rows) == 4 and rows[0] == rows[2] != rows[1] == rows[3] and rows[0] == rows[1][2:] + rows[1][:2]:
-        return "a Super CCD (turned by 45 degrees), "
-    return ""
+    """Make the error of a colour filter array, one period of it in letters by row, that cannot be used."""
+    colours = "".join(sorted(set("".join(rows))))
+    kind = next((name for letters, name in _CFA_NAMES.items() if set(letters) <= set(colours)), "")
+    size = f"{len(rows)} x {len(rows[0]) if rows else 0}"
+    if (size, colours) == ("8 x 8", "BGR"):
+        kind = "as of hexadeca-Bayer, "
+    return UnusableRawError(path, f"unsupported colour filter array: {kind}{size} sites of {colours}", NEEDED)

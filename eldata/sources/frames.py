@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from eldata.manifest.card import Card
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
-    from eldata.raw.cfa import CfaRows
-    from eldata.raw.levels import FrameLevels
+    from eldata.raw.levels import CfaRows, FrameLevels
     from eldata.raw.stated import StatedFile
     from eldata.records import FrameRecord, PairRecord, Sensor
 

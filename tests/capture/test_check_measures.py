@@ -14,7 +14,7 @@ from capture.check.frames import Cells, luminance, reduce_to_cells, saturation_d
 from capture.check.ratio import brightness_ratios, fit_ratio
 from capture.check.result import Measure, MeasureKind
 from capture.check.shift import make_tiles, measure_focus, measure_shift, moved_tiles
-from eldata.raw.cfa import XTRANS_CFA, bayer_cfa, pack
+from eldata.raw.levels import XTRANS_CFA, bayer_cfa, pack
 from eldata.records import Exposure, Sensor
 from tests.capture.planted_faults import lit, moved, picture
 from tests.capture.simulated_scenes import ALPHA, BETA, Shot, radiance

@@ -9,8 +9,7 @@ import pytest
 
 from eldata.datasets.crops import ORIENTATIONS, Orientation, copy_oriented, oriented, turned_levels
 from eldata.errors import ArgumentError
-from eldata.raw.cfa import XTRANS_CFA, pack
-from eldata.raw.levels import packed_black_level_dn
+from eldata.raw.levels import XTRANS_CFA, pack, packed_black_level_dn
 from tests.cases import in_one_test
 from tests.raw.helpers import BAYER, NONA, QUAD, SOME_CFAS, XTRANS, Cfa
 

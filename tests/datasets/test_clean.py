@@ -18,8 +18,7 @@ from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import write_dng
-from eldata.raw.cfa import XTRANS_CFA, pack, unpack
-from eldata.raw.levels import CLIP_RANGES, normalise
+from eldata.raw.levels import CLIP_RANGES, XTRANS_CFA, normalise, pack, unpack
 from eldata.sources.store import build_store, source_of_folder
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
 

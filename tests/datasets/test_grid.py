@@ -14,8 +14,7 @@ from eldata.datasets import Arrays, CleanClips, Noise2Noise, PairDataset, Rank, 
 from eldata.datasets.base import SIDES
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest import shipped_manifest
-from eldata.raw.cfa import XTRANS_CFA, packed_area
-from eldata.raw.levels import pack_normalised
+from eldata.raw.levels import XTRANS_CFA, pack_normalised, packed_area
 from eldata.sources.frames import Frame
 from tests.drv_tree import small_drv
 from tests.raw.helpers import BAYER, CFAS, layout_of, levels_of, random_mosaic

@@ -24,8 +24,7 @@ from eldata.manifest import load_manifest, verify
 from eldata.noise import CameraProfile, NoiseModel, NoiseParameters
 from eldata.noise.profile import ProfileRow
 from eldata.raw import bayer_cfa, read_raw, write_dng
-from eldata.raw.cfa import XTRANS_CFA
-from eldata.raw.levels import pack_normalised
+from eldata.raw.levels import XTRANS_CFA, pack_normalised
 from eldata.records import Exposure, Sensor
 from eldata.sources.frames import Files
 from tests.noise.helpers import Law

@@ -22,8 +22,7 @@ from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile, NoiseModel
 from eldata.raw import write_dng
-from eldata.raw.cfa import unpack
-from eldata.raw.levels import pack_normalised
+from eldata.raw.levels import pack_normalised, unpack
 from eldata.sources.frames import Frame
 from tests.cases import in_one_test
 from tests.datasets.comparing import same

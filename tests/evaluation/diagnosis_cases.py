@@ -25,8 +25,7 @@ from eldata.evaluation.mistakes import Circumstances
 from eldata.isp.preview import preview
 from eldata.metrics.image_score import score_by
 from eldata.protocols.named import PROTOCOLS
-from eldata.raw.cfa import XTRANS_CFA, pack, unpack
-from eldata.raw.levels import Clip, pack_normalised, with_levels
+from eldata.raw.levels import XTRANS_CFA, Clip, pack, pack_normalised, unpack, with_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

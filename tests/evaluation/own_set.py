@@ -13,8 +13,8 @@ import numpy as np
 from eldata.evaluation import save_prediction
 from eldata.manifest.card import CameraCard, Card, cfa_word, save_card
 from eldata.manifest.table import save_records
-from eldata.raw.cfa import pack, packing_sites
 from eldata.raw.dng import write_dng
+from eldata.raw.levels import pack, packing_sites
 from eldata.records import Exposure, FrameRecord, Sensor
 
 if TYPE_CHECKING:

@@ -229,7 +229,7 @@ def test_provenance(tree: Tree, predictions: Path, result: EvaluationResult) -> 
     assert provenance["cameras"] == "all"
     assert provenance["predictions"] == str(predictions)
     assert provenance["eldata"] == __version__
-    for name in ("numpy", "numba", "rawpy", "exifread"):
+    for name in ("numpy", "numba", "rawpy"):
         assert provenance[name] == version(name)
     assert provenance["libraw"].count(".") == 2
     assert provenance["python"].startswith("3.")

@@ -12,9 +12,8 @@ from skimage.color import deltaE_ciede2000, rgb2lab, rgb2xyz
 
 from eldata.isp.preview import srgb_encode
 from eldata.isp.rendering import Gamma, Rendering
-from eldata.raw.cfa import packed_area
 from eldata.raw.dng import write_dng
-from eldata.raw.levels import packed_frame
+from eldata.raw.levels import packed_area, packed_frame
 from eldata.raw.reading import read_raw
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor
 from tests.raw.test_colour import CAMERAS

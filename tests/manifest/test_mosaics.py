@@ -50,7 +50,6 @@ WRITERS: dict[str, Callable[[Path, NDArray[Any]], object]] = {
     "tiff": tifffile.imwrite,
     "mat": lambda path, mosaic: scipy.io.savemat(path, {"x": mosaic}, do_compression=True),
     "MAT": save_matlab_73,
-    "bin": lambda path, mosaic: mosaic.astype("<u2").tofile(path),
 }
 
 
@@ -99,8 +98,7 @@ def as_dng(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("kind", WRITERS)
 def test_mosaics_are_read_as_raws_are(kind: str, as_dng: Path, tmp_path: Path) -> None:
-    facts = replace(FACTS, shape=SHAPE) if kind == "bin" else FACTS
-    path = own_set(tmp_path, kind, facts)
+    path = own_set(tmp_path, kind, FACTS)
     root = tmp_path / "data"
     report = verify([load_manifest(path)], root, level="full")
     assert report.problems == ()
@@ -222,19 +220,19 @@ CLEAN, DARK = mosaic_of(REFERENCE, 1).astype(np.float64), mosaic_of(NOISY, 1).as
         (shares_of(DARK), "float64", "x.mat", (64, 1023), "black 0 and white 1 "),
         (shares_of(DARK), "float32", "x.npy", (0, 16383), "black 0 and white 1 "),
         (shares_of(CLEAN) + LOUD, "float32", "x.npy", (64, 1023), "black 0 and white 1 "),
-        (CLEAN, "float64", "x.mat", (0, 1), r"white 4095 \(values of 12 bits\)"),
-        (CLEAN / 4, "uint16", "x.mat", (0, 1), r"white 1023 \(values of 10 bits\)"),
-        (np.where(DARK > 270, 300.5, 0.3), "float32", "x.npy", (0, 1), r"white 1023 \(values of 10 bits\)"),
-        (DARK - BLACK, "float32", "x.npy", (0, 1), r"values of \d+ bits"),
-        (CLEAN / 16, "uint8", "x.tiff", (240, 4095), r"uint8, which ends at 255, .* black 14\.95 and white 255 "),
-        (CLEAN / 16, "uint16", "x.tiff", (240, 4095), r"most .* below black, .* black 15 and white 255\.\d+ \("),
-        (CLEAN * 16, "uint16", "x.tiff", (240, 4095), r"black 3840 and white 65520 \(all are multiples of 16\)"),
-        (CLEAN * 16, "float32", "x.tiff", (240, 4095), "black 3840 and white 65520 "),
-        (CLEAN, "uint16", "x.npy", (64, 1023), r"white 4095 \(values of 12 bits\)"),
-        (np.maximum(DARK - BLACK, 0), "uint16", "x.npy", (240, 4095), "black 0 and white 3855 .*, or black 15 "),
+        (CLEAN, "float64", "x.mat", (0, 1), "many of them far outside"),
+        (CLEAN / 4, "uint16", "x.mat", (0, 1), "many of them far outside"),
+        (np.where(DARK > 270, 300.5, 0.3), "float32", "x.npy", (0, 1), "many of them far outside"),
+        (DARK - BLACK, "float32", "x.npy", (0, 1), "many of them far outside"),
+        (CLEAN / 16, "uint8", "x.tiff", (240, 4095), "uint8, which ends at 255, "),
+        (CLEAN / 16, "uint16", "x.tiff", (240, 4095), "most of them below black"),
+        (CLEAN * 16, "uint16", "x.tiff", (240, 4095), "many of them far outside"),
+        (CLEAN * 16, "float32", "x.tiff", (240, 4095), "many of them far outside"),
+        (CLEAN, "uint16", "x.npy", (64, 1023), "many of them far outside"),
+        (np.maximum(DARK - BLACK, 0), "uint16", "x.npy", (240, 4095), "most of them below black"),
     ],
 )  # fmt: skip
-def test_values_that_cannot_be_of_the_cards_levels_are_refused_with_those_that_would_fit(
+def test_values_that_cannot_be_of_the_cards_levels_are_refused(
     values: NDArray[Any], dtype: str, name: str, levels: tuple[float, float], fitting: str, tmp_path: Path
 ) -> None:
     file = save_as(dtype, values, tmp_path / name)
@@ -315,29 +313,12 @@ def test_borders_of_arrays_are_named_once_and_read(tmp_path: Path) -> None:
     assert "4 at the bottom (of 0 DN) of its 48 rows and 64 columns hold no picture" in remark.text
 
 
-@pytest.mark.parametrize("size", [1, 2 * 48 * 64 - 1, 2 * 48 * 64 + 2, 48 * 64 * 10 // 8])
-def test_numbers_without_a_header_of_another_size_are_named(size: int, tmp_path: Path) -> None:
-    """As of packed ones."""
-    (tmp_path / "x.raw").write_bytes(bytes(range(256)) * 25)
-    (tmp_path / "x.raw").write_bytes((tmp_path / "x.raw").read_bytes()[:size])
-    file = StatedFile(tmp_path / "x.raw", replace(FACTS, shape=SHAPE))
+def test_numbers_without_a_header_are_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "x.bin").write_bytes(bytes(2 * 48 * 64))
+    file = StatedFile(tmp_path / "x.bin", FACTS)
     for look in (file.read, file.check):
-        with pytest.raises(RawFileError, match=rf"x\.raw: expected 6144 bytes for 48 x 64 pixels.*found {size};"):
+        with pytest.raises(UnusableRawError, match=r"x\.bin: is numbers without a header; convert it to \.npy"):
             look()
-
-
-def test_numbers_without_a_header_need_a_shape_and_are_looked_through(tmp_path: Path) -> None:
-    mosaic = mosaic_of(NOISY, 0)
-    mosaic[10:30] = 0
-    mosaic.astype("<u2").tofile(tmp_path / "x.bin")
-    with pytest.raises(
-        RawFileError, match=r"x\.bin: is numbers without a header; state its shape in the card's mosaics"
-    ):
-        StatedFile(tmp_path / "x.bin", FACTS).check()
-    with pytest.raises(RawFileError, match=r"1280 pixels in a row.* are 0 DN, below the black level 240 DN"):
-        read_raw(StatedFile(tmp_path / "x.bin", replace(FACTS, shape=SHAPE)))
-    with pytest.raises(RawFileError, match=r"none\.bin: cannot be read: No such file"):
-        read_raw(StatedFile(tmp_path / "none.bin", replace(FACTS, shape=SHAPE)))
 
 
 @in_one_test(
@@ -387,7 +368,6 @@ def test_which_of_several_arrays_is_said(tmp_path: Path) -> None:
         ("black_level_dn", []),
         ("black_level_dn", [1, 2]),
         ("white_level_dn", 240),
-        ("shape", [3]),
         ("whyte", 1),
         ("bits", 10),
     ],

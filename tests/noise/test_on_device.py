@@ -15,7 +15,7 @@ from eldata.errors import ArgumentError
 from eldata.noise import Adc, NoiseDraw, NoiseModel, NoiseParameters
 from eldata.noise.components import COMPONENTS
 from eldata.noise.on_device import expose_on_device
-from eldata.raw.cfa import XTRANS_CFA, pack, unpack
+from eldata.raw.levels import XTRANS_CFA, pack, unpack
 from tests.cases import in_one_test
 from tests.noise.helpers import (
     CUDA,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Literal
 
-import imagecodecs
 import numpy as np
 import pytest
 import tifffile
@@ -19,7 +18,7 @@ from tests.raw.helpers import (
     XTRANS,
     Cfa,
     Tag,
-    black_levels,
+    add_tags,
     letters,
     make_sensor,
     random_mosaic,
@@ -140,43 +139,10 @@ def written(path: Path, kind: str, shape: tuple[int, int] = (24, 26)) -> tuple[b
         return path.read_bytes(), tiff.pages.first.dataoffsets[0] + tiff.pages.first.databytecounts[0]
 
 
-def declaring_just_what_is_there(path: Path, cfa: Cfa, strip: bytes | bytearray, cut: int, black: int) -> None:
-    """A lossless-JPEG DNG of 120 x 132 pixels whose declared extents fit but whose data are cut off."""
-    write_plain_dng(
-        path,
-        iter([bytes(strip[:cut])]),
-        letters(cfa),
-        (50714, "I", 1, black, True),
-        shape=(120, 132),
-        dtype=np.uint16,
-        compression=7,
-        rowsperstrip=120,
-    )
-
-
-@pytest.mark.parametrize("cfa", [BAYER["RGGB"], xtrans_at(0, 0)], ids=["Bayer", "X-Trans"])
-@pytest.mark.parametrize("black", [0, 400])
-def test_data_that_cannot_hold_the_pixels_though_the_extents_fit(cfa: Cfa, black: int, tmp_path: Path) -> None:
-    path = tmp_path / "a.dng"
-    strip = imagecodecs.ljpeg_encode(random_mosaic(120, 132), bitspersample=16)
-    declaring_just_what_is_there(path, cfa, strip, len(strip), black)
-    assert read_raw(path).mosaic.shape == (120, 132)
-    for cut in (10, 40, 100, 200, len(strip) // 10, len(strip) // 2, len(strip) * 99 // 100):
-        declaring_just_what_is_there(path, cfa, strip, cut, black)
-        refused(path, "truncated|is the file whole", [read_raw])
-
-
-def test_a_strip_that_declares_fewer_bytes_than_its_pixels_need(tmp_path: Path) -> None:
-    path, mosaic = tmp_path / "a.dng", random_mosaic(64, 66)
-    write_plain_dng(path, mosaic)
-    with tifffile.TiffFile(path) as tiff:
-        start, entry = tiff.pages.first.dataoffsets[0], tiff.pages.first.tags[279].offset
-    data = bytearray(path.read_bytes())
-    for rows in (1, 32, 63):
-        size = rows * 66 * 2
-        struct.pack_into("<HHII", data, entry, 279, 4, 1, size)
-        path.write_bytes(data[: start + size])
-        refused(path, "is the file whole|truncated", [read_raw])
+def test_data_that_cannot_hold_the_pixels_though_the_extents_fit(tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66))
+    add_tags(tmp_path / "a.dng", (259, "H", 1, 7, True), (279, "I", 1, 40, True))
+    refused(tmp_path / "a.dng", "truncated: its image data, 40 bytes, cannot hold 4224 pixels")
 
 
 def test_a_last_row_of_zeros_far_below_black(tmp_path: Path) -> None:
@@ -186,23 +152,6 @@ def test_a_last_row_of_zeros_far_below_black(tmp_path: Path) -> None:
     refused(path, "last row is all 0 DN", [read_raw])
     write_plain_dng(path, mosaic, ("RG", "GB"))  # black 0: zeros are dark
     np.testing.assert_array_equal(read_raw(path).mosaic, mosaic)
-
-
-def test_a_header_cut_inside_of_its_directory(tmp_path: Path) -> None:
-    path = tmp_path / "a.dng"
-    write_plain_dng(path, random_mosaic(64, 66))
-    data = path.read_bytes()
-    (first,) = struct.unpack_from("<I", data, 4)
-    (entries,) = struct.unpack_from("<H", data, first)
-    for length in (
-        first + 1,
-        first + 2,
-        first + 2 + 12,
-        first + 2 + 12 * (entries // 2) + 5,
-        first + 12 * entries,
-    ):
-        path.write_bytes(data[:length])
-        refused(path, "truncated: it declares data up to byte")
 
 
 # --- not a mosaic of a Bayer or X-Trans sensor --------------------------------------------------------------
@@ -247,8 +196,7 @@ def in_blocks(side: int, rows: tuple[str, str] = ("RG", "GB")) -> list[str]:
 
 
 NAMED = {
-    "hexadeca-Bayer": (in_blocks(4), r"hexadeca-Bayer \(blocks of 4 x 4 sites of one colour\), 8 x 8 sites of BGR"),
-    "hexadeca-Bayer from green": (in_blocks(4, ("GR", "BG")), "hexadeca-Bayer"),
+    "hexadeca-Bayer": (in_blocks(4), "as of hexadeca-Bayer, 8 x 8 sites of BGR"),
     "nearly quad-Bayer": (["RRGG", "RRGG", "GGBB", "GGBG"], "4 x 4 sites of BGR"),
     "nearly nona-Bayer": ([*in_blocks(3)[:5], "GGGBBG"], "6 x 6 sites of BGR"),
     # Regression: LibRaw takes the first four colours of the next for the pattern, so it was read as Bayer.
@@ -288,7 +236,10 @@ def test_a_compression_that_libraw_cannot_decode(tmp_path: Path) -> None:
     refused(path, "is a GPR .*gpr_tools -i")
 
 
-@pytest.mark.parametrize(("head", "words"), [(b"FOVb", "is a Sigma X3F, .*Foveon"), (b"PK\3\4", "Capture One's EIP")])
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [(b"FOVb", "is a Sigma X3F, .*Foveon"), (b"II\x1a\0\0\0HEAPCCDR", "is a CRW .*Adobe DNG Converter")],
+)
 def test_containers_that_are_known_not_to_work(head: bytes, words: str, tmp_path: Path) -> None:
     (tmp_path / "a.X3F").write_bytes(head + bytes(1000))
     refused(tmp_path / "a.X3F", words)
@@ -300,17 +251,6 @@ def test_a_level_over_0_is_refused_and_not_taken_for_0(tag: str, tmp_path: Path)
     tags: list[Tag] = [(number, "2I", 1, (512, 0), True)]
     write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags, white=None)
     refused(tmp_path / "a.dng", f"its {tag} is not a number")
-
-
-@pytest.mark.parametrize("size", [6, 2])
-def test_an_xtrans_dng_whose_black_differs_by_site(size: int, tmp_path: Path) -> None:
-    path, pattern = tmp_path / "a.dng", letters(xtrans_at(0, 0))
-    levels = [[400] * size for _ in range(size)]
-    write_plain_dng(path, random_mosaic(66, 72), pattern, *black_levels(levels))
-    assert read_raw(path).sensor.black_level_dn == (400.0,) * 3
-    levels[1][0] = 401
-    write_plain_dng(path, random_mosaic(66, 72), pattern, *black_levels(levels))
-    refused(path, "BlackLevel differs between sites of one colour", [read_raw])
 
 
 @pytest.mark.parametrize("white", [400, 100])

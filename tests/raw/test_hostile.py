@@ -6,23 +6,18 @@ limit on time, or the machine, would end those tests.
 
 from __future__ import annotations
 
-import os
-import socket
 import struct
 from typing import TYPE_CHECKING
 
 import pytest
 
 from eldata.errors import RawFileError
-from eldata.isp.libraw import render_libraw
 from eldata.raw import read_header, read_raw
-from eldata.raw.exif import exif_tags
 from eldata.raw.tiff import read_directories
 from tests.cases import in_one_test
 from tests.raw.helpers import (
     Tag,
     add_tags,
-    black_levels,
     random_mosaic,
     write_plain_dng,
 )
@@ -79,30 +74,12 @@ def test_more_directories_than_any_camera_writes(tmp_path: Path) -> None:
     refused(path, "far too many directories")
 
 
-def test_values_that_only_exifread_reads(tmp_path: Path) -> None:
-    """It reads each of the 999 values of each of four thousand entries, by two calls: seven seconds."""
-    path = tmp_path / "a.dng"
-    path.write_bytes(b"II*\0" + struct.pack("<I", 8) + directory(*[(60_000, 3, 999, 8)] * 4000))
-    assert read_directories(path)[0].values == {}
-    with pytest.raises(RawFileError, match="made to keep a reader busy: its EXIF declares far too much"):
-        exif_tags(path)
-
-
-def test_bytes_that_only_exifread_reads(tmp_path: Path) -> None:
-    """It reads a text of many megabytes again for each entry that points to it."""
-    path = tmp_path / "a.dng"
-    length = 1 << 22
-    content = b"II*\0" + struct.pack("<I", 8) + directory(*[(60_000, 2, length, 8)] * 4000)
+@pytest.mark.parametrize("tag", [271, 272, 36867])
+def test_a_text_of_many_megabytes_that_entries_share(tag: int, tmp_path: Path) -> None:
+    path, length = tmp_path / "a.dng", 1 << 22
+    content = b"II*\0" + struct.pack("<I", 8) + directory(*[(tag, 2, length, 8)] * 4000)
     path.write_bytes(content.ljust(length + 8, b"x"))
-    with pytest.raises(RawFileError, match="made to keep a reader busy: its EXIF declares far too much"):
-        exif_tags(path)
-
-
-@in_one_test("size,reason", [(1021, "far too many values"), (200, "its BlackLevel repeats every 200 x 200 pixels")])
-def test_a_pattern_of_black_levels_larger_than_any_cameras(size: int, reason: str, tmp_path: Path) -> None:
-    levels = [[512] * size] * size
-    write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *black_levels(levels))
-    refused(tmp_path / "a.dng", reason)
+    refused(path, "made to keep a reader busy: its directories declare far too many values")
 
 
 @in_one_test(
@@ -132,19 +109,13 @@ def test_a_directory_before_the_files_begin(tmp_path: Path) -> None:
     "tags",
     [
         ((50721, "2i", 9, (1, 0) * 9, True), (50778, "H", 1, 21, True)),  # a matrix of 1/0
-        ((50721, "2i", 9, (1, 2) * 9, True), (50778, "B", 0, b"", True)),  # an illuminant of no values
-        ((50728, "2I", 3, (1, 0) * 3, True),),  # AsShotNeutral of 1/0
+        ((50721, "2i", 9, (0, 2) * 9, True), (50778, "B", 0, b"", True)),  # an illuminant of no values
     ],
 )
-def test_colours_that_are_no_numbers(tags: tuple[Tag, ...], tmp_path: Path) -> None:
-    """Regression: ZeroDivisionError and IndexError. Refused, or not known, but no error of another kind."""
+def test_colours_that_are_no_numbers_are_not_known(tags: tuple[Tag, ...], tmp_path: Path) -> None:
     write_plain_dng(tmp_path / "a.dng", random_mosaic(64, 66), ("RG", "GB"), *tags)
-    try:
-        sensor = read_raw(tmp_path / "a.dng").sensor
-    except RawFileError:
-        return
-    for known in (sensor.white_balance, sensor.xyz_to_camera):
-        assert known is None or "1, 0" not in str(known)
+    sensor = read_raw(tmp_path / "a.dng").sensor
+    assert sensor.xyz_to_camera is None
 
 
 # --- sizes ------------------------------------------------------------------------------------------------------------
@@ -186,25 +157,8 @@ def test_memory_that_there_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
     path = tmp_path / "a.dng"
     write_plain_dng(path, random_mosaic(64, 66))
-    monkeypatch.setattr("eldata.raw.reading.read_directories", starve)
+    monkeypatch.setattr("eldata.raw.reading.read_container", starve)
     refused(path, "needs more memory than there is; is the file whole, and what it says it is?")
 
 
 # --- what is no file --------------------------------------------------------------------------------------------------
-
-
-def test_what_is_no_file_is_not_opened(tmp_path: Path) -> None:
-    """A named pipe would be waited for, and a device read, without end."""
-    if not hasattr(os, "mkfifo"):
-        pytest.skip("this system has no named pipes")
-    os.mkfifo(tmp_path / "pipe.dng")
-    (tmp_path / "device.dng").symlink_to("/dev/zero")
-    (tmp_path / "loop.dng").symlink_to("loop.dng")
-    refused(tmp_path / "pipe.dng", "is a named pipe, not a file")
-    refused(tmp_path / "device.dng", "is a device, not a file")
-    refused(tmp_path / "loop.dng", "cannot be read: Too many levels of symbolic links")
-    with pytest.raises(RawFileError, match="is a named pipe, not a file"):
-        render_libraw(tmp_path / "pipe.dng")
-    with socket.socket(socket.AF_UNIX) as listening:
-        listening.bind(str(tmp_path / "socket.dng"))
-        refused(tmp_path / "socket.dng", "is a socket, not a file")

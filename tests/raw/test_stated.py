@@ -15,9 +15,10 @@ import pytest
 import rawpy
 
 from eldata.errors import RawFileError
-from eldata.raw import exif, exposure_ratio, read_header, read_raw, reading, write_dng
-from eldata.raw.exif import exif_tags, header_of
-from eldata.raw.files import raw_facts
+from eldata.raw import exposure_ratio, read_header, read_raw, write_dng
+from eldata.raw.container import read_container
+from eldata.raw.reading import raw_facts
+from eldata.raw.tiff import TiffReader
 from eldata.records import Exposure
 from tests.raw.helpers import EXPOSURE, Tag, make_sensor, random_mosaic, write_plain_dng
 
@@ -30,7 +31,7 @@ CR3, DNG = REAL / "canon-eos-r6.cr3", REAL / "gopro-fusion.dng"
 
 def stated(path: Path) -> RawHeader:
     """What a file says, without LibRaw: such files need no pixels."""
-    return header_of(path, exif_tags(path))
+    return read_container(path).header
 
 
 # --- CR3 ------------------------------------------------------------------------------------------------------
@@ -159,21 +160,6 @@ def test_an_unknown_exposure_is_none(parts: tuple[int, int], tmp_path: Path) -> 
         exposure_ratio(read_raw(path), read_header(path))
 
 
-def test_an_apex_of_0_is_not_1_s_at_f1(tmp_path: Path) -> None:
-    """Of a real DNG (syoyo/tinydng, colorchart.dng): 0/1000000 s, and 0 as ShutterSpeedValue and ApertureValue."""
-    path = tmp_path / "a.dng"
-    write_dng(path, random_mosaic(64, 66), make_sensor(height=64, width=66), EXPOSURE)
-    data = path.read_bytes()
-    for tag, apex, value in ((33434, 37377, EXPOSURE.exposure_s), (33437, 37378, EXPOSURE.f_number)):
-        assert value is not None
-        data = data.replace(struct.pack("<HHI", tag, 5, 1), struct.pack("<HHI", apex, 5, 1))
-        data = data.replace(struct.pack("<II", *value.as_integer_ratio()), struct.pack("<II", 0, 1_000_000))
-    path.write_bytes(data)
-    with rawpy.imread(str(path)) as raw:
-        assert (raw.other.shutter_speed, raw.other.aperture) == (1, 1)  # the trap is set
-    assert read_raw(path).exposure == read_header(path).exposure == Exposure(EXPOSURE.iso, None, None)
-
-
 @pytest.mark.parametrize(
     ("tags", "iso"),
     [
@@ -203,18 +189,31 @@ def test_reading_a_header_decodes_no_pixels(tmp_path: Path, monkeypatch: pytest.
     assert read_header(CR3).model == "Canon EOS R6"
 
 
-def test_the_first_nikons_state_their_iso_in_their_own_tags(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("note", "iso"),
+    [
+        (struct.pack("<HHHIHHI", 1, 2, 3, 2, 0, 200, 0), 200),  # of the first kind: a directory of the ISO alone
+        (b"Nikon\0\2\x10\0\0MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 2, 3, 2, 0, 200, 0), 200),
+        (b"Nikon\0\1\0" + bytes(20), None),
+    ],
+)
+def test_the_first_nikons_state_their_iso_in_their_own_tags(note: bytes, iso: int | None, tmp_path: Path) -> None:
     """A D1's NEF (bep/imagemeta, testdata/images/sample.nef) has it there alone, as "0, 200"."""
     make, note_at = b"NIKON CORPORATION\0", 100
-    note = struct.pack("<HHHIHHI", 1, 2, 3, 2, 0, 200, 0)  # a note of the first kind: a directory of the ISO alone
     first = struct.pack("<HHHIIHHIII", 2, 271, 2, len(make), 60, 34665, 4, 1, 80, 0)
     exif = struct.pack("<HHHIII", 1, 37500, 7, len(note), note_at, 0)
     data = (b"II*\0" + struct.pack("<I", 8) + first).ljust(60, b"\0") + make
     path = tmp_path / "a.NEF"
     path.write_bytes((data.ljust(80, b"\0") + exif).ljust(note_at, b"\0") + note)
-    assert stated(path).exposure.iso == 200
+    assert stated(path).exposure.iso == iso
     path.write_bytes(path.read_bytes().replace(b"NIKON", b"NOKIN"))  # of no other maker are such tags read
     assert stated(path).exposure.iso is None
+
+
+@pytest.mark.parametrize("text", ["0000:00:00 00:00:00", "    :  :     :  :  ", "2026-11-21 10:00:00"])
+def test_a_clock_that_was_never_set_is_unknown(text: str, tmp_path: Path) -> None:
+    write_plain_dng(tmp_path / "a.dng", random_mosaic(60, 64), ("RG", "GB"), (36867, "s", 0, text, True))
+    assert stated(tmp_path / "a.dng").taken is None
 
 
 def test_a_dng_that_names_its_camera_in_one_tag(tmp_path: Path) -> None:
@@ -248,26 +247,17 @@ def test_a_real_dng() -> None:
 
 
 @pytest.mark.parametrize("decode", [False, True])
-def test_tables_and_exif_of_a_file_are_parsed_once(
-    decode: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_directories_of_a_file_are_read_once(decode: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """For a header, its pixels and every check of damage together."""
-    calls: list[str] = []
+    walk, walks = TiffReader.walk, []
 
-    def count(module: Any, name: str) -> None:
-        work = getattr(module, name)
+    def counted(reader: TiffReader) -> Any:
+        walks.append(reader)
+        return walk(reader)
 
-        def counted(path: Path) -> Any:
-            calls.append(name)
-            return work(path)
-
-        monkeypatch.setattr(module, name, counted)
-
-    count(reading, "read_directories")
-    count(exif, "exif_tags")
-    mosaic, sensor = random_mosaic(60, 64), make_sensor()
-    write_dng(tmp_path / "a.dng", mosaic, sensor, EXPOSURE, compression="lossless-jpeg")
-    header, found = raw_facts(tmp_path / "a.dng", decode=decode)
-    assert sorted(calls) == ["exif_tags", "read_directories"]
+    monkeypatch.setattr(TiffReader, "walk", counted)
+    write_dng(tmp_path / "a.dng", random_mosaic(60, 64), make_sensor(), EXPOSURE, compression="lossless-jpeg")
+    header, sensor = raw_facts(tmp_path / "a.dng", decode=decode)
+    assert len(walks) == 1
     assert header.exposure == EXPOSURE
-    assert (found is not None) == decode
+    assert (sensor is not None) == decode

@@ -12,11 +12,10 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from torch.utils.data import DataLoader, Dataset
 
 import eldata.errors
 from eldata.raw import read_raw, write_dng
@@ -24,8 +23,6 @@ from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic, xtran
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from eldata.records import RawFrame
 
 # The child reads, then develops with rawpy in the same thread: without the package's guard that never ends.
@@ -93,23 +90,6 @@ def run_script(folder: Path, script: str, *arguments: str) -> subprocess.Complet
 def test_a_forked_child_of_a_process_that_has_developed(before: str, files: list[Path], tmp_path: Path) -> None:
     done = run_script(tmp_path, FORK_SCRIPT, str(files[1]), before)
     assert done.stdout.strip() == "exit code 0", done.stderr
-
-
-# Python 3.12 and later warn of any fork in a process that has threads.
-@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-def test_a_worker_hands_the_error_with_its_file_to_the_parent(files: list[Path], tmp_path: Path) -> None:
-    bad = tmp_path / "cut.dng"
-    bad.write_bytes(files[0].read_bytes()[:5000])
-    paths = cast("Dataset[Path]", [files[0], bad, files[1]])
-    read = cast("Callable[[list[Path]], RawFrame]", read_raw)  # without batches it gets one path
-    loader: DataLoader[Path] = DataLoader(
-        paths, batch_size=None, collate_fn=read, num_workers=1, multiprocessing_context="fork", timeout=PATIENCE_S
-    )
-    frames = iter(loader)
-    next(frames)
-    with pytest.raises(Exception, match=r"cut\.dng: truncated: it declares"):
-        next(frames)
-    assert [frame.path for frame in cast("Iterator[RawFrame]", frames)] == [files[1]]  # and the worker lives on
 
 
 def test_eight_threads_read_what_one_reads(files: list[Path]) -> None:

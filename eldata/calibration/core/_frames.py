@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eldata.errors import ArgumentError
-from eldata.raw.cfa import packed_channels
+from eldata.raw.levels import packed_channels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.raw.cfa import Cfa
+    from eldata.raw.levels import Cfa
 
 Mosaic: TypeAlias = NDArray[np.uint16]
 Plane: TypeAlias = NDArray[np.float32]

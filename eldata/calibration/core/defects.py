@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.core._frames import Counts, Mask, Mosaic, Values
-    from eldata.raw.cfa import Cfa
+    from eldata.raw.levels import Cfa
 
 MINIMUM_FRAMES = 4
 """Bias frames that the calibration needs; ten or more are advised."""

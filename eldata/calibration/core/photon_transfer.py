@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.calibration.core._frames import Counts, Mask, Mosaic, Values
-    from eldata.raw.cfa import Cfa
+    from eldata.raw.levels import Cfa
 
 SEGMENT = 96
 """Mosaic columns of a piece of a row: whole periods of Bayer and of X-Trans."""

@@ -12,7 +12,7 @@ from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 from eldata.noise.model import check_normalised
 from eldata.raw._kernels import scatter_bayer
-from eldata.raw.cfa import packing_sites, unpack
+from eldata.raw.levels import packing_sites, unpack
 from eldata.sources.frames import Frame, Pixels
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.raw.cfa import CfaRows
+    from eldata.raw.levels import CfaRows
 
 _BAYER: CfaRows = ((0, 1), (3, 2))
 

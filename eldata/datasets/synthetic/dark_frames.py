@@ -18,8 +18,7 @@ from eldata.datasets.clean import CleanFrames
 from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise.dark_shading import DarkShading
-from eldata.raw.cfa import pack, packed_shape, packing_sites
-from eldata.raw.levels import packed_black_level_dn
+from eldata.raw.levels import pack, packed_black_level_dn, packed_shape, packing_sites
 from eldata.sources.store.format import SUFFIXES
 from eldata.sources.store.read import StoreFrames
 from eldata.sources.store.sources import calibration_place

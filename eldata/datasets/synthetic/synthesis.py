@@ -42,9 +42,16 @@ from eldata.manifest.writing import save_manifest
 from eldata.noise.components import parse_components
 from eldata.noise.model import NoiseModel
 from eldata.noise.parameters import NoiseDraw
-from eldata.raw.cfa import cfa_from, packed_area, packed_shape, packing_sites, unpack
 from eldata.raw.dng import write_dng
-from eldata.raw.levels import pack_normalised, packed_black_level_dn
+from eldata.raw.levels import (
+    cfa_from,
+    pack_normalised,
+    packed_area,
+    packed_black_level_dn,
+    packed_shape,
+    packing_sites,
+    unpack,
+)
 from eldata.raw.reading import read_raw
 from eldata.records import Exposure, FrameRecord, RawFrame, exact_fraction
 from eldata.sources.frames import Frame

@@ -1,0 +1,421 @@
+"""What a raw file states of its camera and exposure, exactly. What it does not state is ``None``: nothing is guessed.
+
+LibRaw's figures are not taken, because LibRaw makes some up: 1 s at f/1 from an APEX value of 0, an ISO from its own
+table of models, float32 for a fraction. Asking it would also decode the pixels.
+
+A TIFF-based file is walked once, for its extents and its EXIF. Around the EXIF of the others is a container: Fujifilm's
+RAF (a JPEG with the EXIF), Canon's CR3 (an ISO base media file, ISO/IEC 14496-12, whose boxes CMT1 and CMT2 are TIFF
+files of IFD0 and of the EXIF IFD), Minolta's MRW (its TTW block is a TIFF file).
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from bisect import bisect_right
+from dataclasses import dataclass
+from datetime import datetime
+from fractions import Fraction
+from functools import cached_property
+from itertools import pairwise, product
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+
+from eldata.errors import RawFileError, UnusableRawError
+from eldata.raw import tiff
+from eldata.raw.tiff import Directory, TiffReader
+from eldata.records import Exposure, RawHeader
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+
+_FIRST_YEAR = 1990  # no camera wrote raw files before: such a time is that of a clock that was never set
+# By EXIF's SensitivityType, which says which of them the ISO repeats.
+_SENSITIVITIES = {2: tiff.EXPOSURE_INDEX, 1: tiff.OUTPUT_SENSITIVITY, 3: tiff.ISO_SPEED}
+_ISO_BEYOND_16_BITS = 65535  # what EXIF 2.3 puts in 16 bits where the speed is stated elsewhere
+# TIFF files that call themselves something else: Olympus and OM System (ORF), Panasonic and Leica (RW2, RWL, RAW).
+_TIFF_LIKE = (b"IIRO", b"IIRS", b"MMOR", b"IIU\0")
+_RAF = b"FUJIFILMCCD-RAW"
+_RAF_EXTENTS = (84, 92, 100)  # offset and length of the JPEG, the CFA header and the CFA data, big-endian
+_HEAD = 108
+_MRW = b"\0MRM"
+_CR3 = b"ftypcrx "  # after the four bytes of the first box's size
+_CANON_UUID = bytes.fromhex("85c0b687820f11e08111f4ce462b6a48")
+
+_MOST_BOXES = 1000  # or blocks, or segments, of one level; a file with more is damaged, or made to keep a reader busy
+_LARGEST_BLOCK = 1 << 24  # of one block of EXIF: cameras write some kilobytes, a RAF's JPEG some megabytes
+_SONY, _LOSSY_JPEG = 32767, 34892
+
+
+@dataclass(frozen=True)
+class RawContainer:
+    """What the container of a raw file states, read once.
+
+    Attributes
+    ----------
+    path
+        The file.
+    head
+        Its first bytes.
+    directories
+        Of a TIFF-based file, in LibRaw's order; none of another.
+    header
+        Camera, exposure and time.
+    """
+
+    path: Path
+    head: bytes
+    directories: tuple[Directory, ...]
+    header: RawHeader
+
+    @cached_property
+    def main(self) -> Directory | None:
+        """Directory of the mosaic; None where none is named."""
+        return next(iter(tiff.main_mosaics(self.directories)), None)
+
+    @cached_property
+    def is_dng(self) -> bool:
+        """Whether it is a DNG."""
+        return tiff.is_dng(self.directories)
+
+    @cached_property
+    def rows(self) -> StoredRows | None:
+        """Where the rows of a DNG's uncompressed mosaic stand; None of any other file.
+
+        Raises
+        ------
+        RawFileError
+            If its strips or tiles are not as many as its size takes or share bytes; or if their byte counts are less
+            than their rows take, and something else than these rows follows.
+        """
+        if self.main is None or not self.is_dng or self.main.compression != tiff.UNCOMPRESSED:
+            return None
+        return _find_rows(self.path, self.main, self.directories)
+
+
+def read_container(path: Path) -> RawContainer:
+    """Read directories, camera and exposure of a raw file, whether or not its pixels are there.
+
+    Raises
+    ------
+    RawFileError
+        If its tables are damaged.
+    """
+    directories: tuple[Directory, ...] = ()
+    exif = image = Directory({})
+    iso = None
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+        for kind, block in _exif_blocks(path, file, head):
+            reader = TiffReader(path, block)
+            if head.startswith(tiff.MAGIC):
+                directories = reader.walk()
+                image = directories[0] if directories else image
+                place = image.number(tiff.EXIF_IFD, 0)
+                exif = next((directory for directory in directories if directory.starts[0] == place), exif)
+            elif kind == b"CMT2":
+                exif, _ = reader.read_first()
+            else:
+                image, exif = reader.read_first()
+            iso = _read_iso(reader, image, exif)
+    return RawContainer(path, head, directories, _read_header(path, image, exif, iso))
+
+
+def check_container(file: RawContainer) -> None:
+    """Raise a RawFileError if a file lacks data that it declares."""
+    path, size = file.path, file.path.stat().st_size
+    tiff.check_images(path, file.directories)
+    if file.head.startswith(_RAF) and len(file.head) == _HEAD:
+        tiff.require(path, size, max(sum(struct.unpack_from(">II", file.head, at)) for at in _RAF_EXTENTS))
+    elif file.head[4:12] == _CR3:
+        with path.open("rb") as content:
+            for kind, _, _ in _boxes(path, content, 0, size):
+                if kind == b"mdat":  # the pixels, which come last
+                    break
+
+
+# --- camera and exposure ----------------------------------------------------------------------------------------------
+
+
+def _read_header(path: Path, image: Directory, exif: Directory, iso: Fraction | None) -> RawHeader:
+    make, model = image.texts.get(tiff.MAKE, ""), image.texts.get(tiff.MODEL, "")
+    if not make and not model:
+        model = image.texts.get(tiff.UNIQUE_MODEL, "")
+    times = (_positive(image, exif, tag) for tag in (tiff.EXPOSURE_TIME, tiff.F_NUMBER))
+    return RawHeader(path, make, model, Exposure(iso, *times), _read_taken(exif) or _read_taken(image))
+
+
+def _read_taken(directory: Directory) -> datetime | None:
+    """DateTimeOriginal with its SubSecTime; ``None`` if there is none, or of a clock that was never set."""
+    try:
+        taken = datetime.strptime(directory.texts.get(tiff.TAKEN, ""), "%Y:%m:%d %H:%M:%S")  # noqa: DTZ007 # as stated
+    except ValueError:
+        return None
+    digits = directory.texts.get(tiff.TAKEN_FRACTION, "")
+    fraction = digits[:6].ljust(6, "0") if digits.isascii() and digits.isdecimal() else "0"
+    return taken.replace(microsecond=int(fraction)) if taken.year >= _FIRST_YEAR else None
+
+
+def _read_iso(reader: TiffReader, image: Directory, exif: Directory) -> Fraction | None:
+    stated = _positive(image, exif, tiff.ISO)
+    if stated is not None and stated != _ISO_BEYOND_16_BITS:
+        return stated
+    first = _SENSITIVITIES.get(int(_positive(image, exif, tiff.SENSITIVITY_TYPE) or 0), 0)
+    for tag in (first, *_SENSITIVITIES.values()):
+        iso = _positive(image, exif, tag)
+        if iso is not None:
+            return iso
+    if tiff.PANASONIC in image.entries:
+        isos = (image.number(tag, 0) for tag in tiff.PANASONIC_ISOS)
+        iso = next((Fraction(iso) for iso in isos if iso > 0), None)
+        return None if iso == _ISO_BEYOND_16_BITS else iso
+    is_nikon = image.texts.get(tiff.MAKE, "").upper().startswith("NIKON")
+    return Fraction(reader.read_nikon_iso(exif)) or None if is_nikon else None
+
+
+def _positive(image: Directory, exif: Directory, tag: int) -> Fraction | None:
+    """First value of a tag, from the EXIF directory or else from the first one, if it is a positive number."""
+    for directory in (exif, image):
+        value = next(iter(directory.values.get(tag, ())), 0)
+        if value > 0:
+            return Fraction(value)
+    return None
+
+
+# --- where it stands --------------------------------------------------------------------------------------------------
+
+
+def _exif_blocks(path: Path, file: BinaryIO, head: bytes) -> Iterator[tuple[bytes, BinaryIO]]:
+    """Yield each TIFF file that holds EXIF, and the name of its block; none of a container that has no EXIF."""
+    if head.startswith((*tiff.MAGIC, *_TIFF_LIKE)):
+        yield b"", file
+    elif head.startswith(_RAF) and len(head) == _HEAD:
+        block = _exif_of_jpeg(_read_block(path, file, *struct.unpack_from(">II", head, _RAF_EXTENTS[0])))
+        if block:
+            yield b"", io.BytesIO(block)
+    else:
+        size = path.stat().st_size
+        blocks = _mrw_blocks(path, file, size) if head.startswith(_MRW) else iter(())
+        if head[4:12] == _CR3:
+            blocks = _canon_boxes(path, file, size)
+        for kind, start, end in blocks:
+            if kind in (b"\0TTW", b"CMT1", b"CMT2"):
+                yield kind, io.BytesIO(_read_block(path, file, start, end - start))
+
+
+def _exif_of_jpeg(content: bytes) -> bytes:
+    """TIFF file in a JPEG's segment APP1; empty if it has none."""
+    at = 2
+    for _ in range(_MOST_BOXES):
+        if content[at : at + 1] != b"\xff" or len(content) < at + 4:
+            break
+        marker, length = struct.unpack_from(">xBH", content, at)
+        if marker == 0xE1 and content[at + 4 : at + 10] == b"Exif\0\0":
+            return content[at + 10 : at + 2 + length]
+        at += 2 + length
+    return b""
+
+
+def _read_block(path: Path, file: BinaryIO, offset: int, length: int) -> bytes:
+    if length > _LARGEST_BLOCK:
+        raise RawFileError(path, f"damaged: it declares {length} bytes of EXIF, and no camera writes {_LARGEST_BLOCK}")
+    file.seek(offset)
+    return file.read(length)
+
+
+def _canon_boxes(path: Path, file: BinaryIO, size: int) -> Iterator[tuple[bytes, int, int]]:
+    """Yield the boxes of Canon's own box inside a CR3's ``moov``."""
+    for kind, start, end in _boxes(path, file, 0, size):
+        if kind != b"moov":
+            continue
+        for inner, inner_start, inner_end in _boxes(path, file, start, end):
+            file.seek(inner_start)
+            if inner == b"uuid" and file.read(16) == _CANON_UUID:
+                yield from _boxes(path, file, inner_start + 16, inner_end)
+        return
+
+
+def _boxes(path: Path, file: BinaryIO, start: int, end: int) -> Iterator[tuple[bytes, int, int]]:
+    """Yield type, begin and end of the content of each box of a part of an ISO base media file."""
+    whole = path.stat().st_size
+    for _ in range(_MOST_BOXES):
+        if start + 8 > end:  # what is left cannot be a box
+            return
+        file.seek(start)
+        head = file.read(16)
+        size, kind = struct.unpack_from(">I4s", head)
+        content = start + 8
+        if size == 1 and len(head) == 16:
+            size = struct.unpack_from(">Q", head, 8)[0]
+            content = start + 16
+        elif size == 0:  # to the end
+            size = end - start
+        if start + size < content:
+            raise RawFileError(path, f"damaged: its box at byte {start} declares {size} bytes, less than its own head")
+        tiff.require(path, whole, start + size)
+        if start + size > end:
+            raise RawFileError(path, f"damaged: its box at byte {start} reaches beyond the box that it stands in")
+        yield kind, content, start + size
+        start += size
+    raise RawFileError(path, f"damaged: it declares more than {_MOST_BOXES} boxes")
+
+
+def _mrw_blocks(path: Path, file: BinaryIO, size: int) -> Iterator[tuple[bytes, int, int]]:
+    """Yield name, begin and end of each block of an MRW's header."""
+    file.seek(4)
+    end = 8 + struct.unpack(">I", file.read(4).ljust(4, b"\0"))[0]
+    tiff.require(path, size, end)
+    at = 8
+    for _ in range(_MOST_BOXES):
+        if at + 8 > end:
+            return
+        file.seek(at)
+        name, length = struct.unpack(">4sI", file.read(8))
+        if at + 8 + length > end:
+            raise RawFileError(path, f"damaged: its block at byte {at} reaches beyond its header of {end} bytes")
+        yield name, at + 8, at + 8 + length
+        at += 8 + length
+    raise RawFileError(path, f"damaged: it declares more than {_MOST_BOXES} blocks")
+
+
+# --- the rows of an uncompressed mosaic -------------------------------------------------------------------------------
+
+_MOST_BITS = 16
+_MOST_PADDING = 16  # bytes that a writer may leave so that what follows begins at a whole number of words
+_NO_TAG, _LONG = 0xFFFF, 4
+_TILE_TAGS = {tiff.TILE_WIDTH, tiff.TILE_HEIGHT, *tiff.TILES}
+
+
+@dataclass(frozen=True, slots=True)
+class StoredRows:
+    """Where the rows of a DNG's uncompressed mosaic stand, by the offsets of its strips or tiles.
+
+    LibRaw takes all strips for one run of bytes that begins where the first does, whatever their offsets and byte
+    counts say, and a single tile for rows of the image. :meth:`rearrange` gives it the same file with its rows in one
+    run.
+
+    Attributes
+    ----------
+    main
+        The mosaic's directory.
+    row_bytes, block_bytes
+        Bytes of a row of pixels, which begins at a whole byte, and of a row of a strip or tile.
+    blocks
+        Its strips or tiles, row by row of the image: first row, first byte of a row, offset in the file, bytes.
+    remarks
+        Says it of byte counts that are too small.
+    """
+
+    main: Directory
+    row_bytes: int
+    block_bytes: int
+    blocks: tuple[tuple[int, int, int, int], ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def are_found(self) -> bool:
+        """Whether LibRaw finds them all by itself."""
+        tags = self.main.entries.keys()
+        if tiff.TILES[0] in self.main.values:
+            return len(self.blocks) > 1 and tiff.STRIPS[0] not in tags
+        return not tags & _TILE_TAGS and _are_one_run([block[2:] for block in self.blocks])
+
+    def rearrange(self, content: bytes | bytearray) -> bytes:
+        """Whole file's bytes with the rows once more at the end, as its one strip."""
+        image = np.empty((self.main.shape[0], self.row_bytes), np.uint8)
+        for top, left, offset, length in self.blocks:
+            block = np.frombuffer(content, np.uint8, length, offset).reshape(-1, self.block_bytes)
+            part = image[top : top + len(block), left : left + self.block_bytes]
+            part[:] = block[:, : part.shape[1]]
+        copy, entries = bytearray(content), self.main.entries
+        used = tiff.TILES if tiff.TILES[0] in self.main.values else tiff.STRIPS
+        for tag in entries.keys() & {*tiff.STRIPS, *_TILE_TAGS}:
+            struct.pack_into(f"{self.main.order}H", copy, entries[tag][0], _NO_TAG)
+        for tag, old, value in zip(tiff.STRIPS, used, (len(copy), image.size), strict=True):
+            struct.pack_into(f"{self.main.order}HHII", copy, entries[old][0], tag, _LONG, 1, value)
+        return bytes(copy) + image.tobytes()
+
+
+def _are_one_run(extents: Sequence[tuple[int, ...]]) -> bool:
+    return all(sum(extent) == offset for extent, (offset, _) in pairwise(extents))
+
+
+def _find_rows(path: Path, main: Directory, directories: Sequence[Directory]) -> StoredRows | None:
+    """Find the rows of a DNG's mosaic; None if its size or its bits are not known."""
+    (height, width), bits = main.shape, main.number(tiff.BITS, _MOST_BITS)
+    if not main.pixels or not 0 < bits <= _MOST_BITS:
+        return None
+    name, row_bytes = "strip", -(-width * bits // 8)
+    extents, rows, block_bytes = main.extents_of(tiff.STRIPS), main.number(tiff.ROWS_PER_STRIP, height), row_bytes
+    if tiff.TILES[0] in main.values:
+        name, extents = "tile", main.extents_of(tiff.TILES)
+        rows, block_bytes = main.number(tiff.TILE_HEIGHT, 0), main.number(tiff.TILE_WIDTH, 0) * bits // 8
+    elif -(-height // max(rows, 1)) != len(extents) > 0 and _are_one_run(extents):  # whatever RowsPerStrip says
+        extents, rows = ((extents[0][0], sum(count for _, count in extents)),), height
+    if min(rows, block_bytes) < 1 or -(-height // rows) * -(-row_bytes // block_bytes) != len(extents):
+        raise UnusableRawError(
+            path,
+            f"has {len(extents)} {name}s of {rows} rows and {block_bytes} bytes a row, which do not make up its "
+            f"{height} x {width} pixels of {bits} bits",
+            "write it again with tags that fit, or as one strip",
+        )
+    corners = product(range(0, height, rows), range(0, row_bytes, block_bytes))
+    blocks = tuple(
+        (top, left, offset, block_bytes * min(rows, height - top))
+        for (top, left), (offset, _) in zip(corners, extents, strict=True)
+    )
+    short = [(*block[2:], stated) for block, (_, stated) in zip(blocks, extents, strict=True) if stated < block[3]]
+    remarks = _check_short(path, directories, name, short) if short else ()
+    if sum(block[3] for block in blocks) > path.stat().st_size:
+        raise RawFileError(path, f"damaged: its {name}s share the same bytes")
+    return StoredRows(main, row_bytes, block_bytes, blocks, remarks)
+
+
+def _check_short(
+    path: Path, directories: Sequence[Directory], name: str, short: Sequence[tuple[int, int, int]]
+) -> tuple[str, ...]:
+    """Refuse strips that state fewer bytes than their rows take, unless the file has just as many bytes there.
+
+    Up to what it declares next, or its end: then it is whole, and its writer counted wrong, which is remarked on.
+    """
+    starts = {path.stat().st_size}
+    for directory in directories:
+        starts |= {*directory.starts, *(offset for offset, _ in directory.extents)}
+    following = sorted(starts)
+    for offset, needed, stated in short:
+        room = following[bisect_right(following, offset, hi=len(following) - 1)] - offset
+        text = f"its {name} at byte {offset} states {stated} bytes, and its rows take {needed}"
+        if not 0 <= room - needed < _MOST_PADDING:
+            raise RawFileError(
+                path,
+                f"{'truncated' if room < needed else 'damaged'}: {text}; the file has {room} bytes there before "
+                "something else, so which of them are pixels is not known: copy it again, or correct the byte count",
+            )
+    return (f"{text}: all are read, since the file has just as many there",)
+
+
+# --- lossy compression ------------------------------------------------------------------------------------------------
+
+
+def lossy_compression(path: Path) -> str | None:
+    """Name what loses data in a raw file; ``None`` if nothing known does.
+
+    Known are Sony's compressed ARW 2 (one byte per pixel: 11 of 14 bits by a curve, differences within 16 pixels) and
+    the lossy JPEG of DNG. Nikon's lossy NEF says so in its maker notes alone, Canon's CRAW in a container that is not
+    TIFF: the gaps that such compression leaves between the values show it
+    (:func:`eldata.calibration.audit.bias_checks.mean_step`).
+
+    Raises
+    ------
+    RawFileError
+        If the file is truncated or damaged.
+    """
+    for directory in tiff.read_directories(path):
+        if directory.is_mosaic and directory.compression == _SONY and directory.held == directory.pixels:
+            return "Sony's lossy compression (choose uncompressed raw in the camera)"
+        if directory.is_mosaic and directory.compression == _LOSSY_JPEG:
+            return "a DNG's lossy JPEG compression (convert from the original without it)"
+    return None

@@ -108,7 +108,7 @@ class StatedFile:
         )
         misfit = level_misfit(mosaic, black, white)
         if misfit is not None:
-            raise _misfit_error(self, misfit, is_shares=float(mosaic.max()) <= _FAR_FRACTIONS[0][0])
+            raise _misfit_error(self, misfit, float(mosaic.max()))
         sensor = Sensor(
             "", "", bayer_cfa(self.facts.cfa), black * 4 if len(black) == 1 else black, white, *mosaic.shape
         )
@@ -154,17 +154,28 @@ def _check_declared(file: StatedFile, declared: Declared) -> None:
             file.path, f"expected a mosaic of numbers, (H, W); found {declared.values} of shape {declared.shape}"
         )
     if "int" in declared.values and np.iinfo(declared.values).max < (1 - _BLACK_ERROR) * file.facts.white_level_dn:
-        raise _misfit_error(file, f"{declared.values}, which ends at {np.iinfo(declared.values).max}")
+        largest = int(np.iinfo(declared.values).max)
+        raise _misfit_error(file, f"{declared.values}, which ends at {largest}", largest)
 
 
-def _misfit_error(file: StatedFile, misfit: str, *, is_shares: bool = False) -> UnusableRawError:
+def _misfit_error(file: StatedFile, misfit: str, largest: float) -> UnusableRawError:
     black = " ".join(f"{level:.4g}" for level in dict.fromkeys(file.facts.black_level_dn))
-    fitting = "black 0 and white 1 would fit: " if is_shares else ""
     return UnusableRawError(
         file.path,
         f"{misfit}, where its card states black {black} and white {file.facts.white_level_dn:g}",
-        f"{fitting}put right what the card's mosaics state of it",
+        f"{_fitting_levels(file.facts, largest)}put right what the card's mosaics state of it",
     )
+
+
+def _fitting_levels(facts: MosaicFacts, largest: float) -> str:
+    """Name levels that would fit values up to ``largest``: shares of white, or the stated ones in as many bits."""
+    if largest <= _FAR_FRACTIONS[0][0]:
+        return "black 0 and white 1 would fit: "
+    white, stated = 2 ** int(largest).bit_length() - 1, facts.white_level_dn
+    if white // 2 < stated <= white:  # the range is right, and only black is off
+        return ""
+    black = f"black {facts.black_level_dn[0] * white / stated:.4g} and " if stated > 1 else ""
+    return f"{black}white {white} (values of {int(largest).bit_length()} bits) would fit: "
 
 
 def level_misfit(mosaic: NDArray[Any], black_dn: tuple[float, ...], white_dn: float) -> str | None:

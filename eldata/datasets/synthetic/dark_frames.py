@@ -22,9 +22,8 @@ from eldata.noise.exposures import DarkCrops
 from eldata.noise.mosaic import region_anywhere
 from eldata.raw.cfa import pack, packing_sites
 from eldata.raw.levels import packed_black_level_dn
-from eldata.sources.store.format import SUFFIXES
-from eldata.sources.store.read import StoreFrames
-from eldata.sources.store.sources import calibration_place
+from eldata.sources.store.read import SUFFIXES, Store
+from eldata.sources.store.write import calibration_place
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -281,7 +280,7 @@ def _found(
 ) -> tuple[str, CleanFrames, dict[float, list[int]]]:
     """Return what messages call them, the frames, and their numbers by ISO."""
     if isinstance(frames, (str, Path)) and Path(frames).suffix.lower() in SUFFIXES:
-        source = StoreFrames(frames)
+        source = Store(frames)
         found = _of_camera(source, camera)
         names = (f"{source.path.as_posix()}/{path}" for path in found)
         return str(frames), CleanFrames(source, names=names, levels=levels, keep=keep), _numbered(found.values())
@@ -297,13 +296,13 @@ def _found(
     return str(frames.root), files, _numbered(record.iso for record in bias)
 
 
-def _of_camera(source: StoreFrames, camera: str | None) -> dict[str, Fraction]:
+def _of_camera(source: Store, camera: str | None) -> dict[str, Fraction]:
     """Return the bias frames of a store by their paths, and the ISO of each."""
     found: dict[str, dict[str, Fraction]] = {}
-    for frame in source.store.frames:
-        place = calibration_place(frame.path)
-        if place is not None and place.role == _BIAS:
-            found.setdefault(place.camera or source.store.dataset, {})[frame.path] = Fraction(place.iso)
+    for frame in source.frames:
+        name, role, iso = calibration_place(frame.path) or ("", "", 0)
+        if role == _BIAS:
+            found.setdefault(name or source.dataset, {})[frame.path] = Fraction(iso)
     if not found:
         raise DatasetError(
             f"{source.path}: holds no bias frames; eldata pack makes such a store of the folder that holds "

@@ -88,7 +88,7 @@ class Place:
 
 
 def test_the_page_has_what_is_tested() -> None:
-    for section, files in (("Your own files", 1), ("From your own package", 3), ("In eldata", 7)):
+    for section, files in (("Your own files", 1), ("From your own package", 3), ("In eldata", 6)):
         found = blocks(section)
         assert sum(block.kind not in ("sh", "diff") for block in found) == files
         assert all(bool(block.path) != (block.kind == "sh") for block in found), "a block is a file or commands"

@@ -83,7 +83,7 @@ def copy_of(original: Path) -> Callable[[Path], object]:
 
 def read_store(path: Path) -> None:
     source = Store(path)
-    for held in source.store.frames:
+    for held in source.frames:
         source.frame(held.path).whole()
 
 

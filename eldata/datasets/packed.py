@@ -93,7 +93,7 @@ class PackedClips(ClipWindows):
 
     The clips are those that have a reference, or with ``dynamic`` those that have none, such as DRV's dynamic ones.
     Each item is a window of consecutive frames and their one reference, all cut at the same random place and turned the
-    same way. The values are those of :class:`~eldata.datasets.published.clips.DRVDataset` on the files, bit for bit.
+    same way. The values are those of :class:`~eldata.datasets.published.DRVDataset` on the files, bit for bit.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from eldata.datasets import (
     set_epoch,
     training_loader,
 )
-from eldata.datasets.ranks import Rank, ShuffledSampler
+from eldata.datasets.loading import Rank, ShuffledSampler
 from eldata.raw.cfa import XTRANS_CFA
 from eldata.sources.frames import Frame
 from tests.datasets.comparing import same

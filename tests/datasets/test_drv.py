@@ -16,7 +16,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from eldata.datasets.published.clips import DRVDataset
+from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.lock import lock

@@ -15,9 +15,17 @@ from hypothesis import strategies as st
 from torch.utils.data import ConcatDataset, DataLoader, Dataset, IterableDataset, Subset
 
 from eldata import PackedStore
-from eldata.datasets import loading, ranks, raw2rgb
-from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
-from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank, loader_workers
+from eldata.datasets import loading, raw2rgb
+from eldata.datasets.loading import (
+    Rank,
+    ShuffledSampler,
+    current_rank,
+    describe,
+    evaluation_loader,
+    loader_workers,
+    set_epoch,
+    training_loader,
+)
 from eldata.errors import ArgumentError
 from tests.datasets.drawing import Drawing
 
@@ -147,9 +155,9 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A machine with as much of everything as a test wants."""
 
     def made(cpus: int = 8, memory: int | None = 10**12, shared: int | None = 10**12) -> None:
-        monkeypatch.setattr(ranks, "usable_cpus", lambda: cpus)
-        monkeypatch.setattr(ranks, "available_memory_bytes", lambda: memory)
-        monkeypatch.setattr(ranks, "shared_memory_bytes", lambda: shared)
+        monkeypatch.setattr(loading, "usable_cpus", lambda: cpus)
+        monkeypatch.setattr(loading, "available_memory_bytes", lambda: memory)
+        monkeypatch.setattr(loading, "shared_memory_bytes", lambda: shared)
 
     monkeypatch.delenv("LOCAL_WORLD_SIZE", raising=False)
     return made
@@ -187,18 +195,18 @@ def test_workers_fit_into_memory(machine: Any) -> None:
 
 
 def test_the_limits_of_a_container_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ranks, "_CGROUP", tmp_path)
+    monkeypatch.setattr(loading, "_CGROUP", tmp_path)
     plain = len(os.sched_getaffinity(0))
-    assert ranks.usable_cpus() == plain
+    assert loading.usable_cpus() == plain
     (tmp_path / "cpu.max").write_text("max 100000\n")
-    assert ranks.usable_cpus() == plain
+    assert loading.usable_cpus() == plain
     (tmp_path / "cpu.max").write_text("150000 100000\n")
-    assert ranks.usable_cpus() == 1
+    assert loading.usable_cpus() == 1
     (tmp_path / "memory.max").write_text("5000000\n")
     (tmp_path / "memory.current").write_text("2000000\n")
-    assert ranks.available_memory_bytes() == 3_000_000
+    assert loading.available_memory_bytes() == 3_000_000
     (tmp_path / "memory.max").write_text("max\n")
-    assert (ranks.available_memory_bytes() or 0) > 3_000_000
+    assert (loading.available_memory_bytes() or 0) > 3_000_000
 
 
 def test_the_description_says_what_the_loader_does(machine: Any, store: Path) -> None:

@@ -15,7 +15,7 @@ from eldata.datasets import CleanClips, SyntheticClips
 from eldata.datasets.clips import ClipSample, UnpairedClipSample
 from eldata.datasets.crops import ORIENTATIONS, Crop
 from eldata.datasets.packed import PackedClips
-from eldata.datasets.published.clips import DRVDataset
+from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.dng import write_dng
 from eldata.sources.frames import Frame

@@ -14,7 +14,7 @@ import pytest
 
 from eldata.base.workers import UnseenFileError
 from eldata.calibration.camera import calibrate
-from eldata.datasets.published.clips import DRVDataset
+from eldata.datasets.published import DRVDataset
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import save_clip_prediction

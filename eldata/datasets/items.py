@@ -138,11 +138,135 @@ class DrawnItem:
 Sample = TypeVar("Sample")
 
 
-class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
-    """Items that are read part by part. Subclasses say what an item is."""
+class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
+    """Items that are crops: draw k of item i depends on (seed, k, i) alone, not on workers or other items.
+
+    The k-th time that an item is asked for it is draw k, from 0 on, whatever the workers; after :meth:`set_epoch`
+    always that of the epoch.
+
+    Parameters
+    ----------
+    crop, augment, crops, seed
+        See :class:`eldata.datasets.base.PairDataset`.
+    repeats
+        Items per record, and the name of this argument.
+
+    Raises
+    ------
+    ArgumentError
+        If one is out of its range.
+    """
 
     clip: Clip = "both"
     source: Any = None
+
+    def __init__(self, crop: int | None, augment: bool, crops: Crops, seed: int, repeats: tuple[str, int]) -> None:
+        name, number = repeats
+        self.seed = checked_seed(seed)
+        if number < 1 or (crop is not None and crop < 2):
+            raise ArgumentError(f"{name} must be 1 or more and crop 2 or more; found {number}, {crop}")
+        check_choice("crops", crops, get_args(Crops))
+        if crops == "grid" and (crop is None or number != 1):
+            raise ArgumentError(
+                f"crops='grid' has each crop of a frame once: give crop=, its side, and leave {name} at 1; found "
+                f"crop={crop}, {name}={number}"
+            )
+        self.crop, self.augment = crop, augment
+        self.crops: Crops = crops
+        self._repeats = number
+        self._starts: list[int] | None = None  # of a grid: the first item of each record, and their number
+
+    def _choose_values(
+        self,
+        levels: FrameLevels,
+        clip: Clip,
+        amplification: Amplification,
+        shading: DarkShading | Path | str | None,
+        cameras: Iterable[str],
+    ) -> None:
+        """Choose what becomes of DN: of inputs of these cameras, less a dark shading, which may be given as its file.
+
+        Raises
+        ------
+        ArgumentError
+            If a value is unknown (the message lists the known ones), or there is a shading and the inputs are of
+            several cameras.
+        ShadingError
+            If the shading's file cannot be read.
+        """
+        check_choice("levels", levels, FRAME_LEVELS)
+        check_choice("clip", clip, tuple(CLIP_RANGES))
+        check_choice("amplification", amplification, get_args(Amplification))
+        self.levels, self.clip, self.amplification = levels, clip, amplification
+        self.dark_shading = None if shading is None else DarkShading.of(shading)
+        several = list(dict.fromkeys(cameras))
+        if self.dark_shading is not None and len(several) > 1:
+            raise ArgumentError(
+                f"dark_shading is of one body, {self.dark_shading.camera}, and there are pairs or clips of "
+                f"{len(several)} cameras: {', '.join(several)}; choose one with cameras=[...]"
+            )
+
+    @property
+    def epoch(self) -> int | None:
+        """The epoch that was set; ``None``: draws go on by themselves."""
+        return self._draws.epoch
+
+    def set_epoch(self, epoch: int) -> None:
+        """Fix the draw of every item, in running workers too, until the next call: that of this epoch.
+
+        Raises
+        ------
+        ArgumentError
+            If it is not a whole number from 0 up to below 2^32.
+        """
+        self._draws.epoch = checked_epoch(epoch)
+
+    def _count_items(self, records: int, frames: Iterable[Frame]) -> None:
+        """Count the items: of a grid its crops, in a frame of each record."""
+        if self.crops == "grid" and self.crop is not None:
+            counts = (Crop.count_tiles(frame, crop=self.crop, augment=self.augment) for frame in frames)
+            self._starts = list(accumulate(counts, initial=0))
+        self._draws = SharedDraws(self._length_of(records))
+
+    def _length_of(self, records: int) -> int:
+        """Return the number of items: that of the grid's crops, or as many of each record."""
+        return records * self._repeats if self._starts is None else self._starts[-1]
+
+    def _record_of(self, place: int, records: int) -> tuple[int, int | None]:
+        """Return the record that an item is of, and which crop of its grid."""
+        if self._starts is None:
+            return place % records, None
+        index = place % self._starts[-1]
+        record = bisect_right(self._starts, index) - 1
+        return record, index - self._starts[record]
+
+    def _indices_of(self, record: int) -> range:
+        """Return the indices of the items of a record; of random crops the first one's."""
+        return range(record, record + 1) if self._starts is None else range(*self._starts[record : record + 2])
+
+    @property
+    def _cut(self) -> str:
+        """The choice of crops, as a repr says it."""
+        grid = f", crops={self.crops!r}" if self._starts is not None else ""
+        return f"crop={self.crop}, augment={self.augment}{grid}"
+
+    @abstractmethod
+    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
+        """Draw an item; ``place`` is its index, and its number of items more for each draw before."""
+
+    @property
+    def _may_differ(self) -> bool:
+        """Whether the items of a batch may differ in size, which only reading shows: whole frames that are decoded."""
+        return self.crop is None and not self.reads_parts
+
+    def item(self, index: int) -> Any:
+        """Draw an item from (seed, draw, index): what :meth:`drawn` returns."""
+        length = len(self)
+        index = checked_index(index, length)
+        draw = self._draws.next_of(index)
+        return self.drawn(index + draw * length, item_generator(self.seed, draw, index))
+
+    # --- reading -----------------------------------------------------------------------------------------------------
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -151,15 +275,6 @@ class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
     def reads_parts(self) -> bool:
         """Whether the source says that its frames read parts (:class:`eldata.sources.frames.FrameSource`)."""
         return getattr(self.source, "reads_parts", False)
-
-    @property
-    @abstractmethod
-    def _may_differ(self) -> bool:
-        """Whether the items of a batch may differ in size, which only reading them shows."""
-
-    @abstractmethod
-    def item(self, index: int) -> DrawnItem:
-        """Draw an item, before its pixels are read."""
 
     def _finish(self, items: Sequence[Any], arrays: Mapping[str, NDArray[Any]]) -> None:
         """Make what is not read, of several items at once; the arrays have as many, one after the other."""
@@ -262,132 +377,6 @@ class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
                     fill(place, part)
                     del part  # its frame, before the next one is decoded
         self._finish(items, arrays)
-
-
-class CroppedItems(ReadItems[Sample]):
-    """Items that are crops: draw k of item i depends on (seed, k, i) alone, not on workers or other items.
-
-    The k-th time that an item is asked for it is draw k, from 0 on, whatever the workers; after :meth:`set_epoch`
-    always that of the epoch.
-
-    Parameters
-    ----------
-    crop, augment, crops, seed
-        See :class:`eldata.datasets.base.PairDataset`.
-    repeats
-        Items per record, and the name of this argument.
-
-    Raises
-    ------
-    ArgumentError
-        If one is out of its range.
-    """
-
-    def __init__(self, crop: int | None, augment: bool, crops: Crops, seed: int, repeats: tuple[str, int]) -> None:
-        name, number = repeats
-        self.seed = checked_seed(seed)
-        if number < 1 or (crop is not None and crop < 2):
-            raise ArgumentError(f"{name} must be 1 or more and crop 2 or more; found {number}, {crop}")
-        check_choice("crops", crops, get_args(Crops))
-        if crops == "grid" and (crop is None or number != 1):
-            raise ArgumentError(
-                f"crops='grid' has each crop of a frame once: give crop=, its side, and leave {name} at 1; found "
-                f"crop={crop}, {name}={number}"
-            )
-        self.crop, self.augment = crop, augment
-        self.crops: Crops = crops
-        self._repeats = number
-        self._starts: list[int] | None = None  # of a grid: the first item of each record, and their number
-
-    def _choose_values(
-        self,
-        levels: FrameLevels,
-        clip: Clip,
-        amplification: Amplification,
-        shading: DarkShading | Path | str | None,
-        cameras: Iterable[str],
-    ) -> None:
-        """Choose what becomes of DN: of inputs of these cameras, less a dark shading, which may be given as its file.
-
-        Raises
-        ------
-        ArgumentError
-            If a value is unknown (the message lists the known ones), or there is a shading and the inputs are of
-            several cameras.
-        ShadingError
-            If the shading's file cannot be read.
-        """
-        check_choice("levels", levels, FRAME_LEVELS)
-        check_choice("clip", clip, tuple(CLIP_RANGES))
-        check_choice("amplification", amplification, get_args(Amplification))
-        self.levels, self.clip, self.amplification = levels, clip, amplification
-        self.dark_shading = None if shading is None else DarkShading.of(shading)
-        several = list(dict.fromkeys(cameras))
-        if self.dark_shading is not None and len(several) > 1:
-            raise ArgumentError(
-                f"dark_shading is of one body, {self.dark_shading.camera}, and there are pairs or clips of "
-                f"{len(several)} cameras: {', '.join(several)}; choose one with cameras=[...]"
-            )
-
-    @property
-    def epoch(self) -> int | None:
-        """The epoch that was set; ``None``: draws go on by themselves."""
-        return self._draws.epoch
-
-    def set_epoch(self, epoch: int) -> None:
-        """Fix the draw of every item, in running workers too, until the next call: that of this epoch.
-
-        Raises
-        ------
-        ArgumentError
-            If it is not a whole number from 0 up to below 2^32.
-        """
-        self._draws.epoch = checked_epoch(epoch)
-
-    def _count_items(self, records: int, frames: Iterable[Frame]) -> None:
-        """Count the items: of a grid its crops, in a frame of each record."""
-        if self.crops == "grid" and self.crop is not None:
-            counts = (Crop.count_tiles(frame, crop=self.crop, augment=self.augment) for frame in frames)
-            self._starts = list(accumulate(counts, initial=0))
-        self._draws = SharedDraws(self._length_of(records))
-
-    def _length_of(self, records: int) -> int:
-        """Return the number of items: that of the grid's crops, or as many of each record."""
-        return records * self._repeats if self._starts is None else self._starts[-1]
-
-    def _record_of(self, place: int, records: int) -> tuple[int, int | None]:
-        """Return the record that an item is of, and which crop of its grid."""
-        if self._starts is None:
-            return place % records, None
-        index = place % self._starts[-1]
-        record = bisect_right(self._starts, index) - 1
-        return record, index - self._starts[record]
-
-    def _indices_of(self, record: int) -> range:
-        """Return the indices of the items of a record; of random crops the first one's."""
-        return range(record, record + 1) if self._starts is None else range(*self._starts[record : record + 2])
-
-    @property
-    def _cut(self) -> str:
-        """The choice of crops, as a repr says it."""
-        grid = f", crops={self.crops!r}" if self._starts is not None else ""
-        return f"crop={self.crop}, augment={self.augment}{grid}"
-
-    @abstractmethod
-    def drawn(self, place: int, generator: np.random.Generator) -> DrawnItem:
-        """Draw an item; ``place`` is its index, and its number of items more for each draw before."""
-
-    @property
-    def _may_differ(self) -> bool:
-        """Whether whole frames are decoded, which may differ in size."""
-        return self.crop is None and not self.reads_parts
-
-    def item(self, index: int) -> Any:
-        """Draw an item from (seed, draw, index): what :meth:`drawn` returns."""
-        length = len(self)
-        index = checked_index(index, length)
-        draw = self._draws.next_of(index)
-        return self.drawn(index + draw * length, item_generator(self.seed, draw, index))
 
 
 def shading_text(shading: DarkShading | None) -> str:

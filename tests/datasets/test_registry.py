@@ -13,13 +13,7 @@ import torch
 from torch.utils.data import ConcatDataset, DataLoader, default_collate
 from torch.utils.data import Subset as Some
 
-from eldata.datasets import (
-    PairDataset,
-    dataset_class,
-    dataset_names,
-    open_dataset,
-    registry,
-)
+from eldata.datasets import PairDataset, dataset_class, dataset_names, open_dataset, published
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.catalogue import ENTRY_POINTS, Manifest, shipped_manifest, shipped_names
 from eldata.manifest.pairs import select_pairs, unpaired
@@ -70,7 +64,7 @@ OWN_VALUES = {
     ("sidd-blocks", "split"): {"val"},
 }
 
-NAMES = tuple(registry._ENTRIES)  # not those of packages that happen to be installed beside this one
+NAMES = tuple(published._CLASSES)  # not those of packages that happen to be installed beside this one
 EVERY = pytest.mark.parametrize("name", NAMES)
 OF_PAIRS = [name for name in NAMES if issubclass(dataset_class(name), PairDataset)]
 OF_CLIPS = [name for name in NAMES if name not in OF_PAIRS]

@@ -14,7 +14,6 @@ from eldata.datasets.clean import CleanFrames
 from eldata.datasets.loading import training_loader
 from eldata.datasets.packed import PackedStore
 from eldata.datasets.rgb import (
-    OneSensor,
     PairSensors,
     Rendered,
     StagedPairs,
@@ -181,7 +180,7 @@ def test_arrays_need_a_sensor_from_the_caller() -> None:
     pairs = SyntheticPairs(Arrays([np.full((4, 32, 32), 0.3)], range_dn=15000), "SonyA7S2", crop=16)
     with pytest.raises(ArgumentError, match=r"sensors of SyntheticPairs are not known; give sensors="):
         rgb2rgb(pairs)
-    sample = rgb2rgb(pairs, sensors=OneSensor(make_sensor()))[0]
+    sample = rgb2rgb(pairs, sensors=lambda _: PairSensors(make_sensor(), make_sensor()))[0]
     assert sample["input"].shape == (3, 16, 16)
 
 
@@ -220,7 +219,7 @@ def test_a_dataset_without_epochs_says_so(balanced: Tree) -> None:
         pass
 
     with pytest.raises(ArgumentError, match="Plain has no epochs"):
-        raw2rgb(Plain(), sensors=OneSensor(make_sensor())).set_epoch(1)
+        raw2rgb(Plain(), sensors=lambda _: PairSensors(make_sensor(), make_sensor())).set_epoch(1)
 
 
 def test_drvs_packed_frames_take_their_references_sensor(pristine: Tree) -> None:

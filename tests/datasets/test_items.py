@@ -145,19 +145,6 @@ def test_levels_are_those_of_the_protocol_that_the_card_names(
     assert PairDataset(tree.data, tree.csv, levels="sid-sony").levels == "sid-sony"
 
 
-@pytest.mark.parametrize("clip", ["upper", "none"])
-def test_the_clip_of_clips_is_of_the_input(clip: Any, tmp_path: Path) -> None:
-    write_raw_clip(tmp_path, "0007", 5)
-    for still in (tmp_path / "long" / "0007").iterdir():
-        raw = read_raw(still)
-        raw.mosaic[:2, :2] = 0
-        write_dng(still, raw.mosaic, raw.sensor, raw.exposure)
-    wanted, found = (DRVDataset(tmp_path, form="raw", clip=one, ids=["0007"])[0] for one in ("both", clip))
-    assert torch.equal(found["target"], wanted["target"])
-    assert float(wanted["target"].min()) == 0
-    assert float(found["input"].min()) < 0
-
-
 def test_a_source_of_what_is_no_pair_is_refused(pristine: Tree, store: Path) -> None:
     source = Memory(pristine)
     record = PackedStore(store, ratios=[100]).records[0]

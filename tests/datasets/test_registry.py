@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import torch
-from torch.utils.data import ConcatDataset, DataLoader, default_collate
+from torch.utils.data import ConcatDataset, DataLoader
 from torch.utils.data import Subset as Some
 
 from eldata.datasets import PairDataset, dataset_class, dataset_names, open_dataset, published
@@ -19,7 +19,7 @@ from eldata.manifest.catalogue import ENTRY_POINTS, Manifest, shipped_manifest, 
 from eldata.manifest.pairs import select_pairs, unpaired
 from eldata.manifest.verify import verify
 from tests.crvd_tree import build_crvd_tree
-from tests.datasets.methods import FORK
+from tests.datasets.comparing import same
 from tests.drv_tree import build_drv_tree
 from tests.lrd_tree import build_lrd_tree
 from tests.lrid_tree import build_lrid_tree
@@ -254,35 +254,14 @@ def test_length_iteration_and_indices(name: str, few: Callable[[str], Any]) -> N
             dataset[index]
 
 
-@EVERY
-def test_samples_collate(name: str, few: Callable[[str], Any]) -> None:
-    samples = [few(name)[0]] * 2
-    batch = default_collate(samples)
-    assert set(batch) == set(samples[0])
-    for key, value in samples[0].items():
-        if isinstance(value, torch.Tensor):
-            assert torch.equal(batch[key], torch.stack([value, value]))
-        else:
-            assert isinstance(value, (str, int, float)), f"{key}: one scalar a sample"
-            assert len(batch[key]) == 2
-
-
-@pytest.mark.parametrize("method", [FORK, "spawn"])
-def test_workers_give_the_same_samples(method: str, few: Callable[[str], Any]) -> None:
+def test_workers_give_the_same_samples(few: Callable[[str], Any]) -> None:
     """All datasets in one loader: a spawned worker takes seconds to start."""
     parts = [Some(dataset, range(min(2, len(dataset)))) for dataset in map(few, NAMES)]
     every: ConcatDataset[Any] = ConcatDataset(parts)
-    loader = DataLoader(every, batch_size=None, num_workers=1, multiprocessing_context=method)
-    assert same_samples(list(loader), [part[index] for part in parts for index in range(len(part))]) == len(every)
-
-
-def same_samples(found: list[Any], expected: list[Any]) -> int:
-    """How many samples were compared, in order."""
-    for one, other in zip(found, expected, strict=True):
-        assert one["path"] == other["path"]
-        for key in ("input", "target"):
-            assert torch.equal(one[key], other[key])
-    return len(found)
+    loader = DataLoader(every, batch_size=None, num_workers=1, multiprocessing_context="spawn")
+    expected = [part[index] for part in parts for index in range(len(part))]
+    for sample, wanted in zip(loader, expected, strict=True):
+        same(sample, wanted)
 
 
 # --- records ----------------------------------------------------------------------------------------------------------
@@ -312,15 +291,6 @@ def test_the_published_names_verify(name: str, roots: Callable[[str], Path]) -> 
     assert verify([shipped_manifest(name)], roots(name), level="quick").ok
 
 
-@EVERY
-def test_the_class_says_what_it_is(name: str, few: Callable[[str], Any]) -> None:
-    dataset = few(name)
-    text = repr(dataset)
-    assert text.startswith(f"{type(dataset).__name__}({str(dataset.root)!r}, ")
-    assert str(len(dataset)) in text
-    assert "References" in (type(dataset).__doc__ or "")
-
-
 # --- refusals ---------------------------------------------------------------------------------------------------------
 
 
@@ -338,12 +308,6 @@ def test_unknown_values_list_the_known(name: str, kind: str, opened: Callable[..
 
 
 @EVERY
-def test_an_unknown_argument_is_refused(name: str, opened: Callable[..., Any]) -> None:
-    with pytest.raises(TypeError, match="got an unexpected keyword argument 'colour'"):
-        opened(name, colour="red")
-
-
-@EVERY
 def test_a_missing_folder_says_where_to_get_the_files(name: str, tmp_path: Path) -> None:
     """As an item is read: records need no files, but DRV's, whose names of frames are not published."""
     if name != "drv":
@@ -356,10 +320,3 @@ def test_a_missing_folder_says_where_to_get_the_files(name: str, tmp_path: Path)
 
 
 # --- ELD's own --------------------------------------------------------------------------------------------------------
-
-
-def test_the_published_eld_set_is_240_pairs(opened: Callable[..., Any]) -> None:
-    dataset = opened("eld")
-    assert len(dataset) == 240
-    sample = opened("eld", cameras=["NikonD850"], scenes=[1], isos=[3200], ratios=[1])[0]
-    assert (sample["ratio"], sample["nominal_ratio"], sample["flags"]) == (0.9375, 1.0, "inexact-ratio")

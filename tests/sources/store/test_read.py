@@ -213,24 +213,6 @@ def test_parts_are_the_files_pixels(compression: Any, clean: Packed, tmp_path: P
         assert corner.__array_interface__["data"][0] % 2 == 0
 
 
-def test_threads_may_read_at_once(clean: Packed) -> None:
-    store = Store(clean.store)
-    wrong: list[str] = []
-
-    def read(number: int) -> None:
-        frame = store.frames[number % 4]
-        mosaic = read_raw(clean.source.folder / frame.path).mosaic
-        parts = (store.reader.read(frame.key, slice(top, 60), slice(60)) for top in range(40))
-        wrong.extend(frame.path for top, part in enumerate(parts) if not np.array_equal(part, mosaic[top:60, :60]))
-
-    threads = [threading.Thread(target=read, args=(number,)) for number in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert wrong == []
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.parametrize("compression", ["none", "lz4"])
 def test_forks_while_threads_read(compression: Any, clean: Packed, tmp_path: Path) -> None:

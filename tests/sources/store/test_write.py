@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
 import signal
@@ -266,18 +265,6 @@ def test_ctrl_c_leaves_nothing(clean: Packed, tmp_path: Path, monkeypatch: pytes
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_that_cannot_be_read_is_named_and_not_the_store(
-    clean: Packed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def failing_disk(*_: object) -> None:
-        raise OSError(errno.EIO, os.strerror(errno.EIO), "0.dng")
-
-    monkeypatch.setattr("eldata.raw.reading.read_raw", failing_disk)
-    with pytest.raises(OSError, match=r"Input/output error: '0\.dng'"):
-        build_store(clean.source, tmp_path / "store.h5")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_file_that_cannot_be_decoded_leaves_nothing(clean: Packed, tmp_path: Path) -> None:
     folder = write_clean(tmp_path / "raws")
     whole = (folder / "2.dng").read_bytes()
@@ -293,13 +280,6 @@ def test_a_file_that_cannot_be_decoded_leaves_nothing(clean: Packed, tmp_path: P
     frame.write_bytes(frame.read_bytes()[:-50])
     with pytest.raises(FileError, match=r"0002\.png: does not end as a PNG does"):
         pack_tree(spoilt, tmp_path / "x.h5")
-
-
-def test_an_existing_store_is_kept(clean: Packed) -> None:
-    before = clean.store.read_bytes()
-    with pytest.raises(EldataError, match="is there already"):
-        build_store(clean.source, clean.store)
-    assert clean.store.read_bytes() == before
 
 
 def test_a_clip_without_its_reference_is_found(drv: SmallDrv, tmp_path: Path) -> None:

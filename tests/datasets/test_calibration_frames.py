@@ -13,7 +13,7 @@ import rawpy
 from eldata import CalibrationFrames
 from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import ArgumentError, DatasetError, ManifestError, RawFileError
-from eldata.manifest.table import load_records, save_records
+from eldata.manifest.table import load_records
 from eldata.records import FrameRecord
 from tests.calibration.trees import CAMERA, FrameTree, made_tree, named
 
@@ -85,16 +85,6 @@ def test_the_manifest_route(pristine: FrameTree, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("ELDATA_ROOT", str(pristine.folder / "data"))
     assert CalibrationFrames(manifest=pristine.manifest).root == pristine.root
     assert frames[3]["exposure_s"] == float(frames.records[3].exposure_s or 0)
-
-
-def test_a_manifest_without_isos(tree: FrameTree) -> None:
-    from dataclasses import replace
-
-    records = load_records(tree.manifest)
-    save_records(tree.manifest, [replace(records[0], iso=None), *records[1:]])
-    with pytest.raises(DatasetError, match="needs its ISO") as raised:
-        CalibrationFrames(tree.root, manifest=tree.manifest)
-    assert records[0].path in str(raised.value)
 
 
 def two_cameras(tree: FrameTree) -> None:

@@ -16,7 +16,7 @@ from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs
 from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.raw import write_dng
-from eldata.raw.cfa import XTRANS_CFA, pack, unpack
+from eldata.raw.cfa import pack, unpack
 from eldata.raw.levels import CLIP_RANGES, normalise
 from eldata.sources.store import build_store, source_of_folder
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, Cfa, make_sensor, random_mosaic
@@ -133,7 +133,7 @@ def test_a_file_that_cannot_be_read_is_named(folder: Path, tmp_path: Path) -> No
     [
         (lambda folder: CleanFrames(folder, keep=-1), ArgumentError, "keep"),
         (
-            lambda folder: CleanFrames(folder, levels="eld"),
+            lambda folder: CleanFrames(folder, levels="eld"),  # type: ignore[arg-type]
             ArgumentError,
             "levels must be one of 'metadata', 'published'",
         ),
@@ -159,34 +159,6 @@ def test_what_is_refused(work: Any, error: type[Exception], words: str, folder: 
 
 def arrays_of(packed: Any, **options: Any) -> Arrays:
     return Arrays(packed, **options)
-
-
-@pytest.mark.parametrize("cfa", BAYER.values(), ids=BAYER.keys())
-def test_a_bayer_array_comes_back(cfa: Cfa) -> None:
-    arrays = np.random.default_rng(0).random((3, 4, 10, 12), dtype=np.float32)
-    source = arrays_of(arrays, range_dn=15871.0, cfa=cfa)
-    assert len(source) == 3
-    for number, array in enumerate(arrays):
-        frame = source.frame(number)
-        assert frame.mosaic.shape == (20, 24)
-        assert frame.mosaic.dtype == np.float32
-        assert frame.cfa == cfa
-        assert frame.range_dn == frame.white_level_dn == 15871.0
-        assert frame.black_level_dn == (0.0,) * 4
-        assert frame.name == f"array {number}"
-        np.testing.assert_array_equal(pack(frame.whole(), cfa), array * np.float32(15871))
-        back = normalise(pack(frame.whole(), cfa), cfa, frame.black_level_dn, frame.white_level_dn)
-        np.testing.assert_allclose(back, array, rtol=3e-7)
-
-
-@pytest.mark.parametrize("name", ["xtrans-00", "xtrans-42", "xtrans-15"])
-def test_an_xtrans_array_comes_back_at_the_patterns_own_phase(name: str) -> None:
-    array = np.random.default_rng(0).random((9, 8, 6), dtype=np.float32)
-    frame = arrays_of([array], range_dn=1000.0, cfa=XTRANS[name]).frame(0)
-    assert frame.mosaic.shape == (24, 18)
-    assert frame.cfa == XTRANS_CFA
-    assert frame.black_level_dn == (0.0,) * 3
-    np.testing.assert_array_equal(pack(frame.whole(), frame.cfa), array * np.float32(1000))
 
 
 @pytest.mark.parametrize("cfa", [*BAYER.values(), XTRANS["xtrans-42"]], ids=str)

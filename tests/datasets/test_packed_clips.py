@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from eldata.raw.dng import write_dng
 from eldata.sources.frames import Frame
 from eldata.sources.store import build_store, source_of_dataset
 from tests.datasets.comparing import same
-from tests.drv_tree import NOISY, REFERENCE, RGB_SIZE, SENSOR, SmallDrv, mosaic_of, small_drv, write_raw, write_raw_clip
+from tests.drv_tree import REFERENCE, RGB_SIZE, SENSOR, SmallDrv, mosaic_of, small_drv, write_raw_clip
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
 from tests.sources.store.helpers import pack_folder, pack_tree
 
@@ -163,29 +162,6 @@ def test_stores_of_other_things_are_refused(rgb: Path, drv: SmallDrv, tmp_path: 
         PackedClips(clean)
     with pytest.raises(DatasetError, match="holds a dataset, not clean clips"):
         CleanClips(rgb)
-
-
-def packed_raw(root: Path) -> Path:
-    build_store(source_of_dataset("drv-raw", root=root), root / "store.h5")
-    return root / "store.h5"
-
-
-def test_frames_that_are_not_of_one_clip_are_refused(tmp_path: Path) -> None:
-    """Found as the store is opened, before any pixel is read."""
-    other_exposure, swapped, other_size = (tmp_path / name for name in ("exposure", "swapped", "size"))
-    for root in (other_exposure, swapped, other_size):
-        write_raw_clip(root / "DRV", "0007", 5)
-    write_raw(other_exposure / "DRV" / "short" / "0007" / "DSC01000.ARW", replace(NOISY, exposure_s=Fraction(1, 25)))
-    with pytest.raises(DatasetError, match=r"DSC01000\.ARW: its exposure ratio is 50, that of .*DSC00998.ARW 100"):
-        PackedClips(packed_raw(other_exposure))
-    for number in range(998, 1003):
-        write_raw(swapped / "DRV" / "short" / "0007" / f"DSC{number:05d}.ARW", REFERENCE)
-    write_raw(swapped / "DRV" / "long" / "0007" / "DSC00001.ARW", NOISY)
-    with pytest.raises(DatasetError, match=r"is exposed 100 times as much as its reference .*are they swapped"):
-        PackedClips(packed_raw(swapped))
-    write_raw(other_size / "DRV" / "short" / "0007" / "DSC01001.ARW", NOISY, sensor=replace(SENSOR, height=80))
-    with pytest.raises(DatasetError, match=r"DSC01001\.ARW: 80 x 112 pixels .*has 96 x 112"):
-        PackedClips(packed_raw(other_size))
 
 
 # --- clean clips --------------------------------------------------------------------------------------------------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +24,7 @@ from tests.datasets.comparing import same
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor, random_mosaic
 from tests.sid_tree import SmallTree, build_small_tree
 from tests.sources.store.helpers import pack_folder, pack_tree, write_clean
-from tests.trees import BETA, Tree, copy_tree, scale_exposure
+from tests.trees import BETA, Tree
 from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -186,15 +185,6 @@ def test_a_store_of_a_part_and_its_subsets(tree: Tree, tmp_path: Path) -> None:
     assert len(some(tmp_path / "beta.h5")) == len(some(tmp_path / "beta.h5", subset="beta")) == 12
     with pytest.raises(DatasetError, match="lacks 12 of the 24 chosen pairs, such as DemoAlpha/"):
         some(tmp_path / "beta.h5", subset="all")
-
-
-def test_files_that_are_not_a_pair_are_refused(pristine: Tree, tmp_path: Path) -> None:
-    tree = copy_tree(pristine, tmp_path / "tree")
-    scale_exposure(tree.file(2), Fraction(2))
-    store = pack_tree(tree, tmp_path / "store.h5").store
-    with pytest.raises(DatasetError, match=r"store.h5/DemoAlpha/scene-1/IMG_0002.dng: expected an exposure ratio of 1"):
-        some(store)
-    assert len(some(store, cameras=["DemoBeta"])) == 12
 
 
 # --- memory -------------------------------------------------------------------------------------------------------

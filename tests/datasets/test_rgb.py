@@ -29,7 +29,7 @@ from eldata.isp.response import ResponseCurve
 from eldata.raw import read_raw, write_dng
 from tests.raw.helpers import make_sensor
 from tests.sources.store.helpers import pack_folder, pack_tree
-from tests.trees import BETA, Tree, copy_tree, frame
+from tests.trees import Tree, copy_tree
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -159,13 +159,6 @@ def test_arrays_need_a_sensor_from_the_caller() -> None:
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------
-
-
-def test_drvs_packed_frames_take_their_references_sensor(pristine: Tree) -> None:
-    staged = raw2rgb(pairs_of(pristine))
-    found = staged.sensors({"path": "x/noisy.npy", "reference": frame(1, BETA)})
-    sensor = read_raw(pristine.file(1, BETA)).sensor
-    assert found == PairSensors(sensor, sensor)
 
 
 def test_the_repr_names_the_stages(balanced: Tree) -> None:

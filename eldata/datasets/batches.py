@@ -132,7 +132,7 @@ class _Part(dict[str, Any]):
 
 
 def _collated(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str, Any]:
-    """Collate as torch does; if the parts are those of one batch, in order, it is there already."""
+    """Collate as torch does; the parts of one batch, in order, are collated already."""
     del collate_fn_map
     batch = parts[0].batch
     places = [part.place for part in parts if type(part) is _Part and part.batch is batch and part.is_whole()]

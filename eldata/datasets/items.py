@@ -1,7 +1,8 @@
-"""The crop engine: items drawn from (seed, draw, index), and read from frames of any source.
+"""Items: crops drawn from (seed, draw, index), and read from frames of any source.
 
-A dataset says what an item is: which crop of which frames goes where, and the facts beside the pixels. Here they are
-read, by several threads where the source allows it, into memory that is used again, one by one or as whole batches.
+A dataset's ``drawn`` says what an item is: which crop of which frames goes where, and the facts beside the pixels.
+:class:`CroppedItems` reads its parts in order, by several threads where the source allows it, into memory that is used
+again, one by one or as whole batches.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def keep_counts() -> Iterator[None]:
 
 
 class SharedDraws:
-    """Which draw an item gets: the k-th time that it is asked for the k-th, or that of the epoch once one is set.
+    """Which draw an item gets: the k-th time that it is asked for, draw k; once an epoch is set, the epoch's.
 
     All workers count in one memory, forked or spawned, persistent or not, and see the epoch as it changes. Nothing is
     locked: only a sampler with replacement has two workers ask for one item at a time, in no order that repeats.
@@ -229,7 +230,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         self._draws = SharedDraws(self._length_of(records))
 
     def _length_of(self, records: int) -> int:
-        """Return the number of items: that of the grid's crops, or as many of each record."""
+        """Return the number of items: the grid's crops, or as many for each record."""
         return records * self._repeats if self._starts is None else self._starts[-1]
 
     def _record_of(self, place: int, records: int) -> tuple[int, int | None]:
@@ -286,7 +287,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
         return self._sample(item), item.sensor
 
     def plot(self, index: int = 0) -> Drawing:
-        """Draw an item: input, target and their difference, of a window of frames those of the first.
+        """Draw an item: input, target and their difference; of a window of frames the first.
 
         Packed raw is rendered quickly, one pixel for each packed one, and both sides are stretched alike.
 
@@ -340,7 +341,7 @@ class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Read the items of a batch into memory that is used again (:mod:`eldata.datasets.batches`).
 
-        torch's DataLoader calls this. The values are those of ``dataset[i]``; errors too.
+        torch's DataLoader calls this. Values and errors are as of ``dataset[i]``.
         """
         if self._may_differ:
             return [self[index] for index in indices]

@@ -62,7 +62,7 @@ def training_loader(
     Parameters
     ----------
     dataset
-        One with ``len`` and indices. Items are to depend on (seed, draw, index) alone, as those of this package do.
+        One with ``len`` and indices. Its items should depend on (seed, draw, index) alone, as this package's do.
     batch_size
         Items per batch; the last batch is dropped if it is smaller.
     workers
@@ -79,7 +79,7 @@ def training_loader(
         How workers start. ``"forkserver"``: from a clean process that has the libraries loaded. ``"spawn"``: from
         nothing, in seconds. ``"fork"``: copies of this process, which hang if a library's threads hold a lock.
     collate
-        In place of torch's default collate.
+        Instead of torch's default collate.
     rank
         Which process of how many this is; ``None`` asks torch.distributed.
 
@@ -134,7 +134,7 @@ def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> N
     """Fix the epoch that iterations over a loader give: its order, its items' crops and noise.
 
     The same call after a restart goes on with that epoch, with ``first_batch`` in the middle of it: the batches before
-    are not read, and the others are the same. (Numbers that a transform draws in a worker are those of another place.)
+    are not read, and the others are the same. (What a transform draws at random in a worker differs.)
 
     Raises
     ------
@@ -177,7 +177,7 @@ _Reading = tuple["int | None", int, StartMethod, "torch.device | str | None"]
 
 
 class _Loader(DataLoader[Any]):
-    """A DataLoader that knows why it is as it is; ``seed`` and ``rank`` are those of its order."""
+    """A DataLoader with the reasons for its settings; ``seed`` and ``rank`` decide its order."""
 
     def __init__(
         self, dataset: Any, batch_size: int, reading: _Reading, seed: int, rank: Rank | None,

@@ -1,4 +1,4 @@
-"""Pairs and clips of a store: random crops, equal to the bit to those of the files."""
+"""Pairs and clips of a store: random crops, equal to the files' to the bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The published datasets, a class each, and all datasets by name: this package's, and those of other packages.
+"""The published datasets, a class each, and all datasets by name, other packages' too.
 
 A package of yours registers a dataset by an entry point (:mod:`eldata.manifest.catalogue`). Nothing of it is imported
 before that dataset is asked for.
@@ -523,7 +523,7 @@ _CLASSES: dict[str, tuple[type[Any], dict[str, str]]] = {
 
 
 def dataset_names() -> tuple[str, ...]:
-    """Return the names of all datasets: this package's own, then those of other packages.
+    """Return the names of all datasets: this package's own, then other packages'.
 
     Examples
     --------

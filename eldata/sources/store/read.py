@@ -181,7 +181,7 @@ class Store:
 
     @property
     def levels(self) -> FrameLevels:
-        """The levels of its frames unless others are asked for: those of the protocol that its set's card names."""
+        """The default levels of its frames: of the protocol that its set's card names."""
         return "metadata" if self.manifest is None else default_protocol(self.manifest.card).frame_levels
 
     def pairs(self, choice: Choice) -> tuple[PairRecord, ...]:

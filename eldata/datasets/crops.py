@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 # --- flips and transposes of mosaics that keep the CFA in order -------------------------------------------------------
 
-# Flipping packed channels would put each colour where another stood: no sensor has such channels. Here the mosaic itself
-# is flipped or transposed, and then cropped by the few rows and columns after which its CFA starts as it did. Bayer and
-# X-Trans patterns allow all eight orientations.
+# Flipping packed channels would put each colour where another stood, as in no sensor. Here the mosaic itself is flipped
+# or transposed, and then cropped by the few rows and columns after which its CFA starts as it did. Bayer and X-Trans
+# patterns allow all eight orientations.
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 

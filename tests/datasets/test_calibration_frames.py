@@ -68,17 +68,6 @@ def test_the_cameras_own_folder_will_do(pristine: FrameTree) -> None:
     assert {record.camera for record in renamed.records} == {"Mine"}
 
 
-def test_the_default_root(pristine: FrameTree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ELDATA_ROOT", str(pristine.folder / "data"))
-    assert len(CalibrationFrames()) == 14
-    monkeypatch.delenv("ELDATA_ROOT")
-    monkeypatch.chdir(pristine.folder)
-    assert len(CalibrationFrames()) == 14
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(DatasetError, match=r"data/calibration: there is no such folder"):
-        CalibrationFrames()
-
-
 def test_the_manifest_route(pristine: FrameTree, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = CalibrationFrames(pristine.root, manifest=pristine.manifest)
     assert frames.records == tuple(listed(pristine)), "with their exposure times"

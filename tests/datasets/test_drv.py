@@ -127,19 +127,6 @@ def test_a_region_is_cut_from_every_frame(drv: SmallDrv) -> None:
             opened(drv, region=region)
 
 
-def test_unknown_splits_and_clips_list_the_known(drv: SmallDrv) -> None:
-    with pytest.raises(ArgumentError, match="no clip has split dynamic; known are test"):
-        opened(drv, split="dynamic")
-    with pytest.raises(ArgumentError, match="no clip has split train; known are test"):
-        opened(drv, split="train")
-    with pytest.raises(ArgumentError, match="no clip has scene 0008; known are 0007, 0013"):
-        opened(drv, ids=["0008"])
-    with pytest.raises(ArgumentError, match="frames must be one of"):
-        opened(drv, frames="some")
-    with pytest.raises(DatasetError, match=r"there is no such folder.*github\.com/cchen156"):
-        DRVDataset(drv.data / "nowhere")
-
-
 def test_damage_is_named(drv: SmallDrv, tmp_path: Path) -> None:
     shutil.copytree(drv.data, tmp_path / "DRV")
     copy = replace(drv, root=tmp_path)

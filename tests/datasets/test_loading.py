@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -153,21 +152,6 @@ def test_workers_fit_into_memory(machine: Any) -> None:
     machine(memory=None, shared=None)
     count, why = loader_workers(0, 2, "forkserver", Rank())
     assert (count, "memory not known" in why, "size of a batch not known" in why) == (7, True, True)
-
-
-def test_the_limits_of_a_container_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loading, "_CGROUP", tmp_path)
-    plain = len(os.sched_getaffinity(0))
-    assert loading.usable_cpus() == plain
-    (tmp_path / "cpu.max").write_text("max 100000\n")
-    assert loading.usable_cpus() == plain
-    (tmp_path / "cpu.max").write_text("150000 100000\n")
-    assert loading.usable_cpus() == 1
-    (tmp_path / "memory.max").write_text("5000000\n")
-    (tmp_path / "memory.current").write_text("2000000\n")
-    assert loading.available_memory_bytes() == 3_000_000
-    (tmp_path / "memory.max").write_text("max\n")
-    assert (loading.available_memory_bytes() or 0) > 3_000_000
 
 
 def test_the_description_says_what_the_loader_does(machine: Any, store: Path) -> None:

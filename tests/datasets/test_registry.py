@@ -44,26 +44,6 @@ TREES: dict[str, Callable[[Manifest, Path], None]] = {
     "sidd-blocks": build_blocks_tree,
 }
 
-# The argument that chooses among values of a kind: a list of them ...
-ARGUMENTS = {
-    "camera": "cameras",
-    "scene": "scenes",
-    "split": "split",
-    "iso": "isos",
-    "ratio": "ratios",
-    "subset": "subset",
-}
-TAKE_ONE_VALUE = ("subset",)
-# Values that the message lists where they are not those of the manifest: SID's split eval is val and test; clips of drv
-# without a reference are another class's, with a split of their own, and SIDD's benchmark blocks have no references.
-OWN_VALUES = {
-    ("sid-sony", "split"): {"train", "val", "test", "eval"},
-    ("sid-fuji", "split"): {"train", "val", "test", "eval"},
-    ("drv", "scene"): {f"{number:04d}" for number in range(1, 203)},
-    ("drv", "split"): {"train", "val", "test"},
-    ("sidd-blocks", "split"): {"val"},
-}
-
 NAMES = tuple(published._CLASSES)  # not those of packages that happen to be installed beside this one
 EVERY = pytest.mark.parametrize("name", NAMES)
 OF_PAIRS = [name for name in NAMES if issubclass(dataset_class(name), PairDataset)]
@@ -103,24 +83,9 @@ def few(opened: Callable[..., Any]) -> Callable[[str], Any]:
 
     def few(name: str) -> Any:
         record = next(record for record in shipped_manifest(name).records if record.role == "noisy")
-        return opened(name, **chosen(name, "scene", record.scene))
+        return opened(name, scenes=[record.scene])
 
     return few
-
-
-def chosen(name: str, kind: str, value: object) -> dict[str, object]:
-    """The keyword argument with which a dataset's class chooses a value."""
-    argument = ARGUMENTS[kind]
-    return {argument: value if argument in TAKE_ONE_VALUE else [value]}
-
-
-def known_values(name: str, kind: str) -> set[object]:
-    """What the message of an unknown value lists."""
-    manifest = shipped_manifest(name)
-    if kind == "subset":
-        return {subset.name for subset in manifest.card.subsets}
-    in_pairs = {getattr(record, kind) for record in manifest.records if record.role == "noisy"}
-    return set(OWN_VALUES.get((name, kind), in_pairs - {None}))
 
 
 # --- the registry -----------------------------------------------------------------------------------------------------
@@ -292,19 +257,6 @@ def test_the_published_names_verify(name: str, roots: Callable[[str], Path]) -> 
 
 
 # --- refusals ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ARGUMENTS)
-@EVERY
-def test_unknown_values_list_the_known(name: str, kind: str, opened: Callable[..., Any]) -> None:
-    wrong = 7777 if kind in ("iso", "ratio") else "nowhere"
-    known = known_values(name, kind)
-    with pytest.raises(ArgumentError) as raised:
-        opened(name, **chosen(name, kind, wrong))
-    message = str(raised.value)
-    assert str(wrong) in message
-    named = [value for value in known or {"none"} if str(value) in message]
-    assert len(named) == len(known or {"none"}) or (len(named) >= 10 and f"known are {len(known)}, " in message)
 
 
 @EVERY

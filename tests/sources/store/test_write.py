@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from eldata.sources.store import Source
 
 FRAMES = 7
 SIZE = (301, 270)  # above a chunk, no multiple of one
@@ -144,17 +143,6 @@ def test_raw_clips_are_mosaics(tmp_path: Path) -> None:
 
 
 # --- what is packed, and what cannot be ---------------------------------------------------------------------------
-
-
-def test_a_part_of_a_dataset(tree: Tree, drv: SmallDrv) -> None:
-    def source(**options: Any) -> Source:
-        return source_of_dataset("eld-demo", root=tree.root, manifest=tree.csv, **options)
-
-    assert {path.partition("/")[0] for path, _ in source(cameras=["DemoBeta"]).files} == {"DemoBeta"}
-    files = source(split=["test"]).files
-    assert len(files) == 32 == len(set(files))
-    assert sum(role == "reference" for _, role in files) == 8
-    assert len(source_of_dataset("drv", root=drv.root, ids=["0007"]).files) == FRAMES + 1
 
 
 def test_what_cannot_be_packed(tree: Tree, drv: SmallDrv, tmp_path: Path) -> None:

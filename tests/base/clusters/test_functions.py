@@ -21,8 +21,7 @@ from eldata.evaluation.predictions import save_clip_prediction
 from eldata.manifest.lock import lock
 from eldata.manifest.verify import verify
 from eldata.noise.profile import CameraProfile
-from eldata.sources.store.write import build_store, verify_store
-from eldata.sources.store.write import source_of_dataset
+from eldata.sources.store.write import build_store, source_of_dataset, verify_store
 from tests import trees
 from tests.calibration.trees import FrameTree, made_tree
 from tests.drv_tree import small_drv

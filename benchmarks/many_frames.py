@@ -14,9 +14,8 @@ from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.table import table_text
 from eldata.raw.levels import bayer_cfa
 from eldata.records import Exposure, FrameRecord, Sensor
-from eldata.sources.store.build import pixels_digest, write_frames
-from eldata.sources.store.format import PackedFile, StoredFrame, frame_key
-from eldata.sources.store.sources import Source
+from eldata.sources.store.read import StoredFrame, frame_key
+from eldata.sources.store.write import Source, pixels_digest, write_frames
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -61,8 +60,7 @@ def write_small_store(path: Path, frames: int) -> Path:
         for number, record in enumerate(manifest.records):
             mosaic = _pixels(generator)
             exposure, digest = _LONG if record.role == "reference" else _SHORT, pixels_digest(mosaic)
-            stated = record.role, _sensor(number), exposure, digest, PackedFile(3000, digest, "none")
-            yield mosaic, StoredFrame(frame_key(number), record.path, *stated)
+            yield mosaic, StoredFrame(frame_key(number), record.path, record.role, digest, _sensor(number), exposure)
 
     write_frames(path, source, "none", decoded())
     return path

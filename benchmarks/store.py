@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from benchmarks.data import Files
     from eldata.records import Role
     from eldata.sources.store import Source
-    from eldata.sources.store.format import Compression
+    from eldata.sources.store.read import Compression
 
 _COUNT, _BATCH = 48, 4
 _RGB_SIZE, _RGB_FRAMES = (918, 1374), 10

@@ -36,8 +36,7 @@ from eldata.evaluation import evaluate
 from eldata.evaluation.statistics import interval_of_mean
 from eldata.manifest import load_manifest
 from eldata.noise import LED_RANGES, CameraProfile, NoiseModel, VirtualCameras
-from eldata.sources.store.build import build_store
-from eldata.sources.store.sources import source_of_dataset
+from eldata.sources.store.write import build_store, source_of_dataset
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -346,7 +346,7 @@ WRITES = {
     "eldata.base.visible": "a value in a sentence",
     "eldata.protocols.digests": "what a digest is made of",
     "eldata.reports.evaluation": "one value of a setting in a sentence",
-    "eldata.sources.store.format": "a data set of an HDF5 store, a line a frame",
+    "eldata.sources.store.read": "a data set of an HDF5 store",
     "capture.checklist": "what a digest is made of, and a script's data",
 }
 

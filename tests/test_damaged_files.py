@@ -26,7 +26,7 @@ from eldata.protocols.named import load_protocol
 from eldata.raw.dng import write_dng
 from eldata.raw.reading import read_raw
 from eldata.sources.store import build_store, source_of_dataset
-from eldata.sources.store.read import StoreFrames
+from eldata.sources.store.read import Store
 from tests.capture.checklist_plans import small
 from tests.download.helpers import contents, sevenzipped, zipped
 from tests.raw.helpers import BAYER, EXPOSURE, make_sensor
@@ -82,8 +82,8 @@ def copy_of(original: Path) -> Callable[[Path], object]:
 
 
 def read_store(path: Path) -> None:
-    source = StoreFrames(path)
-    for held in source.store.frames:
+    source = Store(path)
+    for held in source.frames:
         source.frame(held.path).whole()
 
 

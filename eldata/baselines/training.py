@@ -15,8 +15,7 @@ from tqdm import tqdm
 from eldata.base.files import atomic_write, check_same_work
 from eldata.base.numbers import checked_number, checked_whole
 from eldata.baselines.exported import checked_window
-from eldata.datasets.loading import set_epoch
-from eldata.datasets.ranks import current_rank
+from eldata.datasets.loading import current_rank, set_epoch
 from eldata.errors import ArgumentError, EldataError, FileError, check_choice
 
 if TYPE_CHECKING:

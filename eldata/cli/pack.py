@@ -11,6 +11,7 @@ the folder (that of DATASET calibration).
 
 from __future__ import annotations
 
+import math
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +24,7 @@ from eldata.cli.baseline import add_part
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from eldata.sources.store.sources import Source
+    from eldata.sources.store.write import Source
 
 _CALIBRATION = "calibration"
 REFERENCE_HELP = (
@@ -56,22 +57,23 @@ def add_options(parser: console.Parser) -> None:
 
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
-    from eldata.sources.store.build import build_store
+    from eldata.sources.store.write import build_store
 
     source = _source(arguments)
     refuse_among(Path(arguments.output).parent, source.folder, (path for path, _ in source.files))
     with console.chosen_workers(arguments) as workers:
-        report = build_store(source, arguments.output, compression=arguments.compression, workers=workers)
+        store = build_store(source, arguments.output, compression=arguments.compression, workers=workers)
+    pixel_bytes = sum(2 * math.prod(frame.shape) for frame in store.frames)
     print(
-        f"{counted(report.frames, 'frame')} packed: {report.path}, {report.store_bytes / 1e6:.1f} MB for "
-        f"{report.pixel_bytes / 1e6:.1f} MB of pixels"
+        f"{counted(len(store.frames), 'frame')} packed: {store.path}, {store.path.stat().st_size / 1e6:.1f} MB for "
+        f"{pixel_bytes / 1e6:.1f} MB of pixels"
     )
-    print(f"to check: eldata verify {shlex.quote(str(report.path))} --level full")
+    print(f"to check: eldata verify {shlex.quote(str(store.path))} --level full")
     return console.OK
 
 
 def _source(arguments: console.Arguments) -> Source:
-    from eldata.sources.store.sources import source_of_dataset, source_of_folder
+    from eldata.sources.store.write import source_of_dataset, source_of_folder
 
     if not Path(arguments.dataset).is_dir() or arguments.manifest is not None:
         if arguments.reference:
@@ -93,7 +95,7 @@ def _source(arguments: console.Arguments) -> Source:
 def _calibration(arguments: console.Arguments) -> Source:
     from eldata.errors import DatasetError
     from eldata.manifest.catalogue import data_root
-    from eldata.sources.store.sources import source_of_folder
+    from eldata.sources.store.write import source_of_folder
 
     if arguments.split or arguments.subset or arguments.ids:
         raise ArgumentError("--split, --subset and --clip are for datasets of pairs and clips, not for calibration")

@@ -60,7 +60,7 @@ def _is_store(path: str) -> bool:
 
 
 def _of_store(arguments: console.Arguments, path: str, workers: Workers) -> VerifyReport:
-    from eldata.sources.store.build import verify_store
+    from eldata.sources.store.write import verify_store
 
     if arguments.root is not None or arguments.cameras:
         raise ArgumentError("--root and --camera are for manifests; a store is checked whole")

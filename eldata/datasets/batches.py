@@ -113,37 +113,26 @@ class Batch:
         ]
 
 
-class _OfBatch(dict[str, Any]):
-    """A dictionary that knows its batch. Copied or pickled, it is a plain one."""
+class _Part(dict[str, Any]):
+    """A sample of a batch, with its place there; or all of it, collated, in a worker. Copied, it is a plain dict."""
 
-    def __init__(self, batch: Batch, content: Mapping[str, Any]) -> None:
+    def __init__(
+        self, batch: Batch, place: int | None, content: Mapping[str, Any], views: Mapping[str, torch.Tensor]
+    ) -> None:
         super().__init__(content)
-        self.batch = batch
+        self.update(views)
+        self.batch, self.place, self.views = batch, place, views
 
     def __reduce__(self) -> tuple[Any, ...]:
         return dict, (dict(self),)
 
-
-class _Part(_OfBatch):
-    """A sample of a batch, and where it lies."""
-
-    def __init__(self, batch: Batch, place: int, sample: Mapping[str, Any], views: Mapping[str, torch.Tensor]) -> None:
-        super().__init__(batch, sample)
-        self.update(views)
-        self.place = place
-        self.views = views
-
     def is_whole(self) -> bool:
-        """Return whether nobody has put another tensor in the place of a view."""
+        """Return whether nobody has replaced a view by another tensor."""
         return all(self.get(name) is view for name, view in self.views.items())
 
 
-class _Whole(_OfBatch):
-    """A collated batch in a worker, of which the queue sends no copy."""
-
-
 def _collated(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str, Any]:
-    """Collate as torch does; if the parts are those of one batch, in order, it is there already."""
+    """Collate as torch does; the parts of one batch, in order, are collated already."""
     del collate_fn_map
     batch = parts[0].batch
     places = [part.place for part in parts if type(part) is _Part and part.batch is batch and part.is_whole()]
@@ -154,7 +143,7 @@ def _collated(parts: Sequence[_Part], *, collate_fn_map: Any = None) -> dict[str
         name: batch.tensors[name] if name in batch.tensors else _column([part[name] for part in parts])
         for name in parts[0]
     }
-    return _Whole(batch, content) if isinstance(batch.piece, _SharedPiece) else content
+    return _Part(batch, None, content, batch.tensors) if isinstance(batch.piece, _SharedPiece) else content
 
 
 def _column(values: list[Any]) -> Any:
@@ -165,12 +154,11 @@ def _column(values: list[Any]) -> Any:
     return torch.from_numpy(np.array(values)) if kinds in ({float}, {int}) else default_collate(values)
 
 
-def _sent(whole: _Whole) -> tuple[Any, ...]:
-    """Reduce a batch to where it lies, and to the few numbers beside it."""
+def _sent(whole: _Part) -> tuple[Any, ...]:
+    """Reduce a collated batch to where it lies, and to the few numbers beside it: the queue sends no copy."""
     batch = whole.batch
-    is_changed = any(whole.get(name) is not tensor for name, tensor in batch.tensors.items())
-    if is_changed or not isinstance(batch.piece, _SharedPiece):
-        return dict, (dict(whole),)
+    if whole.place is not None or not whole.is_whole() or not isinstance(batch.piece, _SharedPiece):
+        return whole.__reduce__()
     others = {name: _as_array(value) for name, value in whole.items() if name not in batch.tensors}
     return _received, (batch.piece.sent(), batch.piece.size, batch.fields, others, tuple(whole))
 
@@ -180,7 +168,7 @@ def _as_array(value: Any) -> Any:
 
 
 default_collate_fn_map[_Part] = _collated
-ForkingPickler.register(_Whole, _sent)
+ForkingPickler.register(_Part, _sent)
 
 
 def _received(

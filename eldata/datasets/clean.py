@@ -17,8 +17,7 @@ from eldata.raw.files import is_raw, no_raws
 from eldata.raw.levels import LEVELS, Levels, check_in_dn
 from eldata.raw.stated import StatedFile
 from eldata.sources.frames import Files, Frame, FrameSource
-from eldata.sources.store.format import SUFFIXES
-from eldata.sources.store.read import StoreFrames
+from eldata.sources.store.read import SUFFIXES, Store
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -200,10 +199,10 @@ def _found(
         files = clean_files(source, reference)
         stated = {str(file.path): file for file in files if isinstance(file, StatedFile)}
         return Files(stated), tuple(str(_path_of(file)) for file in files)
-    store = StoreFrames(source)
-    clean = sorted(frame.path for frame in store.store.frames if frame.role == "reference" and frame.sensor.cfa)
+    store = Store(source)
+    clean = sorted(frame.path for frame in store.frames if frame.role == "reference" and frame.sensor.cfa)
     if not clean:
-        raise DatasetError(f"{source}: holds no clean frames, but {len(store.store.frames)} of other kinds")
+        raise DatasetError(f"{source}: holds no clean frames, but {len(store.frames)} of other kinds")
     return store, tuple(clean)
 
 
@@ -215,9 +214,7 @@ class _Several:
     def __init__(self, places: Iterable[Path | str | StatedFile], reference: str | None) -> None:
         parts = [_found(place if _holds_frames(place) else (place,), reference) for place in places]
         each = [(origin, name) for origin, names in parts for name in names]
-        self.names = tuple(
-            str(origin.path / name) if isinstance(origin, StoreFrames) else name for origin, name in each
-        )
+        self.names = tuple(str(origin.path / name) if isinstance(origin, Store) else name for origin, name in each)
         check_once(self.names)
         self._of = dict(zip(self.names, each, strict=True))
         self.reads_parts = all(origin.reads_parts for origin, _ in parts)
@@ -282,7 +279,7 @@ class CleanClips:
                 for clip in source
             ]
         elif _is_store(source):
-            clips = list(_clips_of(StoreFrames(source), levels))
+            clips = list(_clips_of(Store(source), levels))
         else:
             clips = [CleanFrames(files, levels=levels) for files in clip_files(source)]
         if not clips:
@@ -382,11 +379,11 @@ def _frames_of(folder: Path) -> list[Path]:
     return [folder / name for name in _in_order(folder, raws)]
 
 
-def _clips_of(source: StoreFrames, levels: Levels) -> Iterator[CleanFrames]:
-    if source.store.manifest is not None:
+def _clips_of(source: Store, levels: Levels) -> Iterator[CleanFrames]:
+    if source.manifest is not None:
         raise DatasetError(f"{source.path}: holds a dataset, not clean clips; pack a folder of folders of clean raws")
     folders: dict[PurePosixPath, list[str]] = {}
-    for frame in source.store.frames:
+    for frame in source.frames:
         place = PurePosixPath(frame.path)
         folders.setdefault(place.parent, []).append(place.name)
     for folder, names in sorted(folders.items()):

@@ -37,18 +37,7 @@ if TYPE_CHECKING:
     from eldata.sources.frames import Frame, FrameSource
 
 
-class _Facts(TypedDict):
-    ratio: float
-    iso: float
-    exposure_s: float
-    camera: str
-    scene: str
-    split: str
-    path: str
-    start: int
-
-
-class UnpairedClipSample(_Facts):
+class UnpairedClipSample(TypedDict):
     """A window of a clip without a reference, as torch's default collate accepts it.
 
     ``input`` is (T, C, h, w) float32, normalised, multiplied by ``ratio``. ``iso`` and ``exposure_s`` (seconds) are the
@@ -57,6 +46,14 @@ class UnpairedClipSample(_Facts):
     """
 
     input: torch.Tensor
+    ratio: float
+    iso: float
+    exposure_s: float
+    camera: str
+    scene: str
+    split: str
+    path: str
+    start: int
 
 
 class ClipSample(UnpairedClipSample):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 # --- flips and transposes of mosaics that keep the CFA in order -------------------------------------------------------
 
-# Flipping packed channels would put each colour where another stood: the channels would no longer be those of any
-# sensor. Here the mosaic itself is flipped or transposed, and then cropped by the few rows and columns after which its
-# CFA starts as it did. Bayer and X-Trans patterns allow all eight orientations.
+# Flipping packed channels would put each colour where another stood, as in no sensor. Here the mosaic itself is flipped
+# or transposed, and then cropped by the few rows and columns after which its CFA starts as it did. Bayer and X-Trans
+# patterns allow all eight orientations.
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -90,8 +90,8 @@ def copy_oriented(mosaic: NDArray[Scalar], cfa: CfaRows, orientation: Orientatio
 def turned_levels(levels: tuple[float, ...], orientation: Orientation) -> tuple[float, ...]:
     """Return the levels of a CFA's channels, 3 for X-Trans and else 4, as the channels of the turned mosaic have them.
 
-    The first green is the one in red's rows. A flip leaves it there; a transpose puts the other in its place, with its
-    level, of which that of the first may differ by some DN.
+    The first green is the one in red's rows. A flip leaves it there; a transpose swaps the two greens and their black
+    levels, which may differ by a few DN.
     """
     if not orientation.transpose or len(levels) != 4:
         return levels
@@ -268,7 +268,7 @@ class Crop:
         return self.turned(frame.read(*self.slices))
 
     def levels(self, levels_dn: tuple[float, ...]) -> tuple[float, ...]:
-        """Return levels of a frame's channels as those of the turned crop have them."""
+        """Return the levels of the turned crop's channels, given the frame's."""
         return turned_levels(levels_dn, self.orientation)
 
     def fill(self, frame: Frame, out: NDArray[np.float32], *, clip: Clip = "both", gain: float = 1.0) -> None:
@@ -284,19 +284,11 @@ class Crop:
         pack_normalised(cut, self.cfa, black, white, clip=clip, gain=gain, corrected=corrected, out=out)
 
 
-class _Grid(NamedTuple):
-    """The area that packing keeps, the CFA's period, mosaic pixels per packed one, and the CFA that the area has."""
-
-    area: PackedArea
-    period: int
-    scale: int
-    cfa: CfaRows
-
-
 @lru_cache(maxsize=256)
-def _grid(shape: tuple[int, int], cfa: CfaRows) -> _Grid:
+def _grid(shape: tuple[int, int], cfa: CfaRows) -> tuple[PackedArea, int, int, CfaRows]:
+    """Return the area that packing keeps, the CFA's period, mosaic pixels per packed one, and the CFA of the area."""
     if not cfa:
-        return _Grid(PackedArea(0, 0, *shape), 1, 1, ())
+        return PackedArea(0, 0, *shape), 1, 1, ()
     sites, area = packing_sites(cfa), packed_area(shape, cfa)
     # From the area's corner the pattern starts as packing wants it.
-    return _Grid(area, len(cfa), sites.scale, cfa_from(cfa, area.top, area.left))
+    return area, len(cfa), sites.scale, cfa_from(cfa, area.top, area.left)

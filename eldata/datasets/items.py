@@ -1,7 +1,8 @@
-"""The crop engine: items drawn from (seed, draw, index), and read from frames of any source.
+"""Items: crops drawn from (seed, draw, index), and read from frames of any source.
 
-A dataset says what an item is: which crop of which frames goes where, and the facts beside the pixels. Here they are
-read, by several threads where the source allows it, into memory that is used again, one by one or as whole batches.
+A dataset's ``drawn`` says what an item is: which crop of which frames goes where, and the facts beside the pixels.
+:class:`CroppedItems` reads its parts in order, by several threads where the source allows it, into memory that is used
+again, one by one or as whole batches.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def keep_counts() -> Iterator[None]:
 
 
 class SharedDraws:
-    """Which draw an item gets: the k-th time that it is asked for the k-th, or that of the epoch once one is set.
+    """Which draw an item gets: the k-th time that it is asked for, draw k; once an epoch is set, the epoch's.
 
     All workers count in one memory, forked or spawned, persistent or not, and see the epoch as it changes. Nothing is
     locked: only a sampler with replacement has two workers ask for one item at a time, in no order that repeats.
@@ -138,133 +139,7 @@ class DrawnItem:
 Sample = TypeVar("Sample")
 
 
-class ReadItems(Dataset[Sample], ABC, Generic[Sample]):
-    """Items that are read part by part. Subclasses say what an item is."""
-
-    clip: Clip = "both"
-    source: Any = None
-
-    @abstractmethod
-    def __len__(self) -> int: ...
-
-    @property
-    def reads_parts(self) -> bool:
-        """Whether the source says that its frames read parts (:class:`eldata.sources.frames.FrameSource`)."""
-        return getattr(self.source, "reads_parts", False)
-
-    @property
-    @abstractmethod
-    def _may_differ(self) -> bool:
-        """Whether the items of a batch may differ in size, which only reading them shows."""
-
-    @abstractmethod
-    def item(self, index: int) -> DrawnItem:
-        """Draw an item, before its pixels are read."""
-
-    def _finish(self, items: Sequence[Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Make what is not read, of several items at once; the arrays have as many, one after the other."""
-
-    def _seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
-        """Read one item to be looked at, and the sensor of its target; raises like ``dataset[index]``."""
-        with keep_counts():
-            item = self.item(index)
-        return self._sample(item), item.sensor
-
-    def plot(self, index: int = 0) -> Drawing:
-        """Draw an item: input, target and their difference, of a window of frames those of the first.
-
-        Packed raw is rendered quickly, one pixel for each packed one, and both sides are stretched alike.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            An axes each; it belongs to no pyplot, and a notebook shows it.
-
-        Raises
-        ------
-        IndexError, FileError, DatasetError
-            Like ``dataset[index]``.
-        """
-        from eldata.datasets.looking import drawn_sample
-
-        return drawn_sample(*self._seen(index))
-
-    def _outline(self) -> list[tuple[str, str]]:
-        """Return what the dataset is, as names and values, for a notebook."""
-        return [("items", str(len(self)))]
-
-    def _repr_html_(self) -> str:
-        from eldata.datasets.looking import shown_dataset
-
-        return shown_dataset(type(self).__name__, self._outline(), self._seen if len(self) else None)
-
-    def __iter__(self) -> Iterator[Sample]:
-        return (self[index] for index in range(len(self)))
-
-    def __getitem__(self, index: int) -> Sample:
-        """Read one item.
-
-        Raises
-        ------
-        IndexError
-            If the index is outside.
-        FileError
-            If a file or store cannot be read.
-        DatasetError
-            If a frame is smaller than the crop (with ``augment`` a mosaic needs one period of the CFA more), or the
-            frames of an item do not belong together.
-        """
-        sample: Any = self._sample(self.item(index))
-        return sample  # type: ignore[no-any-return] # a TypedDict of the subclass
-
-    def _sample(self, item: DrawnItem) -> dict[str, Any]:
-        arrays = new_arrays([Field(name, shape, "<f4") for name, shape in item.shapes.items()])
-        self._read([item], {name: array[None] for name, array in arrays.items()})
-        return {name: torch.from_numpy(array) for name, array in arrays.items()} | item.facts
-
-    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """Read the items of a batch into memory that is used again (:mod:`eldata.datasets.batches`).
-
-        torch's DataLoader calls this. The values are those of ``dataset[i]``; errors too.
-        """
-        if self._may_differ:
-            return [self[index] for index in indices]
-        batch: Batch | None = None
-        samples: list[dict[str, Any]] = []
-        for group in [indices] if self.reads_parts else [[index] for index in indices]:
-            items = [self.item(index) for index in group]
-            shapes = items[0].shapes
-            if batch is None:
-                batch = new_batch([Field(name, (len(indices), *shape), "<f4") for name, shape in shapes.items()])
-            if batch is None or any(item.shapes != batch.shapes for item in items):
-                rest = indices[len(samples) + len(items) :]
-                made = [] if batch is None else batch.parts(samples)
-                return [*made, *map(self._sample, items), *(self[index] for index in rest)]
-            places = slice(len(samples), len(samples) + len(items))
-            self._read(items, {name: array[places] for name, array in batch.arrays.items()})
-            samples += [dict.fromkeys(shapes) | item.facts for item in items]
-            del items  # their frames, before the next ones are decoded
-        return [] if batch is None else batch.parts(samples)
-
-    def _read(self, items: Sequence[DrawnItem], arrays: Mapping[str, NDArray[Any]]) -> None:
-        def fill(place: int, part: Part) -> None:
-            array = arrays[part.tensor][place]
-            out, clip = array if part.place is None else array[part.place], "both" if part.is_light else self.clip
-            items[place].crop.fill(part.frame, out, clip=clip, gain=part.gain)
-
-        if self.reads_parts:
-            works = [(place, part) for place, item in enumerate(items) for part in item.parts]
-            values = sum(array[0].size for array in arrays.values())
-            in_threads(lambda work: fill(*work), works, reading_threads(len(items), values))
-        else:
-            for place, item in enumerate(items):
-                for part in item.parts:
-                    fill(place, part)
-                    del part  # its frame, before the next one is decoded
-        self._finish(items, arrays)
-
-
-class CroppedItems(ReadItems[Sample]):
+class CroppedItems(Dataset[Sample], ABC, Generic[Sample]):
     """Items that are crops: draw k of item i depends on (seed, k, i) alone, not on workers or other items.
 
     The k-th time that an item is asked for it is draw k, from 0 on, whatever the workers; after :meth:`set_epoch`
@@ -282,6 +157,9 @@ class CroppedItems(ReadItems[Sample]):
     ArgumentError
         If one is out of its range.
     """
+
+    clip: Clip = "both"
+    source: Any = None
 
     def __init__(self, crop: int | None, augment: bool, crops: Crops, seed: int, repeats: tuple[str, int]) -> None:
         name, number = repeats
@@ -352,7 +230,7 @@ class CroppedItems(ReadItems[Sample]):
         self._draws = SharedDraws(self._length_of(records))
 
     def _length_of(self, records: int) -> int:
-        """Return the number of items: that of the grid's crops, or as many of each record."""
+        """Return the number of items: the grid's crops, or as many for each record."""
         return records * self._repeats if self._starts is None else self._starts[-1]
 
     def _record_of(self, place: int, records: int) -> tuple[int, int | None]:
@@ -379,7 +257,7 @@ class CroppedItems(ReadItems[Sample]):
 
     @property
     def _may_differ(self) -> bool:
-        """Whether whole frames are decoded, which may differ in size."""
+        """Whether the items of a batch may differ in size, which only reading shows: whole frames that are decoded."""
         return self.crop is None and not self.reads_parts
 
     def item(self, index: int) -> Any:
@@ -388,6 +266,118 @@ class CroppedItems(ReadItems[Sample]):
         index = checked_index(index, length)
         draw = self._draws.next_of(index)
         return self.drawn(index + draw * length, item_generator(self.seed, draw, index))
+
+    # --- reading -----------------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @property
+    def reads_parts(self) -> bool:
+        """Whether the source says that its frames read parts (:class:`eldata.sources.frames.FrameSource`)."""
+        return getattr(self.source, "reads_parts", False)
+
+    def _finish(self, items: Sequence[Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Make what is not read, of several items at once; the arrays have as many, one after the other."""
+
+    def _seen(self, index: int = 0) -> tuple[dict[str, Any], Sensor | None]:
+        """Read one item to be looked at, and the sensor of its target; raises like ``dataset[index]``."""
+        with keep_counts():
+            item = self.item(index)
+        return self._sample(item), item.sensor
+
+    def plot(self, index: int = 0) -> Drawing:
+        """Draw an item: input, target and their difference; of a window of frames the first.
+
+        Packed raw is rendered quickly, one pixel for each packed one, and both sides are stretched alike.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            An axes each; it belongs to no pyplot, and a notebook shows it.
+
+        Raises
+        ------
+        IndexError, FileError, DatasetError
+            Like ``dataset[index]``.
+        """
+        from eldata.datasets.looking import drawn_sample
+
+        return drawn_sample(*self._seen(index))
+
+    def _outline(self) -> list[tuple[str, str]]:
+        """Return what the dataset is, as names and values, for a notebook."""
+        return [("items", str(len(self)))]
+
+    def _repr_html_(self) -> str:
+        from eldata.datasets.looking import shown_dataset
+
+        return shown_dataset(type(self).__name__, self._outline(), self._seen if len(self) else None)
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[index] for index in range(len(self)))
+
+    def __getitem__(self, index: int) -> Sample:
+        """Read one item.
+
+        Raises
+        ------
+        IndexError
+            If the index is outside.
+        FileError
+            If a file or store cannot be read.
+        DatasetError
+            If a frame is smaller than the crop (with ``augment`` a mosaic needs one period of the CFA more), or the
+            frames of an item do not belong together.
+        """
+        sample: Any = self._sample(self.item(index))
+        return sample  # type: ignore[no-any-return] # a TypedDict of the subclass
+
+    def _sample(self, item: DrawnItem) -> dict[str, Any]:
+        arrays = new_arrays([Field(name, shape, "<f4") for name, shape in item.shapes.items()])
+        self._read([item], {name: array[None] for name, array in arrays.items()})
+        return {name: torch.from_numpy(array) for name, array in arrays.items()} | item.facts
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        """Read the items of a batch into memory that is used again (:mod:`eldata.datasets.batches`).
+
+        torch's DataLoader calls this. Values and errors are as of ``dataset[i]``.
+        """
+        if self._may_differ:
+            return [self[index] for index in indices]
+        batch: Batch | None = None
+        samples: list[dict[str, Any]] = []
+        for group in [indices] if self.reads_parts else [[index] for index in indices]:
+            items = [self.item(index) for index in group]
+            shapes = items[0].shapes
+            if batch is None:
+                batch = new_batch([Field(name, (len(indices), *shape), "<f4") for name, shape in shapes.items()])
+            if batch is None or any(item.shapes != batch.shapes for item in items):
+                rest = indices[len(samples) + len(items) :]
+                made = [] if batch is None else batch.parts(samples)
+                return [*made, *map(self._sample, items), *(self[index] for index in rest)]
+            places = slice(len(samples), len(samples) + len(items))
+            self._read(items, {name: array[places] for name, array in batch.arrays.items()})
+            samples += [dict.fromkeys(shapes) | item.facts for item in items]
+            del items  # their frames, before the next ones are decoded
+        return [] if batch is None else batch.parts(samples)
+
+    def _read(self, items: Sequence[DrawnItem], arrays: Mapping[str, NDArray[Any]]) -> None:
+        def fill(place: int, part: Part) -> None:
+            array = arrays[part.tensor][place]
+            out, clip = array if part.place is None else array[part.place], "both" if part.is_light else self.clip
+            items[place].crop.fill(part.frame, out, clip=clip, gain=part.gain)
+
+        if self.reads_parts:
+            works = [(place, part) for place, item in enumerate(items) for part in item.parts]
+            values = sum(array[0].size for array in arrays.values())
+            in_threads(lambda work: fill(*work), works, reading_threads(len(items), values))
+        else:
+            for place, item in enumerate(items):
+                for part in item.parts:
+                    fill(place, part)
+                    del part  # its frame, before the next one is decoded
+        self._finish(items, arrays)
 
 
 def shading_text(shading: DarkShading | None) -> str:

@@ -13,19 +13,20 @@ import os
 import pickle
 import sys
 import threading
+from dataclasses import dataclass
 from multiprocessing import connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader, IterableDataset
+from torch.utils.data import DataLoader, IterableDataset, Sampler
 
 from eldata.base.arguments import require_main_guard
+from eldata.base.compiled import available_threads
 from eldata.base.numbers import checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
 from eldata.datasets.items import keep_counts
-from eldata.datasets.ranks import START_METHODS, Rank, ShuffledSampler, current_rank, loader_workers
 from eldata.errors import ArgumentError, check_choice
 
 if TYPE_CHECKING:
@@ -34,27 +35,25 @@ if TYPE_CHECKING:
 
     from torch.utils.data import Dataset
 
-    from eldata.datasets.ranks import StartMethod
-
 # Imported once by the server that workers are forked from, for it would take seconds in each worker.
 _PRELOADED = ("eldata.datasets._preloaded",)
 
-# Keeps these random numbers apart from those of the items, (seed, epoch, index), and of the order (ranks.py).
-_WORKERS = 2
+# Keep these random numbers apart from each other and from the items', (seed, epoch, index).
+_ORDER, _WORKERS = 1, 2
+
+
+StartMethod = Literal["forkserver", "spawn", "fork"]
+START_METHODS: tuple[StartMethod, ...] = get_args(StartMethod)
 
 
 def training_loader(
     dataset: Dataset[Any],
     batch_size: int,
     *,
-    workers: int | None = None,
-    seed: int = 0,
-    device: torch.device | str | None = None,
-    prefetch: int = 2,
-    start_method: StartMethod = "forkserver",
-    collate: Callable[[list[Any]], Any] | None = None,
+    workers: int | None = None, seed: int = 0, device: torch.device | str | None = None, prefetch: int = 2,
+    start_method: StartMethod = "forkserver", collate: Callable[[list[Any]], Any] | None = None,
     rank: Rank | None = None,
-) -> DataLoader[Any]:
+) -> DataLoader[Any]:  # fmt: skip
     """Return a DataLoader for training: shuffled again each epoch, as many whole batches on every rank.
 
     Several ranks call :func:`set_epoch` before each epoch, and who wants to go on later to the bit; else each pass goes
@@ -63,7 +62,7 @@ def training_loader(
     Parameters
     ----------
     dataset
-        One with ``len`` and indices. Items are to depend on (seed, draw, index) alone, as those of this package do.
+        One with ``len`` and indices. Its items should depend on (seed, draw, index) alone, as this package's do.
     batch_size
         Items per batch; the last batch is dropped if it is smaller.
     workers
@@ -80,7 +79,7 @@ def training_loader(
         How workers start. ``"forkserver"``: from a clean process that has the libraries loaded. ``"spawn"``: from
         nothing, in seconds. ``"fork"``: copies of this process, which hang if a library's threads hold a lock.
     collate
-        In place of torch's default collate.
+        Instead of torch's default collate.
     rank
         Which process of how many this is; ``None`` asks torch.distributed.
 
@@ -98,30 +97,26 @@ def training_loader(
     >>> len(loader), next(iter(loader))["input"].shape
     (6, torch.Size([4, 4, 64, 64]))
     """
-    reading = _Reading(workers, prefetch, start_method, device)
-    return _Loader(dataset, batch_size, seed, rank, reading, collate, is_training=True)
+    reading = workers, prefetch, start_method, device
+    return _Loader(dataset, batch_size, reading, seed, rank, collate, is_training=True)
 
 
 def evaluation_loader(
     dataset: Dataset[Any],
     batch_size: int = 1,
     *,
-    workers: int | None = None,
-    seed: int = 0,
-    device: torch.device | str | None = None,
-    prefetch: int = 2,
-    start_method: StartMethod = "forkserver",
-    collate: Callable[[list[Any]], Any] | None = None,
+    workers: int | None = None, seed: int = 0, device: torch.device | str | None = None, prefetch: int = 2,
+    start_method: StartMethod = "forkserver", collate: Callable[[list[Any]], Any] | None = None,
     rank: Rank | None = None,
-) -> DataLoader[Any]:
+) -> DataLoader[Any]:  # fmt: skip
     """Return a DataLoader for validation and evaluation: each item exactly once over all ranks, in order.
 
     To score random crops or made noise alike in each pass, call :func:`set_epoch` once. Ranks may get unequal numbers
     of batches: gather their results afterwards, and do not synchronise batch by batch. Parameters and errors are those
     of :func:`training_loader`; but the last batch may be smaller, and a rank may have none.
     """
-    reading = _Reading(workers, prefetch, start_method, device)
-    return _Loader(dataset, batch_size, seed, rank, reading, collate, is_training=False)
+    reading = workers, prefetch, start_method, device
+    return _Loader(dataset, batch_size, reading, seed, rank, collate, is_training=False)
 
 
 def describe(loader: DataLoader[Any]) -> str:
@@ -139,7 +134,7 @@ def set_epoch(loader: DataLoader[Any], epoch: int, *, first_batch: int = 0) -> N
     """Fix the epoch that iterations over a loader give: its order, its items' crops and noise.
 
     The same call after a restart goes on with that epoch, with ``first_batch`` in the middle of it: the batches before
-    are not read, and the others are the same. (Numbers that a transform draws in a worker are those of another place.)
+    are not read, and the others are the same. (What a transform draws at random in a worker differs.)
 
     Raises
     ------
@@ -177,35 +172,24 @@ def _known(loader: DataLoader[Any]) -> _Loader:
 # --- building -----------------------------------------------------------------------------------------------------
 
 
-class _Reading(NamedTuple):
-    """How batches are read: arguments of :func:`training_loader`."""
-
-    workers: int | None
-    prefetch: int
-    start_method: StartMethod
-    device: torch.device | str | None
+_Reading = tuple["int | None", int, StartMethod, "torch.device | str | None"]
+"""How batches are read: workers, prefetch, start method and device, as of :func:`training_loader`."""
 
 
 class _Loader(DataLoader[Any]):
-    """A DataLoader that knows why it is as it is; ``seed`` and ``rank`` are those of its order."""
+    """A DataLoader with the reasons for its settings; ``seed`` and ``rank`` decide its order."""
 
     def __init__(
-        self,
-        dataset: Any,
-        batch_size: int,
-        seed: int,
-        rank: Rank | None,
-        reading: _Reading,
-        collate: Callable[[list[Any]], Any] | None,
-        *,
-        is_training: bool,
-    ) -> None:
-        if batch_size < 1 or reading.prefetch < 1:
-            raise ArgumentError(f"batch_size and prefetch must be 1 or more; found {batch_size}, {reading.prefetch}")
+        self, dataset: Any, batch_size: int, reading: _Reading, seed: int, rank: Rank | None,
+        collate: Callable[[list[Any]], Any] | None, *, is_training: bool,
+    ) -> None:  # fmt: skip
+        _, prefetch, start_method, _ = reading
+        if batch_size < 1 or prefetch < 1:
+            raise ArgumentError(f"batch_size and prefetch must be 1 or more; found {batch_size}, {prefetch}")
         self.seed = checked_seed(seed)
-        check_choice("start_method", reading.start_method, START_METHODS)
-        if reading.start_method not in multiprocessing.get_all_start_methods():
-            raise ArgumentError(f"this system has no start method {reading.start_method!r}; take 'spawn'")
+        check_choice("start_method", start_method, START_METHODS)
+        if start_method not in multiprocessing.get_all_start_methods():
+            raise ArgumentError(f"this system has no start method {start_method!r}; take 'spawn'")
         self.rank = rank = rank or current_rank()
         length = _length(dataset)
         sampler: Any = range(rank.number, length, rank.of)
@@ -266,10 +250,10 @@ def _end_with_parent(_: int) -> None:
     """
     parent = multiprocessing.parent_process()
     if parent is not None:
-        threading.Thread(target=_ended_with, args=(parent.sentinel,), daemon=True).start()
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
 
 
-def _ended_with(sentinel: int) -> None:
+def _end_with(sentinel: int) -> None:
     connection.wait([sentinel])
     os._exit(1)
 
@@ -354,3 +338,157 @@ def _nbytes(item: Any) -> int:
     if isinstance(item, dict):
         return sum(map(_nbytes, item.values()))
     return sum(map(_nbytes, item)) if isinstance(item, (list, tuple)) else 0
+
+
+# --- which of several processes this is, and how many workers it gets -----------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Rank:
+    """Which of several training processes this is: ``number`` (from 0) of ``of``."""
+
+    number: int = 0
+    of: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.number < self.of:
+            raise ArgumentError(f"a rank is from 0 up to below their number; found {self.number} of {self.of}")
+
+
+def current_rank() -> Rank:
+    """Return this process's place in torch.distributed; the only one if that is not used.
+
+    Raises
+    ------
+    ArgumentError
+        If the environment states a ``WORLD_SIZE`` above 1, but torch.distributed is not initialised: each process would
+        read everything.
+    """
+    if torch.distributed.is_available() and torch.distributed.is_initialized():
+        return Rank(torch.distributed.get_rank(), torch.distributed.get_world_size())
+    stated = os.environ.get("WORLD_SIZE", "1")
+    if stated != "1":
+        raise ArgumentError(
+            f"WORLD_SIZE is {stated!r}, but torch.distributed is not initialised, so each process would read "
+            "everything; call torch.distributed.init_process_group first, or give rank=Rank(number, of)"
+        )
+    return Rank()
+
+
+class ShuffledSampler(Sampler[int]):
+    """Indices in an order that depends on (seed, epoch); as many for each rank, none twice.
+
+    The k-th iteration has the order of epoch k, from 0 on, unless :meth:`set_epoch` was called. Fewer indices than
+    there are ranks are left out, others each epoch.
+    """
+
+    def __init__(self, length: int, *, seed: int, rank: Rank) -> None:
+        self.length = length
+        self.seed = seed
+        self.rank = rank
+        self.epoch: int | None = None
+        self.first = 0
+        self._passes = 0
+
+    def set_epoch(self, epoch: int, first: int = 0) -> None:
+        """Fix the epoch whose order iterations have, and from which of this rank's indices they go on."""
+        self.epoch, self.first = epoch, first
+
+    def __len__(self) -> int:
+        return self.length // self.rank.of
+
+    def __iter__(self) -> Iterator[int]:
+        epoch = self._passes if self.epoch is None else self.epoch
+        self._passes += 1
+        sequence = purpose_sequence(self.seed, epoch, _ORDER)
+        order = np.random.default_rng(sequence).permutation(self.length)
+        yield from order[self.rank.number :: self.rank.of][self.first : len(self)].tolist()
+
+
+# What a worker adds to the memory in use beside its batches: measured with PackedStore, docs/training.md has the
+# figures. With fork and forkserver, pages of the libraries are shared with the process that it comes from.
+_WORKER_BYTES: dict[StartMethod, int] = {"forkserver": 100_000_000, "spawn": 300_000_000, "fork": 100_000_000}
+# Half of the memory is left to the model, the page cache and everybody else.
+_MEMORY_SHARE = 0.5
+# A worker reads hundreds of crops a second; more than this many cost more in starting and memory than they bring.
+_MOST_WORKERS = 16
+
+
+def loader_workers(batch_bytes: int, prefetch: int, start_method: StartMethod, rank: Rank) -> tuple[int, str]:
+    """Return a number of workers and the reasons: CPUs, memory and shared memory, shared by the ranks of this machine.
+
+    Parameters
+    ----------
+    batch_bytes
+        Size of a batch; 0 if it is not known.
+    prefetch
+        Batches that each worker reads ahead.
+    start_method
+        Workers that share pages of libraries need less memory.
+    rank
+        For the number of ranks, if the environment does not state how many of them run here.
+    """
+    here = _ranks_here(rank)
+    cpus = usable_cpus()
+    count = max(1, cpus // here - 1)
+    left = f" by {here} ranks, one of each" if here > 1 else ", one"
+    reasons = [f"{cpus} CPUs usable{left} left to training"]
+    if count > _MOST_WORKERS:
+        count = _MOST_WORKERS
+        reasons.append(f"more than {_MOST_WORKERS} bring little")
+    ahead = prefetch * batch_bytes
+    for what, free, share, each in (
+        ("memory", available_memory_bytes(), _MEMORY_SHARE, _WORKER_BYTES[start_method] + ahead),
+        ("shared memory (/dev/shm)", shared_memory_bytes(), 1.0, ahead),
+    ):
+        if free is None:
+            reasons.append(f"{what} not known")
+            continue
+        most = int(share * free / here // each) if each else count
+        reasons.append(f"{what} for {most}" if most < 1000 else f"{what} for any number")
+        count = min(count, most)
+    reasons.append(f"{batch_bytes / 1e6:.1f} MB a batch" if batch_bytes else "size of a batch not known")
+    return count, "; ".join(reasons)
+
+
+def usable_cpus() -> int:
+    """Return how many CPUs this process may use: its affinity, and the quota of its control group."""
+    cpus = available_threads()
+    quota, _, period = _text(_CGROUP / "cpu.max").partition(" ")
+    if quota.isdecimal() and period.isdecimal() and int(period) > 0:
+        cpus = min(cpus, max(1, int(quota) // int(period)))
+    return cpus
+
+
+def available_memory_bytes() -> int | None:
+    """Return the memory that is free to use, the limit of the control group included; ``None`` if not known."""
+    lines = _text(Path("/proc/meminfo")).splitlines()
+    found = [int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")]
+    limit, used = (_text(_CGROUP / f"memory.{name}") for name in ("max", "current"))
+    if limit.isdecimal() and used.isdecimal():
+        found.append(max(0, int(limit) - int(used)))
+    return min(found, default=None)
+
+
+def shared_memory_bytes() -> int | None:
+    """Return the room in ``/dev/shm``, through which workers send batches; ``None`` if there is none."""
+    try:
+        there = os.statvfs("/dev/shm")  # noqa: S108 # the place itself is asked for
+    except (OSError, AttributeError):
+        return None
+    return there.f_bavail * there.f_frsize
+
+
+_CGROUP = Path("/sys/fs/cgroup")
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
+
+
+def _ranks_here(rank: Rank) -> int:
+    stated = os.environ.get("LOCAL_WORLD_SIZE", "")  # torchrun's
+    return int(stated) if stated.isdecimal() and int(stated) > 0 else rank.of

@@ -1,4 +1,4 @@
-"""Pairs and clips of a store: random crops, equal to the bit to those of the files."""
+"""Pairs and clips of a store: random crops, equal to the files' to the bit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from eldata.datasets.base import SourcePairs
 from eldata.datasets.clips import ClipWindows
 from eldata.errors import DatasetError
 from eldata.manifest.pairs import Choice
-from eldata.sources.store.read import StoreFrames
+from eldata.sources.store.read import Store
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -61,7 +61,7 @@ class PackedStore(SourcePairs):
     (24, torch.Size([4, 64, 64]))
     """
 
-    source: StoreFrames
+    source: Store
 
     def __init__(
         self,
@@ -77,9 +77,9 @@ class PackedStore(SourcePairs):
     ) -> None:  # fmt: skip
         choice = Choice(cameras, scenes, isos, ratios, split, subset, exclude_flags)
         with no_search_for_cycles():
-            source = StoreFrames(path)
+            source = Store(path)
             super().__init__(
-                source, source.pairs(choice), name=source.store.dataset,
+                source, source.pairs(choice), name=source.dataset,
                 levels=levels or source.levels, clip=clip, amplification=amplification, dark_shading=dark_shading,
                 crop=crop, augment=augment, crops=crops, crops_per_frame=crops_per_frame, seed=seed,
             )  # fmt: skip
@@ -93,7 +93,7 @@ class PackedClips(ClipWindows):
 
     The clips are those that have a reference, or with ``dynamic`` those that have none, such as DRV's dynamic ones.
     Each item is a window of consecutive frames and their one reference, all cut at the same random place and turned the
-    same way. The values are those of :class:`~eldata.datasets.published.clips.DRVDataset` on the files, bit for bit.
+    same way. The values are those of :class:`~eldata.datasets.published.DRVDataset` on the files, bit for bit.
 
     Parameters
     ----------
@@ -128,18 +128,18 @@ class PackedClips(ClipWindows):
         dark_shading: DarkShading | Path | str | None = None,
         crop: int | None = 512, augment: bool = True, crops: Crops = "random", seed: int = 0,
     ) -> None:  # fmt: skip
-        source = StoreFrames(path)
-        if source.store.manifest is None:
+        source = Store(path)
+        if source.manifest is None:
             raise DatasetError(f"{source.path}: holds clean frames, not clips; read it with CleanFrames or CleanClips")
-        noisy = [row for row in source.store.manifest.records if row.role == "noisy"]
+        noisy = [row for row in source.manifest.records if row.role == "noisy"]
         if any(row.ratio is not None for row in noisy):
             raise DatasetError(f"{source.path}: holds pairs, not clips; read it with PackedStore")
-        scenes = {row.scene for row in noisy if (row.reference is None) == dynamic}
-        if not scenes:
+        of_kind = {row.scene for row in noisy if (row.reference is None) == dynamic}
+        if not of_kind:
             what = "without" if dynamic else "with"
             raise DatasetError(f"{source.path}: holds no clip {what} a reference; read it with dynamic={not dynamic}")
-        rows = [row for row in source.store.manifest.records if row.scene in scenes]
-        subsets = source.store.manifest.card.subsets
+        rows = [row for row in source.manifest.records if row.scene in of_kind]
+        subsets = source.manifest.card.subsets
         super().__init__(
             source, rows, subsets, source.path, dynamic=dynamic,
             cameras=cameras, scenes=scenes, isos=isos, ratios=ratios, split=split, subset=subset,

@@ -140,17 +140,6 @@ class SourceSensors:
         return self._known[path]
 
 
-@dataclass(frozen=True, slots=True)
-class OneSensor:
-    """The same sensor for every sample, such as that of the camera that arrays came from."""
-
-    sensor: Sensor
-
-    def __call__(self, sample: Mapping[str, Any]) -> PairSensors:  # noqa: ARG002 # a SensorsOf
-        """Return the sensor twice."""
-        return PairSensors(self.sensor, self.sensor)
-
-
 def sensors_of(pairs: object) -> SensorsOf:
     """Return where the sensors of a dataset's samples are found: its source, a store or raw files for example.
 
@@ -164,8 +153,8 @@ def sensors_of(pairs: object) -> SensorsOf:
     if isinstance(origin, FrameSource):
         return SourceSensors(origin)
     raise ArgumentError(
-        f"the sensors of {type(pairs).__name__} are not known; give sensors=, such as OneSensor(sensor) or a function "
-        "of the sample that returns PairSensors"
+        f"the sensors of {type(pairs).__name__} are not known; give sensors=, a function of the sample that returns "
+        "PairSensors"
     )
 
 
@@ -220,12 +209,9 @@ class StagedPairs(Dataset[dict[str, Any]]):
             If a stage needs a white balance or matrix that the sensor does not have.
         """
         sample = self.pairs[index]
-        found = self.sensors(sample)
-        return {
-            **sample,
-            "input": self.stage_in(sample["input"], found),
-            "target": self.stage_out(sample["target"], found),
-        }
+        sensors = self.sensors(sample)
+        sides = {"input": self.stage_in(sample["input"], sensors), "target": self.stage_out(sample["target"], sensors)}
+        return {**sample, **sides}
 
     def set_epoch(self, epoch: int) -> None:
         """Choose the epoch of the wrapped dataset, if it has epochs."""

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from eldata.base.seeds import item_generator
 from eldata.datasets.base import SIDES, Sample
-from eldata.datasets.items import ReadItems, SharedDraws, checked_index
+from eldata.datasets.items import CroppedItems, SharedDraws
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from eldata.datasets.base import PairItem, SourcePairs
 
 
-class Noise2Noise(ReadItems[Sample]):
-    """Two noisy frames of one scene, ISO and ratio: the input, and in place of the clean target another one.
+class Noise2Noise(CroppedItems[Sample]):
+    """Two noisy frames of one scene, ISO and ratio: the input, and instead of the clean target another one.
 
     J. Lehtinen et al., ICML 2018, and the row of that name in K. Wei et al., TPAMI 2021. The samples are those of the
     pairs but for ``target``, a noisy frame that is drawn for the item, amplified and clipped like the input; ``path``
@@ -37,6 +38,8 @@ class Noise2Noise(ReadItems[Sample]):
     def __init__(self, pairs: SourcePairs) -> None:
         if not pairs.reads_parts:
             raise ArgumentError("Noise2Noise reads two noisy frames of a scene at once: pack the dataset, eldata pack")
+        repeats = "crops_per_frame", pairs.crops_per_frame
+        super().__init__(pairs.crop, pairs.augment, pairs.crops, pairs.seed, repeats)
         self.pairs = pairs
         self.source, self.clip = pairs.source, pairs.clip
         groups: dict[object, list[int]] = defaultdict(list)
@@ -61,22 +64,9 @@ class Noise2Noise(ReadItems[Sample]):
     def __len__(self) -> int:
         return len(self._members) * self.pairs.crops_per_frame
 
-    def set_epoch(self, epoch: int) -> None:
-        """Fix the draw of every item, as of the pairs."""
-        self.pairs.set_epoch(epoch)
-
-    @property
-    def _may_differ(self) -> bool:
-        """As that of the pairs."""
-        return self.pairs._may_differ
-
-    def item(self, index: int) -> PairItem:
-        """Draw an item from (seed, draw, index): a crop of a pair, and another pair of its scene."""
-        index = checked_index(index, len(self))
-        group, place, step = self._members[index % len(self._members)]
-        epoch = self.pairs.epoch
-        draw = self._draws.next_of(index) if epoch is None else epoch
-        generator = item_generator(self.pairs.seed, draw, index)
+    def drawn(self, place: int, generator: np.random.Generator) -> PairItem:
+        """Draw a crop of a pair, and of another pair of its scene."""
+        group, place, step = self._members[place % len(self._members)]
         other_place = (place + 1 + int(generator.integers(len(group) - 1))) % len(group)
         item = self.pairs.drawn(self.pairs._indices_of(group[place])[step], generator)
         other = self.pairs.drawn(self.pairs._indices_of(group[other_place])[step], generator)

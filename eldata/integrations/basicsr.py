@@ -19,7 +19,7 @@ from eldata.datasets.base import PairDataset, SourcePairs
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import checked_index
 from eldata.datasets.packed import PackedStore
-from eldata.datasets.registry import dataset_class, dataset_names, open_dataset
+from eldata.datasets.published import dataset_class, dataset_names, open_dataset
 from eldata.errors import ArgumentError, EldataError, check_choice, did_you_mean
 from eldata.integrations.protocol_scores import protocol_of_tensors, protocol_score
 from eldata.manifest.pairs import Choice

@@ -26,7 +26,7 @@ from eldata.baselines.tiling import tiled
 from eldata.baselines.training import consistent_error
 from eldata.cli.main import main
 from eldata.datasets import Arrays, CleanClips, SyntheticClips, training_loader
-from eldata.datasets.published.clips import DRVDataset
+from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.request import SETTINGS

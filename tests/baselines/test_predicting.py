@@ -22,7 +22,7 @@ from eldata.baselines.noisy_frames import typical
 from eldata.baselines.predicting import BaselineDenoiser, PredictionReport, write_predictions
 from eldata.cli.baseline import NAMES
 from eldata.cli.main import main
-from eldata.datasets.published.pairs import ELDDataset
+from eldata.datasets.published import ELDDataset
 from eldata.demo.camera import CAMERAS
 from eldata.demo.evaluation import known_profile
 from eldata.errors import ArgumentError, EldataError, FileError

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from eldata.base.pixels import rgb_frame
-from eldata.datasets.published.clips import DRVDataset
+from eldata.datasets.published import DRVDataset
 from eldata.evaluation import evaluate, load_result, save_clip_prediction
 from eldata.manifest.drv import scan_raw
 from eldata.manifest.table import save_records

@@ -82,7 +82,7 @@ def test_what_is_no_store(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
     store.unlink()
     eldata(*command(tree, store))
     os.truncate(store, store.stat().st_size // 2)
-    assert_one_line(eldata("verify", store), "is truncated", "copy or pack it again")
+    assert_one_line(eldata("verify", store), "truncated file", "copy or pack it again")
 
 
 @pytest.mark.parametrize(

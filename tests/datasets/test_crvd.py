@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +12,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from eldata import evaluate
 from eldata.datasets import CRVDDataset, PairDataset
-from eldata.errors import ArgumentError, DatasetError, ManifestError
+from eldata.errors import ArgumentError, ManifestError
 from eldata.evaluation.frames import cut_to_dn
 from eldata.manifest import shipped_manifest, verify
 from eldata.manifest.writing import save_manifest
@@ -105,25 +104,6 @@ def test_scores_are_those_of_the_published_code(protocol: str, tree: tuple[Manif
     assert len(result.scores) == 14
     for score in result.scores:
         np.testing.assert_allclose((score.psnr_db, score.ssim), expected[score.path], rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("layout", ["{scene}/{iso}/{name}", "{top}/{top}_{scene}/{scene}/{iso}/{name}"])
-def test_a_copy_as_other_loaders_lay_it_is_named(layout: str, tree: tuple[Manifest, Path], tmp_path: Path) -> None:
-    """RViDeNet's training has noisy frames and references in one folder, others have one more, as archives do."""
-    manifest, folder = tree
-    for row in manifest.records:
-        top, scene, iso, name = row.path.split("/")
-        place = tmp_path / "CRVD" / layout.format(top=top, scene=scene, iso=iso, name=name)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.hardlink_to(manifest.folder(folder) / row.path)
-    first = next(row.path for row in manifest.records if row.role == "noisy")
-    top, scene, iso, name = first.split("/")
-    there = layout.format(top=top, scene=scene, iso=iso, name=name)
-    problems = verify([manifest], tmp_path).problems
-    assert any(problem.found == f"{first} in another place, {there}" for problem in problems)
-    assert all("unpack" not in problem.advice for problem in problems)
-    with pytest.raises(DatasetError, match=rf"expected \S+{re.escape(iso)}/\S+, found it in another place, .*move it"):
-        CRVDDataset(tmp_path / "CRVD", manifest=manifest.path)[0]
 
 
 def test_no_whole_level_moves_in_florns_float32() -> None:

@@ -16,10 +16,8 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from eldata.datasets.published.clips import DRVDataset
+from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
-from eldata.manifest.drv import scan_raw
-from eldata.manifest.lock import lock
 from tests.drv_tree import (
     NOISY,
     REFERENCE,
@@ -33,7 +31,6 @@ from tests.drv_tree import (
     write_png,
     write_raw,
     write_raw_clip,
-    write_rgb_clip,
 )
 
 if TYPE_CHECKING:
@@ -130,34 +127,6 @@ def test_a_region_is_cut_from_every_frame(drv: SmallDrv) -> None:
             opened(drv, region=region)
 
 
-def test_the_shipped_manifest_is_the_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_rgb_clip(tmp_path / "DRV", "0007", 5)
-    monkeypatch.setenv("ELDATA_ROOT", str(tmp_path))
-    dataset = DRVDataset(split="test", ids=["0007"])
-    assert len(dataset) == 1
-    with pytest.raises(DatasetError, match=r"no frames of 48 clips.*ids=\['0007'\]"):
-        DRVDataset(split="test")
-
-
-def test_a_locked_manifest_gives_the_same_items(drv: SmallDrv, tmp_path: Path) -> None:
-    shutil.copytree(drv.csv.parent, tmp_path / "m")
-    lock(tmp_path / "m" / "drv.csv", drv.root)
-    assert DRVDataset(drv.data, manifest=tmp_path / "m" / "drv.csv").records == opened(drv, split=None).records
-
-
-def test_unknown_splits_and_clips_list_the_known(drv: SmallDrv) -> None:
-    with pytest.raises(ArgumentError, match="no clip has split dynamic; known are test"):
-        opened(drv, split="dynamic")
-    with pytest.raises(ArgumentError, match="no clip has split train; known are test"):
-        opened(drv, split="train")
-    with pytest.raises(ArgumentError, match="no clip has scene 0008; known are 0007, 0013"):
-        opened(drv, ids=["0008"])
-    with pytest.raises(ArgumentError, match="frames must be one of"):
-        opened(drv, frames="some")
-    with pytest.raises(DatasetError, match=r"there is no such folder.*github\.com/cchen156"):
-        DRVDataset(drv.data / "nowhere")
-
-
 def test_damage_is_named(drv: SmallDrv, tmp_path: Path) -> None:
     shutil.copytree(drv.data, tmp_path / "DRV")
     copy = replace(drv, root=tmp_path)
@@ -174,13 +143,6 @@ def test_damage_is_named(drv: SmallDrv, tmp_path: Path) -> None:
     with pytest.raises(FileError, match="cannot be read"):
         dataset[0]
     assert [record.start for record in opened(copy, window=3, stride=1, ids=["0007"]).records] == list(range(1, 10))
-
-
-def test_the_repr_says_what_was_found(drv: SmallDrv) -> None:
-    text = repr(opened(drv))
-    for part in ("DRVDataset(", "2 clips, 4 windows of 5 frames", "noisy VBM4D_rawRGB/<clip>/<n>.png: 2 clips, 26 "):
-        assert part in text
-    assert list(opened(drv).frame["scene"]) == ["0007", "0007", "0013", "0013"]
 
 
 # --- raw --------------------------------------------------------------------------------------------------------------
@@ -209,38 +171,6 @@ def test_raw_items_are_packed_and_amplified_exactly(clip: str, raw: Path) -> Non
     assert (sample["ratio"], sample["iso"], sample["exposure_s"]) == (100.0, 6400.0, 0.02)
     assert (sample["path"], sample["start"]) == ("short/0007/DSC01001.ARW", 3)
     assert (sample["input"].min() < 0) == (clip == "upper")
-
-
-def test_the_ratio_is_exact(tmp_path: Path) -> None:
-    for number in range(2):
-        write_raw(tmp_path / f"short/0007/DSC{number:05d}.ARW", replace(NOISY, exposure_s=Fraction(1, 30)))
-    write_raw(tmp_path / "long/0007/DSC00009.ARW", replace(REFERENCE, exposure_s=Fraction(10, 3)))
-    assert DRVDataset(tmp_path, form="raw", window=2)[0]["ratio"] == float(Fraction(200 * 10, 3) / Fraction(6400, 30))
-
-
-def test_levels_come_from_the_file(raw: Path) -> None:
-    own, published = (
-        DRVDataset(raw, form="raw", window=1, levels=levels)[0]["target"] for levels in ("metadata", "published")
-    )
-    black = np.array(SENSOR.black_level_dn, np.float64)[:, None, None]
-    np.testing.assert_allclose(own.numpy() * (16300 - black), published.numpy() * (16383 - black), atol=0.01)
-
-
-def test_dynamic_raws_are_not_amplified(raw: Path) -> None:
-    dataset = DRVDataset(raw, form="raw", dynamic=True, window=7)
-    sample = dataset[0]
-    assert sample["ratio"] == 1.0
-    assert sample["iso"] == 6400
-    np.testing.assert_allclose(
-        sample["input"][2].numpy(), packed(mosaic_of("DSC01000.ARWM0003", NOISY), 1.0), rtol=0, atol=2e-6
-    )
-
-
-def test_raws_of_a_manifest(raw: Path, tmp_path: Path) -> None:
-    manifest = scan_raw(raw).save(tmp_path / "drv-raw.csv")
-    listed = DRVDataset(raw, form="raw", split="test", manifest=manifest.path)
-    assert listed.records == DRVDataset(raw, form="raw", split="test").records
-    assert "short/<clip>/DSC<n>.ARW: 2 clips, 14 files" in repr(listed)
 
 
 def damaged(raw: Path, tmp_path: Path) -> Path:

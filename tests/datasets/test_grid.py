@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from eldata import DRVDataset, PackedStore, SyntheticClips, SyntheticPairs
-from eldata.datasets import Arrays, CleanClips, Noise2Noise, PairDataset, Rank, set_epoch, training_loader
-from eldata.datasets.base import SIDES
+from eldata.datasets import Arrays, CleanClips, Noise2Noise, Rank, set_epoch, training_loader
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest import shipped_manifest
 from eldata.raw.levels import XTRANS_CFA, pack_normalised, packed_area
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tests.raw.helpers import Cfa
-    from tests.trees import Tree
 
 
 class Mosaics:
@@ -103,17 +101,6 @@ def test_each_crop_comes_once_over_all_ranks(store: Path) -> None:
     found = [batch["input"][0].numpy().tobytes() for batch in chain(*loaders)]
     assert len(wanted) == len(set(wanted)) == len(dataset) > 24
     assert sorted(found) == wanted
-
-
-def test_a_store_gives_the_crops_of_the_files(store: Path, pristine: Tree) -> None:
-    options: dict[str, Any] = {"crop": 10, "augment": True, "crops": "grid", "seed": 1, "ratios": (100,)}
-    stored, raw = PackedStore(store, **options), PairDataset(pristine.data, pristine.csv, **options)
-    assert len(stored) == len(raw) > len(raw.records)
-    for index in (0, 5, len(raw) - 1):
-        for side in SIDES:
-            assert torch.equal(stored[index][side], raw[index][side])
-    assert "crops='grid'" in repr(stored)
-    assert "crops=" not in repr(PackedStore(store))
 
 
 def test_two_noisy_frames_have_one_place(tmp_path: Path) -> None:

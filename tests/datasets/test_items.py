@@ -20,7 +20,8 @@ from eldata.raw import pack, read_raw, write_dng
 from eldata.raw.levels import packed_black_level_dn
 from eldata.sources.frames import Frame, FrameSource
 from tests.datasets.comparing import same
-from tests.drv_tree import SmallDrv, small_drv, write_raw_clip
+from tests.drv_tree import SmallDrv, small_drv
+from tests.evaluation.test_way_of_a_score import modules_called
 from tests.sources.store.helpers import pack_tree
 
 if TYPE_CHECKING:
@@ -71,6 +72,15 @@ def test_crops_of_files_stores_and_other_sources_are_the_same(pristine: Tree, st
             assert torch.equal(batch["input"], wanted["input"])
             assert batch["path"] == wanted["path"]
     assert "crop=6, augment=True, crops_per_frame=2, seed=4" in repr(others[0])
+
+
+def test_one_item_passes_few_modules(pristine: Tree, store: Path) -> None:
+    """From two files, decoding among it, and from a store."""
+    for pairs, most in ((PairDataset(pristine.data, pristine.csv), 23), (PackedStore(store, crop=8), 11)):
+        wanted = pairs[1]["path"]  # what is computed once, such as kernels
+        passed, sample = modules_called(pairs.__getitem__, 1)
+        assert sample["path"] == wanted
+        assert len(passed) <= most, sorted(passed)
 
 
 def test_turned_crops_are_normalised_by_their_own_greens_levels(tree: Tree, tmp_path: Path) -> None:
@@ -145,19 +155,6 @@ def test_levels_are_those_of_the_protocol_that_the_card_names(
     assert PairDataset(tree.data, tree.csv, levels="sid-sony").levels == "sid-sony"
 
 
-@pytest.mark.parametrize("clip", ["upper", "none"])
-def test_the_clip_of_clips_is_of_the_input(clip: Any, tmp_path: Path) -> None:
-    write_raw_clip(tmp_path, "0007", 5)
-    for still in (tmp_path / "long" / "0007").iterdir():
-        raw = read_raw(still)
-        raw.mosaic[:2, :2] = 0
-        write_dng(still, raw.mosaic, raw.sensor, raw.exposure)
-    wanted, found = (DRVDataset(tmp_path, form="raw", clip=one, ids=["0007"])[0] for one in ("both", clip))
-    assert torch.equal(found["target"], wanted["target"])
-    assert float(wanted["target"].min()) == 0
-    assert float(found["input"].min()) < 0
-
-
 def test_a_source_of_what_is_no_pair_is_refused(pristine: Tree, store: Path) -> None:
     source = Memory(pristine)
     record = PackedStore(store, ratios=[100]).records[0]
@@ -194,18 +191,3 @@ def test_crops_of_clips_of_files_are_those_of_the_store(drv: SmallDrv, tmp_path:
             assert torch.equal(first[name], second[name])
     with pytest.raises(ArgumentError, match="give a region or a crop, not both"):
         DRVDataset(drv.data, manifest=drv.csv, crop=9, region=(0, 0, 4, 4))
-
-
-def test_clips_take_the_choices_of_pairs(drv: SmallDrv, tmp_path: Path) -> None:
-    def scenes(**options: Any) -> set[str]:
-        return {record.scene for record in DRVDataset(drv.data, manifest=drv.csv, **options).records}
-
-    assert scenes(scenes=[7]) == scenes(scenes=["0007"]) == scenes(ids=["0007"]) == {"0007"}
-    assert scenes(cameras=["SonyRX100M6"], split=["test"]) == {"0007", "0013"}
-    with pytest.raises(ArgumentError, match="no clip has camera X; known are SonyRX100M6"):
-        scenes(cameras=["X"])
-    with pytest.raises(ArgumentError, match="no clip has all of the wanted"):
-        scenes(scenes=["0007"], ids=["0013"])
-    write_raw_clip(tmp_path, "0007", 5)
-    with pytest.raises(ArgumentError, match="the manifest states no ratio, so amplification must be 'metadata'"):
-        DRVDataset(tmp_path, form="raw", amplification="nominal")[0]

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import sys
-from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -15,9 +13,17 @@ from hypothesis import strategies as st
 from torch.utils.data import ConcatDataset, DataLoader, Dataset, IterableDataset, Subset
 
 from eldata import PackedStore
-from eldata.datasets import loading, ranks, raw2rgb
-from eldata.datasets.loading import describe, evaluation_loader, set_epoch, training_loader
-from eldata.datasets.ranks import Rank, ShuffledSampler, current_rank, loader_workers
+from eldata.datasets import loading, raw2rgb
+from eldata.datasets.loading import (
+    Rank,
+    ShuffledSampler,
+    current_rank,
+    describe,
+    evaluation_loader,
+    loader_workers,
+    set_epoch,
+    training_loader,
+)
 from eldata.errors import ArgumentError
 from tests.datasets.drawing import Drawing
 
@@ -57,33 +63,6 @@ def test_every_item_is_evaluated_exactly_once(length: int, ranks: int, batch: in
     assert max(map(len, got)) - min(map(len, got)) <= 1
 
 
-def test_which_items_are_left_out_changes_with_the_epoch() -> None:
-    """Of 27 items 8 ranks leave out 3. After 40 epochs 27 (8/9)^40 = 0.24 items are expected never to have been out;
-    that as many as 13 were not has p < 10^-18.
-    """
-
-    def left_out(seed: int, epoch: int) -> set[int]:
-        samplers = [ShuffledSampler(27, seed=seed, rank=Rank(number, 8)) for number in range(8)]
-        for sampler in samplers:
-            sampler.set_epoch(epoch)
-        return set(range(27)) - {index for sampler in samplers for index in sampler}
-
-    assert len(set().union(*(left_out(0, epoch) for epoch in range(40)))) > 13
-    assert left_out(0, 3) == left_out(0, 3)
-    assert any(left_out(0, epoch) != left_out(1, epoch) for epoch in range(5))
-
-
-def test_order_differs_between_epochs_and_seeds() -> None:
-    orders = set()
-    for seed in range(3):
-        for epoch in range(3):
-            sampler = ShuffledSampler(50, seed=seed, rank=Rank())
-            sampler.set_epoch(epoch)
-            orders.add(tuple(sampler))
-            assert sorted(sampler) == list(range(50))
-    assert len(orders) == 9
-
-
 @pytest.mark.parametrize("workers", [0, 2])
 def test_batches_do_not_depend_on_workers(workers: int, store: Path) -> None:
     """A running loader, told of the next epoch, gives what a fresh one of that epoch gives, and the dataset itself."""
@@ -103,17 +82,6 @@ def test_batches_do_not_depend_on_workers(workers: int, store: Path) -> None:
         seen.append([path for batch in batches for path in batch["path"]])
     assert seen[0] != seen[1]
     assert loader.persistent_workers == (workers > 0)
-
-
-def test_evaluation_gives_each_item_once_in_order(store: Path) -> None:
-    """Whatever workers and batches a rank has."""
-    dataset = pairs(store, crop=None, augment=False, crops_per_frame=1)
-    got: list[list[str]] = []
-    for number, (workers, batch_size) in enumerate(((2, 3), (0, 3), (0, 3), (0, 1), (0, 1))):
-        loader = evaluation_loader(dataset, batch_size, workers=workers, rank=Rank(number, 5))
-        got.append([path for batch in loader for path in batch["path"]])
-    assert Counter(path for part in got for path in part) == Counter(record.path for record in dataset.records)
-    assert sorted(map(len, got)) == [4, 5, 5, 5, 5]
 
 
 def test_random_numbers_that_a_transform_draws_are_seeded_by_epoch() -> None:
@@ -147,9 +115,9 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Any:
     """A machine with as much of everything as a test wants."""
 
     def made(cpus: int = 8, memory: int | None = 10**12, shared: int | None = 10**12) -> None:
-        monkeypatch.setattr(ranks, "usable_cpus", lambda: cpus)
-        monkeypatch.setattr(ranks, "available_memory_bytes", lambda: memory)
-        monkeypatch.setattr(ranks, "shared_memory_bytes", lambda: shared)
+        monkeypatch.setattr(loading, "usable_cpus", lambda: cpus)
+        monkeypatch.setattr(loading, "available_memory_bytes", lambda: memory)
+        monkeypatch.setattr(loading, "shared_memory_bytes", lambda: shared)
 
     monkeypatch.delenv("LOCAL_WORLD_SIZE", raising=False)
     return made
@@ -186,21 +154,6 @@ def test_workers_fit_into_memory(machine: Any) -> None:
     assert (count, "memory not known" in why, "size of a batch not known" in why) == (7, True, True)
 
 
-def test_the_limits_of_a_container_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ranks, "_CGROUP", tmp_path)
-    plain = len(os.sched_getaffinity(0))
-    assert ranks.usable_cpus() == plain
-    (tmp_path / "cpu.max").write_text("max 100000\n")
-    assert ranks.usable_cpus() == plain
-    (tmp_path / "cpu.max").write_text("150000 100000\n")
-    assert ranks.usable_cpus() == 1
-    (tmp_path / "memory.max").write_text("5000000\n")
-    (tmp_path / "memory.current").write_text("2000000\n")
-    assert ranks.available_memory_bytes() == 3_000_000
-    (tmp_path / "memory.max").write_text("max\n")
-    assert (ranks.available_memory_bytes() or 0) > 3_000_000
-
-
 def test_the_description_says_what_the_loader_does(machine: Any, store: Path) -> None:
     machine(cpus=6)
     loader = training_loader(pairs(store), 5, rank=Rank(1, 2))
@@ -218,19 +171,6 @@ def test_the_description_says_what_the_loader_does(machine: Any, store: Path) ->
     # An item is 2 x 4 x 8 x 8 float32 = 2048 bytes.
     assert "0.0 MB a batch" in text
     assert loading._nbytes(pairs(store)[0]) == 2048
-
-
-@pytest.mark.parametrize(
-    ("cuda", "device", "pinned"),
-    [(False, None, False), (True, None, True), (True, "cpu", False)],
-)
-def test_memory_is_pinned_for_cuda_alone(
-    cuda: bool, device: str | None, pinned: bool, store: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: cuda)
-    loader = training_loader(pairs(store), 2, workers=0, device=device)
-    assert loader.pin_memory is pinned
-    assert ("pinned memory: yes" in describe(loader)) is pinned
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------
@@ -262,13 +202,6 @@ def test_a_dataset_that_cannot_be_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(sys.modules["__main__"], "__file__", raising=False)
     with pytest.raises(ArgumentError, match="defined in an interactive session, which workers cannot import"):
         training_loader(Drawing(), 2, workers=2)
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
-@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-def test_fork_takes_what_cannot_be_sent() -> None:
-    loader = evaluation_loader(Holding(), 2, workers=1, start_method="fork")
-    assert [batch.tolist() for batch in loader] == [[0, 1], [2, 3]]
 
 
 def test_wrong_arguments(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:

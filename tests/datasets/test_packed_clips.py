@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,20 +14,17 @@ from eldata.datasets import CleanClips, SyntheticClips
 from eldata.datasets.clips import ClipSample, UnpairedClipSample
 from eldata.datasets.crops import ORIENTATIONS, Crop
 from eldata.datasets.packed import PackedClips
-from eldata.datasets.published.clips import DRVDataset
+from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.dng import write_dng
 from eldata.sources.frames import Frame
 from eldata.sources.store import build_store, source_of_dataset
 from tests.datasets.comparing import same
-from tests.datasets.methods import FORK, workers
-from tests.drv_tree import NOISY, REFERENCE, RGB_SIZE, SENSOR, SmallDrv, mosaic_of, small_drv, write_raw, write_raw_clip
+from tests.drv_tree import REFERENCE, RGB_SIZE, SENSOR, SmallDrv, mosaic_of, small_drv, write_raw_clip
 from tests.raw.helpers import BAYER, EXPOSURE, XTRANS, make_sensor, random_mosaic
 from tests.sources.store.helpers import pack_folder, pack_tree
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
 # Python 3.12 and later warn of any fork in a process that has threads.
@@ -125,65 +121,7 @@ def test_crops_of_rgb_windows_are_parts_of_the_files_turned_alike(rgb: Path, drv
     assert len(places) > 30
 
 
-@pytest.mark.parametrize("clip", ["0007", "0013"])
-def test_crops_of_raw_windows_are_parts_of_the_files(clip: str, raw: Path, raw_files: Path) -> None:
-    """Not turned, a crop is a region of the packed frame; turned ones are Crop's, whose tests look at the CFA."""
-    options: dict[str, Any] = {"ids": [clip], "clip": "none", "window": 3}
-    ours = PackedClips(raw, crop=6, augment=False, crops_per_window=8, seed=1, **options)
-    ours.set_epoch(0)
-    starts = set()
-    for index, sample in enumerate(ours):
-        drawn = ours.item(index).crop
-        area = DRVDataset(raw_files / "DRV", form="raw", **options)
-        scale = 2 if clip == "0007" else 3
-        whole = Crop.draw(  # where the packed area begins: the crop of all of it
-            ours_clean(ours, index), np.random.default_rng(0), crop=None, augment=False
-        )
-        top, left = ((part.start - all_.start) // scale for part, all_ in zip(drawn.slices, whole.slices, strict=True))
-        wanted = area[index % len(area)]
-        for name in ("input", "target"):
-            part = wanted[name][..., top : top + 6, left : left + 6]
-            assert torch.equal(sample[name], part)
-        starts.add((top, left))
-    assert len(starts) > 4
-
-
-def ours_clean(dataset: PackedClips, index: int) -> Any:
-    return next(iter(dataset.item(index).parts)).frame
-
-
 # --- determinism --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("method", "which"),
-    [
-        *(pytest.param("fork", which, marks=FORK.marks) for which in ("rgb", "raw")),
-        pytest.param("spawn", "raw", marks=pytest.mark.study),
-    ],
-)
-def test_workers_and_batches_change_nothing(method: str, which: str, rgb: Path, raw: Path) -> None:
-    ids = ["0007"] if which == "raw" else None  # X-Trans and Bayer make no batch together
-    dataset = PackedClips({"rgb": rgb, "raw": raw}[which], crop=8, crops_per_window=5, seed=6, ids=ids)
-    dataset.set_epoch(3)
-    reference = list(dataset)
-    options: dict[str, Any] = {"num_workers": workers(method), "multiprocessing_context": method, "timeout": PATIENCE_S}
-    for item, wanted in zip(DataLoader(dataset, batch_size=None, **options), reference, strict=True):
-        same(item, wanted)
-    together = [item for batch in DataLoader(dataset, batch_size=3, **options) for item in items_of(batch)]
-    for item, wanted in zip(together, reference, strict=True):
-        same(item, wanted)
-
-
-def items_of(batch: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Take a batch apart again; numbers come back as they were."""
-    return [
-        {
-            name: value[place].item() if isinstance(value, torch.Tensor) and value.ndim == 1 else value[place]
-            for name, value in batch.items()
-        }
-        for place in range(len(batch["path"]))
-    ]
 
 
 # --- choices and refusals -----------------------------------------------------------------------------------------
@@ -197,10 +135,6 @@ def test_choices_and_refusals(rgb: Path, raw: Path, tmp_path: Path) -> None:
     for options, word in (
         ({"ids": ["0008"]}, "known are 0007, 0013"),
         ({"split": ["train"]}, "no clip has split train; known are test"),
-        ({"levels": "camera"}, "levels must be one of"),
-        ({"clip": "lower"}, "clip must be one of"),
-        ({"seed": -1}, "seed must be 0 or more"),
-        ({"crop": 1}, "crop 2 or more"),
         ({"crops_per_window": 0}, "crops_per_window must be 1 or more"),
         ({"window": 0}, "window and stride must be 1 or more"),
         ({"frames": "some"}, "frames must be one of"),
@@ -228,29 +162,6 @@ def test_stores_of_other_things_are_refused(rgb: Path, drv: SmallDrv, tmp_path: 
         PackedClips(clean)
     with pytest.raises(DatasetError, match="holds a dataset, not clean clips"):
         CleanClips(rgb)
-
-
-def packed_raw(root: Path) -> Path:
-    build_store(source_of_dataset("drv-raw", root=root), root / "store.h5")
-    return root / "store.h5"
-
-
-def test_frames_that_are_not_of_one_clip_are_refused(tmp_path: Path) -> None:
-    """Found as the store is opened, before any pixel is read."""
-    other_exposure, swapped, other_size = (tmp_path / name for name in ("exposure", "swapped", "size"))
-    for root in (other_exposure, swapped, other_size):
-        write_raw_clip(root / "DRV", "0007", 5)
-    write_raw(other_exposure / "DRV" / "short" / "0007" / "DSC01000.ARW", replace(NOISY, exposure_s=Fraction(1, 25)))
-    with pytest.raises(DatasetError, match=r"DSC01000\.ARW: its exposure ratio is 50, that of .*DSC00998.ARW 100"):
-        PackedClips(packed_raw(other_exposure))
-    for number in range(998, 1003):
-        write_raw(swapped / "DRV" / "short" / "0007" / f"DSC{number:05d}.ARW", REFERENCE)
-    write_raw(swapped / "DRV" / "long" / "0007" / "DSC00001.ARW", NOISY)
-    with pytest.raises(DatasetError, match=r"is exposed 100 times as much as its reference .*are they swapped"):
-        PackedClips(packed_raw(swapped))
-    write_raw(other_size / "DRV" / "short" / "0007" / "DSC01001.ARW", NOISY, sensor=replace(SENSOR, height=80))
-    with pytest.raises(DatasetError, match=r"DSC01001\.ARW: 80 x 112 pixels .*has 96 x 112"):
-        PackedClips(packed_raw(other_size))
 
 
 # --- clean clips --------------------------------------------------------------------------------------------------

@@ -6,15 +6,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from torch.utils.data import Dataset
 
-from eldata.baselines import Training, UNet
 from eldata.datasets.base import PairDataset
 from eldata.datasets.clean import CleanFrames
-from eldata.datasets.loading import training_loader
 from eldata.datasets.packed import PackedStore
 from eldata.datasets.rgb import (
-    OneSensor,
     PairSensors,
     Rendered,
     StagedPairs,
@@ -27,13 +23,13 @@ from eldata.datasets.rgb import (
 )
 from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs
-from eldata.errors import ArgumentError, DatasetError, RawFileError
+from eldata.errors import ArgumentError
 from eldata.isp.rendering import Gamma, Rendering, render_pair_for_scoring
 from eldata.isp.response import ResponseCurve
 from eldata.raw import read_raw, write_dng
 from tests.raw.helpers import make_sensor
 from tests.sources.store.helpers import pack_folder, pack_tree
-from tests.trees import BETA, Tree, copy_tree, frame
+from tests.trees import Tree, copy_tree
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -108,20 +104,6 @@ def test_rgb2rgb_renders_both(colours: Any, balanced: Tree) -> None:
     assert torch.equal(sample["target"], eight_bit(Rendering.of(reference)(plain["target"])))
 
 
-def test_by_default_the_input_has_the_noisy_files_colours(balanced: Tree) -> None:
-    pairs = pairs_of(balanced)
-    default = rgb2rgb(pairs)[0]["input"]
-    assert torch.equal(default, rgb2rgb(pairs, input_colours=of_noisy)[0]["input"])
-    assert not torch.equal(default, rgb2rgb(pairs, input_colours=of_reference)[0]["input"])
-
-
-def test_the_response_is_passed_on(balanced: Tree) -> None:
-    pairs = pairs_of(balanced)
-    _, reference = sensors_of(balanced, pairs[0])
-    for staged in (rgb2rgb(pairs, response=CURVE), raw2rgb(pairs, response=CURVE)):
-        assert torch.equal(staged[0]["target"], eight_bit(Rendering.of(reference, CURVE)(pairs[0]["target"])))
-
-
 def test_stages_of_ones_own(balanced: Tree) -> None:
     pairs = pairs_of(balanced)
     linear = Rendered(of_reference, Gamma(1), continuous)
@@ -144,18 +126,6 @@ def test_a_store_gives_the_same_as_the_files(balanced: Tree, tmp_path: Path) -> 
     for sample, wanted in zip(rgb2rgb(store), rgb2rgb(pairs_of(balanced)), strict=True):
         assert torch.equal(sample["input"], wanted["input"])
         assert torch.equal(sample["target"], wanted["target"])
-
-
-def test_a_stores_crops_and_epochs(balanced: Tree, tmp_path: Path) -> None:
-    store = PackedStore(pack_tree(balanced, tmp_path / "eld.h5").store, crop=16, cameras=[CAMERA])
-    staged = raw2rgb(store)
-    staged.set_epoch(0)
-    plain, sample = store[3], staged[3]
-    _, reference = sensors_of(balanced, plain)
-    assert torch.equal(sample["target"], eight_bit(Rendering.of(reference)(plain["target"])))
-    staged.set_epoch(1)
-    assert store.epoch == 1
-    assert not torch.equal(staged[3]["target"], sample["target"])
 
 
 @pytest.fixture(scope="module")
@@ -181,7 +151,7 @@ def test_arrays_need_a_sensor_from_the_caller() -> None:
     pairs = SyntheticPairs(Arrays([np.full((4, 32, 32), 0.3)], range_dn=15000), "SonyA7S2", crop=16)
     with pytest.raises(ArgumentError, match=r"sensors of SyntheticPairs are not known; give sensors="):
         rgb2rgb(pairs)
-    sample = rgb2rgb(pairs, sensors=OneSensor(make_sensor()))[0]
+    sample = rgb2rgb(pairs, sensors=lambda _: PairSensors(make_sensor(), make_sensor()))[0]
     assert sample["input"].shape == (3, 16, 16)
 
 
@@ -189,54 +159,6 @@ def test_arrays_need_a_sensor_from_the_caller() -> None:
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------
-
-
-def test_a_file_without_colour_is_named(pristine: Tree, tmp_path: Path) -> None:
-    tree = copy_tree(pristine, tmp_path)
-    pairs = pairs_of(tree)
-    path = tree.data / pairs.records[0].reference
-    raw = read_raw(path)
-    write_dng(path, raw.mosaic, replace(raw.sensor, white_balance=None), raw.exposure)
-    with pytest.raises(ArgumentError, match="has no white balance"):
-        raw2rgb(pairs)[0]
-
-
-def test_a_missing_file_is_named(pristine: Tree, tmp_path: Path) -> None:
-    tree = copy_tree(pristine, tmp_path)
-    staged = raw2rgb(pairs_of(tree))
-    (tree.data / pairs_of(tree).records[0].path).unlink()
-    with pytest.raises(RawFileError, match="No such file"):
-        staged[0]
-
-
-def test_a_frame_that_the_store_lacks_is_named(balanced: Tree, tmp_path: Path) -> None:
-    staged = raw2rgb(PackedStore(pack_tree(balanced, tmp_path / "eld.h5").store, crop=16))
-    with pytest.raises(DatasetError, match=r"eld\.h5: holds no frame 'elsewhere\.dng'"):
-        staged.sensors({"path": "elsewhere.dng"})
-
-
-def test_a_dataset_without_epochs_says_so(balanced: Tree) -> None:
-    class Plain(Dataset[Any]):
-        pass
-
-    with pytest.raises(ArgumentError, match="Plain has no epochs"):
-        raw2rgb(Plain(), sensors=OneSensor(make_sensor())).set_epoch(1)
-
-
-def test_drvs_packed_frames_take_their_references_sensor(pristine: Tree) -> None:
-    staged = raw2rgb(pairs_of(pristine))
-    found = staged.sensors({"path": "x/noisy.npy", "reference": frame(1, BETA)})
-    sensor = read_raw(pristine.file(1, BETA)).sensor
-    assert found == PairSensors(sensor, sensor)
-
-
-def test_networks_train_on_either(balanced: Tree) -> None:
-    """Section 4.5: from raw to sRGB, and from sRGB to sRGB; on whole small frames the loss falls."""
-    for staged, channels in ((raw2rgb(pairs_of(balanced)), 4), (rgb2rgb(pairs_of(balanced)), 3)):
-        loader = training_loader(staged, 2, seed=1, workers=0)
-        network = UNet(3, inputs=channels, width=4, depth=1)
-        reports = list(Training(network, loader, steps=3 * len(loader), learning_rate=5e-3).epochs())
-        assert reports[-1].loss < reports[0].loss
 
 
 def test_the_repr_names_the_stages(balanced: Tree) -> None:

@@ -42,18 +42,7 @@ SIGNATURES: list[tuple[Callable[..., Any], dict[str, Any]]] = [
     (datasets.LRIDDataset, PAIRS | {"manifest": "lrid", "amplification": "nominal", "clip": "none"}),
     (datasets.SIDDDataset, PAIRS | {"manifest": None}),
     (datasets.PackedStore, CHOICE | VALUES | PACKED | {"path": NEEDED, "crops_per_frame": 1}),
-    (
-        datasets.SourcePairs,
-        {
-            **VALUES,
-            **CROPS,
-            "source": NEEDED,
-            "records": NEEDED,
-            "name": "",
-            "levels": "metadata",
-            "crops_per_frame": 1,
-        },
-    ),
+    (datasets.SourcePairs, PAIRED | {"source": NEEDED, "records": NEEDED, "name": "", "levels": "metadata"}),
     (
         datasets.DRVDataset,
         {**WINDOWS, "root": None, "form": "preprocessed", "dynamic": False, "manifest": None, "reference": "*"},

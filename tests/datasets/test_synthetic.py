@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader, default_collate
 
 from eldata.datasets.base import SourcePairs
 from eldata.datasets.clean import CleanFrames
-from eldata.datasets.items import ReadItems
+from eldata.datasets.items import CroppedItems
 from eldata.datasets.synthetic.arrays import Arrays
 from eldata.datasets.synthetic.pairs import SyntheticPairs, SyntheticSample
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
@@ -351,7 +351,7 @@ def test_items_are_those_of_0_1(seed: int, iso: float | None, epoch: int, wanted
 def test_the_dataset_decides_the_clip_as_for_pairs_to_test_on() -> None:
     """One default for all; a model without a clip of its own is clipped like the default one."""
     bright: dict[str, Any] = {"iso": 6400, "ratio": 900.0, "crops_per_frame": 5}
-    assert flat().clip == SourcePairs.clip == ReadItems.clip == "both"
+    assert flat().clip == SourcePairs.clip == CroppedItems.clip == "both"
     limits = {"both": (0, 1), "upper": (-math.inf, 1), "none": (-math.inf, math.inf)}
     free = torch.stack([item["input"] for item in items(flat(**bright, clip="none"))])
     for clip, (low, high) in limits.items():

@@ -106,7 +106,7 @@ def test_renderings_that_a_network_made_are_as_they_are(own: OwnSet, tmp_path: P
 
 def test_frames_of_a_clip_come_together(tmp_path: Path) -> None:
     """As what is said of two frames, such as optical flow, needs them."""
-    from eldata.datasets.published.clips import DRVDataset
+    from eldata.datasets.published import DRVDataset
 
     drv = small_drv(tmp_path / "drv", ("0007", "0013"), 12)
     for window in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:

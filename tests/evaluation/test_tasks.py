@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from eldata.cli.main import main
-from eldata.datasets.published.clips import DRVDataset
+from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, FileError
 from eldata.evaluation import (
     Task,

@@ -13,7 +13,7 @@ import pytest
 import rawpy
 
 from eldata.cli.main import main
-from eldata.datasets.published.clips import DRVDataset
+from eldata.datasets.published import DRVDataset
 from eldata.errors import ArgumentError, DatasetError
 from eldata.evaluation import EvaluationResult, evaluate, save_clip_prediction
 from eldata.evaluation.comparison import compare

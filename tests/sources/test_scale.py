@@ -46,9 +46,9 @@ def test_a_dataset_goes_to_workers_by_columns(tmp_path: Path) -> None:
     first = pairs[3]
     sent = pickle.loads(pickle.dumps(pairs))
     assert sent.records == pairs.records
-    assert sent.source.store == pairs.source.store
+    assert sent.source.frames == pairs.source.frames
     assert sent.source.records == pairs.source.records
-    assert len({*map(id, (frame.sensor for frame in sent.source.store.frames))}) == 20
+    assert len({*map(id, (frame.sensor for frame in sent.source.frames))}) == 20
     assert sent._pairs == {}
     assert sent[3]["path"] == first["path"]
     assert (sent[3]["input"] == first["input"]).all()

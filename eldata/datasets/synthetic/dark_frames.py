@@ -19,9 +19,8 @@ from eldata.datasets.crops import Crop
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.noise.dark_shading import DarkShading
 from eldata.raw.levels import pack, packed_black_level_dn, packed_shape, packing_sites
-from eldata.sources.store.format import SUFFIXES
-from eldata.sources.store.read import StoreFrames
-from eldata.sources.store.sources import calibration_place
+from eldata.sources.store.read import SUFFIXES, Store
+from eldata.sources.store.write import calibration_place
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -289,12 +288,12 @@ def _find_frames(
 ) -> tuple[str, CleanFrames, dict[float, list[int]]]:
     """Find bias frames: what messages call them, the frames, and their numbers by ISO."""
     if isinstance(frames, (str, Path)) and Path(frames).suffix.lower() in SUFFIXES:
-        source = StoreFrames(frames)
+        source = Store(frames)
         paths: dict[str, dict[str, Fraction]] = {}
-        for frame in source.store.frames:
-            place = calibration_place(frame.path)
-            if place is not None and place.role == _BIAS:
-                paths.setdefault(place.camera or source.store.dataset, {})[frame.path] = Fraction(place.iso)
+        for frame in source.frames:
+            owner, role, stated_iso = calibration_place(frame.path) or ("", "", 0)
+            if role == _BIAS:
+                paths.setdefault(owner or source.dataset, {})[frame.path] = Fraction(stated_iso)
         if not paths:
             raise DatasetError(
                 f"{source.path}: holds no bias frames; eldata pack makes such a store of the folder that holds "

@@ -14,15 +14,14 @@ import pytest
 
 from eldata.base.workers import UnseenFileError
 from eldata.calibration.camera import calibrate
-from eldata.datasets.published.clips import DRVDataset
+from eldata.datasets.published import DRVDataset
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import save_clip_prediction
 from eldata.manifest.lock import lock
 from eldata.manifest.verify import verify
 from eldata.noise.profile import CameraProfile
-from eldata.sources.store.build import build_store, verify_store
-from eldata.sources.store.sources import source_of_dataset
+from eldata.sources.store.write import build_store, source_of_dataset, verify_store
 from tests import trees
 from tests.calibration.trees import FrameTree, made_tree
 from tests.drv_tree import small_drv

@@ -78,15 +78,15 @@ def contents(path: Path) -> dict[str, Any]:
 
 _STOPS = """
 import pathlib, sys, time
-from eldata.sources.store import build
-decoded = build._decoded
+from eldata.sources.store import write
+decoded = write._decode
 def stopping(folder, unit):
     if unit[1][0] == sys.argv[1]:
         pathlib.Path(sys.argv[2]).touch()
         while True:
             time.sleep(60)
     return decoded(folder, unit)
-build._decoded = stopping
+write._decode = stopping
 from eldata.cli.main import main
 sys.exit(main(sys.argv[3:]))
 """

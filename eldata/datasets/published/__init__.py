@@ -1,1 +1,0 @@
-"""The published datasets, a class each, as :mod:`eldata.datasets` has them."""

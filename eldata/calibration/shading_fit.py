@@ -12,9 +12,9 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.numbers import counted
 from eldata.base.workers import Workers
-from eldata.calibration.core._frames import sites
-from eldata.calibration.frames import sorted_frames
+from eldata.calibration.frames import sort_frames
 from eldata.calibration.one_iso import bias_pattern
+from eldata.calibration.sums import sites
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.dark_shading import DarkShading
 from eldata.noise.shading_content import ShadingIso
@@ -23,10 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from eldata.base.workers import AnyWorkers
-    from eldata.calibration.core._frames import Counts, Mask, Plane, Values
-    from eldata.calibration.core.defects import FixedPattern
-    from eldata.calibration.iso_results import IsoCalibration
-    from eldata.calibration.results import Calibration
+    from eldata.calibration.fixed_pattern import FixedPattern
+    from eldata.calibration.results import Calibration, IsoCalibration
+    from eldata.calibration.sums import Counts, Mask, Plane, Values
     from eldata.datasets.calibration_frames import CalibrationFrames
 
 _REACH = 2  # periods of the CFA around a hot pixel, whose sound pixels stand for it
@@ -277,7 +276,7 @@ def dark_shading(
             notes.append(f"ISO {one.iso:g} was left out: it lies between two gain modes, and no K tells of which it is")
         else:
             usable.append(one)
-    chosen = {float(one.iso): one for one in sorted_frames(frames, threads)}
+    chosen = {float(one.iso): one for one in sort_frames(frames, threads)}
     fit = ShadingFit(starts)
     used = isos = 0
     models: dict[str, float] = {}

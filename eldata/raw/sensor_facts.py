@@ -214,7 +214,7 @@ def lossy_compression(path: Path) -> str | None:
     Known are Sony's compressed ARW 2 (one byte per pixel: 11 of 14 bits by a curve, differences within 16 pixels) and
     the lossy JPEG of DNG. Nikon's lossy NEF says so in its maker notes alone, Canon's CRAW in a container that is not
     TIFF: the gaps that such compression leaves between the values show it
-    (:func:`eldata.calibration.audit.bias_checks.mean_step`).
+    (:func:`eldata.calibration.checks.mean_step`).
 
     Raises
     ------

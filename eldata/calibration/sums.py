@@ -1,4 +1,4 @@
-"""What every estimator checks of its frames, how it counts channels, and what annotations call its arrays."""
+"""What every sum over frames checks of them, how it counts channels, and what annotations call its arrays."""
 
 from __future__ import annotations
 
@@ -118,17 +118,12 @@ def sums_by_row(values: NDArray[Any], pattern: Counts) -> Counts:
     return sums
 
 
-def sums_by_line(values: NDArray[Any], pattern: Counts) -> tuple[Counts, Counts]:
-    """Return the sums of integers or truth values by (row, channel) and by (column, channel)."""
-    return sums_by_row(values, pattern), sums_by_row(values.T, pattern.T)
+def levels_and_lines(sums: NDArray[Any], pixels: Counts) -> tuple[Values, Values]:
+    """Return each channel's mean in the frame, and that of each line over its channels, each less its own."""
+    level = sums.sum(axis=0) / np.maximum(pixels.sum(axis=0), 1)
+    return level, (sums - pixels * level).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
 
 
 def groups_of_rows(height: int) -> Counts:
     """Return the group of each row, by pairs of rows as the kernels have it; scatter between groups gives errors."""
     return np.arange(height) // 2 % max(1, min(_GROUPS, height // 4))
-
-
-def classes_of_rows(pattern: Counts) -> int:
-    """Return how many degrees of freedom channel means take from row means: the rank of the rows' composition."""
-    composition = np.stack([np.bincount(row, minlength=channels_of(pattern)) for row in pattern])
-    return int(np.linalg.matrix_rank(composition))

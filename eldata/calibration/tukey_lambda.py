@@ -14,12 +14,15 @@ from eldata.noise.parameters import tukey_lambda_variance
 if TYPE_CHECKING:
     from typing import TypeAlias
 
-    from eldata.calibration.core._frames import Values
+    from eldata.calibration.sums import Values
 
     Nodes: TypeAlias = tuple[Values, Values]
 
 LOWEST, HIGHEST = -0.49, 1.0
 """Shapes that are searched: finite variance, up to nearly uniform."""
+
+NEARLY_NORMAL = 0.14
+"""The shape at which the distribution is nearest to the normal one."""
 
 NOTHING: Nodes = (np.zeros(1), np.ones(1))
 """A discrete distribution, as nodes and weights: of what is always 0."""

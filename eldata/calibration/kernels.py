@@ -14,7 +14,7 @@ from eldata.base.compiled import kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Plane
+    from eldata.calibration.sums import Counts, Mask, Mosaic, Plane
 
 
 @kernel
@@ -29,7 +29,7 @@ def channel_histograms(mosaic: Mosaic, defects: Mask, pattern: Counts, counts: C
             for column in range(phase, mosaic.shape[1], period):
                 if not defects[row, column]:
                     value = np.int64(mosaic[row, column])
-                    counts[group, channel, value if value < last else last] += 1
+                    counts[group, channel, min(last, value)] += 1
 
 
 @kernel
@@ -79,7 +79,7 @@ def residual_histogram(
                 if not defects[row, column]:
                     value = frames * np.int64(mosaic[row, column]) - np.int64(total[row, column]) + shift
                     place = value // step if value > 0 else 0
-                    counts[group, place if place < last else last] += 1
+                    counts[group, min(last, place)] += 1
 
 
 @kernel

@@ -137,7 +137,7 @@ def _find_correlation(statistics: BiasStatistics, rows: RowNoise, read: ReadNois
     # Each correlation, and their two sums along the axes. The error needs no assumption on the distribution, and sums
     # of so many products are normal. Where row noise moves neighbours of one level over the steps of the values
     # together, they share a mean that ripples by r, and so a correlation of r^2 / 4 at most.
-    along = [((0, size) == LAGS).all(axis=1) | ((size, 0) == LAGS).all(axis=1) for size in (1, 2)]
+    along = [np.equal(LAGS, lag).all(axis=1) | np.equal(LAGS, lag[::-1]).all(axis=1) for lag in ((0, 1), (0, 2))]
     axes = [float(correlation[chosen].sum()) / math.sqrt(2) for chosen in along]
     tests = (np.abs(np.array([*correlation, *axes])) - ripple.mean**2 / 4) / error
     statistic, threshold = float(tests.max()), -float(ndtri(CHANCE / 2 / tests.size))

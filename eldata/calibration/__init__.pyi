@@ -1,11 +1,12 @@
-from .bias_sums import BiasStack as BiasStack
 from .bias_sums import BiasSums as BiasSums
 from .bias_sums import ResidualHistogram as ResidualHistogram
 from .camera import calibrate as calibrate
 from .findings import Finding as Finding
+from .fixed_pattern import BiasStack as BiasStack
 from .fixed_pattern import FixedPattern as FixedPattern
 from .fixed_pattern import fixed_pattern as fixed_pattern
 from .frames import FramesError as FramesError
+from .iso_results import IsoCalibration as IsoCalibration
 from .joint import fit_log_log as fit_log_log
 from .photon_transfer import FlatPairs as FlatPairs
 from .photon_transfer import PhotonTransfer as PhotonTransfer
@@ -20,7 +21,6 @@ from .read_noise import single_frame_plot as single_frame_plot
 from .reproduction import Reproduction as Reproduction
 from .reproduction import reproduction as reproduction
 from .results import Calibration as Calibration
-from .results import IsoCalibration as IsoCalibration
 from .row_noise import ColourBias as ColourBias
 from .row_noise import RowNoise as RowNoise
 from .row_noise import colour_bias as colour_bias

@@ -1,9 +1,8 @@
-"""Sums over bias frames, a frame at a time: the first pass, the second pass, and frames taken two by two.
+"""The second pass over the bias frames, a frame at a time, each less what the first one has found to stay.
 
-The first pass (:class:`BiasStack`) gives each pixel's own mean and the defects
-(:mod:`eldata.calibration.fixed_pattern`). The second one (:class:`BiasSums`) takes that mean off, and with it every
-fixed pattern; what is left tells colour bias, row noise and read noise. :class:`BiasPairs` sums up what the checks of
-the frames look at.
+:class:`BiasSums` takes each pixel's own mean off, and with it every fixed pattern
+(:mod:`eldata.calibration.fixed_pattern`); what is left tells colour bias, row noise and read noise. :class:`BiasPairs`
+sums up, of frames taken two by two, what the checks look at.
 """
 
 from __future__ import annotations
@@ -14,76 +13,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.kernels import (
+from eldata.calibration.sums import (
     channel_histograms,
+    checked_mosaic,
+    groups_of_rows,
     lag_products,
+    levels_and_lines,
     residual_histogram,
     residual_sums,
     standardise,
-)
-from eldata.calibration.sums import (
-    FrameSums,
-    checked_mosaic,
-    groups_of_rows,
-    levels_and_lines,
     sums_by_row,
 )
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.fixed_pattern import FixedPattern
     from eldata.calibration.sums import Counts, Mosaic, Values
-    from eldata.raw.cfa import Cfa
-
-# --- first pass -------------------------------------------------------------------------------------------------------
-
-_MOST_FRAMES = 16_384  # twice their sum fits 31 bits
-_SQUARED_PIXELS = 1 << 22  # of a frame with more, a seventh tells the variance over time: every
-_STEP = 7  # seventh period of its rows
-
-
-class BiasStack(FrameSums):
-    """Bias frames summed up for :func:`~eldata.calibration.fixed_pattern.fixed_pattern`, in the memory of four mosaics.
-
-    Parameters
-    ----------
-    cfa
-        The CFA of pixel (0, 0).
-    """
-
-    def __init__(self, cfa: Cfa) -> None:
-        super().__init__(cfa)
-
-    def add(self, mosaic: Mosaic) -> None:
-        """Add a bias frame."""
-        if self.frames >= _MOST_FRAMES:
-            raise ArgumentError(f"a stack takes {_MOST_FRAMES} frames at most")
-        shape = self._check(mosaic).shape
-        if self.frames == 1:
-            self.total = np.zeros(shape, dtype=np.uint32)
-            self.lowest = np.full(shape, 65535, dtype=np.uint16)
-            self.highest = np.zeros(shape, dtype=np.uint16)
-            step = _STEP if mosaic.size > _SQUARED_PIXELS else 1
-            self.squared_rows = np.flatnonzero(np.arange(shape[0]) // len(self.pattern) % step == 0)
-            self.squares = np.zeros((len(self.squared_rows), shape[1]), dtype=np.int64)
-        self.total += mosaic
-        np.minimum(self.lowest, mosaic, out=self.lowest)
-        np.maximum(self.highest, mosaic, out=self.highest)
-        wide = mosaic[self.squared_rows].astype(np.int64)
-        self.squares += np.multiply(wide, wide, out=wide)
-
-    @property
-    def scatter(self) -> Counts:
-        """Each pixel's variance over time, times n (n - 1), in ``squared_rows``, which have the frame's own CFA."""
-        total = self.total[self.squared_rows].astype(np.int64)
-        np.multiply(total, total, out=total)
-        np.subtract(self.frames * self.squares, total, out=total)
-        return total
-
-
-# --- second pass ------------------------------------------------------------------------------------------------------
 
 CELLS_PER_SIGMA = 20
 """Of a histogram of residuals."""

@@ -16,11 +16,12 @@ from eldata import __version__
 from eldata.base.numbers import checked_number, counted
 from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
 from eldata.calibration.checks import beside_steps
-from eldata.calibration.findings import check_acceptance, check_stated_black, overall_remarks
+from eldata.calibration.findings import BLACK, LIGHT, check_acceptance
 from eldata.calibration.frames import FramesError, check_crop, crop_text, picture_crop, sort_frames
+from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain, usual_gain_per_iso
 from eldata.calibration.joint import fit_modes, whole_ranges
 from eldata.calibration.one_iso import calibrate_iso, decodings
-from eldata.calibration.results import Calibration, FailedIso, IsoCalibration, IsoGain
+from eldata.calibration.results import Calibration
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
 from eldata.manifest.verify_report import Problem
@@ -354,3 +355,59 @@ def _way_on(isos: Sequence[IsoCalibration], *quantities: Quantity) -> str:
         if options
         else ""
     )
+
+
+# --- ISOs together ----------------------------------------------------------------------------------------------------
+
+_GAIN_TOLERANCE = 0.1  # of K / ISO around its median
+
+
+def check_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, ...]:
+    """Return the ISOs, with a finding on each whose colour bias is not like that of the others.
+
+    It is beyond 3 % of white, or jumps: by more than a thousandth of white, the noise, and five times what the others
+    differ by. One that jumps is withheld.
+    """
+    given = [one for one in isos if one.colour_bias is not None]
+    means = {one.iso: float(np.mean(one.bias.bias_dn)) for one in given}
+    judged = []
+    for one in isos:
+        others = [mean for iso, mean in means.items() if iso != one.iso]
+        if one.iso not in means or not others:
+            judged.append(one)
+            continue
+        usual, white, mean = float(np.median(others)), one.sensor.white_level_dn, means[one.iso]
+        noise = 0.0 if one.read is None else one.read.sigma_gauss_dn
+        scatter = max(abs(other - usual) for other in others)
+        moved, limit, far = abs(mean - usual), max(0.001 * white, noise, 5.0 * scatter), 0.03 * white
+        jumps = moved > limit and abs(mean) > abs(usual)
+        if not jumps and abs(mean) <= far:
+            judged.append(one)
+            continue
+        black = float(np.mean(one.sensor.black_level_dn))
+        text = (
+            f"the bias frames' own black is {black + mean:.1f} DN, the files state {black:g} (a colour bias of "
+            f"{mean:.3g} DN; at the other ISOs {usual:.3g})"
+        )
+        is_lit = any(finding.check == LIGHT.name for finding in one.findings)
+        if not is_lit:
+            text += ": the stated black is probably wrong at this ISO; look it up, and state it where you use the files"
+        # What other ISOs do not show is drawn with the gain of any (row="any").
+        finding = BLACK.find(moved, limit, text) if jumps else BLACK.find(abs(mean), far, text)
+        if jumps and not is_lit:
+            finding = replace(finding, effect="withheld", figures=BLACK.figures)
+        judged.append(replace(one, findings=(*one.findings, finding)))
+    return tuple(judged)
+
+
+def overall_remarks(isos: Sequence[IsoGain]) -> list[str]:
+    """Return what shows only when the ISOs are seen together."""
+    ratios = {one.iso: one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None}
+    if len(ratios) < 3:
+        return []
+    usual = usual_gain_per_iso(isos)
+    odd = {iso: ratio for iso, ratio in ratios.items() if abs(ratio - usual) > _GAIN_TOLERANCE * usual}
+    if not odd:
+        return []
+    listed = ", ".join(f"ISO {iso:g} ({ratio / usual:.2f} of it)" for iso, ratio in odd.items())
+    return [f"K / ISO is usually {usual:.4g} DN/e-, but not at {listed}: an extended ISO, or frames of another one?"]

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     from eldata.calibration.bias_sums import BiasStatistics, BiasSums, ResidualHistogram
     from eldata.calibration.findings import Finding, Quantity
+    from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.photon_transfer import FlatPairs, PhotonTransfer, PhotonTransferLine
     from eldata.calibration.read_noise import ReadNoise
-    from eldata.calibration.results import IsoCalibration
     from eldata.calibration.row_noise import ColourBias, LineNoise, RowNoise
     from eldata.calibration.sums import Counts, Mask, Values
 

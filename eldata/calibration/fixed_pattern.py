@@ -13,18 +13,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.sums import sites
+from eldata.calibration.sums import FrameSums, sites
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.bias_sums import BiasStack
-    from eldata.calibration.sums import Counts, Mask, Values
+    from eldata.calibration.sums import Counts, Mask, Mosaic, Values
+    from eldata.raw.cfa import Cfa
 
 MINIMUM_FRAMES, ADVISED_FRAMES = 4, 10
 """Bias frames that the calibration needs, and that are advised."""
 
+_SQUARED_PIXELS = 1 << 22  # of a frame with more, a seventh tells the variance over time: every
+_STEP = 7  # seventh period of its rows
 _CLIPPED_SHARE = 0.01  # of pixels that reach the floor
 _REACHING_SHARE, _PILE = 1e-4, 40  # of pixels, and how many at least, that end at a floor
 _EXPECTED_BELOW, _BELOW = 30, 0.02  # pixels that would lie below it, and the share of them that may
@@ -110,6 +112,43 @@ class FixedPattern:
         own, sigma = 1 - 1 / self.frames, math.sqrt(max(self.temporal_variance_dn2))
         reach = own * (min(self.level_dn) - self.floor_dn) - 5 * math.sqrt(own * (1 - own)) * sigma
         return reach < _LEAST_REACH * sigma
+
+
+class BiasStack(FrameSums):
+    """Bias frames summed up for :func:`fixed_pattern`, in the memory of four mosaics.
+
+    Parameters
+    ----------
+    cfa
+        The CFA of pixel (0, 0).
+    """
+
+    def __init__(self, cfa: Cfa) -> None:
+        super().__init__(cfa)
+
+    def add(self, mosaic: Mosaic) -> None:
+        """Add a bias frame."""
+        shape = self._check(mosaic).shape
+        if self.frames == 1:
+            self.total = np.zeros(shape, dtype=np.uint32)
+            self.lowest = np.full(shape, 65535, dtype=np.uint16)
+            self.highest = np.zeros(shape, dtype=np.uint16)
+            step = _STEP if mosaic.size > _SQUARED_PIXELS else 1
+            self.squared_rows = np.flatnonzero(np.arange(shape[0]) // len(self.pattern) % step == 0)
+            self.squares = np.zeros((len(self.squared_rows), shape[1]), dtype=np.int64)
+        self.total += mosaic
+        np.minimum(self.lowest, mosaic, out=self.lowest)
+        np.maximum(self.highest, mosaic, out=self.highest)
+        wide = mosaic[self.squared_rows].astype(np.int64)
+        self.squares += np.multiply(wide, wide, out=wide)
+
+    @property
+    def scatter(self) -> Counts:
+        """Each pixel's variance over time, times n (n - 1), in ``squared_rows``, which have the frame's own CFA."""
+        total = self.total[self.squared_rows].astype(np.int64)
+        np.multiply(total, total, out=total)
+        np.subtract(self.frames * self.squares, total, out=total)
+        return total
 
 
 def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:

@@ -14,8 +14,8 @@ import numpy as np
 
 from eldata.base.numbers import counted
 from eldata.calibration.findings import STEP
+from eldata.calibration.iso_results import SCALES
 from eldata.calibration.photon_transfer import straight_line
-from eldata.calibration.results import SCALES
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.gain_modes import GainMode, LogLogFit, modes_problem
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from eldata.calibration.findings import Finding
-    from eldata.calibration.results import Figure, IsoCalibration
+    from eldata.calibration.iso_results import Figure, IsoCalibration
 
     _Noisy = tuple[IsoCalibration, Figure]
 

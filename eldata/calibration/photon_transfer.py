@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.sums import FrameSums, checked_black_level
+from eldata.calibration.sums import FrameSums, channel_histograms, checked_black_level, segment_sums
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -189,8 +189,6 @@ class FlatPairs(FrameSums):
 
     def _count(self, mosaic: Mosaic, defects: Mask) -> None:
         """Count a frame's values, and measure it by itself, as published."""
-        from eldata.calibration.kernels import channel_histograms
-
         counts = np.zeros((1, *self.counts.shape), dtype=np.int64)
         channel_histograms(mosaic, defects, self.pattern, counts)
         self.counts += counts[0]
@@ -216,8 +214,6 @@ class FlatPairs(FrameSums):
         degrees of freedom times the square of the variance. A segment whose mean is many times its noise has its own
         ratio.
         """
-        from eldata.calibration.kernels import segment_sums
-
         sums = np.zeros((13, len(first), first.shape[1] // SEGMENT), dtype=np.int64)
         segment_sums(first, second, defects, self.pattern, channel, self.floor_dn, self.limit_dn, SEGMENT, sums)
         rows = np.arange(len(first)) % len(self.pattern)

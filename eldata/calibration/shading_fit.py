@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     from eldata.base.workers import AnyWorkers
     from eldata.calibration.fixed_pattern import FixedPattern
-    from eldata.calibration.results import Calibration, IsoCalibration
+    from eldata.calibration.iso_results import IsoCalibration
+    from eldata.calibration.results import Calibration
     from eldata.calibration.sums import Counts, Mask, Plane, Values
     from eldata.datasets.calibration_frames import CalibrationFrames
 

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from eldata.calibration.results import Calibration, Figure, IsoCalibration
+    from eldata.calibration.iso_results import Figure, IsoCalibration
+    from eldata.calibration.results import Calibration
     from eldata.demo.body import FixedFeatures
 
 

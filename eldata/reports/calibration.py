@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.calibration.findings import Effect, Quantity
-    from eldata.calibration.results import Calibration, Figure, IsoCalibration, IsoGain
+    from eldata.calibration.iso_results import Figure, IsoCalibration, IsoGain
+    from eldata.calibration.results import Calibration
     from eldata.reports.calibration_iso import Pictures
     from eldata.reports.figures import Plot
 

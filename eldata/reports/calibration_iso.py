@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from eldata.calibration.iso_results import Figure, IsoCalibration, IsoGain
     from eldata.calibration.photon_transfer import PhotonTransfer
     from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
     from eldata.calibration.reproduction import Reproduction
-    from eldata.calibration.results import Figure, IsoCalibration, IsoGain
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 

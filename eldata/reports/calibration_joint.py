@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from eldata.calibration.results import Calibration, Figure, IsoCalibration, IsoGain, ScalePanel
+    from eldata.calibration.iso_results import Figure, IsoCalibration, IsoGain
+    from eldata.calibration.results import Calibration, ScalePanel
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erf
 
-from eldata.calibration.audit.flat_checks import flat_findings, saturation
-from eldata.calibration.core.findings import given
-from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
+from eldata.calibration.checks import flat_findings, saturation
+from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
 from eldata.demo.body import Body
 from eldata.errors import DatasetError
+from tests.calibration.chain import given
 from tests.calibration.simulation import BAYER, XTRANS, Camera
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.core.findings import Finding
+    from eldata.calibration.findings import Finding
     from eldata.demo.body import KnownNoise
 
     Pair = tuple[NDArray[np.uint16], NDArray[np.uint16]]

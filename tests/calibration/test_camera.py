@@ -14,7 +14,7 @@ import pytest
 
 from eldata import calibrate
 from eldata.calibration import Calibration, FramesError
-from eldata.calibration.camera import joined, stated_gains
+from eldata.calibration.camera import join_isos, stated_gains
 from eldata.cli.main import main
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile, NoiseParameters
@@ -156,7 +156,7 @@ def test_an_extended_iso_of_the_base_isos_gain(
     assert base.transfer is not None
     gain = share * base.transfer.gain_dn_per_e
     extended = replace(base, iso=50.0, transfer=replace(base.transfer, gain_dn_per_e=gain))
-    wider = joined(CAMERA, [extended, *found.isos])
+    wider = join_isos(CAMERA, [extended, *found.isos])
     wider.profile.save(tmp_path / "wider.json")
     profile = CameraProfile.load(tmp_path / "wider.json")
     assert profile.iso_range == (50.0, 1600.0)
@@ -195,9 +195,9 @@ def test_any_way_to_the_frames_gives_the_same(found: Calibration, pristine: Fram
 @pytest.mark.parametrize("isos", [(400,), (100, 1600)])
 def test_fewer_than_three_isos(isos: tuple[int, ...], found: Calibration, tmp_path: Path) -> None:
     """No line: each ISO is given as it was measured, and nothing in between."""
-    few = joined(CAMERA, [one for one in found.isos if one.iso in isos])
+    few = join_isos(CAMERA, [one for one in found.isos if one.iso in isos])
     assert few.tukey_lambda_fit is few.gauss_fit is few.row_fit is None
-    assert few.fit_table() == []
+    assert "fits" not in few.tables()
     assert "fit over ln K" not in few.format_text()
     for name in ("sigma_TL", "sigma_G", "sigma_row"):
         assert any(note.startswith(f"{name} is known at {len(isos)} ISO") for note in few.profile.notes)
@@ -225,11 +225,11 @@ def test_an_iso_without_flats(found: Calibration, tree: FrameTree) -> None:
     assert whole.reproduction is not None
     assert one.reproduction.as_dict() == whole.reproduction.as_dict()
     assert any(remark.startswith("no flat frames, so K is not known") for remark in one.remarks)
-    without = joined(CAMERA, [found.isos[0], one, found.isos[2]])
+    without = join_isos(CAMERA, [found.isos[0], one, found.isos[2]])
     assert without.row_fit is None
     row = without.profile.rows[1]
     assert (row.gain_dn_per_e, row.tukey_lambda) == (None, read_of(one).tukey_lambda)
-    assert without.table()[1][1][2:4] == ("0", "-")
+    assert without.tables()["figures"][1][1][2:4] == ("0", "-")
     json.dumps(without.as_dict(), allow_nan=False)
     without.profile.save(tree.folder / "p.json")
     profile = CameraProfile.load(tree.folder / "p.json")
@@ -263,11 +263,11 @@ def quiet_rows(one: IsoCalibration) -> IsoCalibration:
 
 
 def test_no_row_noise(found: Calibration, tmp_path: Path) -> None:
-    silent = joined(CAMERA, [quiet_rows(one) for one in found.isos])
+    silent = join_isos(CAMERA, [quiet_rows(one) for one in found.isos])
     assert silent.row_fit is None
     assert "sigma_row was 0 at every ISO; the profile has none" in silent.remarks
     assert silent.tukey_lambda_fit == found.tukey_lambda_fit
-    partly = joined(CAMERA, [quiet_rows(found.isos[0]), *found.isos[1:]])
+    partly = join_isos(CAMERA, [quiet_rows(found.isos[0]), *found.isos[1:]])
     assert "sigma_row was 0 at 1 ISO, which its fit leaves out" in partly.remarks
     assert partly.row_fit is None
     silent.profile.save(tmp_path / "silent.json")
@@ -286,7 +286,7 @@ def test_random_cameras(draw: Callable[..., CalibrationCamera], tmp_path: Path) 
         assert_true(one, true)
         bias = one.bias.bias_dn
         assert one.colour_bias_dn == (*bias[:3], bias[3 if channels == 4 else 1])
-    header, rows = found.bias_table()
+    header, rows = found.tables()["colour-bias"]
     assert header == ("ISO", *(("R", "G1", "B", "G2") if channels == 4 else "RGB"), "DSNU")
     assert len(rows[0]) == channels + 2
     found.profile.save(tmp_path / "x.json")
@@ -298,7 +298,7 @@ def test_levels_that_differ_are_left_open(blue: float, black: float | None, foun
     """A thousandth of the range is none: cameras record black levels that differ by a DN."""
     one = found.isos[1]
     sensor = replace(one.sensor, black_level_dn=(512.0, 512.0, blue, 512.0), white_level_dn=16000.0)
-    other = joined(CAMERA, [found.isos[0], replace(one, sensor=sensor), found.isos[2]])
+    other = join_isos(CAMERA, [found.isos[0], replace(one, sensor=sensor), found.isos[2]])
     assert (other.profile.black_level_dn, other.profile.white_level_dn) == (black, None)
     said = [r for r in other.remarks if "level differs by ISO or channel" in r]
     assert ["(492, 512 DN)" in r for r in said] == ([False] if black else [True, False])

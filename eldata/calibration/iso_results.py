@@ -1,0 +1,455 @@
+"""What a calibration found at one ISO: one record for each figure, with its error, and why some are withheld.
+
+A figure is declared once, where its ISO makes its record (:attr:`IsoCalibration.figures`); profile, tables, JSON, page
+and plots read that record.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.base.tables import with_error
+from eldata.calibration.findings import SYMBOLS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from eldata.calibration.findings import Effect, Finding, Quantity
+    from eldata.calibration.fixed_pattern import PatternSummary
+    from eldata.calibration.photon_transfer import PhotonTransfer
+    from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
+    from eldata.calibration.reproduction import Reproduction
+    from eldata.calibration.row_noise import ColourBias, RowNoise
+    from eldata.calibration.sums import Plane
+    from eldata.manifest.verify_report import Problem
+    from eldata.noise.gain_modes import ProfileRow
+    from eldata.noise.parameters import NoiseParameters
+    from eldata.records import Sensor
+
+SCALES = {"sigma_tl_dn": "sigma_TL", "sigma_gauss_dn": "sigma_G", "sigma_row_dn": "sigma_row"}
+"""Figures that have a line over K, with their labels."""
+
+_FRAME_DECIMALS = 4  # of a DN: a mean of three million pixels of 1 DN is not known better than to 0.0006
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A figure at one ISO.
+
+    Attributes
+    ----------
+    name, label, unit
+        Its key in JSON, such as ``sigma_tl_dn``; what tables call it, such as ``sigma_TL``; ``"DN"``, or none.
+    value, error
+        The figure and its standard error with all allowances; nan: withheld, or not known.
+    decimals
+        Of a figure that has no error.
+    why_withheld
+        Which assumption did not hold; empty if the figure is given.
+    is_stated
+        Whether it was not measured: somebody has said so.
+    """
+
+    name: str
+    label: str
+    value: float
+    error: float = math.nan
+    unit: str = ""
+    decimals: int | None = None
+    why_withheld: str = ""
+    is_stated: bool = False
+
+    @property
+    def heading(self) -> str:
+        """Its label with the unit."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+    @property
+    def text(self) -> str:
+        """The figure with its error in as many digits as they bear; a stated one says that it is."""
+        if math.isnan(self.value):
+            return "withheld"
+        if self.decimals is not None:
+            return f"{self.value:.{self.decimals}f}"
+        return with_error(self.value, self.error) + (" (stated)" if self.is_stated else "")
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the figure by its name, and its error: ``sigma_tl_dn`` and ``sigma_tl_error_dn``."""
+        values = {self.name: self.value}
+        if self.decimals is None:
+            stem = self.name.removesuffix("_dn")
+            values[f"{stem}_error{self.name.removeprefix(stem)}"] = self.error
+        return values
+
+
+# --- one ISO ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class IsoGain:
+    """What the flats of one ISO give; all that there is without bias frames.
+
+    ``transfer`` and ``spatial`` are what the estimators found, whatever the frames are like. What of it is given, and
+    with which error, are ``gain``, ``channel_gains`` and ``spatial_gain``.
+
+    Attributes
+    ----------
+    iso
+        ISO speed.
+    sensor
+        As the frames state it: CFA, size, black and white levels.
+    flat_frames
+        How many went into the estimates.
+    transfer
+        Photon transfer from pairs of flats; ``None`` without flats of this ISO, or where no line can be found.
+    spatial
+        The published single-frame method on the same flats, for comparison; ``None`` where it is not available.
+    remarks
+        What else a person should know before believing these figures.
+    findings
+        Which assumptions the frames do not keep, and what becomes of the figures that rest on them.
+    stated_gain_dn_per_e
+        K, where somebody states it; it counts only where none is measured.
+    step_dn
+        By how many DN the values of the frames step; 0 if they do not show it.
+    """
+
+    iso: float
+    sensor: Sensor
+    flat_frames: int = 0
+    transfer: PhotonTransfer | None = None
+    spatial: PhotonTransfer | None = None
+    remarks: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    stated_gain_dn_per_e: float | None = None
+    step_dn: int = 1
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the CFA's channels."""
+        return ("R", "G1", "B", "G2") if len(self.sensor.black_level_dn) == 4 else ("R", "G", "B")
+
+    @property
+    def withheld(self) -> frozenset[Quantity]:
+        """What is not given, since an assumption that it rests on does not hold."""
+        return self._touched("withheld")
+
+    @property
+    def widened(self) -> frozenset[Quantity]:
+        """What is given with an error made larger, since an assumption holds only nearly."""
+        return self._touched("wider") - self.withheld
+
+    def _touched(self, effect: Effect) -> frozenset[Quantity]:
+        return frozenset(quantity for one in self.findings if one.effect == effect for quantity in one.figures)
+
+    def why(self, *quantities: Quantity, effect: Effect = "withheld") -> str:
+        """Return in words why figures are not given, or have a larger error; empty if it is not so."""
+        findings = (one for one in self.findings if one.effect == effect and {*quantities} & {*one.figures})
+        return "; ".join(dict.fromkeys(one.text for one in findings))
+
+    @property
+    def all_remarks(self) -> tuple[str, ...]:
+        """Every remark, those of the findings first."""
+        return (*(one.remark for one in self.findings), *self.remarks)
+
+    def judge(self, quantity: Quantity, figure: Figure, scale: float | None = None) -> Figure:
+        """Return a figure with what findings add to its error, each a share of ``scale``, or without a value.
+
+        Parameters
+        ----------
+        quantity
+            What the figure is withheld with.
+        figure
+            As it was measured.
+        scale
+            The figure itself by default.
+        """
+        if why := self.why(quantity):
+            return replace(figure, value=math.nan, error=math.nan, why_withheld=why)
+        scale = figure.value if scale is None else scale
+        shares = (one.allowance for one in self.findings if quantity in one.figures and one.effect == "wider")
+        return replace(figure, error=math.hypot(figure.error, *(share * scale for share in shares)))
+
+    def _gain_of(self, measured: Any) -> Figure | None:
+        """Return K [DN/e-] of what an estimator measured, if anything; ``None`` if it is withheld."""
+        if measured is None:
+            return None
+        return _known(self.judge("gain", Figure(*_GAIN, measured.gain_dn_per_e, measured.gain_error, "DN/e-")))
+
+    @property
+    def gain(self) -> Figure | None:
+        """System gain K [DN/e-], measured or else stated; ``None`` if it is not known, or withheld.
+
+        Wei et al., TPAMI 2021, section 3.2.1, equation 11; EMVA 1288 release 4.0, section 6.6.
+        """
+        measured = self._gain_of(self.transfer)
+        if measured is None and self.stated_gain_dn_per_e is not None:
+            return Figure(*_GAIN, self.stated_gain_dn_per_e, unit="DN/e-", is_stated=True)
+        return measured
+
+    @property
+    def gain_dn_per_e(self) -> float | None:
+        """System gain K; ``None`` if it is not known, or withheld."""
+        return None if self.gain is None else self.gain.value
+
+    @property
+    def channel_gains(self) -> tuple[Figure, ...] | None:
+        """K by CFA channel [DN/e-]."""
+        gains = map(self._gain_of, () if self.transfer is None else self.transfer.channels)
+        return tuple(gain for gain in gains if gain is not None) or None
+
+    @property
+    def spatial_gain(self) -> Figure | None:
+        """K by the published single-frame method [DN/e-], for comparison."""
+        return self._gain_of(self.spatial)
+
+    @property
+    def gain_text(self) -> str:
+        """K with its error as tables show it: "-" if it was never measured, "withheld" if that is not given."""
+        if self.gain is None:
+            return "withheld" if "gain" in self.withheld else "-"
+        return self.gain.text
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return every figure with its standard error as JSON types; ``None``: withheld, or not finite."""
+        gain, channel_gains, spatial = self.gain, self.channel_gains, self.spatial_gain
+        data = {
+            "iso": self.iso,
+            "black_level_dn": self.sensor.black_level_dn,
+            "white_level_dn": self.sensor.white_level_dn,
+            "flat_frames": self.flat_frames,
+            "gain_dn_per_e": None if gain is None else gain.value,
+            "gain_error": None if gain is None else gain.error,
+            "gain_is_stated": gain is not None and gain.is_stated,
+            "gain_by_channel": None if channel_gains is None else [channel.value for channel in channel_gains],
+            "gain_spatial_dn_per_e": None if spatial is None else spatial.value,
+            "withheld": {quantity: self.why(quantity) for quantity in SYMBOLS if quantity in self.withheld},
+            "findings": [asdict(finding) for finding in self.findings],
+            "remarks": list(self.all_remarks),
+        }
+        return {name: _without_infinities(value) for name, value in data.items()}
+
+
+_GAIN = ("gain_dn_per_e", "K")
+
+
+def _known(figure: Figure) -> Figure | None:
+    return None if math.isnan(figure.value) else figure
+
+
+def _without_infinities(value: Any) -> Any:
+    """Return dictionaries and lists with ``None`` for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {name: _without_infinities(item) for name, item in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_without_infinities(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class IsoCalibration(IsoGain):
+    """All that was measured at one ISO.
+
+    ``bias``, ``rows`` and ``read``, like ``transfer``, are what the estimators found. What of it is given are
+    ``figures`` and ``colour_bias``.
+
+    Attributes
+    ----------
+    bias_frames
+        How many went into the estimates.
+    bias, rows
+        Colour bias, row (and column) noise.
+    read, plot
+        Read noise, and quantiles of the residuals for the probability plots; ``None`` where values end at a floor.
+    pattern
+        What stays from frame to frame.
+    single_frame
+        R^2 as the paper takes it, against Tukey lambda and normal, and lambda; ``None`` if it was not.
+    spectrum_dn2
+        (256, 256) power spectrum of a bias frame less its channels' means, zero frequency in the centre, averaged over
+        tiles of 256 x 256 pixels; white noise of variance s^2 gives s^2 throughout.
+    reproduction
+        The noise model with these parameters against a bias frame that no estimator saw; ``None`` if there were too
+        few frames to hold one out, or one of the parameters is withheld.
+    stepped
+        The read noise that is left beside rounding to ``step_dn``; ``None`` at 1 DN, or where the one is not told from
+        the other.
+    quantisation_step_dn
+        The rounding that ``read`` is left beside: to 1 DN, or to ``step_dn``.
+    """
+
+    bias_frames: int
+    bias: ColourBias
+    rows: RowNoise
+    read: ReadNoise | None
+    plot: ProbabilityPlot | None
+    pattern: PatternSummary
+    spectrum_dn2: Plane = field(repr=False)
+    reproduction: Reproduction | None = None
+    single_frame: tuple[float, float, float] | None = None
+    stepped: ReadNoise | None = None
+    quantisation_step_dn: float = 1.0
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """The figures of the dark by name, in the order of JSON; one that is withheld says why.
+
+        Of the read noise (Wei et al., TPAMI 2021, section 3.2.1, figure 7), as published beside it, and of the row
+        noise (figures 5 and 6). Where values end at a floor, there is no read noise.
+        """
+        read, rows, columns, single = self.read, self.rows.rows, self.rows.columns, self.single_frame
+
+        def of_read(name: str) -> float:
+            return math.nan if read is None else float(getattr(read, name))
+
+        shape = Figure("tukey_lambda", "lambda", of_read("tukey_lambda"), of_read("tukey_lambda_error"))
+        scale = Figure("sigma_tl_dn", "sigma_TL", of_read("sigma_tl_dn"), of_read("sigma_tl_error_dn"), "DN")
+        gauss = Figure("sigma_gauss_dn", "sigma_G", of_read("sigma_gauss_dn"), of_read("sigma_gauss_error_dn"), "DN")
+        row = Figure("sigma_row_dn", "sigma_row", rows.sigma_dn, rows.sigma_error_dn, "DN")
+        column = Figure("sigma_column_dn", "sigma_column", columns.sigma_dn, columns.sigma_error_dn, "DN")
+        ppcc = Figure("ppcc_lambda", "lambda, PPCC", of_read("ppcc_lambda"), decimals=5)
+        ppcc_scale = Figure("ppcc_sigma_tl_dn", "sigma_TL, PPCC", of_read("ppcc_sigma_tl_dn"), unit="DN", decimals=5)
+        of_frame, of_normal = (math.nan, math.nan) if single is None else single[:2]
+        figures = (
+            self.judge("shape", shape, 1.0),
+            self.judge("shape", scale),
+            self.judge("read noise", gauss),
+            self.judge("shape", ppcc),
+            self.judge("shape", ppcc_scale),
+            Figure("r_squared_tl", "R2 TL", of_read("r_squared_tl"), decimals=5),
+            Figure("r_squared_gauss", "R2 G", of_read("r_squared_gauss"), decimals=5),
+            Figure("single_frame_r_squared_tl", "R2 TL as published", of_frame, decimals=5),
+            Figure("single_frame_r_squared_gauss", "R2 G as published", of_normal, decimals=5),
+            Figure("read_chi2_per_dof", "chi2", of_read("chi2_per_dof"), decimals=5),
+            self.judge("row noise", row),
+            Figure("row_shapiro_p", "Shapiro-Wilk p", rows.shapiro_p, decimals=5),
+            self.judge("row noise", column),
+        )
+        return {figure.name: figure for figure in figures}
+
+    def given(self, name: str) -> Figure | None:
+        """Return a figure of the dark; ``None`` if it is withheld."""
+        return _known(self.figures[name])
+
+    @property
+    def tukey_lambda(self) -> Figure | None:
+        """Shape of the read noise."""
+        return self.given("tukey_lambda")
+
+    @property
+    def sigma_tl_dn(self) -> Figure | None:
+        """Scale of the read noise [DN]."""
+        return self.given("sigma_tl_dn")
+
+    @property
+    def sigma_gauss_dn(self) -> Figure | None:
+        """Standard deviation of the read noise [DN]."""
+        return self.given("sigma_gauss_dn")
+
+    @property
+    def sigma_row_dn(self) -> Figure | None:
+        """Standard deviation of the row noise [DN]."""
+        return self.given("sigma_row_dn")
+
+    @property
+    def sigma_column_dn(self) -> Figure | None:
+        """Standard deviation of what columns have of their own [DN]; withheld with the row noise."""
+        return self.given("sigma_column_dn")
+
+    @property
+    def colour_bias(self) -> tuple[Figure, ...] | None:
+        """Colour bias by CFA channel [DN], section 3.2.1, figure 4; ``None`` if it is withheld."""
+        pairs = zip(self.bias.bias_dn, self.bias.standard_error_dn, strict=True)
+        channels = (Figure("colour_bias_dn", "colour bias", value, error, "DN") for value, error in pairs)
+        figures = map(_known, (self.judge("colour bias", channel, 1.0) for channel in channels))
+        return tuple(figure for figure in figures if figure is not None) or None
+
+    @property
+    def colour_bias_dn(self) -> tuple[float, float, float, float] | None:
+        """Colour bias of R, G1, B, G2; X-Trans has one green, which stands for both. ``None`` if it is withheld."""
+        if self.colour_bias is None:
+            return None
+        red, green, blue, *second = (channel.value for channel in self.colour_bias)
+        return (red, green, blue, *(second or [green]))[:4]  # type: ignore[return-value] # of three or four channels
+
+    @property
+    def spectrum_lines(self) -> tuple[float, float, float]:
+        """The spectrum's ground, DN^2, and the means of the rows' and of the columns' line.
+
+        Without the frequencies next to 0, which are shading and drift in both directions.
+        """
+        spectrum = np.asarray(self.spectrum_dn2, dtype=np.float64)
+        rows, columns = (length // 2 for length in spectrum.shape)
+        far = np.abs(np.arange(len(spectrum)) - rows) > 4
+        return float(np.median(spectrum)), float(spectrum[far, columns].mean()), float(spectrum[rows, far].mean())
+
+    @property
+    def parameters(self) -> NoiseParameters | None:
+        """The measured parameters as the noise model takes them; ``None`` if one of those in the dark is withheld.
+
+        A gain of 1 stands for one that is not known.
+        """
+        row = self.profile_row
+        if row is None:
+            return None
+        gain = self.gain_dn_per_e or 1.0
+        return replace(row, iso=None, gain_dn_per_e=gain).parameters(None, self.quantisation_step_dn)
+
+    @property
+    def profile_row(self) -> ProfileRow | None:
+        """The row of a profile; ``None`` if lambda or the colour bias, which every row has, is withheld."""
+        from eldata.noise.gain_modes import ProfileRow
+
+        values = {name: figure.value for name, figure in self.figures.items() if not math.isnan(figure.value)}
+        colour_bias = self.colour_bias_dn
+        if colour_bias is None or not {"tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn"} <= values.keys():
+            return None
+        frames = [(*of_one, of_one[1])[:4] for of_one in self.bias.frame_bias_dn.round(_FRAME_DECIMALS).tolist()]
+        names = "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn", "r_squared_tl", "r_squared_gauss"
+        return ProfileRow(
+            tukey_lambda=values["tukey_lambda"],
+            colour_bias_dn=colour_bias,
+            iso=self.iso,
+            gain_dn_per_e=self.gain_dn_per_e,
+            frame_bias_dn=tuple(frames),
+            **{name: values.get(name) for name in names},
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return every figure with its standard error as JSON types; ``None``: withheld, or not finite."""
+        bias = self.colour_bias
+        data = {**IsoGain.as_dict(self), "bias_frames": self.bias_frames}
+        for figure in self.figures.values():
+            data |= figure.as_dict()
+        data |= {
+            "colour_bias_dn": None if bias is None else [channel.value for channel in bias],
+            "colour_bias_error_dn": None if bias is None else [channel.error for channel in bias],
+            "dsnu_dn": self.pattern.dsnu_dn,
+            "defects": self.pattern.defects,
+            "reproduction": None if self.reproduction is None else self.reproduction.as_dict(),
+        }
+        return {name: _without_infinities(value) for name, value in data.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class FailedIso:
+    """An ISO that is left out of a calibration, and all that is wrong with its frames."""
+
+    iso: float
+    problems: tuple[Problem, ...]
+
+    @property
+    def remark(self) -> str:
+        """What the calibration says of it."""
+        more = f" (and {len(self.problems) - 1} more problems)" if len(self.problems) > 1 else ""
+        return f"ISO {self.iso:g} was left out: {self.problems[0]}{more}"
+
+
+def usual_gain_per_iso(isos: Iterable[IsoGain]) -> float:
+    """Return the median of K / ISO, DN per electron at ISO 1; nan if no gain is known."""
+    ratios = [one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None]
+    return float(np.median(ratios)) if ratios else math.nan

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.photon_transfer import straight_line
+from eldata.calibration.flats import straight_line
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """The second pass over the bias frames, a frame at a time, each less what the first one has found to stay.
 
 :class:`BiasSums` takes each pixel's own mean off, and with it every fixed pattern
-(:mod:`eldata.calibration.fixed_pattern`); what is left tells colour bias, row noise and read noise. :class:`BiasPairs`
+(:mod:`eldata.calibration.defects`); what is left tells colour bias, row noise and read noise. :class:`BiasPairs`
 sums up, of frames taken two by two, what the checks look at.
 """
 
@@ -29,7 +29,7 @@ from eldata.errors import DatasetError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.fixed_pattern import FixedPattern
+    from eldata.calibration.defects import FixedPattern
     from eldata.calibration.sums import Counts, Mosaic, Values
 
 CELLS_PER_SIGMA = 20

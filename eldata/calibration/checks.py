@@ -27,8 +27,8 @@ from eldata.calibration.findings import (
     SATURATION,
     SHAPE,
 )
-from eldata.calibration.photon_transfer import straight_line
-from eldata.calibration.read_noise import read_noise
+from eldata.calibration.flats import straight_line
+from eldata.calibration.residuals import read_noise
 from eldata.calibration.tukey_lambda import NEARLY_NORMAL, Ripple
 from eldata.noise.parameters import tukey_lambda_variance
 
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 
     from eldata.calibration.bias_sums import BiasStatistics, BiasSums, ResidualHistogram
     from eldata.calibration.findings import Finding, Quantity
+    from eldata.calibration.flats import FlatPairs, PhotonTransfer, PhotonTransferLine
     from eldata.calibration.iso_results import IsoCalibration
-    from eldata.calibration.photon_transfer import FlatPairs, PhotonTransfer, PhotonTransferLine
-    from eldata.calibration.read_noise import ReadNoise
-    from eldata.calibration.row_noise import ColourBias, LineNoise, RowNoise
+    from eldata.calibration.lines import ColourBias, LineNoise, RowNoise
+    from eldata.calibration.residuals import ReadNoise
     from eldata.calibration.sums import Counts, Mask, Values
 
 # --- bias frames ------------------------------------------------------------------------------------------------------

@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.tables import with_error
-from eldata.calibration.findings import SYMBOLS
+from eldata.calibration.findings import SYMBOLS, list_symbols
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from eldata.calibration.defects import PatternSummary
     from eldata.calibration.findings import Effect, Finding, Quantity
-    from eldata.calibration.fixed_pattern import PatternSummary
-    from eldata.calibration.photon_transfer import PhotonTransfer
-    from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
-    from eldata.calibration.reproduction import Reproduction
-    from eldata.calibration.row_noise import ColourBias, RowNoise
+    from eldata.calibration.flats import PhotonTransfer
+    from eldata.calibration.held_out import Reproduction
+    from eldata.calibration.lines import ColourBias, RowNoise
+    from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
     from eldata.calibration.sums import Plane
     from eldata.manifest.verify_report import Problem
     from eldata.noise.gain_modes import ProfileRow
@@ -37,7 +37,7 @@ _FRAME_DECIMALS = 4  # of a DN: a mean of three million pixels of 1 DN is not kn
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class MeasuredFigure:
     """A figure at one ISO.
 
     Attributes
@@ -146,6 +146,10 @@ class IsoGain:
     def _touched(self, effect: Effect) -> frozenset[Quantity]:
         return frozenset(quantity for one in self.findings if one.effect == effect for quantity in one.figures)
 
+    def symbols(self, effect: Effect) -> str:
+        """Return the symbols of what is withheld, or given with a larger error."""
+        return list_symbols(self.withheld if effect == "withheld" else self.widened)
+
     def why(self, *quantities: Quantity, effect: Effect = "withheld") -> str:
         """Return in words why figures are not given, or have a larger error; empty if it is not so."""
         findings = (one for one in self.findings if one.effect == effect and {*quantities} & {*one.figures})
@@ -156,7 +160,7 @@ class IsoGain:
         """Every remark, those of the findings first."""
         return (*(one.remark for one in self.findings), *self.remarks)
 
-    def judge(self, quantity: Quantity, figure: Figure, scale: float | None = None) -> Figure:
+    def judge(self, quantity: Quantity, figure: MeasuredFigure, scale: float | None = None) -> MeasuredFigure:
         """Return a figure with what findings add to its error, each a share of ``scale``, or without a value.
 
         Parameters
@@ -174,21 +178,21 @@ class IsoGain:
         shares = (one.allowance for one in self.findings if quantity in one.figures and one.effect == "wider")
         return replace(figure, error=math.hypot(figure.error, *(share * scale for share in shares)))
 
-    def _gain_of(self, measured: Any) -> Figure | None:
+    def _gain_of(self, measured: Any) -> MeasuredFigure | None:
         """Return K [DN/e-] of what an estimator measured, if anything; ``None`` if it is withheld."""
         if measured is None:
             return None
-        return _known(self.judge("gain", Figure(*_GAIN, measured.gain_dn_per_e, measured.gain_error, "DN/e-")))
+        return _known(self.judge("gain", MeasuredFigure(*_GAIN, measured.gain_dn_per_e, measured.gain_error, "DN/e-")))
 
     @property
-    def gain(self) -> Figure | None:
+    def gain(self) -> MeasuredFigure | None:
         """System gain K [DN/e-], measured or else stated; ``None`` if it is not known, or withheld.
 
         Wei et al., TPAMI 2021, section 3.2.1, equation 11; EMVA 1288 release 4.0, section 6.6.
         """
         measured = self._gain_of(self.transfer)
         if measured is None and self.stated_gain_dn_per_e is not None:
-            return Figure(*_GAIN, self.stated_gain_dn_per_e, unit="DN/e-", is_stated=True)
+            return MeasuredFigure(*_GAIN, self.stated_gain_dn_per_e, unit="DN/e-", is_stated=True)
         return measured
 
     @property
@@ -197,13 +201,13 @@ class IsoGain:
         return None if self.gain is None else self.gain.value
 
     @property
-    def channel_gains(self) -> tuple[Figure, ...] | None:
+    def channel_gains(self) -> tuple[MeasuredFigure, ...] | None:
         """K by CFA channel [DN/e-]."""
         gains = map(self._gain_of, () if self.transfer is None else self.transfer.channels)
         return tuple(gain for gain in gains if gain is not None) or None
 
     @property
-    def spatial_gain(self) -> Figure | None:
+    def spatial_gain(self) -> MeasuredFigure | None:
         """K by the published single-frame method [DN/e-], for comparison."""
         return self._gain_of(self.spatial)
 
@@ -237,7 +241,7 @@ class IsoGain:
 _GAIN = ("gain_dn_per_e", "K")
 
 
-def _known(figure: Figure) -> Figure | None:
+def _known(figure: MeasuredFigure) -> MeasuredFigure | None:
     return None if math.isnan(figure.value) else figure
 
 
@@ -295,7 +299,7 @@ class IsoCalibration(IsoGain):
     quantisation_step_dn: float = 1.0
 
     @property
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> dict[str, MeasuredFigure]:
         """The figures of the dark by name, in the order of JSON; one that is withheld says why.
 
         Of the read noise (Wei et al., TPAMI 2021, section 3.2.1, figure 7), as published beside it, and of the row
@@ -306,13 +310,17 @@ class IsoCalibration(IsoGain):
         def of_read(name: str) -> float:
             return math.nan if read is None else float(getattr(read, name))
 
-        shape = Figure("tukey_lambda", "lambda", of_read("tukey_lambda"), of_read("tukey_lambda_error"))
-        scale = Figure("sigma_tl_dn", "sigma_TL", of_read("sigma_tl_dn"), of_read("sigma_tl_error_dn"), "DN")
-        gauss = Figure("sigma_gauss_dn", "sigma_G", of_read("sigma_gauss_dn"), of_read("sigma_gauss_error_dn"), "DN")
-        row = Figure("sigma_row_dn", "sigma_row", rows.sigma_dn, rows.sigma_error_dn, "DN")
-        column = Figure("sigma_column_dn", "sigma_column", columns.sigma_dn, columns.sigma_error_dn, "DN")
-        ppcc = Figure("ppcc_lambda", "lambda, PPCC", of_read("ppcc_lambda"), decimals=5)
-        ppcc_scale = Figure("ppcc_sigma_tl_dn", "sigma_TL, PPCC", of_read("ppcc_sigma_tl_dn"), unit="DN", decimals=5)
+        shape = MeasuredFigure("tukey_lambda", "lambda", of_read("tukey_lambda"), of_read("tukey_lambda_error"))
+        scale = MeasuredFigure("sigma_tl_dn", "sigma_TL", of_read("sigma_tl_dn"), of_read("sigma_tl_error_dn"), "DN")
+        gauss = MeasuredFigure(
+            "sigma_gauss_dn", "sigma_G", of_read("sigma_gauss_dn"), of_read("sigma_gauss_error_dn"), "DN"
+        )
+        row = MeasuredFigure("sigma_row_dn", "sigma_row", rows.sigma_dn, rows.sigma_error_dn, "DN")
+        column = MeasuredFigure("sigma_column_dn", "sigma_column", columns.sigma_dn, columns.sigma_error_dn, "DN")
+        ppcc = MeasuredFigure("ppcc_lambda", "lambda, PPCC", of_read("ppcc_lambda"), decimals=5)
+        ppcc_scale = MeasuredFigure(
+            "ppcc_sigma_tl_dn", "sigma_TL, PPCC", of_read("ppcc_sigma_tl_dn"), unit="DN", decimals=5
+        )
         of_frame, of_normal = (math.nan, math.nan) if single is None else single[:2]
         figures = (
             self.judge("shape", shape, 1.0),
@@ -320,51 +328,51 @@ class IsoCalibration(IsoGain):
             self.judge("read noise", gauss),
             self.judge("shape", ppcc),
             self.judge("shape", ppcc_scale),
-            Figure("r_squared_tl", "R2 TL", of_read("r_squared_tl"), decimals=5),
-            Figure("r_squared_gauss", "R2 G", of_read("r_squared_gauss"), decimals=5),
-            Figure("single_frame_r_squared_tl", "R2 TL as published", of_frame, decimals=5),
-            Figure("single_frame_r_squared_gauss", "R2 G as published", of_normal, decimals=5),
-            Figure("read_chi2_per_dof", "chi2", of_read("chi2_per_dof"), decimals=5),
+            MeasuredFigure("r_squared_tl", "R2 TL", of_read("r_squared_tl"), decimals=5),
+            MeasuredFigure("r_squared_gauss", "R2 G", of_read("r_squared_gauss"), decimals=5),
+            MeasuredFigure("single_frame_r_squared_tl", "R2 TL as published", of_frame, decimals=5),
+            MeasuredFigure("single_frame_r_squared_gauss", "R2 G as published", of_normal, decimals=5),
+            MeasuredFigure("read_chi2_per_dof", "chi2", of_read("chi2_per_dof"), decimals=5),
             self.judge("row noise", row),
-            Figure("row_shapiro_p", "Shapiro-Wilk p", rows.shapiro_p, decimals=5),
+            MeasuredFigure("row_shapiro_p", "Shapiro-Wilk p", rows.shapiro_p, decimals=5),
             self.judge("row noise", column),
         )
         return {figure.name: figure for figure in figures}
 
-    def given(self, name: str) -> Figure | None:
+    def given(self, name: str) -> MeasuredFigure | None:
         """Return a figure of the dark; ``None`` if it is withheld."""
         return _known(self.figures[name])
 
     @property
-    def tukey_lambda(self) -> Figure | None:
+    def tukey_lambda(self) -> MeasuredFigure | None:
         """Shape of the read noise."""
         return self.given("tukey_lambda")
 
     @property
-    def sigma_tl_dn(self) -> Figure | None:
+    def sigma_tl_dn(self) -> MeasuredFigure | None:
         """Scale of the read noise [DN]."""
         return self.given("sigma_tl_dn")
 
     @property
-    def sigma_gauss_dn(self) -> Figure | None:
+    def sigma_gauss_dn(self) -> MeasuredFigure | None:
         """Standard deviation of the read noise [DN]."""
         return self.given("sigma_gauss_dn")
 
     @property
-    def sigma_row_dn(self) -> Figure | None:
+    def sigma_row_dn(self) -> MeasuredFigure | None:
         """Standard deviation of the row noise [DN]."""
         return self.given("sigma_row_dn")
 
     @property
-    def sigma_column_dn(self) -> Figure | None:
+    def sigma_column_dn(self) -> MeasuredFigure | None:
         """Standard deviation of what columns have of their own [DN]; withheld with the row noise."""
         return self.given("sigma_column_dn")
 
     @property
-    def colour_bias(self) -> tuple[Figure, ...] | None:
+    def colour_bias(self) -> tuple[MeasuredFigure, ...] | None:
         """Colour bias by CFA channel [DN], section 3.2.1, figure 4; ``None`` if it is withheld."""
         pairs = zip(self.bias.bias_dn, self.bias.standard_error_dn, strict=True)
-        channels = (Figure("colour_bias_dn", "colour bias", value, error, "DN") for value, error in pairs)
+        channels = (MeasuredFigure("colour_bias_dn", "colour bias", value, error, "DN") for value, error in pairs)
         figures = map(_known, (self.judge("colour bias", channel, 1.0) for channel in channels))
         return tuple(figure for figure in figures if figure is not None) or None
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from eldata.base.numbers import counted
 from eldata.calibration.findings import STEP
+from eldata.calibration.flats import straight_line
 from eldata.calibration.iso_results import SCALES
-from eldata.calibration.photon_transfer import straight_line
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.gain_modes import GainMode, LogLogFit, modes_problem
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from eldata.calibration.findings import Finding
-    from eldata.calibration.iso_results import Figure, IsoCalibration
+    from eldata.calibration.iso_results import IsoCalibration, MeasuredFigure
 
-    _Noisy = tuple[IsoCalibration, Figure]
+    _Noisy = tuple[IsoCalibration, MeasuredFigure]
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,12 +234,12 @@ def _gain(one: IsoCalibration) -> float:
     return one.gain_dn_per_e or math.nan
 
 
-def _known_error(figure: Figure) -> float:
+def _known_error(figure: MeasuredFigure) -> float:
     """Return the error of a figure; 0 of one that is stated."""
     return figure.error if math.isfinite(figure.error) else 0.0
 
 
-def _relative_error(figure: Figure | None) -> float:
+def _relative_error(figure: MeasuredFigure | None) -> float:
     return 0.0 if figure is None else _known_error(figure) / figure.value
 
 

@@ -27,6 +27,7 @@ from eldata.calibration.checks import (
     saturation,
     uneven_steps,
 )
+from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
 from eldata.calibration.findings import (
     CLIPPED,
     NO_LINE,
@@ -34,13 +35,12 @@ from eldata.calibration.findings import (
     TRANSFER,
     accept_findings,
 )
-from eldata.calibration.fixed_pattern import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
+from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
 from eldata.calibration.frames import FrameReader, FramesError, PairLevels, measure_frame, unequal_pair, uneven_light
+from eldata.calibration.held_out import compared_piece, reproduction
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
-from eldata.calibration.photon_transfer import FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.read_noise import probability_plot, read_noise, single_frame_plot
-from eldata.calibration.reproduction import compared_piece, reproduction
-from eldata.calibration.row_noise import colour_bias, power_spectrum, row_noise
+from eldata.calibration.lines import colour_bias, power_spectrum, row_noise
+from eldata.calibration.residuals import probability_plot, read_noise, single_frame_plot
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
 from eldata.raw.sensor_facts import lossy_compression

@@ -142,7 +142,7 @@ class Calibration:
         against), ``gains`` of those with flats alone, ``colour-bias``, the ``fits`` over K, and ``reproduction``: how
         well the noise model reproduces the frames that were kept out.
         """
-        from eldata.calibration.reproduction import HEADINGS
+        from eldata.calibration.held_out import HEADINGS
 
         gain = "K [DN/e-]"
         labels = [self.isos[0].figures[name].heading for name in _COLUMNS] if self.isos else ()

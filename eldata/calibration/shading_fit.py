@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from eldata.base.workers import AnyWorkers
-    from eldata.calibration.fixed_pattern import FixedPattern
+    from eldata.calibration.defects import FixedPattern
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
     from eldata.calibration.sums import Counts, Mask, Plane, Values

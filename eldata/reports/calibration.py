@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.numbers import counted
-from eldata.calibration.findings import list_symbols
 from eldata.reports.calibration_iso import (
     bias_plot,
     estimated,
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.calibration.findings import Effect, Quantity
-    from eldata.calibration.iso_results import Figure, IsoCalibration, IsoGain
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
     from eldata.calibration.results import Calibration
     from eldata.reports.calibration_iso import Pictures
     from eldata.reports.figures import Plot
@@ -52,8 +51,8 @@ def calibration_page(calibration: Calibration) -> str:
         calibration=calibration,
         verdict=_verdict(calibration) + _without_profile(calibration),
         wary=_wary(calibration),
-        withheld=_where([list_symbols(one.withheld) for one in calibration.all_isos], calibration),
-        widened=_where([list_symbols(one.widened) for one in calibration.all_isos], calibration),
+        withheld=_where([one.symbols("withheld") for one in calibration.all_isos], calibration),
+        widened=_where([one.symbols("wider") for one in calibration.all_isos], calibration),
         remarks=_remarks(calibration),
         tables=_tables(calibration),
         joint=joint_plots(calibration),
@@ -180,7 +179,7 @@ def _summary(one: IsoCalibration) -> str:
     return f"{_gain_summary(one)}, λ {shape}, σ TL {scale}, σ row {row}"
 
 
-def _alone(figure: Figure | None, count: int = 3) -> str:
+def _alone(figure: MeasuredFigure | None, count: int = 3) -> str:
     """Return a figure without its error."""
     if figure is None:
         return "withheld"

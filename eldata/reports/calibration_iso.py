@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from eldata.calibration.iso_results import Figure, IsoCalibration, IsoGain
-    from eldata.calibration.photon_transfer import PhotonTransfer
-    from eldata.calibration.read_noise import ProbabilityPlot, ReadNoise
-    from eldata.calibration.reproduction import Reproduction
+    from eldata.calibration.flats import PhotonTransfer
+    from eldata.calibration.held_out import Reproduction
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
+    from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 
@@ -47,7 +47,7 @@ _FRAMES_SHOWN = 32
 _SHADING_SHOWN = 72  # rows or columns
 
 
-def estimated(figure: Figure | None, unit: str = "") -> str:
+def estimated(figure: MeasuredFigure | None, unit: str = "") -> str:
     """Return a figure with its error and unit, or "withheld"."""
     if figure is None:
         return "withheld"
@@ -106,7 +106,7 @@ def _draw_single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> No
 # --- colour bias --------------------------------------------------------------------------------------------------
 
 
-def bias_plot(one: IsoCalibration, given: Sequence[Figure]) -> Plot:
+def bias_plot(one: IsoCalibration, given: Sequence[MeasuredFigure]) -> Plot:
     """Draw the colour bias, and below how much the frames' own means scatter around it."""
     bias = one.bias
     channels = len(one.channels)
@@ -206,7 +206,7 @@ def _set_up_power(axes: Axes) -> None:
 # --- read noise ---------------------------------------------------------------------------------------------------
 
 
-def ppcc_plot(one: IsoCalibration, read: ReadNoise, shape: Figure) -> Plot:
+def ppcc_plot(one: IsoCalibration, read: ReadNoise, shape: MeasuredFigure) -> Plot:
     """Draw the correlation of the probability plot over the shape, and the shape that is given."""
     alt = (
         f"Correlation of the probability plot over the shape λ at ISO {one.iso:g}: highest at "

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.findings import Finding
-    from eldata.calibration.iso_results import Figure
+    from eldata.calibration.iso_results import MeasuredFigure
     from tests.calibration.faults import Planted
 
 CAMERA = Camera(shape=(512, 768), shading=1.0)
@@ -32,8 +32,8 @@ class Audited:
     """One camera's bias frames through the estimators and the audit: each figure before it, with it, and in truth."""
 
     findings: tuple[Finding, ...]
-    before: dict[str, Figure]
-    after: dict[str, Figure | None]
+    before: dict[str, MeasuredFigure]
+    after: dict[str, MeasuredFigure | None]
     truth: dict[str, float]
 
     @property

@@ -22,7 +22,7 @@ from eldata.calibration import (
     row_noise,
 )
 from eldata.calibration.checks import read_noise_findings
-from eldata.calibration.iso_results import Figure, IsoGain
+from eldata.calibration.iso_results import IsoGain, MeasuredFigure
 from eldata.records import Sensor
 from tests.calibration.simulation import BAYER
 
@@ -63,10 +63,12 @@ def calibrated(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Calibrat
     return Calibration(fixed, rows, read, bias, read_noise_findings(read, bias, rows.rows))
 
 
-def given(findings: Sequence[Finding], quantity: Quantity, value: float, error: float, scale: float) -> Figure | None:
+def given(
+    findings: Sequence[Finding], quantity: Quantity, value: float, error: float, scale: float
+) -> MeasuredFigure | None:
     """A figure with what findings make of it; ``None`` if it is withheld."""
     one = IsoGain(iso=100.0, sensor=Sensor("", "", BAYER, (512.0,) * 4, 16383.0, 2, 2), findings=tuple(findings))
-    figure = one.judge(quantity, Figure("x", "x", value, error), scale)
+    figure = one.judge(quantity, MeasuredFigure("x", "x", value, error), scale)
     return None if figure.why_withheld else figure
 
 

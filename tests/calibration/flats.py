@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import erf
 
 from eldata.calibration.checks import flat_findings, saturation
-from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
+from eldata.calibration.flats import FlatPairs, photon_transfer
 from eldata.demo.body import Body
 from eldata.errors import DatasetError
 from tests.calibration.chain import given

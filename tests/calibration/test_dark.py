@@ -62,7 +62,7 @@ def test_of_large_frames_a_seventh_of_the_rows_tells_the_noise(
     cfa: tuple[tuple[int, ...], ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each channel has noise of its own, so that a row of the wrong channels would show."""
-    monkeypatch.setattr("eldata.calibration.fixed_pattern._SQUARED_PIXELS", 0)
+    monkeypatch.setattr("eldata.calibration.defects._SQUARED_PIXELS", 0)
     camera = CAMERA.with_(shape=(300, 420), cfa=cfa, bias=(0.0,) * (np.max(cfa) + 1))
     sigma = 2.0 + camera.channel
     generator = np.random.default_rng(12)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from eldata.calibration.checks import flat_findings, uneven_steps
-from eldata.calibration.photon_transfer import FlatPairs, photon_transfer
+from eldata.calibration.flats import FlatPairs, photon_transfer
 from eldata.raw import bayer_cfa
 from tests.calibration import flats as study
 from tests.calibration.chain import given

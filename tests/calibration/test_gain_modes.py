@@ -15,7 +15,7 @@ from eldata.calibration import calibrate
 from eldata.calibration.camera import join_isos
 from eldata.calibration.findings import LIGHT, READ
 from eldata.calibration.findings import SHAPE as SHAPE_LOST
-from eldata.calibration.iso_results import Figure
+from eldata.calibration.iso_results import MeasuredFigure
 from eldata.calibration.joint import find_steps, fit_log_log
 from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile
@@ -229,7 +229,7 @@ def test_the_published_table_of_the_a7s2() -> None:
 def seen(iso: float, gain: float, sigma: float, error: float = 0.002) -> IsoCalibration:
     """What is looked at of an ISO; both figures have this relative error."""
     figures = {"gain": gain, "sigma_gauss_dn": sigma}
-    known = {name: Figure(name, name, value, error * value) for name, value in figures.items()}
+    known = {name: MeasuredFigure(name, name, value, error * value) for name, value in figures.items()}
     return cast("IsoCalibration", SimpleNamespace(iso=iso, gain_dn_per_e=gain, **known))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eldata.calibration import FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.photon_transfer import PhotonTransferLine
+from eldata.calibration.flats import PhotonTransferLine
 from eldata.errors import ArgumentError, DatasetError
 from tests.calibration.chain import transferred
 from tests.calibration.simulation import BAYER, Body, Camera

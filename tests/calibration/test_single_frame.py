@@ -122,7 +122,7 @@ def test_defects_do_not_show() -> None:
 
 def test_many_tiles_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame of 3 x 3 tiles, every second of which is looked at: power is variance still (Parseval)."""
-    monkeypatch.setattr("eldata.calibration.row_noise._MOST_TILES", 3)
+    monkeypatch.setattr("eldata.calibration.lines._MOST_TILES", 3)
     camera = QUIET.with_(shape=(3 * TILE, 3 * TILE + 8))
     frames = Body(camera, np.random.default_rng(5)).bias_frames(4)
     found = power_spectrum(frames[0], stacked(camera, frames))

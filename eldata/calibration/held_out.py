@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.row_noise import smoothed_power
+from eldata.calibration.lines import smoothed_power
 from eldata.calibration.sums import by_pixel
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from eldata.calibration.fixed_pattern import FixedPattern
+    from eldata.calibration.defects import FixedPattern
     from eldata.calibration.sums import Counts, Mosaic, Plane, Values
     from eldata.noise.parameters import NoiseParameters
     from eldata.records import Sensor

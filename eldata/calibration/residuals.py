@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.bias_sums import ResidualHistogram
-    from eldata.calibration.fixed_pattern import FixedPattern
+    from eldata.calibration.defects import FixedPattern
     from eldata.calibration.sums import Counts, Mosaic, Values
 
 _TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from eldata.calibration.bias_sums import BiasSums
-    from eldata.calibration.fixed_pattern import FixedPattern
+    from eldata.calibration.defects import FixedPattern
     from eldata.calibration.sums import Counts, Mosaic, Plane, Values
 
 _BY_CHANCE = 1e-3  # of the frames' scatter

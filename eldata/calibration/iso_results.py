@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from eldata.calibration.findings import Effect, Finding, Quantity
     from eldata.calibration.flats import PhotonTransfer
     from eldata.calibration.held_out import Reproduction
-    from eldata.calibration.lines import ColourBias, RowNoise
+    from eldata.calibration.lines import ColourBias, LineNoise, RowNoise
     from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
     from eldata.calibration.sums import Plane
     from eldata.manifest.verify_report import Problem
@@ -307,35 +307,29 @@ class IsoCalibration(IsoGain):
         """
         read, rows, columns, single = self.read, self.rows.rows, self.rows.columns, self.single_frame
 
-        def of_read(name: str) -> float:
-            return math.nan if read is None else float(getattr(read, name))
+        def of_read(label: str, name: str, error: str = "", **options: Any) -> MeasuredFigure:
+            value, error_of_it = (getattr(read, each, math.nan) if each else math.nan for each in (name, error))
+            return MeasuredFigure(name, label, value, error_of_it, **options)
 
-        shape = MeasuredFigure("tukey_lambda", "lambda", of_read("tukey_lambda"), of_read("tukey_lambda_error"))
-        scale = MeasuredFigure("sigma_tl_dn", "sigma_TL", of_read("sigma_tl_dn"), of_read("sigma_tl_error_dn"), "DN")
-        gauss = MeasuredFigure(
-            "sigma_gauss_dn", "sigma_G", of_read("sigma_gauss_dn"), of_read("sigma_gauss_error_dn"), "DN"
-        )
-        row = MeasuredFigure("sigma_row_dn", "sigma_row", rows.sigma_dn, rows.sigma_error_dn, "DN")
-        column = MeasuredFigure("sigma_column_dn", "sigma_column", columns.sigma_dn, columns.sigma_error_dn, "DN")
-        ppcc = MeasuredFigure("ppcc_lambda", "lambda, PPCC", of_read("ppcc_lambda"), decimals=5)
-        ppcc_scale = MeasuredFigure(
-            "ppcc_sigma_tl_dn", "sigma_TL, PPCC", of_read("ppcc_sigma_tl_dn"), unit="DN", decimals=5
-        )
+        def of_lines(label: str, name: str, noise: LineNoise) -> MeasuredFigure:
+            return MeasuredFigure(name, label, noise.sigma_dn, noise.sigma_error_dn, unit="DN")
+
         of_frame, of_normal = (math.nan, math.nan) if single is None else single[:2]
+        plain: dict[str, Any] = {"decimals": 5}
         figures = (
-            self.judge("shape", shape, 1.0),
-            self.judge("shape", scale),
-            self.judge("read noise", gauss),
-            self.judge("shape", ppcc),
-            self.judge("shape", ppcc_scale),
-            MeasuredFigure("r_squared_tl", "R2 TL", of_read("r_squared_tl"), decimals=5),
-            MeasuredFigure("r_squared_gauss", "R2 G", of_read("r_squared_gauss"), decimals=5),
-            MeasuredFigure("single_frame_r_squared_tl", "R2 TL as published", of_frame, decimals=5),
-            MeasuredFigure("single_frame_r_squared_gauss", "R2 G as published", of_normal, decimals=5),
-            MeasuredFigure("read_chi2_per_dof", "chi2", of_read("chi2_per_dof"), decimals=5),
-            self.judge("row noise", row),
-            MeasuredFigure("row_shapiro_p", "Shapiro-Wilk p", rows.shapiro_p, decimals=5),
-            self.judge("row noise", column),
+            self.judge("shape", of_read("lambda", "tukey_lambda", "tukey_lambda_error"), 1.0),
+            self.judge("shape", of_read("sigma_TL", "sigma_tl_dn", "sigma_tl_error_dn", unit="DN")),
+            self.judge("read noise", of_read("sigma_G", "sigma_gauss_dn", "sigma_gauss_error_dn", unit="DN")),
+            self.judge("shape", of_read("lambda, PPCC", "ppcc_lambda", **plain)),
+            self.judge("shape", of_read("sigma_TL, PPCC", "ppcc_sigma_tl_dn", unit="DN", **plain)),
+            of_read("R2 TL", "r_squared_tl", **plain),
+            of_read("R2 G", "r_squared_gauss", **plain),
+            MeasuredFigure("single_frame_r_squared_tl", "R2 TL as published", of_frame, **plain),
+            MeasuredFigure("single_frame_r_squared_gauss", "R2 G as published", of_normal, **plain),
+            replace(of_read("chi2", "chi2_per_dof", **plain), name="read_chi2_per_dof"),
+            self.judge("row noise", of_lines("sigma_row", "sigma_row_dn", rows)),
+            MeasuredFigure("row_shapiro_p", "Shapiro-Wilk p", rows.shapiro_p, **plain),
+            self.judge("row noise", of_lines("sigma_column", "sigma_column_dn", columns)),
         )
         return {figure.name: figure for figure in figures}
 

@@ -246,7 +246,6 @@ BLOCK = 48
 _UNITS = 16
 _LIMIT, _CLIP = 8 * _UNITS - 1, 4 * _UNITS
 _MOST_PIXELS = 1 << 22  # of a frame; of larger ones evenly spread bands of rows are looked at
-_LEAST_SIDE = 256
 
 LAGS = np.array([(0, 1), (0, 2), (1, -2), (1, -1), (1, 0), (1, 1), (1, 2), (2, -2), (2, -1), (2, 0), (2, 1), (2, 2)])
 """Rows and columns between two neighbours; one of each two opposite directions."""
@@ -299,19 +298,10 @@ class BiasPairs:
     ----------
     fixed
         The first pass's result. Add the same frames again, each once.
-
-    Raises
-    ------
-    DatasetError
-        If the frames are smaller than 256 x 256 pixels.
     """
 
     def __init__(self, fixed: FixedPattern) -> None:
         height, width = fixed.total_dn.shape
-        if height < _LEAST_SIDE or width < _LEAST_SIDE:
-            raise DatasetError(
-                f"the audit needs frames of {_LEAST_SIDE} x {_LEAST_SIDE} pixels or more; found {height} x {width}"
-            )
         self._fixed, rows = fixed, height // BLOCK
         self._width = width // BLOCK * BLOCK
         step = max(1, math.ceil(rows * BLOCK * width / _MOST_PIXELS))

@@ -14,19 +14,19 @@ import numpy as np
 
 from eldata.base.numbers import counted
 from eldata.calibration.sums import FrameSums, sites
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.calibration.sums import Counts, Mask, Mosaic, Values
-    from eldata.raw.cfa import Cfa
 
 MINIMUM_FRAMES, ADVISED_FRAMES = 4, 10
 """Bias frames that the calibration needs, and that are advised."""
 
 _SQUARED_PIXELS = 1 << 22  # of a frame with more, a seventh tells the variance over time: every
 _STEP = 7  # seventh period of its rows
+_THRESHOLD = 6.0  # robust standard deviations off its neighbourhood: a defect
 _CLIPPED_SHARE = 0.01  # of pixels that reach the floor
 _REACHING_SHARE, _PILE = 1e-4, 40  # of pixels, and how many at least, that end at a floor
 _EXPECTED_BELOW, _BELOW = 30, 0.02  # pixels that would lie below it, and the share of them that may
@@ -123,9 +123,6 @@ class BiasStack(FrameSums):
         The CFA of pixel (0, 0).
     """
 
-    def __init__(self, cfa: Cfa) -> None:
-        super().__init__(cfa)
-
     def add(self, mosaic: Mosaic) -> None:
         """Add a bias frame."""
         shape = self._check(mosaic).shape
@@ -151,11 +148,11 @@ class BiasStack(FrameSums):
         return total
 
 
-def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
+def fixed_pattern(stack: BiasStack) -> FixedPattern:
     """Find the defects and measure the fixed pattern.
 
     A pixel is a defect if its trimmed mean over time (its lowest and highest value left out, so that one extreme draw
-    of heavy-tailed read noise is not taken for a hot pixel) lies more than ``threshold`` robust standard deviations
+    of heavy-tailed read noise is not taken for a hot pixel) lies more than six robust standard deviations
     (1.4826 times the median absolute deviation) off the median of its neighbourhood, or if it never changes although
     the noise should move it.
 
@@ -164,13 +161,9 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
 
     Raises
     ------
-    ArgumentError
-        If the threshold is not positive.
     DatasetError
         If there are too few frames, or nearly all pixels never change.
     """
-    if not threshold > 0:
-        raise ArgumentError(f"the threshold is a positive number of standard deviations; found {threshold}")
     if stack.frames < MINIMUM_FRAMES:
         raise DatasetError(
             f"found {counted(stack.frames, 'bias frame')}: to tell what stays from what changes, "
@@ -201,7 +194,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         # Near a floor, and between coarse steps, half of the pixels or more may lie within less than the noise.
         if is_cut or spread == 0:
             spread = max(spread, *(float(np.quantile(every, share)) / per_dn / size for share, size in _OUTER))
-        far = threshold * max(spread, 1 / frames)
+        far = _THRESHOLD * max(spread, 1 / frames)
         for site, distance in distances:
             off = distance > far * per_dn
             defects[site] |= off
@@ -226,7 +219,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
             count, means, squares = _block_moments(total[site], ~defects[site], grid)
             blocks.append((count, means / frames, squares / frames**2))
         if counted < 2:
-            raise DatasetError(f"channel {channel} has no sound pixel left: raise the threshold ({threshold:g})")
+            raise DatasetError(f"channel {channel} has no sound pixel left")
         freedom = frames * (frames - 1)
         variance = added / freedom / counted
         variance_error = math.sqrt(max(squared / counted - (added / counted) ** 2, 0.0) / counted) / freedom

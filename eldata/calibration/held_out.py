@@ -109,13 +109,8 @@ class Reproduction:
 
 
 def compared_piece(mosaic: Mosaic, period: int) -> Mosaic:
-    """Return a copy of all that :func:`reproduction` needs of a frame whose CFA repeats itself after ``period``."""
-    return mosaic[compared_place(mosaic.shape, period)].copy()
-
-
-def compared_place(shape: tuple[int, ...], period: int) -> tuple[slice, slice]:
-    """Return the rows and columns of that piece: a million pixels in the middle, from the start of a CFA period on."""
-    return _middle(shape, (_SIDE, _SIDE), period)
+    """Return a copy of all that :func:`reproduction` needs: a million pixels in the middle, from a CFA period on."""
+    return mosaic[_middle(mosaic.shape, (_SIDE, _SIDE), period)].copy()
 
 
 def reproduction(
@@ -128,25 +123,26 @@ def reproduction(
     Raises
     ------
     ArgumentError
-        If the frame's shape is not that of the fixed pattern, or it is smaller than 128 x 192.
+        If the frame's shape is not that of the fixed pattern, or a side is smaller than 192 pixels.
     """
     shape, period = fixed.total_dn.shape, len(fixed.pattern)
-    place = compared_place(shape, period)
+    place = _middle(shape, (_SIDE, _SIDE), period)
     sound = ~fixed.defects[place]
     if held_out.shape == shape:
         held_out = held_out[place]
-    if held_out.shape != sound.shape:
-        raise ArgumentError(f"the held-out frame is {held_out.shape}, the others are {shape}")
-    if shape[0] < _SHOWN[0] or shape[1] < _SHOWN[1]:
-        raise ArgumentError(f"the comparison needs {_SHOWN[0]} x {_SHOWN[1]} pixels; found {shape}")
+    if held_out.shape != sound.shape or min(shape) < max(_SHOWN):
+        raise ArgumentError(
+            f"the comparison is of frames of one shape, {max(_SHOWN)} pixels a side or more; found {held_out.shape} "
+            f"and {shape}"
+        )
     real = held_out - fixed.total_dn[place] / fixed.frames
     channel = by_pixel(np.arange(len(sensor.black_level_dn)), fixed.pattern, real.shape)
     block = _SHADING_BLOCK * len(fixed.pattern)
     rows_of, columns_of = (np.arange(part.start, part.stop) // block for part in place)
     level = fixed.summary.shading_dn[channel, rows_of[:, None], columns_of]
     spread = np.asarray(fixed.summary.dsnu_dn)[channel]
-    first, simulated = _simulated(level, spread, channel, fixed.frames, sensor, parameters, generator)
-    _, again = _simulated(level, spread, channel, fixed.frames, sensor, parameters, generator)
+    first, simulated = _simulate(level, spread, channel, fixed.frames, sensor, parameters, generator)
+    _, again = _simulate(level, spread, channel, fixed.frames, sensor, parameters, generator)
     for residual in (real, simulated, again):
         for index in range(int(channel.max()) + 1):
             chosen = channel == index
@@ -195,15 +191,10 @@ def _middle(shape: tuple[int, ...], side: tuple[int, int], period: int) -> tuple
     return slice(starts[0], starts[0] + min(side[0], shape[0])), slice(starts[1], starts[1] + min(side[1], shape[1]))
 
 
-def _simulated(
-    level_dn: Values,
-    spread_dn: Values,
-    channel: Counts,
-    frames: int,
-    sensor: Sensor,
-    parameters: NoiseParameters,
+def _simulate(
+    level_dn: Values, spread_dn: Values, channel: Counts, frames: int, sensor: Sensor, parameters: NoiseParameters,
     generator: np.random.Generator,
-) -> tuple[Values, Values]:
+) -> tuple[Values, Values]:  # fmt: skip
     """Return one simulated bias frame in DN, and its residual to the mean of n more.
 
     Pixels scatter by ``spread_dn`` around ``level_dn``, which comes on top of their channel's black level and bias.

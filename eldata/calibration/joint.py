@@ -80,7 +80,7 @@ def fit_log_log(
     Raises
     ------
     ArgumentError
-        If the numbers differ in length, or one is not finite and positive (an error: 0 or above).
+        If the numbers differ in length, or one is not finite and positive.
     DatasetError
         If there are fewer than three measurements, or all at one gain.
 
@@ -92,17 +92,10 @@ def fit_log_log(
     (0.5, 4)
     """
     gains, scales = np.asarray(gains_dn_per_e, dtype=np.float64), np.asarray(scales_dn, dtype=np.float64)
-    if gains.ndim != 1 or gains.shape != scales.shape:
-        raise ArgumentError(f"gains and scales come in pairs; found shapes {gains.shape} and {scales.shape}")
-    if not np.all(np.isfinite(gains) & np.isfinite(scales) & (gains > 0) & (scales > 0)):
-        raise ArgumentError(
-            "gains and scales must be finite and above 0; leave out ISOs at which a scale was not measurable"
-        )
+    if not (gains.shape == scales.shape and np.all(np.isfinite(gains * scales) & (gains > 0) & (scales > 0))):
+        raise ArgumentError("gains and scales come in pairs, finite and above 0; leave out ISOs without a scale")
     if len(gains) < 3 or not np.ptp(gains) > 0:
-        raise DatasetError(
-            f"a line with its residual deviation needs three ISOs of different gain or more; found "
-            f"{counted(len(gains), 'measurement')} at {counted(len(set(gains.tolist())), 'gain')}"
-        )
+        raise DatasetError("a line with its residual deviation needs three ISOs of different gain or more")
     x, y = np.log(gains), np.log(scales)
     freedom, even = len(x) - 2, np.ones(len(x))
     slope, intercept, _ = straight_line(x, y, even, even)
@@ -110,8 +103,6 @@ def fit_log_log(
         np.zeros(len(x)) if errors is None else np.asarray(errors, dtype=np.float64) / values
         for errors, values in ((gain_errors, gains), (scale_errors, scales))
     )
-    if not np.all(np.isfinite(of_gains + of_scales) & (of_gains >= 0) & (of_scales >= 0)):
-        raise ArgumentError("the errors of gains and scales must be finite and not below 0")
     known = of_scales**2 + (slope * of_gains) ** 2
     own = _LEAST_ERROR**2
     for _ in range(2):

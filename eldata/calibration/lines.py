@@ -181,7 +181,7 @@ def _line_noise(
     frames, lines = deviations.shape
     freedom = (frames - 1) * (lines - _classes_of_rows(pattern))
     if freedom < 2:
-        raise DatasetError("too few sound rows or columns are left: raise the threshold of the defects")
+        raise DatasetError("too few sound rows or columns are left")
     scatter = float((deviations**2).sum()) / freedom
     of_pixels = pixel_variance * float((1 / counts[used]).mean())
     variance, variance_error = scatter - of_pixels, scatter * math.sqrt(2 / freedom)

@@ -84,11 +84,7 @@ class ShadingFit:
         self._hot: Mask | None = None
 
     def add(
-        self,
-        iso: float,
-        fixed: FixedPattern,
-        black_level_dn: Sequence[float],
-        standard_error_dn: Sequence[float],
+        self, iso: float, fixed: FixedPattern, black_level_dn: Sequence[float], standard_error_dn: Sequence[float]
     ) -> None:
         """Add an ISO.
 
@@ -106,10 +102,8 @@ class ShadingFit:
         Raises
         ------
         ArgumentError
-            If the ISO was added before, or the frames have another size or CFA than those before.
+            If the frames have another size or CFA than those before.
         """
-        if any(one.iso == iso for one in self._isos):
-            raise ArgumentError(f"ISO {iso:g} was added before; add all frames of an ISO together")
         if self._pattern is None or self._hot is None:
             self._pattern, self._hot = fixed.pattern, np.zeros_like(fixed.defects)
         if fixed.defects.shape != self._hot.shape or not np.array_equal(fixed.pattern, self._pattern):

@@ -56,20 +56,15 @@ def by_pixel(values: NDArray[Any], pattern: Counts, shape: tuple[int, ...]) -> N
 
 def checked_mosaic(mosaic: NDArray[Any], shape: tuple[int, int] | None, period: int) -> Mosaic:
     """Return the mosaic if it is a frame in DN, of the shape of the frames before or else large enough."""
-    if mosaic.dtype != np.uint16:
+    if mosaic.dtype != np.uint16 or mosaic.ndim != 2 or min(mosaic.shape) < 2 * period:
         raise ArgumentError(
-            f"a mosaic in DN is uint16; found {mosaic.dtype}. Give the raw values as decoded: with the black level, "
-            "neither scaled nor clipped"
-        )
-    if mosaic.ndim != 2 or min(mosaic.shape) < 2 * period:
-        raise ArgumentError(
-            f"a mosaic is (H, W), of two periods of its CFA or more ({2 * period} x {2 * period}); found shape "
-            f"{mosaic.shape}"
+            f"a mosaic is (H, W) of raw values as decoded, uint16, of two periods of its CFA or more; found "
+            f"{mosaic.dtype} {mosaic.shape}"
         )
     if shape is not None and mosaic.shape != shape:
         raise ArgumentError(
-            f"the frames before were {shape[0]} x {shape[1]} pixels and this one is {mosaic.shape[0]} x "
-            f"{mosaic.shape[1]}; calibrate frames of one camera, one orientation and one ISO together"
+            f"the frames before were {shape} pixels and this one is {mosaic.shape}; calibrate frames of one camera, "
+            "one orientation and one ISO together"
         )
     return mosaic
 
@@ -106,11 +101,6 @@ class FrameSums:
         self._shape = height, width
         if self._defects is None:
             self._defects = np.zeros(self._shape, dtype=np.bool_)
-        if self._defects.dtype != np.bool_ or self._defects.shape != self._shape:
-            raise ArgumentError(
-                f"the mask of defects is boolean and of the frames' shape {self._shape}; found {self._defects.dtype} "
-                f"{self._defects.shape}"
-            )
         self.frames += 1
         return self._defects
 

@@ -136,24 +136,6 @@ def test_the_profile_of_what_is_left(isos: tuple[IsoCalibration, ...], tmp_path:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_no_profile_of_nothing(isos: tuple[IsoCalibration, ...]) -> None:
-    dark = "the read noise or the colour bias is withheld at every ISO"
-    cases: tuple[tuple[Quantity, str], ...] = (
-        ("shape", dark),
-        ("read noise", dark),
-        ("colour bias", dark),
-        ("gain", "K is withheld at every ISO that has flats"),
-    )
-    for figure, why in cases:
-        found = join_isos("TestCamera", [replace(one, findings=(finding(figure),)) for one in isos])
-        assert found.made_profile is None
-        assert found.no_profile.startswith(why)
-        assert as_json(found)["no_profile"] == found.no_profile
-        assert f"no profile can be made: {why}" in found.format_text()
-    assert f"No profile can be made: {why}" in page_of(found)
-
-
-@pytest.mark.usefixtures("undrawn")
 def test_an_allowance_widens_errors_in_quadrature(isos: tuple[IsoCalibration, ...]) -> None:
     """Each share of the figure; of lambda and the colour bias as it is. Two findings add, remarks and others do not."""
     found = with_findings(

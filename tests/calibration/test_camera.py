@@ -18,16 +18,13 @@ from eldata.calibration.camera import join_isos, stated_gains
 from eldata.cli.main import main
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise import CameraProfile, NoiseParameters
-from tests.calibration import draws
 from tests.calibration.in_memory import read_of
 from tests.calibration.trees import CAMERA, ISOS, SIZE, FrameTree, made_tree
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from eldata.calibration import IsoCalibration
-    from eldata.demo.calibration_frames import CalibrationCamera
 
 
 @pytest.fixture(scope="module")
@@ -273,24 +270,6 @@ def test_no_row_noise(found: Calibration, tmp_path: Path) -> None:
     silent.profile.save(tmp_path / "silent.json")
     sampled = CameraProfile.load(tmp_path / "silent.json").sample(np.random.default_rng(0))
     assert sampled.sigma_row_dn == pytest.approx(0, abs=1e-8)
-
-
-@pytest.mark.parametrize("draw", [draws.drawn_bayer, draws.drawn_xtrans])
-def test_random_cameras(draw: Callable[..., CalibrationCamera], tmp_path: Path) -> None:
-    """X-Trans has three channels; the profile has four numbers, with the one green twice."""
-    camera = draw(np.random.default_rng(5), (200, 1600))
-    tree = made_tree(tmp_path / "x", camera=camera, isos=(200, 1600), size=(258, 384))
-    found = calibrate(tree.root)
-    channels = len(camera.sensor.black_level_dn)
-    for one, true in zip(found.isos, tree.truth["isos"], strict=True):
-        assert_true(one, true)
-        bias = one.bias.bias_dn
-        assert one.colour_bias_dn == (*bias[:3], bias[3 if channels == 4 else 1])
-    header, rows = found.tables()["colour-bias"]
-    assert header == ("ISO", *(("R", "G1", "B", "G2") if channels == 4 else "RGB"), "DSNU")
-    assert len(rows[0]) == channels + 2
-    found.profile.save(tmp_path / "x.json")
-    assert CameraProfile.load(tmp_path / "x.json").rows[0].colour_bias_dn == found.isos[0].colour_bias_dn
 
 
 @pytest.mark.parametrize(("blue", "black"), [(509.0, 512.0), (492.0, None)])

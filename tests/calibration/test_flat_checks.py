@@ -17,12 +17,10 @@ from tests.calibration import flats as study
 from tests.calibration.chain import given
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import BAYER, XTRANS, Body, Camera
-from tests.calibration.trees import calibrated_iso, made_tree, relative, rewritten
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -60,15 +58,6 @@ def test_saturation_by_degrees(white: int, spread: float, setting: study.Setting
         (said,) = found.findings
         assert (said.check, said.effect, said.figures) == ("uneven flats", "withheld", ("gain",))
         assert "saturation by degrees" in said.text
-
-
-def test_the_recorded_white_level_is_no_finding() -> None:
-    """Flats that reach white, and flats that reach nowhere: nothing piles up below."""
-    for white, levels in ((16383, (0.1, 0.5, 1.1)), (16200, (0.1, 0.5, 1.1)), (16383, (0.1, 0.5))):
-        setting = small(study.Setting(levels=levels))
-        found = study.outcome(setting, study.clipped(white)(setting, np.random.default_rng(4)))
-        assert found.findings == ()
-        assert abs(found.off) < 5 * found.error
 
 
 @in_one_test(
@@ -165,24 +154,6 @@ def test_sound_cameras_raise_no_alarm() -> None:
 
 
 # --- from files -------------------------------------------------------------------------------------------------------
-
-
-def test_what_withholds_k_names_the_level_and_the_pairs(tmp_path: Path) -> None:
-    tree = made_tree(tmp_path / "tree", isos=(400,), bias_frames=4, flat_levels=4)
-    for path in tree.files("flat", 400):
-        rewritten(path, mosaic=lambda mosaic: np.minimum(mosaic, 9000))
-    found = calibrated_iso(tree.frames(), 400)
-    assert {one.check for one in found.findings} >= {"saturation"}
-    assert found.gain is None
-    assert "saturate at 9000 DN" in found.why("gain")
-    for path in tree.files("flat", 400):
-        rewritten(path, mosaic=lambda mosaic: np.minimum(mosaic, 600))
-    found = calibrated_iso(tree.frames(), 400)
-    assert found.gain is None
-    assert [one.effect for one in found.findings] == ["withheld", "withheld"]
-    assert "saturate at 600 DN" in found.findings[0].text
-    for path in tree.files("flat", 400):
-        assert relative(tree, path) in found.findings[1].text
 
 
 @pytest.mark.study

@@ -260,17 +260,6 @@ def test_a_black_level_of_0_in_the_file_alone_is_no_clipping(tree: FrameTree) ->
     assert found.gain_dn_per_e == pytest.approx(whole["gain_dn_per_e"], rel=0.03)
 
 
-def test_neither_bias_frames_nor_pairs(tree: FrameTree) -> None:
-    """With pairs of flats, K alone is measured."""
-    shutil.rmtree(tree.camera / "bias" / "ISO100")
-    assert problems_of(tree.frames(isos=[100])) == []
-    for path in tree.files("flat", 100)[::2]:
-        path.unlink()
-    problem = only(problems_of(tree.frames(isos=[100])))
-    assert problem.path == "DemoGamma, ISO 100"
-    assert "0 bias frames, and 4 are needed" in problem.found
-
-
 def test_copies_of_one_frame(tree: FrameTree) -> None:
     first, *others = tree.files("bias", 100)
     for path in others:
@@ -346,22 +335,6 @@ def test_saturated_flats_are_left_out(pristine: FrameTree, tree: FrameTree) -> N
         rewritten(path, mosaic=saturated)
     remarks = calibrated_iso(tree.frames(isos=[1600]), 1600).remarks
     assert any("67% of the flats' area is saturated or clipped and was left out" in remark for remark in remarks)
-
-
-def dimmed(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    return np.rint(512 + 0.7 * (mosaic.astype(float) - 512)).astype(np.uint16)
-
-
-def test_a_partner_of_another_level_is_left_out_and_said(pristine: FrameTree, tree: FrameTree) -> None:
-    changed = tree.files("flat", 1600)[3]
-    rewritten(changed, mosaic=dimmed)
-    found = calibrated_iso(tree.frames(isos=[1600]), 1600)
-    assert found.transfer is not None
-    assert found.flat_frames == 4
-    remark = next(remark for remark in found.remarks if relative(tree, changed) in remark)
-    assert relative(tree, tree.files("flat", 1600)[2]) in remark
-    truth = tree.truth["isos"][1]["gain_dn_per_e"]
-    assert abs(found.transfer.gain_dn_per_e - truth) < 4 * found.transfer.gain_error
 
 
 # --- by itself --------------------------------------------------------------------------------------------------------
@@ -464,17 +437,6 @@ def test_a_curve_leaves_gaps_where_it_is_steep() -> None:
     assert step_of(sony_curve(body.bias_frame())) == 1
     for level, step in ((3000.0, 2), (5200.0, 4), (9000.0, 8)):
         assert step_of(sony_curve(body.flat_frame(level, shaded=False))) == pytest.approx(step, rel=0.1)
-
-
-def test_gaps_are_remarked_on(tree: FrameTree) -> None:
-    """Bias frames multiplied by 4/3 after conversion, flats too: the frames are taken, and the remark says so."""
-
-    def stretched(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        return np.clip(512 + 4 * (mosaic.astype(np.int64) - 512) // 3, 0, 32767).astype(np.uint16)
-
-    rewritten_1600(tree, mosaic=stretched, white_level_dn=21674.0)
-    remarks = calibrated_iso(tree.frames(isos=[1600]), 1600).all_remarks
-    assert any("DN in the mean, unevenly: multiplied" in remark for remark in remarks)
 
 
 def test_lossy_compression_is_remarked_on(tree: FrameTree, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from eldata.noise import CameraProfile, NoiseModel
 from eldata.noise.gain_modes import LogLogFit
 from tests.calibration.faults import coarse
 from tests.calibration.in_memory import calibrated_arrays
-from tests.calibration.simulation import XTRANS, Body, Camera
+from tests.calibration.simulation import Body, Camera
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -69,17 +69,6 @@ def test_the_spread_of_the_bias_comes_back_by_sampling(tmp_path: Path) -> None:
     # Of the frames' own mean, as the errors of 4000 draws allow.
     mean_error = math.hypot(SHARED_DN, OWN_DN) / math.sqrt(DRAWS)
     assert drawn.mean(axis=0) == pytest.approx(row.colour_bias_dn, abs=4 * mean_error)
-
-
-def test_frames_of_a_camera_of_three_channels(tmp_path: Path) -> None:
-    """One green stands for both. 0.06 DN of pixels and rows are in a frame's mean: four and a half of these."""
-    camera = Camera(shape=(264, 384), cfa=XTRANS, bias=(1.5, -0.75, 0.5))
-    frames, given = drifting(camera, 12)
-    profiled(camera, frames).profile.save(tmp_path / "p.json")  # and loaded: their mean is the row's bias
-    (row,) = CameraProfile.load(tmp_path / "p.json").rows
-    biases = np.array(row.frame_bias_dn)
-    moved = given[:-1] - given[:-1].mean(axis=0)
-    np.testing.assert_allclose(biases - biases.mean(axis=0), moved[:, [0, 1, 2, 1]], atol=0.27)
 
 
 # --- the step of the values -------------------------------------------------------------------------------------------

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from eldata.calibration import FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.flats import PhotonTransferLine
 from eldata.errors import ArgumentError, DatasetError
 from tests.calibration.chain import transferred
 from tests.calibration.simulation import BAYER, Body, Camera
@@ -115,13 +114,3 @@ def test_a_level_of_which_a_twentieth_saturates_is_left_out(deviations: float, l
         first, second = (512 + generator.poisson(level, (2, 256, 384))).astype(np.uint16)
         flats.add(first, second)
     assert flats.left_out == pytest.approx(left_out, abs=0.03)
-
-
-def test_pooled_points_are_weighted_by_their_errors() -> None:
-    """Of two points whose errors are 1 and 2 the first counts four times as much."""
-    line = PhotonTransferLine(
-        1.0, 0.1, 0.0, 0.1, 1.0, np.array([10.0, 20.0]), np.array([10.0, 20.0]), np.array([1.0, 2.0])
-    )
-    signal, variance, error = line.pooled(1)
-    assert (signal[0], variance[0]) == (12.0, 12.0)
-    assert error[0] == pytest.approx(1.25**-0.5)

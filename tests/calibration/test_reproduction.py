@@ -10,11 +10,9 @@ import pytest
 from scipy import stats
 
 from eldata.calibration import reproduction
-from eldata.errors import ArgumentError
 from eldata.noise import NoiseParameters
 from tests.calibration.chain import stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
-from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -136,21 +134,6 @@ def test_defects_take_no_part() -> None:
     assert spoilt.pixels < clean.pixels
     assert spoilt.sigma_real_dn == pytest.approx(clean.sigma_real_dn, rel=0.005)
     assert spoilt.row_sigma_real_dn == pytest.approx(clean.row_sigma_real_dn, rel=0.05)
-
-
-@in_one_test(
-    "shape, cut, words",
-    [
-        ((126, 768), 0, "128 x 192"),
-        ((512, 190), 0, "128 x 192"),
-        ((256, 384), 2, "the held-out frame is"),
-    ],
-)
-def test_small_frames_and_other_shapes_are_refused(shape: tuple[int, int], cut: int, words: str) -> None:
-    camera = Camera(shape=shape)
-    held_out, fixed = taken(camera)
-    with pytest.raises(ArgumentError, match=words):
-        reproduction(held_out[cut:], fixed, camera.sensor, true_parameters(camera), np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("black", [(512.0, 513.0, 512.0, 513.0), (511.75, 512.0, 512.25, 513.5)])

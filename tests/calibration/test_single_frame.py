@@ -11,7 +11,7 @@ from scipy import stats
 
 from eldata.calibration import power_spectrum, single_frame_plot
 from eldata.errors import DatasetError
-from tests.calibration.chain import calibrated, stacked
+from tests.calibration.chain import stacked
 from tests.calibration.simulation import XTRANS, Body, Camera
 
 if TYPE_CHECKING:
@@ -55,16 +55,6 @@ def test_r_squared_is_that_of_every_pixel(name: str) -> None:
         assert shape == pytest.approx(stats.ppcc_max(residuals, brack=(-0.3, 0.1)), abs=0.02)
 
 
-def test_it_is_not_the_estimates_own() -> None:
-    """Non-uniformity of Gaussian pixels' levels, larger than the noise, hides its tails from the published one."""
-    camera = Camera(shape=SHAPE, tukey_lambda=-0.15, dsnu=12.0, hot_share=0.0)
-    frames = Body(camera, np.random.default_rng(5)).bias_frames(5)
-    _, of_normal, shape = single_frame_plot(frames[0], stacked(camera, frames))
-    own = calibrated(camera, frames).read
-    assert of_normal > 0.995 > 0.98 > own.r_squared_gauss
-    assert shape > own.tukey_lambda + 0.1
-
-
 # --- spectrum ---------------------------------------------------------------------------------------------------------
 
 TILE = 256
@@ -76,11 +66,6 @@ QUIET = Camera(
 def spectrum(camera: Camera, seed: int = 0) -> NDArray[np.float32]:
     frames = Body(camera, np.random.default_rng(seed)).bias_frames(4)
     return power_spectrum(frames[0], stacked(camera, frames))
-
-
-def variance(frame: NDArray[np.uint16]) -> float:
-    """Around the means of the four sites."""
-    return float(np.mean([frame[y::2, x::2].astype(np.float64).var() for y in (0, 1) for x in (0, 1)]))
 
 
 def test_one_tile_is_numpys() -> None:
@@ -118,15 +103,6 @@ def test_defects_do_not_show() -> None:
     """A hot pixel of 3000 DN alone would lift the whole spectrum by 3000^2 / 256^2 = 137 DN^2."""
     camera = QUIET.with_(hot_share=1e-4)
     assert float(spectrum(camera).mean()) == pytest.approx(float(spectrum(QUIET).mean()), rel=0.05)
-
-
-def test_many_tiles_are_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A frame of 3 x 3 tiles, every second of which is looked at: power is variance still (Parseval)."""
-    monkeypatch.setattr("eldata.calibration.lines._MOST_TILES", 3)
-    camera = QUIET.with_(shape=(3 * TILE, 3 * TILE + 8))
-    frames = Body(camera, np.random.default_rng(5)).bias_frames(4)
-    found = power_spectrum(frames[0], stacked(camera, frames))
-    assert float(found.mean()) == pytest.approx(variance(frames[0]), rel=0.01)
 
 
 @pytest.mark.parametrize("shape", [(254, 512), (512, 254)])

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.lines import smoothed_power
 from eldata.calibration.sums import by_pixel
 from eldata.errors import ArgumentError
 
@@ -64,8 +63,6 @@ class Reproduction:
         Standard deviation of the residuals' row means.
     levels, quantiles_real_dn, quantiles_simulated_dn
         Quantiles of the residuals.
-    row_frequency, row_power_real_dn2, row_power_simulated_dn2
-        Periodograms of the row means, cycles per row.
     real_dn, simulated_dn
         A piece of both frames, less the black level, (128, 192): the real one with its fixed pattern, the simulated one
         with its shading and pixel levels that scatter as much.
@@ -83,9 +80,6 @@ class Reproduction:
     levels: Values = field(repr=False)
     quantiles_real_dn: Values = field(repr=False)
     quantiles_simulated_dn: Values = field(repr=False)
-    row_frequency: Values = field(repr=False)
-    row_power_real_dn2: Values = field(repr=False)
-    row_power_simulated_dn2: Values = field(repr=False)
     real_dn: Plane = field(repr=False)
     simulated_dn: Plane = field(repr=False)
 
@@ -93,11 +87,6 @@ class Reproduction:
     def shown_sigmas_dn(self) -> tuple[float, float]:
         """Standard deviations of the pieces of both frames, the real one's first."""
         return float(self.real_dn.std()), float(self.simulated_dn.std())
-
-    def smoothed_row_powers_dn2(self, period: int) -> tuple[Values, ...]:
-        """Return frequencies and the two periodograms, the real one first, in neighbouring frequencies together."""
-        frequency, real = smoothed_power(self.row_frequency, self.row_power_real_dn2, period)
-        return frequency, real, smoothed_power(self.row_frequency, self.row_power_simulated_dn2, period)[1]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the plain numbers."""
@@ -158,7 +147,6 @@ def reproduction(
     histograms = [_histogram(ordered, cell) for ordered in values]
     pixels = np.maximum(sound.sum(axis=1), 1)
     rows = [np.where(sound, residual, 0).sum(axis=1) / pixels for residual in (real, simulated)]
-    power = [np.abs(np.fft.rfft(row)) ** 2 / len(row) for row in rows]
     shown = tuple(
         slice(part.start - whole.start, part.stop - whole.start)
         for part, whole in zip(_middle(shape, _SHOWN, period), place, strict=True)
@@ -177,9 +165,6 @@ def reproduction(
         levels=_LEVELS,
         quantiles_real_dn=quantiles[0],
         quantiles_simulated_dn=quantiles[1],
-        row_frequency=np.asarray(np.fft.rfftfreq(len(rows[0])), dtype=np.float64),
-        row_power_real_dn2=power[0],
-        row_power_simulated_dn2=power[1],
         real_dn=(held_out[shown] - black).astype(np.float32),
         simulated_dn=(first[: _SHOWN[0], : _SHOWN[1]] - black).astype(np.float32),
     )

@@ -290,14 +290,12 @@ class Calibration:
                 axes.set_xlabel("signal [DN]")
 
             draws.append((f"photon transfer, ISO {chosen:g}", draw_transfer))
-        gains = [(one.iso, one.gain.value, one.gain.error) for one in self.all_isos if one.gain is not None]
-        if gains:
+        if gains := {one.iso: one.gain for one in self.all_isos if one.gain is not None}:
+            values, errors = [gain.value for gain in gains.values()], [bar(gain.error) for gain in gains.values()]
 
             def draw_gains(axes: Axes, theme: Theme) -> None:
-                known, values, errors = zip(*gains, strict=True)
-                usual = self.usual_gain_per_iso
-                gain_over_iso(axes, known, values, [bar(error) for error in errors], usual, theme)
-                iso_axis(axes, known)
+                gain_over_iso(axes, list(gains), values, errors, self.usual_gain_per_iso, theme)
+                iso_axis(axes, list(gains))
 
             draws.append(("system gain", draw_gains))
         for panel in self.scale_panels:

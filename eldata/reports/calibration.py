@@ -14,7 +14,7 @@ from eldata.reports.calibration_iso import (
     ppcc_plot,
     read_noise_plots,
     reproduced_pictures,
-    reproduced_plots,
+    reproduced_plot,
     rows_plot,
     shading_pictures,
     spectrum_picture,
@@ -300,7 +300,7 @@ def _reproduction(one: IsoCalibration) -> _Group:
         ("Row means, σ real", f"{digits(found.row_sigma_real_dn)} DN"),
         ("Row means, σ simulated", f"{digits(found.row_sigma_simulated_dn)} DN"),
     )
-    return _Group(title, numbers, plots=reproduced_plots(one, found), pictures=(reproduced_pictures(one, found),))
+    return _Group(title, numbers, plots=(reproduced_plot(one, found),), pictures=(reproduced_pictures(one, found),))
 
 
 def _pattern(one: IsoCalibration) -> _Group:

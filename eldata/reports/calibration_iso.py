@@ -265,8 +265,8 @@ def read_noise_plots(one: IsoCalibration, read: ReadNoise, plot: ProbabilityPlot
 # --- real against simulated ---------------------------------------------------------------------------------------
 
 
-def reproduced_plots(one: IsoCalibration, found: Reproduction) -> tuple[Plot, Plot]:
-    """Draw the quantiles of a real bias frame over those of a simulated one, and the periodograms of their rows."""
+def reproduced_plot(one: IsoCalibration, found: Reproduction) -> Plot:
+    """Draw the quantiles of a real bias frame over those of a simulated one."""
     r_squared = digits(found.r_squared, 6)
     of_quantiles = (
         f"Quantiles of the held-out bias frame against those of a simulated one at ISO {one.iso:g}, from 0.00001 to "
@@ -281,24 +281,7 @@ def reproduced_plots(one: IsoCalibration, found: Reproduction) -> tuple[Plot, Pl
         labels=("simulated [DN]", "real [DN]"),
         note=f"R² {r_squared}",
     )
-    of_rows = (
-        f"Power of the row means of the held-out bias frame and of a simulated one at ISO {one.iso:g}. Standard "
-        f"deviation of the row means: real {digits(found.row_sigma_real_dn)} DN, simulated "
-        f"{digits(found.row_sigma_simulated_dn)} DN."
-    )
-
-    def rows(axes: Axes, theme: Theme) -> None:
-        frequency, real, simulated = found.smoothed_row_powers_dn2(len(one.sensor.cfa))
-        axes.plot(frequency, simulated, "--", color=theme.theory, label="simulated")
-        axes.plot(frequency, real, "-", color=theme.found, label="real")
-        _set_up_power(axes)
-        axes.set(xlabel="frequency [cycles per row]", ylabel="power [DN²]")
-        axes.legend(loc="upper right", ncols=2)
-
-    return (
-        _plot("reproduced-quantiles", one, of_quantiles, quantiles),
-        _plot("reproduced-rows", one, of_rows, rows),
-    )
+    return _plot("reproduced-quantiles", one, of_quantiles, quantiles)
 
 
 # --- pictures -----------------------------------------------------------------------------------------------------

@@ -65,10 +65,9 @@ def clean(setting: Setting, generator: np.random.Generator, drift: float = 0.0) 
     ]
 
 
-def clipped(white: float, spread: float = 0.0) -> Callable[..., list[Pair]]:
+def clipped(white: int) -> Callable[..., list[Pair]]:
     def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
-        well = BLACK + (white - BLACK) * (1 + spread * generator.standard_normal(setting.shape))
-        ceiling = np.rint(well).astype(np.uint16)
+        ceiling = np.uint16(white)
         return [(np.minimum(a, ceiling), np.minimum(b, ceiling)) for a, b in clean(setting, generator)]
 
     return make

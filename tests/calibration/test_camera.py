@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
-import shutil
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,15 +11,15 @@ import numpy as np
 import pytest
 
 from eldata import calibrate
-from eldata.calibration import Calibration, FramesError
 from eldata.calibration.camera import join_isos, stated_gains
 from eldata.cli.main import main
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import ArgumentError
 from eldata.noise import CameraProfile, NoiseParameters
 from tests.calibration.in_memory import read_of
 from tests.calibration.trees import CAMERA, ISOS, SIZE, FrameTree, made_tree
 
 if TYPE_CHECKING:
+    from eldata.calibration import Calibration
     from pathlib import Path
 
     from eldata.calibration import IsoCalibration
@@ -57,19 +55,6 @@ def assert_true(one: IsoCalibration, true: dict[str, Any], *, errors: float = 5)
     ):
         assert abs(value - truth) < errors * error
         assert error < largest
-
-
-def assert_no_profile(found: Calibration, why: str) -> None:
-    """The figures are there, and what is asked for the profile says why there is none."""
-    assert found.made_profile is None
-    assert why in found.no_profile
-    with pytest.raises(DatasetError, match="no profile can be made: ") as raised:
-        _ = found.profile
-    assert not isinstance(raised.value, FramesError)
-    assert found.no_profile in str(raised.value)
-    data = found.as_dict()
-    assert (data["profile"], data["no_profile"]) == (None, found.no_profile)
-    assert found.no_profile in found.format_text()
 
 
 # --- what comes out -------------------------------------------------------------------------------------------------
@@ -117,28 +102,6 @@ def test_the_profile_holds_what_was_measured(found: Calibration) -> None:
         assert profile.measured(one.iso).range_dn == 16383.0 - 512.0
     assert list(profile.notes) == list(found.all_remarks)
     assert sum(note.startswith("ISO 400: 5 bias frames were used") for note in profile.notes) == 1
-
-
-def test_the_text_shows_every_figure(found: Calibration) -> None:
-    text = found.format_text()
-    blocks = text.split("\n\n")
-    starts = ("colour bias over the recorded black level [DN]", "fit over ln K", "a bias frame kept out", "remarks")
-    assert [block.startswith(start) for block, start in zip(blocks[1:], starts, strict=True)] == [True] * 4
-    table = blocks[0].splitlines()
-    assert table[0].split("  ")[-1] == "defects"
-    for line, one in zip(table[2:], found.isos, strict=True):
-        assert one.transfer is not None
-        cells = [cell for cell in line.split("  ") if cell]
-        assert [cell.strip() for cell in cells[:3]] == [f"{one.iso:g}", "5 + 1", "8"]
-        value, error = (float(part) for part in cells[3].split(" ± "))
-        assert value == pytest.approx(one.transfer.gain_dn_per_e, abs=one.transfer.gain_error)
-        assert error == pytest.approx(one.transfer.gain_error, rel=0.17)
-    assert len(blocks[1].splitlines()) == 3 + 3
-    assert [line.split()[0] for line in blocks[2].splitlines()[2:]] == ["sigma_TL", "sigma_G", "sigma_row"]
-    assert found.as_dict()["fits"]["row_fit"]["points"] == 3
-    assert len(blocks[3].splitlines()) == 3 + 3
-    assert [line.strip() for line in blocks[4].splitlines()[1:]] == list(found.all_remarks)
-    assert max(map(len, text.split("remarks")[0].splitlines())) < 160
 
 
 # --- an extended ISO --------------------------------------------------------------------------------------------------
@@ -208,31 +171,6 @@ def test_fewer_than_three_isos(isos: tuple[int, ...], found: Calibration, tmp_pa
         with pytest.raises(ArgumentError, match="sigma_TL, sigma_G, sigma_row was measured at too few ISOs"):
             profile.sample(np.random.default_rng(3), iso=one.iso, row="nearest-gain")
     assert len(profile.plot().axes) == 3
-
-
-def test_an_iso_without_flats(found: Calibration, tree: FrameTree) -> None:
-    """Its read noise is measured all the same; it takes no part in the fits."""
-    shutil.rmtree(tree.camera / "flat")
-    dark = calibrate(tree.root, isos=[400])
-    assert_no_profile(dark, "K is not known: take pairs of equal flats")
-    (one,), whole = dark.isos, found.isos[1]
-    assert (one.transfer, one.spatial, one.gain_dn_per_e, one.flat_frames) == (None, None, None, 0)
-    assert read_of(one).tukey_lambda == read_of(whole).tukey_lambda
-    assert one.reproduction is not None
-    assert whole.reproduction is not None
-    assert one.reproduction.as_dict() == whole.reproduction.as_dict()
-    assert any(remark.startswith("no flat frames, so K is not known") for remark in one.remarks)
-    without = join_isos(CAMERA, [found.isos[0], one, found.isos[2]])
-    assert without.row_fit is None
-    row = without.profile.rows[1]
-    assert (row.gain_dn_per_e, row.tukey_lambda) == (None, read_of(one).tukey_lambda)
-    assert without.tables()["figures"][1][1][2:4] == ("0", "-")
-    json.dumps(without.as_dict(), allow_nan=False)
-    without.profile.save(tree.folder / "p.json")
-    profile = CameraProfile.load(tree.folder / "p.json")
-    assert profile.iso_range == (100.0, 1600.0)
-    with pytest.raises(ArgumentError, match="measured at too few ISOs"):
-        profile.sample(np.random.default_rng(0))
 
 
 def test_wrong_gains(pristine: FrameTree, found: Calibration) -> None:

@@ -123,11 +123,6 @@ def test_unusable_stacks() -> None:
     for unfit, word in ((frames[0].T.copy(), "one orientation"), (frames[0].astype(np.int32), "uint16")):
         with pytest.raises(ArgumentError, match=word):
             stack.add(unfit)
-    with pytest.raises(ArgumentError, match="two periods"):
-        BiasStack(XTRANS).add(frames[0][:8])
-    with pytest.raises(ArgumentError, match="unsupported CFA"):
-        BiasStack(((0, 0), (1, 1)))
-    stack.add(frames[0])
     with pytest.raises(DatasetError, match=r"have one value in every frame, 5.. DN most often"):
         stacked(CAMERA, [frames[0]] * 4)
     below = CAMERA.with_(black=0.0, bias=(-15.0,) * 4, hot_share=0.0)

@@ -47,20 +47,6 @@ def test_saturation_below_white(white: int, setting: study.Setting) -> None:
 
 
 @in_one_test(
-    "white, spread, setting",
-    [(13583, 0.03, study.QUIET), (12500, 0.02, study.Setting()), (14500, 0.015, study.LOUD), (11000, 0.05, study.EVEN)],
-)
-def test_saturation_by_degrees(white: int, spread: float, setting: study.Setting) -> None:
-    """Each pixel has a full well of its own, so nothing piles up; the variance falls, and there is no line."""
-    found = study.outcome(setting, study.clipped(white, spread)(small(setting), np.random.default_rng(3)))
-    assert math.isnan(found.error)
-    if not found.refused:
-        (said,) = found.findings
-        assert (said.check, said.effect, said.figures) == ("uneven flats", "withheld", ("gain",))
-        assert "saturation by degrees" in said.text
-
-
-@in_one_test(
     "pairs, setting",
     [
         *((study.unequal(step), study.QUIET) for step in (0.04, -0.2)),

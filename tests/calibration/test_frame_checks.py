@@ -14,7 +14,7 @@ import pytest
 
 from eldata import calibrate
 from eldata.base.workers import Workers
-from eldata.calibration import FramesError, one_iso
+from eldata.calibration import FramesError
 from eldata.calibration.checks import code_step, mean_step
 from eldata.calibration.frames import (
     PairLevels,
@@ -260,19 +260,6 @@ def test_a_black_level_of_0_in_the_file_alone_is_no_clipping(tree: FrameTree) ->
     assert found.gain_dn_per_e == pytest.approx(whole["gain_dn_per_e"], rel=0.03)
 
 
-def test_copies_of_one_frame(tree: FrameTree) -> None:
-    first, *others = tree.files("bias", 100)
-    for path in others:
-        shutil.copy(first, path)
-    (chosen,) = sort_frames(frames := tree.frames(isos=[100]))
-    one = one_iso.calibrate_iso(frames, chosen)
-    found = one.why("read noise")
-    assert found.startswith("the bias frames cannot be used: 1 bias frame, and 4 are needed")
-    assert one.gain is not None
-    for path in others:
-        assert f"{relative(tree, path)} has the same pixels as {relative(tree, first)}" in found
-
-
 @pytest.mark.parametrize(
     ("copied", "used", "compared"), [((1,), 4, True), ((1, 2), 4, False), ((5,), 5, False)], ids=["one", "two", "last"]
 )
@@ -316,25 +303,6 @@ def test_a_copy_of_a_flat_leaves_its_pair_out(tree: FrameTree, tmp_path: Path) -
 
 
 # --- flats ------------------------------------------------------------------------------------------------------------
-
-
-def saturated(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    return np.full_like(mosaic, 16383)
-
-
-def test_saturated_flats_are_left_out(pristine: FrameTree, tree: FrameTree) -> None:
-    """The brightest pair of three: K comes from the other two; within 4 of its standard errors of the truth."""
-    for path in tree.files("flat", 1600)[4:]:
-        rewritten(path, mosaic=saturated)
-    found = calibrated_iso(tree.frames(isos=[1600]), 1600)
-    assert found.transfer is not None
-    assert found.transfer.left_out == pytest.approx(1 / 3, abs=0.01)
-    truth = tree.truth["isos"][1]["gain_dn_per_e"]
-    assert abs(found.transfer.gain_dn_per_e - truth) < 4 * found.transfer.gain_error < 0.1 * truth
-    for path in tree.files("flat", 1600)[2:4]:
-        rewritten(path, mosaic=saturated)
-    remarks = calibrated_iso(tree.frames(isos=[1600]), 1600).remarks
-    assert any("67% of the flats' area is saturated or clipped and was left out" in remark for remark in remarks)
 
 
 # --- by itself --------------------------------------------------------------------------------------------------------

@@ -49,20 +49,6 @@ def test_the_model_of_a_residual_is_that_of_simulated_ones(shape: float, sigma: 
         assert abs(share - tail) < 5 * np.sqrt(tail / noise.size) + 1e-9
 
 
-@pytest.mark.parametrize("shape", [0.2, 0.298, 0.4, 0.8])
-def test_the_likelihood_is_smooth_where_tails_end(shape: float) -> None:
-    """What a residual tells of the shape, E (d ln P / d lambda)^2, does not hang on the step of the derivative."""
-    model, deviation = ResidualModel(9, 192.0, 1.0), 27.4 * float(stats.tukeylambda(shape).std())
-    edges = np.append(0.0, (np.arange(1, 80) - 0.5) * deviation / 20)
-
-    def information(step: float) -> float:
-        low, chances, high = (model.probabilities(edges.copy(), shape + move, 27.4) for move in (-step, 0, step))
-        return float(chances @ (np.log(high / low) / (2 * step)) ** 2)
-
-    found = [information(step) for step in (2e-5, 1e-4, 3e-4)]
-    assert found == pytest.approx([found[0]] * 3, rel=0.02)
-
-
 @pytest.mark.parametrize(("shape", "scale"), [(-0.1, 3.0), (0.08, 0.85), (0.14, 2.0)])
 def test_as_accurate_as_scipys(shape: float, scale: float) -> None:
     """300 000 integers: the probability plots agree to 0.003; the likelihood finds the truth within 4 errors."""

@@ -119,22 +119,6 @@ def test_the_pieces_that_are_shown() -> None:
         assert found.simulated_dn[chosen].mean() == pytest.approx(camera.bias[channel], abs=5 * error)
 
 
-def test_defects_take_no_part() -> None:
-    camera = CAMERAS["middle"].with_(hot_share=0.0)
-    held_out, fixed = taken(camera)
-    clean = reproduction(held_out, fixed, camera.sensor, true_parameters(camera), np.random.default_rng(7))
-    body = Body(camera, np.random.default_rng(0))
-    frames = body.bias_frames(FRAMES + 1)
-    for frame in frames:
-        frame[100:110, 100:110] = 9000
-    fixed = stacked(camera, frames[:-1])
-    assert fixed.defects[100:110, 100:110].all()
-    spoilt = reproduction(frames[-1], fixed, camera.sensor, true_parameters(camera), np.random.default_rng(7))
-    assert spoilt.pixels < clean.pixels
-    assert spoilt.sigma_real_dn == pytest.approx(clean.sigma_real_dn, rel=0.005)
-    assert spoilt.row_sigma_real_dn == pytest.approx(clean.row_sigma_real_dn, rel=0.05)
-
-
 @pytest.mark.parametrize("black", [(512.0, 513.0, 512.0, 513.0), (511.75, 512.0, 512.25, 513.5)])
 def test_black_levels_by_channel_round_where_the_camera_does(black: tuple[float, ...]) -> None:
     """Their mean is not a whole DN, and noise of half a DN without fixed pattern shows where whole DN lie."""

@@ -19,10 +19,9 @@ from tests.calibration.in_memory import read_of
 from tests.calibration.trees import CAMERA, ISOS, SIZE, FrameTree, made_tree
 
 if TYPE_CHECKING:
-    from eldata.calibration import Calibration
     from pathlib import Path
 
-    from eldata.calibration import IsoCalibration
+    from eldata.calibration import Calibration, IsoCalibration
 
 
 @pytest.fixture(scope="module")

@@ -75,15 +75,11 @@ class FixedPattern:
         (H, W) exact sum of the frames.
     defects
         (H, W) True where a pixel is hot, cold or stuck.
-    threshold_dn
-        Distance from the local level that makes a defect, per channel.
     level_dn
         Mean of the sound pixels, per channel.
     temporal_variance_dn2
         Mean variance over time of the sound pixels, per channel; with row noise and quantisation. Of large frames, of
         those in a seventh of the rows.
-    shading_error_dn
-        Noise of an entry of the summary's shading, per channel.
     floor_dn
         The value at which recorded values end below though the noise goes on, by :func:`find_floor`; ``None``: none.
     summary
@@ -94,10 +90,8 @@ class FixedPattern:
     frames: int
     total_dn: NDArray[np.uint32] = field(repr=False)
     defects: Mask = field(repr=False)
-    threshold_dn: tuple[float, ...]
     level_dn: tuple[float, ...]
     temporal_variance_dn2: tuple[float, ...]
-    shading_error_dn: tuple[float, ...]
     floor_dn: int | None
     summary: PatternSummary
 
@@ -179,8 +173,8 @@ def fixed_pattern(stack: BiasStack) -> FixedPattern:
     stuck = int(defects.sum())
     off_level = 0
 
-    def limit(channel: int) -> float:
-        """Mark the channel's pixels that are off their neighbourhood's level, and return what counts as off."""
+    def mark_off_level(channel: int) -> None:
+        """Mark the channel's pixels that are off their neighbourhood's level."""
         nonlocal off_level
         distances = []
         for site in sites_of[channel]:
@@ -199,9 +193,9 @@ def fixed_pattern(stack: BiasStack) -> FixedPattern:
             off = distance > far * per_dn
             defects[site] |= off
             off_level += int(off.sum())
-        return far
 
-    limits = [limit(channel) for channel in range(channels)]
+    for channel in range(channels):
+        mark_off_level(channel)
     defect_rows = defects[stack.squared_rows]
 
     # One grid for all sites: of a frame whose size is not a multiple of a block's, some may have none in the last row.
@@ -209,7 +203,7 @@ def fixed_pattern(stack: BiasStack) -> FixedPattern:
     grid = tuple(-(-length // side) for length in defects.shape)
 
     def measure(channel: int) -> tuple[Any, ...]:
-        """Return variance over time, level, non-uniformity and its error, shading, and noise of an entry of it."""
+        """Return variance over time, level, non-uniformity and its error, and shading."""
         blocks: list[tuple[NDArray[Any], ...]] = []
         added, squared, counted = 0, 0.0, 0
         for site in sites_of[channel]:
@@ -228,19 +222,16 @@ def fixed_pattern(stack: BiasStack) -> FixedPattern:
         mean = float((level * pixels).sum() / np.sum(pixels))
         dsnu, dsnu_error = _non_uniformity(blocks, variance / frames, variance_error / frames)
         shading = _with_edges(np.where(pixels > 0, level - mean, 0.0), np.asarray(pixels))
-        noise = math.sqrt((variance / frames + dsnu**2) / max(float(np.median(pixels)), 1.0))
-        return variance, mean, dsnu, dsnu_error, shading, noise
+        return variance, mean, dsnu, dsnu_error, shading
 
-    variances, levels, dsnu, dsnu_error, shading, noise = zip(*map(measure, range(channels)), strict=True)
+    variances, levels, dsnu, dsnu_error, shading = zip(*map(measure, range(channels)), strict=True)
     return FixedPattern(
         pattern=pattern,
         frames=frames,
         total_dn=total,
         defects=defects,
-        threshold_dn=tuple(limits),
         level_dn=levels,
         temporal_variance_dn2=variances,
-        shading_error_dn=noise,
         floor_dn=floor,
         summary=PatternSummary(
             defects=int(defects.sum()),

@@ -101,14 +101,11 @@ class RowNoise:
         Of mosaic rows over all their channels, and of mosaic columns.
     pixel_variance_dn2
         Variance of a pixel over time around its row's offset; with quantisation.
-    frames
-        Number of frames.
     """
 
     rows: LineNoise
     columns: LineNoise
     pixel_variance_dn2: float
-    frames: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +164,7 @@ def row_noise(sums: BiasSums) -> RowNoise:
         _line_noise(np.array(deviations), counts, totals / frames, pattern, pixel_variance)
         for deviations, counts, totals, pattern in lines
     )
-    return RowNoise(of_rows, of_columns, pixel_variance, frames)
+    return RowNoise(of_rows, of_columns, pixel_variance)
 
 
 def _line_noise(

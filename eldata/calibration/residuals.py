@@ -82,8 +82,6 @@ class ReadNoise:
         where the pixels' levels are so alike that the residuals show their steps of a DN.
     residuals
         How many there were.
-    beyond
-        How many lay outside of the histogram (more than 400 standard deviations).
     converged
         Whether the fit came to an end.
     alike
@@ -107,7 +105,6 @@ class ReadNoise:
     chi2_freedom: int
     residuals: int
     converged: bool
-    beyond: int
     alike: float
 
     @property
@@ -159,7 +156,6 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     """
     total = histogram.counts.sum(axis=0)
     inner = total[1:-1]
-    beyond = int(total[0] + total[-1])
     number = int(total.sum())
     if number < 1000 or np.count_nonzero(inner) < 5:
         raise DatasetError(
@@ -210,7 +206,6 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
         chi2_per_dof=math.nan if wave * math.sqrt(number) > _STEPS_SHOW else chi2,
         chi2_freedom=freedom,
         residuals=number,
-        beyond=beyond,
         converged=fit.converged,
         alike=alike,
     )

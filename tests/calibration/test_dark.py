@@ -109,7 +109,8 @@ def test_shading_is_seen() -> None:
     truth = (truth - truth.mean()).reshape(16, 32, 24, 32).mean(axis=(1, 3))
     assert fixed.summary.shading_dn.shape == (4, 16, 24)
     for channel in range(4):
-        assert np.abs(fixed.summary.shading_dn[channel] - truth).max() < 8 * fixed.shading_error_dn[channel] + 0.3
+        error = math.sqrt((fixed.temporal_variance_dn2[channel] / 8 + 0.6**2) / 256)
+        assert np.abs(fixed.summary.shading_dn[channel] - truth).max() < 8 * error + 0.3
 
 
 def test_unusable_stacks() -> None:

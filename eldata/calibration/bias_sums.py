@@ -364,7 +364,7 @@ class BiasPairs:
         return correlation[:near] - far[kinds], float(error.max())
 
     def statistics(self) -> BiasStatistics:
-        """Return what was found."""
+        """Return the statistics of the pairs so far."""
         fixed, width, period = self._fixed, self._width, len(self._fixed.pattern)
         own = np.array(fixed.level_dn)[np.tile(fixed.pattern, (BLOCK // period, width // period))]
         levels, pixels = np.zeros((2, *self._squares.shape))

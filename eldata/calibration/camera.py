@@ -151,7 +151,7 @@ def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, .
 
 
 def stated_gains(frames: CalibrationFrames, gains: Mapping[float, float] | CameraProfile | None) -> dict[float, float]:
-    """Return K by ISO as somebody states it; of a profile, at those of the frames' ISOs that it knows.
+    """Return the stated K by ISO; of a profile, at the frames' ISOs that it knows.
 
     Raises
     ------
@@ -345,7 +345,7 @@ def _no_profile(isos: Sequence[IsoCalibration]) -> str:
 
 
 def _way_on(isos: Sequence[IsoCalibration], *quantities: Quantity) -> str:
-    """Return what may be done about withheld figures beside new frames, as the end of a sentence."""
+    """Return the options that give withheld figures all the same, as the end of a sentence."""
     findings = [
         [one for one in iso.findings if one.effect == "withheld" and {*quantities} & {*one.figures}] for iso in isos
     ]
@@ -363,7 +363,7 @@ _GAIN_TOLERANCE = 0.1  # of K / ISO around its median
 
 
 def check_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, ...]:
-    """Return the ISOs, with a finding on each whose colour bias is not like that of the others.
+    """Return the ISOs, with a finding on each whose colour bias is unlike the others'.
 
     It is beyond 3 % of white, or jumps: by more than a thousandth of white, the noise, and five times what the others
     differ by. One that jumps is withheld.
@@ -401,7 +401,7 @@ def check_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, 
 
 
 def overall_remarks(isos: Sequence[IsoGain]) -> list[str]:
-    """Return what shows only when the ISOs are seen together."""
+    """Return remarks on K / ISO, which show only when the ISOs are seen together."""
     ratios = {one.iso: one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None}
     if len(ratios) < 3:
         return []

@@ -51,7 +51,7 @@ _OF_LIGHTER_TAILS = 2.0  # what is added to the noise makes its tails lighter: s
 def bias_findings(
     statistics: BiasStatistics, bias: ColourBias, rows: RowNoise, read: ReadNoise, step_dn: float = 1.0
 ) -> tuple[Finding, ...]:
-    """Return what the bias frames' noise says against what the estimates take for granted.
+    """Check the bias frames' noise for light, for correlation of neighbours, and for coarse values.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def _of_read_noise(read: ReadNoise, share: float) -> dict[Quantity, tuple[float,
 
 
 def _find_light(statistics: BiasStatistics, bias: ColourBias, read: ReadNoise, ripple: Ripple) -> Iterator[Finding]:
-    """Yield a finding if the variance of blocks grows with their level, as that of light and dark current does.
+    """Yield a finding if the variance of blocks grows with their level, as with light and dark current.
 
     Shading without light has no such slope. Least squares over the blocks; their variances are means of thousands of
     squares clipped at four standard deviations, so that the slope over its standard error follows Student's t. A smooth
@@ -296,7 +296,7 @@ def clipped(sums: BiasSums) -> Finding:
 def read_noise_findings(
     read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: float = 1.0, rounding_dn: float = 1.0
 ) -> tuple[Finding, ...]:
-    """Return what the fit shows of its own assumptions, and what rounding does to the figures.
+    """Check the fit of the read noise, and what rounding does to the figures.
 
     It is to steps of ``step_dn`` in the mean; the read noise is beside one to steps of ``rounding_dn``.
 

@@ -97,7 +97,7 @@ class FixedPattern:
 
     @property
     def clips_at_black(self) -> bool:
-        """Whether the noise reaches the floor, where values end, so that residuals are not those of the noise.
+        """Whether the noise reaches the floor, where values end, so that residuals do not show it.
 
         A residual is (1 - 1/n) of its own value less what the other frames put in, within five standard deviations.
         """
@@ -258,7 +258,7 @@ def find_floor(stack: BiasStack) -> int | None:
 
 
 def _cut_at(counts: Counts) -> int | None:
-    """Return where counts by value begin, if they are cut off there."""
+    """Return the value at which counts by value begin, if they are cut off there."""
     below = np.cumsum(counts)
     place = int(np.searchsorted(below, max(_PILE, _REACHING_SHARE * float(below[-1]))))
     if place >= len(counts):
@@ -269,7 +269,7 @@ def _cut_at(counts: Counts) -> int | None:
 
 
 def _from_median(values: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return twice the distance from the median of blocks, in place of the values.
+    """Return twice the distance from the median of blocks; it overwrites the values.
 
     Blocks over an edge are filled up as in a mirror.
     """
@@ -305,7 +305,7 @@ def _block_moments(total: NDArray[np.uint32], sound: Mask, grid: tuple[int, ...]
 
 
 def _with_edges(levels: Values, pixels: Counts) -> Values:
-    """Return the levels of blocks, those of a last row or column without a pixel from the one before."""
+    """Return the levels of blocks; a last row or column without a pixel repeats the one before."""
     for of_edge, counts in ((levels, pixels), (levels.T, pixels.T)):
         if len(of_edge) > 1 and not counts[-1].any():
             of_edge[-1] = of_edge[-2]

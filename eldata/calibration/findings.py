@@ -108,8 +108,7 @@ class Check:
     figures
         What it withholds or gives with a larger error; empty: it only says what a person should know.
     most_allowed
-        The share of a figure beyond which it is not given; up to it, its error allows for it. Infinite: it is never
-        withheld, since the figures are those of the distribution of the family that is most like the noise.
+        The share of a figure beyond which it is not given; up to it, its error allows for it.
     is_acceptable
         Whether a person may have what it withholds all the same: it knows how far off the figure may be.
     """

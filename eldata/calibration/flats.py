@@ -119,7 +119,7 @@ class PhotonTransfer:
 
 
 class FlatPairs(FrameSums):
-    """Accumulates pairs of equal flat frames, of any number of levels, for :func:`photon_transfer`.
+    """Pairs of equal flat frames, of any number of levels, summed up for :func:`photon_transfer`.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ class FlatPairs(FrameSums):
         return 0.5 * (mean_a + mean_b)[enough], (clipped > 0)[enough], np.stack([one[whole] for one in figures])
 
     def _ratios(self, first: Mosaic, second: Mosaic, defects: Mask) -> Values:
-        """Return the light of the first frame over that of the second, by channel; 1 where it is not well known."""
+        """Return the ratio of light between the two frames, by channel; 1 where it is not well known."""
         period = len(self.pattern)
         ratios = np.ones(self.channels)
         for channel in range(self.channels):
@@ -292,7 +292,7 @@ class FlatPairs(FrameSums):
         return mean / freedom, variance / freedom, freedom
 
     def scatter(self, channel: int) -> tuple[Values, Counts]:
-        """Return how the variances of a channel's usable levels scatter, and the segments that show it.
+        """Return the scatter of the variances of a channel's usable levels, and the segments that show it.
 
         The mean square deviation of the segments' own variances from their level's, times their degrees of freedom,
         DN^4.
@@ -307,9 +307,9 @@ class FlatPairs(FrameSums):
 
         Of each pair, at usable levels: what lies in less than half of the segments, as edges that move, is not in them.
         """
-        found = np.array(self._medians[channel]).reshape(-1, 3).T
-        level = np.clip((found[0] / self._level_dn).astype(np.int64), 0, _LEVELS - 1)
-        return found[:, self._usable[channel, level]]
+        points = np.array(self._medians[channel]).reshape(-1, 3).T
+        level = np.clip((points[0] / self._level_dn).astype(np.int64), 0, _LEVELS - 1)
+        return points[:, self._usable[channel, level]]
 
 
 def _medians(freedom: Values, variance: Values, signal: Values) -> list[tuple[float, float, float]]:
@@ -319,14 +319,14 @@ def _medians(freedom: Values, variance: Values, signal: Values) -> list[tuple[fl
     and scatters by sqrt(pi / 2) of it.
     """
     signal, variance = signal / freedom, variance / freedom
-    found = []
+    points = []
     for group in np.array_split(np.argsort(signal, kind="stable"), _MEDIANS):
         if group.size < _FEWEST_SEGMENTS:
             continue
         n = float(np.median(freedom[group]))
         middle = float(np.median(variance[group])) / (1 - 2 / (9 * n)) ** 3
-        found.append((float(np.median(signal[group])), middle, math.sqrt(math.pi / n / group.size)))
-    return found
+        points.append((float(np.median(signal[group])), middle, math.sqrt(math.pi / n / group.size)))
+    return points
 
 
 def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
@@ -366,6 +366,7 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
 def _weighted_line(
     signal: Values, variance: Values, freedom: Values, scatter: Values, segments: Counts, channel: int
 ) -> PhotonTransferLine:
+    """Fit the line of one channel, weighted as :func:`photon_transfer` says."""
     if len(signal) < 2 or not np.ptp(signal) > 0:
         raise DatasetError(
             f"channel {channel} has {counted(len(signal), 'usable level')} and a line needs two: the flats are "

@@ -98,11 +98,11 @@ def sort_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -
 
     problems: dict[Fraction | None, list[Problem]] = defaultdict(list)
     headers: dict[FrameRecord, RawHeader] = {}
-    for record, found in zip(frames.records, workers.read_ahead(header_of, frames.records), strict=True):
-        if isinstance(found, EldataError):
-            problems[record.iso].append(unreadable_problem(record, found))
+    for record, header in zip(frames.records, workers.read_ahead(header_of, frames.records), strict=True):
+        if isinstance(header, EldataError):
+            problems[record.iso].append(unreadable_problem(record, header))
         else:
-            headers[record] = found
+            headers[record] = header
     models = Counter(header.model for header in headers.values())
     model = models.most_common(1)[0][0] if models else ""
     for record, header in headers.items():
@@ -121,7 +121,7 @@ def sort_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -
 
 
 def _unlike_its_row(record: FrameRecord, header: RawHeader, model: str) -> Iterator[Problem]:
-    """Yield how a file's header differs from its row, and its camera from that of most frames."""
+    """Yield the differences between a file's header and its row, or the camera of most frames."""
     iso, exposure_s, stated = header.exposure.iso, header.exposure.exposure_s, record.exposure_s
     if header.model != model:
         yield frame_problem(record, "camera", model, header.model or "no model", "move it to its own camera")
@@ -154,7 +154,7 @@ def _time_text(exposure_s: Fraction) -> str:
 
 
 def frame_problem(record: FrameRecord, field: str, expected: str, found: str, advice: str) -> Problem:
-    """Return what is wrong with a frame."""
+    """Return the problem of one frame."""
     return Problem(record.camera, record.path, field, expected, found, advice)
 
 
@@ -201,7 +201,7 @@ class FrameReader:
                 self.problems.append(unreadable_problem(record, frame))
                 continue
             self._sensors[record] = frame.sensor
-            if not unlike(record, frame.sensor, self.sensor, ""):
+            if not compare_sensors(record, frame.sensor, self.sensor, ""):
                 yield record, frame
             del frame
 
@@ -213,7 +213,7 @@ class FrameReader:
             del frame  # before the next one is decoded
 
     def is_copy(self, record: FrameRecord, mosaic: Mosaic) -> bool:
-        """Return whether a frame's pixels were seen before, and remark on it.
+        """Tell whether a frame repeats the pixels of another one, and remark on it.
 
         Evenly spread rows of a frame, 4 MB of them, are compared by a digest: two frames of a sensor never agree in a
         thousand pixels that are not saturated. Frames with fewer of them are taken for new.
@@ -245,7 +245,7 @@ class FrameReader:
 
     def refuse(self) -> None:
         """Raise what is wrong with the frames so far, if anything is."""
-        problems = [*self.problems, *unlike_most(self._sensors), *odd_bias_frames(self.figures)]
+        problems = [*self.problems, *odd_sensors(self._sensors), *odd_bias_frames(self.figures)]
         if problems:
             raise FramesError(sorted(problems, key=lambda problem: problem.path))
 
@@ -264,7 +264,7 @@ def crop_frame(frame: RawFrame, crop: Crop) -> RawFrame:
 
 
 def picture_crop(frames: CalibrationFrames, chosen: Sequence[IsoFrames]) -> Crop | None:
-    """Return what of the first bias frame and the first flat that can be read holds picture; ``None``: everything."""
+    """Return the area with picture of the first readable bias frame and flat; ``None``: all of them."""
     from eldata.raw.damage import picture_area
 
     parts = []
@@ -298,12 +298,12 @@ def crop_text(crop: Crop) -> str:
     return f"{rows},{columns}"
 
 
-def unlike(record: FrameRecord, found: Sensor, usual: Sensor, example: str) -> list[Problem]:
-    """Return how a frame's sensor differs from those of its ISO's other frames, such as the file ``example``."""
+def compare_sensors(record: FrameRecord, sensor: Sensor, usual: Sensor, example: str) -> list[Problem]:
+    """Return the differences between a frame's sensor and the usual one of its ISO, as in the file ``example``."""
     problems = []
     advice = "take all frames of a camera in one raw mode, and leave this one out"
     for field in ("height", "width", "cfa", "black_level_dn", "white_level_dn"):
-        expected, differs = getattr(usual, field), getattr(found, field)
+        expected, differs = getattr(usual, field), getattr(sensor, field)
         # LibRaw measures some black levels in each file's masked pixels.
         if expected != differs and not (field == "black_level_dn" and _within_1_dn(expected, differs)):
             problems.append(frame_problem(record, field, f"{expected} as in {example}", str(differs), advice))
@@ -314,17 +314,19 @@ def _within_1_dn(first: tuple[float, ...], second: tuple[float, ...]) -> bool:
     return len(first) == len(second) and all(abs(a - b) < 1 for a, b in zip(first, second, strict=True))
 
 
-def unlike_most(sensors: Mapping[FrameRecord, Sensor]) -> list[Problem]:
-    """Return how some frames of one ISO differ from most of them."""
+def odd_sensors(sensors: Mapping[FrameRecord, Sensor]) -> list[Problem]:
+    """Return the differences between some frames of one ISO and most of them."""
     kinds: dict[FrameRecord, list[FrameRecord]] = {}  # by the first of each
     for record, sensor in sensors.items():
-        first = next((one for one in kinds if not unlike(record, sensor, sensors[one], "")), record)
+        first = next((one for one in kinds if not compare_sensors(record, sensor, sensors[one], "")), record)
         kinds.setdefault(first, []).append(record)
     if len(kinds) < 2:
         return []
     usual = max(kinds, key=lambda first: len(kinds[first]))  # the first of equals
     others = (record for record in sensors if record not in kinds[usual])
-    return [problem for record in others for problem in unlike(record, sensors[record], sensors[usual], usual.path)]
+    return [
+        problem for record in others for problem in compare_sensors(record, sensors[record], sensors[usual], usual.path)
+    ]
 
 
 def unreadable_problem(record: FrameRecord, error: EldataError) -> Problem:

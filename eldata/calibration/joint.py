@@ -284,14 +284,14 @@ def fit_modes(
 
 
 def whole_ranges(modes: Sequence[GainMode]) -> tuple[tuple[float, float], tuple[float, float] | None]:
-    """Return the range of K and that of the ISOs, if known, from the first mode to the last."""
+    """Return the range of K, and of the ISOs if known, from the first mode to the last."""
     first, last = modes[0], modes[-1]
     isos = None if first.iso_range is None or last.iso_range is None else (first.iso_range[0], last.iso_range[1])
     return (first.gain_range_dn_per_e[0], last.gain_range_dn_per_e[1]), isos
 
 
 def _makes_a_mode(part: Sequence[IsoCalibration]) -> bool:
-    """Return whether two ISOs of different gain have all that a row of the profile needs."""
+    """Tell whether two ISOs of different gain have all that a row of the profile needs."""
     complete = [one for one in part if one.sigma_tl_dn is not None and one.colour_bias_dn is not None]
     return len({_gain(one) for one in complete}) > 1
 

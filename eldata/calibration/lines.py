@@ -208,7 +208,7 @@ def _line_noise(
 
 
 def _classes_of_rows(pattern: Counts) -> int:
-    """Return how many degrees of freedom channel means take from row means: the rank of the rows' composition."""
+    """Return the degrees of freedom that channel means take from row means: the rank of the rows' composition."""
     composition = np.stack([np.bincount(row, minlength=channels_of(pattern)) for row in pattern])
     return int(np.linalg.matrix_rank(composition))
 

@@ -134,7 +134,7 @@ def as_frames_error(frames: CalibrationFrames, chosen: IsoFrames) -> Iterator[No
 
 
 def decodings(chosen: IsoFrames) -> int:
-    """Return how many frames are decoded for an ISO: bias frames twice."""
+    """Return the number of frames that are decoded for an ISO: bias frames twice."""
     estimated, held_out = _split(chosen.bias)
     return 2 * len(estimated) + len(held_out) + 2 * len(chosen.pairs)
 
@@ -219,7 +219,7 @@ def _measure_gain(reader: FrameReader, chosen: IsoFrames, *lost: Finding) -> Iso
 def _first_pass(
     reader: FrameReader, estimated: Sequence[FrameRecord], held_out: Sequence[FrameRecord]
 ) -> tuple[FixedPattern, Sequence[FrameRecord], Mosaic | None]:
-    """Return what stays from frame to frame, of which frames, and what is compared of the frame that is kept out."""
+    """Return the fixed pattern, the frames that it is of, and the piece of the frame that is kept out."""
     if len(estimated) < MINIMUM_FRAMES:
         raise _too_few(len(estimated))
     stack, kept, used = None, None, []
@@ -328,12 +328,12 @@ _LEAST_PAIRS = 4
 _DISAGREEMENT = 6.0  # of K with what was stated, standard errors
 
 
-def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) -> tuple[str, ...]:
-    """Return what the bias frames and the figures from them show."""
-    rows, columns = found.rows.rows, found.rows.columns
+def bias_remarks(one: IsoCalibration, chosen: IsoFrames, lossy: str | None) -> tuple[str, ...]:
+    """Return remarks on the bias frames and the figures from them."""
+    rows, columns = one.rows.rows, one.rows.columns
     remarks = []
-    if found.bias_frames < ADVISED_FRAMES - 1:
-        remarks.append(f"{found.bias_frames} bias frames were used; {ADVISED_FRAMES} or more are advised")
+    if one.bias_frames < ADVISED_FRAMES - 1:
+        remarks.append(f"{one.bias_frames} bias frames were used; {ADVISED_FRAMES} or more are advised")
     if chosen.bias_exposure_s is not None and chosen.bias_exposure_s > _LONGEST_BIAS_S:
         remarks.append(
             f"the bias frames were exposed for {float(chosen.bias_exposure_s):g} s, so dark current is in them; take "
@@ -341,7 +341,7 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
         )
     if lossy is not None:
         remarks.append(f"the files have {lossy}, which changes noise: no figure here is the sensor's own")
-    if "row noise" in found.withheld:
+    if "row noise" in one.withheld:
         pass
     elif rows.sigma_dn == 0:
         remarks.append(f"no row noise was seen; {rows.sigma_error_dn:.2g} DN would just have been visible")
@@ -351,27 +351,27 @@ def bias_remarks(found: IsoCalibration, chosen: IsoFrames, lossy: str | None) ->
             f"{rows.excess_kurtosis:.1f}); the model takes it for normal"
         )
     of_columns = columns.variance_dn2 > 5 * columns.variance_error_dn2 and columns.sigma_dn > 0.3 * rows.sigma_dn
-    if of_columns and "row noise" not in found.withheld:
+    if of_columns and "row noise" not in one.withheld:
         remarks.append(
             f"columns have noise of their own, {columns.sigma_dn:.2g} DN, which the model leaves out and the read "
             "noise contains"
         )
-    error = max(found.bias.standard_error_dn)
-    if found.bias.drifts and error > _DRIFT_DN:
+    error = max(one.bias.standard_error_dn)
+    if one.bias.drifts and error > _DRIFT_DN:
         remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {error:.2g} DN")
-    of_defects = max(found.bias.of_defects_dn, key=abs)
-    if abs(of_defects) > max(2 * error, _OF_DEFECTS_DN) and "colour bias" not in found.withheld:
+    of_defects = max(one.bias.of_defects_dn, key=abs)
+    if abs(of_defects) > max(2 * error, _OF_DEFECTS_DN) and "colour bias" not in one.withheld:
         remarks.append(
-            f"the colour bias is the mean of all pixels, as in the paper: {found.pattern.defects} defects make "
+            f"the colour bias is the mean of all pixels, as in the paper: {one.pattern.defects} defects make "
             f"{of_defects:.2g} DN of it"
         )
-    if found.pattern.defects > 0.01 * found.pattern.pixels:
+    if one.pattern.defects > 0.01 * one.pattern.pixels:
         remarks.append(
-            f"{found.pattern.defects / found.pattern.pixels:.1%} of the pixels were left out: "
-            f"{found.pattern.stuck / found.pattern.pixels:.1%} never change, "
-            f"{found.pattern.off_level / found.pattern.pixels:.1%} are off the level of those around them"
+            f"{one.pattern.defects / one.pattern.pixels:.1%} of the pixels were left out: "
+            f"{one.pattern.stuck / one.pattern.pixels:.1%} never change, "
+            f"{one.pattern.off_level / one.pattern.pixels:.1%} are off the level of those around them"
         )
-    compared = found.reproduction
+    compared = one.reproduction
     if compared is not None and compared.histogram_distance > max(4 * compared.histogram_distance_by_chance, 0.02):
         remarks.append(
             f"a bias frame kept out differs from simulated ones by {compared.histogram_distance:.1%} of its histogram "
@@ -391,7 +391,7 @@ def no_pairs(chosen: IsoFrames) -> str:
 
 
 def flat_remarks(chosen: IsoFrames) -> tuple[str, ...]:
-    """Return what the flats show."""
+    """Return remarks on the flats."""
     remarks = []
     if chosen.single:
         names = ", ".join(record.path for record in chosen.single[:3])
@@ -404,14 +404,14 @@ def flat_remarks(chosen: IsoFrames) -> tuple[str, ...]:
     return tuple(remarks)
 
 
-def transfer_remarks(found: IsoGain) -> tuple[str, ...]:
-    """Return what is to be said of K: what the photon transfer shows, and what somebody states."""
-    transfer, sensor, remarks = found.transfer, found.sensor, list[str]()
-    stated = found.stated_gain_dn_per_e
-    if found.gain is not None and stated is not None:
-        if found.gain.is_stated:
+def transfer_remarks(one: IsoGain) -> tuple[str, ...]:
+    """Return remarks on K, measured and stated."""
+    transfer, sensor, remarks = one.transfer, one.sensor, list[str]()
+    stated = one.stated_gain_dn_per_e
+    if one.gain is not None and stated is not None:
+        if one.gain.is_stated:
             remarks.append(f"K is stated, not measured: {stated:g} DN/e-")
-        elif abs(stated - found.gain.value) > _DISAGREEMENT * found.gain.error:
+        elif abs(stated - one.gain.value) > _DISAGREEMENT * one.gain.error:
             remarks.append(f"K is measured here, and the stated {stated:g} DN/e- does not count")
     if transfer is None:
         return tuple(remarks)

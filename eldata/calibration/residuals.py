@@ -120,7 +120,7 @@ class ReadNoise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbabilityPlot:
-    """Quantiles of the residuals beside those of the two distributions (figure "TL-PPCC").
+    """Quantiles of the residuals and of the two distributions (figure "TL-PPCC").
 
     Attributes
     ----------
@@ -268,13 +268,13 @@ def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:
     curve = np.array([correlation(values, weights, float(shape))[0] for shape in shapes])
     best = int(curve.argmax())
     around = (float(shapes[max(best - 1, 0)]), float(shapes[min(best + 1, 40)]) + (best == 40) * 1.4)
-    found = minimize_scalar(
+    highest = minimize_scalar(
         lambda shape: -correlation(values, weights, float(shape))[0],
         bounds=around,
         method="bounded",
         options={"xatol": 1e-6},
     )
-    shape = float(found.x)
+    shape = float(highest.x)
     return shape, correlation(values, weights, shape)[1], np.stack([shapes, curve])
 
 
@@ -407,7 +407,7 @@ def fit_residuals(histogram: ResidualHistogram, model: ResidualModel, start: tup
 
 
 def _maximise(counts: Values, expect: Callable[[Values], Values], at: Values) -> tuple[Values, Values, Values, bool]:
-    """Return where the likelihood is highest, probabilities and scores there, by Fisher scoring."""
+    """Maximise the likelihood by Fisher scoring; return the place, probabilities and scores there, and convergence."""
     number = float(counts.sum())
 
     def scores_at(place: Values) -> Values:
@@ -447,7 +447,7 @@ def _subtract_share(by_group: Values, sizes: Values | Counts) -> Values:
 
 
 def _cell_starts(both: Counts) -> Counts:
-    """Return where the cells of the likelihood start: one by one in the core, then ever wider; the last is open."""
+    """Return the starts of the likelihood's cells: one by one in the core, then ever wider; the last is open."""
     starts = list(range(min(_CORE, len(both) - 1)))
     width = 1.0
     while starts[-1] + math.ceil(width) < len(both):

@@ -68,7 +68,7 @@ class ShadingFit:
     least seen. BLE is what the mean of a channel's sound pixels keeps from its own such line: it adds up to 0 over
     the ISOs of a mode, and has no slope, by this choice, since k and b can hold both.
 
-    The memory is that of eight bytes a pixel and gain mode, whatever the number of ISOs and frames.
+    It takes eight bytes of memory a pixel and gain mode, whatever the number of ISOs and frames.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def _calm(values: Plane, hot: Mask, pattern: Counts) -> None:
 
 def dark_shading(
     frames: CalibrationFrames,
-    found: Calibration,
+    calibration: Calibration,
     *,
     modes: Sequence[float] | None = None,
     workers: AnyWorkers = 1,
@@ -224,11 +224,11 @@ def dark_shading(
     ----------
     frames
         The frames.
-    found
-        What :func:`~eldata.calibration.camera.calibrate` found in them. ISOs that it left out, or whose level it
+    calibration
+        Of these frames, by :func:`~eldata.calibration.camera.calibrate`. ISOs that it left out, or whose level it
         withheld, are left out here too, also where somebody has accepted the level.
     modes
-        The first ISO of each gain mode of the camera but the lowest; by default as ``found`` has them.
+        The first ISO of each gain mode of the camera but the lowest; by default the calibration's.
     workers
         Number of threads that decode. The result does not depend on it.
 
@@ -254,13 +254,13 @@ def dark_shading(
     >>> dark_shading(frames, calibrate(frames)).save("mycamera.npz")  # doctest: +SKIP
     """
     threads = Workers(Workers.of(workers).jobs)
-    limits = [one.mode.iso_range for one in found.modes if one.mode.iso_range is not None]
+    limits = [one.mode.iso_range for one in calibration.modes if one.mode.iso_range is not None]
     starts = [low for low, _ in limits[1:]] if modes is None else list(modes)
     notes = []
-    if modes is None and not found.modes and len(found.isos) > 1:
+    if modes is None and not calibration.modes and len(calibration.isos) > 1:
         notes.append("K is not known, so a switch of the conversion gain would not be seen: all ISOs share one line")
     usable: list[IsoCalibration] = []
-    for one in found.isos:
+    for one in calibration.isos:
         between = any(above < one.iso < start for (_, above), start in zip(limits, starts, strict=False))
         # An error that is accepted is none that a shading could have: it would hold the light itself.
         of_level = [seen for seen in one.findings if "colour bias" in seen.figures]
@@ -290,4 +290,4 @@ def dark_shading(
         listed = ", ".join(f"those of ISO {iso:g} of a {model}" for model, iso in models.items())
         raise DatasetError(f"{frames.camera}: the bias frames are of several cameras, {listed}; a shading is of one")
     source = f"eldata {__version__} calibrate: {used} bias frames at {counted(isos, 'ISO')}"
-    return fit.shading(found.camera, source, notes, next(iter(models), ""))
+    return fit.shading(calibration.camera, source, notes, next(iter(models), ""))

@@ -240,9 +240,9 @@ def segment_sums(
                         bb_two += b * b_before
                         ab_two += a * b_before + b * a_before
                     a_before, b_before, is_beside = a, b, True
-                found = (n, clipped, a_sum, b_sum, aa, bb, ab, neighbours, a_two, b_two, aa_two, bb_two, ab_two)
+                of_segment = (n, clipped, a_sum, b_sum, aa, bb, ab, neighbours, a_two, b_two, aa_two, bb_two, ab_two)
                 for index in range(13):
-                    sums[index, row, place] += found[index]
+                    sums[index, row, place] += of_segment[index]
 
 
 @kernel

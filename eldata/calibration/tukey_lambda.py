@@ -71,8 +71,8 @@ def tukey_lambda_quantile(levels: Values, shape: float, above: Values | None = N
     """Return quantiles ``(u^l - v^l) / l`` of scale 1, v = 1 - u, and their limit ``ln(u / v)`` at l = 0."""
     from scipy.special import boxcox
 
-    found: Values = boxcox(levels, shape) - boxcox(1 - levels if above is None else above, shape)
-    return found
+    quantiles: Values = boxcox(levels, shape) - boxcox(1 - levels if above is None else above, shape)
+    return quantiles
 
 
 @kernel
@@ -252,8 +252,8 @@ def _integral(below: Values, above: Values, shape: float) -> Values:
 
     with np.errstate(divide="ignore", invalid="ignore"):
         terms = [np.where(share > 0, share * boxcox(share, shape), 0.0) for share in (below, above)]  # 0 ln 0 is 0
-    found: Values = (terms[0] + terms[1]) / (shape + 1)
-    return found
+    integral: Values = (terms[0] + terms[1]) / (shape + 1)
+    return integral
 
 
 def _plot(values: Values, weights: Values, blocks: Values, inside: float) -> tuple[float, float]:

@@ -19,10 +19,10 @@ from eldata.calibration.checks import code_step, mean_step
 from eldata.calibration.frames import (
     PairLevels,
     odd_bias_frames,
+    odd_sensors,
     sort_frames,
     unequal_pair,
     uneven_light,
-    unlike_most,
 )
 from eldata.calibration.one_iso import decodings
 from eldata.datasets.calibration_frames import FlatPair
@@ -317,10 +317,10 @@ def test_most_frames_are_right() -> None:
     small = replace(SENSOR, height=254)
     for odd in range(5):
         sensors = {record: small if index == odd else SENSOR for index, record in enumerate(records)}
-        assert [problem.path for problem in unlike_most(sensors)] == [f"{odd}.dng"]
+        assert [problem.path for problem in odd_sensors(sensors)] == [f"{odd}.dng"]
     sensors = dict(zip(records, (small, SENSOR, small, SENSOR, small), strict=True))
-    assert [(problem.path, problem.found) for problem in unlike_most(sensors)] == [("1.dng", "256"), ("3.dng", "256")]
-    assert unlike_most(dict.fromkeys(records, SENSOR)) == unlike_most({}) == []
+    assert [(problem.path, problem.found) for problem in odd_sensors(sensors)] == [("1.dng", "256"), ("3.dng", "256")]
+    assert odd_sensors(dict.fromkeys(records, SENSOR)) == odd_sensors({}) == []
 
 
 def figures(*levels: float, spread: float = 5.0) -> dict[FrameRecord, tuple[float, float]]:

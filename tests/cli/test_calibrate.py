@@ -66,22 +66,6 @@ def test_a_profile_and_figures(eldata: Cli, pristine: FrameTree, tmp_path: Path)
         assert (tmp_path / f"{name}.json").read_bytes() == (tmp_path / f"{name}3.json").read_bytes()
 
 
-def test_a_manifest_and_its_root(
-    eldata: Cli, pristine: FrameTree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """--root wins over the environment, as for every command."""
-    data = pristine.folder / "data"
-    for name, options in (("a", ("--root", data)), ("b", ())):
-        monkeypatch.setenv("ELDATA_ROOT", str(tmp_path / "none") if options else str(data))
-        outcome = eldata("calibrate", pristine.manifest, "--iso", "400", *options, "-o", tmp_path / name)
-        assert (outcome.code, outcome.err) == (0, "")
-    assert eldata("calibrate", pristine.root, "--iso", "400", "-o", tmp_path / "c").code == 0
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes() == (tmp_path / "c").read_bytes()
-    outcome = eldata("calibrate", pristine.manifest, "--root", tmp_path / "none")
-    assert outcome.code == 1
-    assert outcome.out.count("No such file") == 24
-
-
 # --- problems -------------------------------------------------------------------------------------------------------
 
 

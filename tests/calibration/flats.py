@@ -163,7 +163,6 @@ def smoothed(weight: float) -> Callable[..., list[Pair]]:
 
 QUIET = Setting(gain=0.09, sigma_tl=0.65)
 LOUD = Setting(gain=27.0, sigma_tl=33.0)
-EVEN = Setting(vignetting=0.0)
 
 
 @dataclass(frozen=True)

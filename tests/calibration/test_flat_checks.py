@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SMALL = (256, 384)
-BLACKS = (study.BLACK,) * 4
 
 
 def small(setting: study.Setting) -> study.Setting:

@@ -1,7 +1,7 @@
 """System gain K from flat-field frames: the slope of the photon transfer line ``Var(D) = K (K I) + Var(N_o)``.
 
-Sources: Wei et al., TPAMI 2021, section 3.2.1, equations 9 to 11; EMVA 1288 release 4.0, section 6.6 (photon transfer
-from pairs of equal images). The variance is temporal, half that of the difference of two equal flats, so that
+Sources: Wei et al., TPAMI 2021, section 3.2.1, equations 9 to 11; EMVA 1288 release 4.0 Linear, its photon transfer
+method. The variance is temporal, half that of the difference of two equal flats, so that
 everything that stays (fixed pattern, PRNU, shading) cancels. The paper's own way, the variance inside of single frames
 over their median, is there for comparison: it takes PRNU and shading, which grow with the square of the signal, for
 shot noise.

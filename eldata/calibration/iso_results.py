@@ -188,7 +188,7 @@ class IsoGain:
     def gain(self) -> MeasuredFigure | None:
         """System gain K [DN/e-], measured or else stated; ``None`` if it is not known, or withheld.
 
-        Wei et al., TPAMI 2021, section 3.2.1, equation 11; EMVA 1288 release 4.0, section 6.6.
+        Wei et al., TPAMI 2021, section 3.2.1, equations 9 to 11; EMVA 1288, photon transfer method.
         """
         measured = self._gain_of(self.transfer)
         if measured is None and self.stated_gain_dn_per_e is not None:

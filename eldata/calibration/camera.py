@@ -65,7 +65,7 @@ def calibrate(
         The first ISO of each gain mode of the camera but the lowest, such as ``[2000]``; an empty list for a camera
         that has one. By default it has one too, and a step over the ISOs that looks like another is remarked.
     accept
-        Names of checks, such as ``("dark signal",)``: figures that they withhold are given with a larger error, and the
+        Names of checks, such as ``("light",)``: figures that they withhold are given with a larger error, and the
         profile says so (``accepted``). The remarks name the checks that can be accepted.
     crop
         Rows and columns of the mosaics to use, such as ``np.s_[8:-8, 16:]``. By default all but a border without

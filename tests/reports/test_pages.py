@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
 
-DRAWINGS, PICTURES = 9, 1 + 2 + 4  # of an ISO that has everything: spectrum, two frames, shading by channel
+DRAWINGS, PICTURES = 8, 1 + 2 + 4  # of an ISO that has everything: spectrum, two frames, shading by channel
 
 
 @pytest.fixture(scope="module")

@@ -20,17 +20,15 @@ from benchmarks.harness import Row, Spread, Timings, in_turn, peak_growth_mb
 from eldata.base.workers import Workers
 from eldata.calibration import (
     BiasStack,
+    BiasSums,
     FlatPairs,
-    LineMeans,
     ResidualHistogram,
-    Residuals,
     calibrate,
     fixed_pattern,
     photon_transfer,
     read_noise,
     row_noise,
 )
-from eldata.calibration.core.row_noise import line_sums
 from eldata.datasets import CalibrationFrames
 from eldata.demo.body import tukey_lambda_values
 from eldata.demo.calibration_frames import DEMO_GAMMA, make_calibration_frames
@@ -143,18 +141,17 @@ def _naive_routes(frames: CalibrationFrames, rounds: int) -> list[Row]:
             pairs.add(first, second)
         return photon_transfer(pairs)
 
-    def rows() -> RowNoise:
-        means = LineMeans(fixed())
+    def second_pass() -> BiasSums:
+        sums = BiasSums(fixed())
         for frame in bias:
-            means.add(frame)
-        return row_noise(means)
+            sums.add(frame)
+        return sums
+
+    def rows() -> RowNoise:
+        return row_noise(second_pass())
 
     def read() -> ReadNoise:
-        stays = fixed()
-        residuals = Residuals(stays)
-        for frame in bias:
-            residuals.add(frame, line_sums(frame, stays))
-        return read_noise(residuals.histogram())
+        return read_noise(second_pass().residuals())
 
     known = fixed()
     target = np.empty_like(bias[0])

@@ -23,13 +23,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.core.photon_transfer import straight_line
+from eldata.calibration.flats import straight_line
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.core._frames import Mask, Values
+    from eldata.calibration.sums import Mask, Values
 
 
 WINDOW = 8

@@ -1,4 +1,10 @@
-"""Noise calibration: estimators that are fed one frame at a time. The public names load on first use."""
+"""Noise calibration: frames -> sums over frames -> estimators -> findings -> results.
+
+``frames`` sorts and reads them, one at a time; ``defects``, ``bias_sums`` and ``flats`` sum them up. Estimators:
+``defects`` (what stays), ``lines`` (row noise, colour bias), ``residuals`` (read noise) and ``flats`` (K). ``checks``
+finds the assumptions that do not hold (``findings``). ``iso_results`` holds the figures of an ISO, ``joint`` fits lines
+over K, ``results`` holds a camera's. ``one_iso`` and ``camera`` run it all. The public names load on first use.
+"""
 
 import lazy_loader
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,13 +14,13 @@ from tqdm import tqdm
 
 from eldata import __version__
 from eldata.base.numbers import checked_number, counted
-from eldata.base.workers import AnyWorkers, Failed, Workers
-from eldata.calibration.core.findings import checked_acceptance
-from eldata.calibration.frames import FramesError, checked_crop, crop_text, picture_crop, sorted_frames, work_elsewhere
-from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
-from eldata.calibration.joint import joint_fits, whole_ranges
+from eldata.base.workers import AnyWorkers, Failed, Workers, require_files
+from eldata.calibration.checks import beside_steps
+from eldata.calibration.findings import BLACK, LIGHT, check_acceptance
+from eldata.calibration.frames import FramesError, check_crop, crop_text, picture_crop, sort_frames
+from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain, usual_gain_per_iso
+from eldata.calibration.joint import fit_modes, whole_ranges
 from eldata.calibration.one_iso import calibrate_iso, decodings
-from eldata.calibration.remarks import overall_remarks, with_stated_black
 from eldata.calibration.results import Calibration
 from eldata.datasets.calibration_frames import CalibrationFrames
 from eldata.errors import ArgumentError
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from eldata.calibration.core.findings import Figure
+    from eldata.calibration.findings import Quantity
     from eldata.calibration.frames import IsoFrames
 
 _LEVELS_APART = 0.001  # of the range
@@ -63,7 +65,7 @@ def calibrate(
         The first ISO of each gain mode of the camera but the lowest, such as ``[2000]``; an empty list for a camera
         that has one. By default it has one too, and a step over the ISOs that looks like another is remarked.
     accept
-        Names of checks, such as ``("dark signal",)``: figures that they withhold are given with a larger error, and the
+        Names of checks, such as ``("light",)``: figures that they withhold are given with a larger error, and the
         profile says so (``accepted``). The remarks name the checks that can be accepted.
     crop
         Rows and columns of the mosaics to use, such as ``np.s_[8:-8, 16:]``. By default all but a border without
@@ -100,38 +102,40 @@ def calibrate(
     --------
     >>> from eldata import CalibrationFrames, calibrate
     >>> frames = CalibrationFrames("eldata-calibration/data/calibration", "DemoGamma", isos=[100, 400, 1600])
-    >>> found = calibrate(frames)
-    >>> [round(row.gain_dn_per_e, 1) for row in found.profile.rows]
+    >>> calibration = calibrate(frames)
+    >>> [round(row.gain_dn_per_e, 1) for row in calibration.profile.rows]
     [0.1, 0.4, 1.5]
     """
     if not isinstance(frames, CalibrationFrames):
         frames = CalibrationFrames(frames, camera, isos=isos)
     elif isos is not None:
         raise ArgumentError("isos is for a folder; choose them with CalibrationFrames(..., isos=...)")
-    workers, accept = Workers.of(workers), checked_acceptance(accept)
+    workers, accept = Workers.of(workers), check_acceptance(accept)
     stated = stated_gains(frames, gains)
     starts = None if modes is None else _starts(frames, modes)
     # The headers of a folder are read here: they are small, and an executor takes whole ISOs.
     chosen = [
         replace(one, stated_gain_dn_per_e=stated.get(float(one.iso)), accept=accept)
-        for one in sorted_frames(frames, Workers(workers.jobs))
+        for one in sort_frames(frames, Workers(workers.jobs))
     ]
     usable = [one for one in chosen if not one.problems]
-    area = picture_crop(frames, usable) if crop is None else checked_crop(crop)
+    failed = [FailedIso(float(one.iso), one.problems) for one in chosen if one.problems]
+    area = picture_crop(frames, usable) if crop is None else check_crop(crop)
     notes = []
     if area is not None:
         usable = [replace(one, crop=area) for one in usable]
         why = "around them there is no picture (--crop states another area)" if crop is None else "as stated"
         notes = [f"rows and columns {crop_text(area)} are used, {why}"]
-    found = _measured(frames, usable, workers)
-    wrong = {one.iso: outcome for one, outcome in zip(usable, found, strict=True) if isinstance(outcome, FramesError)}
-    failed = [FailedIso(float(one.iso), one.problems) for one in chosen if one.problems]
-    failed += [FailedIso(float(iso), error.problems) for iso, error in wrong.items()]
-    measured = [outcome for outcome in found if not isinstance(outcome, FramesError)]
+    measured = []
+    for one, outcome in zip(usable, _measure(frames, usable, workers), strict=True):
+        if isinstance(outcome, FramesError):
+            failed.append(FailedIso(float(one.iso), outcome.problems))
+        else:
+            measured.append(outcome)
     if not measured:
         problems = [problem for one in failed for problem in one.problems]
         raise FramesError(sorted(problems, key=lambda problem: problem.path))
-    return joined(camera or frames.camera, measured, failed, starts, accept, notes)
+    return join_isos(camera or frames.camera, measured, failed, starts, accept, notes)
 
 
 def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, ...]:
@@ -147,7 +151,7 @@ def _starts(frames: CalibrationFrames, modes: Sequence[float]) -> tuple[float, .
 
 
 def stated_gains(frames: CalibrationFrames, gains: Mapping[float, float] | CameraProfile | None) -> dict[float, float]:
-    """Return K by ISO as somebody states it; of a profile, at those of the frames' ISOs that it knows.
+    """Return the stated K by ISO; of a profile, at the frames' ISOs that it knows.
 
     Raises
     ------
@@ -174,22 +178,28 @@ def stated_gains(frames: CalibrationFrames, gains: Mapping[float, float] | Camer
     return stated
 
 
-def _measured(frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers) -> list[IsoGain | FramesError]:
+def _measure(frames: CalibrationFrames, chosen: Sequence[IsoFrames], workers: Workers) -> list[IsoGain | FramesError]:
     label = f"calibrating {frames.camera}"
     if workers.executor is not None:
-        # Frames are summed where they are decoded: to send them would take longer than that.
-        work = work_elsewhere(calibrate_iso, frames)
-        outcomes = workers.attempt(work, chosen, label=label, unit="ISO")
+        # Frames are summed where they are decoded: to send them would take longer than that. Workers have folders of
+        # their own to start from.
+        there = copy.copy(frames)
+        there.root = frames.root.absolute()
+        outcomes = workers.attempt(partial(_calibrate_elsewhere, there), chosen, label=label, unit="ISO")
         return [_failure(frames, one) if isinstance(one, Failed) else one for one in outcomes]
-    found: list[IsoGain | FramesError] = []
-    total = sum(map(decodings, chosen))
-    with tqdm(total=total, desc=label, unit="frame", disable=None, leave=False) as bar:
+    measured: list[IsoGain | FramesError] = []
+    with tqdm(total=sum(map(decodings, chosen)), desc=label, unit="frame", disable=None, leave=False) as bar:
         for one in chosen:
             try:
-                found.append(calibrate_iso(frames, one, workers, done=bar.update))
+                measured.append(calibrate_iso(frames, one, workers, done=bar.update))
             except FramesError as error:
-                found.append(error)
-    return found
+                measured.append(error)
+    return measured
+
+
+def _calibrate_elsewhere(frames: CalibrationFrames, chosen: IsoFrames) -> IsoGain:
+    require_files(*map(frames.path, chosen.records))
+    return calibrate_iso(frames, chosen)
 
 
 def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesError:
@@ -200,7 +210,7 @@ def _failure(frames: CalibrationFrames, failed: Failed[IsoFrames]) -> FramesErro
     return FramesError([Problem(frames.camera, where, "work", "a finished estimate", failed.reason, advice)])
 
 
-def joined(
+def join_isos(
     camera: str,
     measured: Iterable[IsoGain],
     failed: Iterable[FailedIso] = (),
@@ -208,7 +218,7 @@ def joined(
     accept: Iterable[str] = (),
     notes: Iterable[str] = (),
 ) -> Calibration:
-    """Return the calibration of a camera from that of its ISOs: fits over K, profile, remarks.
+    """Return the calibration of a camera from its ISOs: fits over K, profile, remarks.
 
     Parameters
     ----------
@@ -228,36 +238,34 @@ def joined(
     everything = sorted(measured, key=lambda one: one.iso)
     left_out = tuple(sorted(failed, key=lambda one: one.iso))
     remarks = [*notes, *(one.remark for one in left_out), *overall_remarks(everything)]
-    with_bias = with_stated_black([one for one in everything if isinstance(one, IsoCalibration)])
-    ordered, step_dn = _in_common_steps(with_bias, everything, remarks)
-    fits = joint_fits(ordered, modes)
-    remarks += fits.remarks
+    with_bias = check_stated_black([one for one in everything if isinstance(one, IsoCalibration)])
+    isos, step_dn = _take_common_step(with_bias, everything, remarks)
+    fitted, problem = fit_modes(isos, modes, remarks)
     used = {finding.check for one in everything for finding in one.findings if finding.is_accepted}
     remarks += [
         f"{name!r} was accepted, and withholds nothing that could be given" for name in accept if name not in used
     ]
     black, white = _common_levels(everything, remarks)
-    bias, flat = sum(one.bias_frames for one in ordered), sum(one.flat_frames for one in everything)
+    bias, flat = sum(one.bias_frames for one in isos), sum(one.flat_frames for one in everything)
     source = f"eldata {__version__} calibrate: {bias} bias and {flat} flat frames at {counted(len(everything), 'ISO')}"
-    stated = sum(one.gain is not None and one.gain.is_stated for one in ordered)
-    if stated:
+    if stated := sum(one.gain is not None and one.gain.is_stated for one in isos):
         source += f", K stated at {stated} of them"
-    found = Calibration(
+    calibration = Calibration(
         camera=camera,
-        isos=ordered,
+        isos=isos,
         source=source,
-        modes=fits.modes,
+        modes=fitted,
         remarks=tuple(remarks),
         made_profile=None,
-        no_profile=_no_profile(ordered) or fits.problem,
+        no_profile=_no_profile(isos) or problem,
         gains=tuple(one for one in everything if not isinstance(one, IsoCalibration)),
         failed=left_out,
     )
-    if found.no_profile:
-        return found
-    modes_found = [one.mode for one in fits.modes]
-    gain_range, iso_range = whole_ranges(modes_found)
-    only = modes_found[0] if len(modes_found) == 1 else None
+    if calibration.no_profile:
+        return calibration
+    gain_modes = [one.mode for one in fitted]
+    gain_range, iso_range = whole_ranges(gain_modes)
+    only = gain_modes[0] if len(gain_modes) == 1 else None
     profile = CameraProfile(
         camera=camera,
         source=source,
@@ -265,19 +273,19 @@ def joined(
         tukey_lambda_fit=None if only is None else only.tukey_lambda_fit,
         gauss_fit=None if only is None else only.gauss_fit,
         row_fit=None if only is None else only.row_fit,
-        rows=tuple(row for one in ordered if (row := one.profile_row) is not None),
+        rows=tuple(row for one in isos if (row := one.profile_row) is not None),
         iso_range=iso_range,
         black_level_dn=black,
         white_level_dn=white,
-        notes=found.all_remarks,
-        modes=() if only is not None else tuple(modes_found),
-        accepted=found.accepted,
+        notes=calibration.all_remarks,
+        modes=() if only is not None else tuple(gain_modes),
+        accepted=calibration.accepted,
         quantisation_step_dn=step_dn,
     )
-    return replace(found, made_profile=profile)
+    return replace(calibration, made_profile=profile)
 
 
-def _in_common_steps(
+def _take_common_step(
     isos: tuple[IsoCalibration, ...], everything: Sequence[IsoGain], remarks: list[str]
 ) -> tuple[tuple[IsoCalibration, ...], float]:
     """Return the ISOs, and the profile's step: the greatest common divisor of all; add to the remarks."""
@@ -290,7 +298,7 @@ def _in_common_steps(
         )
     elif step > 1:
         remarks.append(f"values step by {step} DN at every ISO: the profile's quantisation_step_dn, for component U")
-    return tuple(one.in_steps if one.step_dn == step else one for one in isos), float(step)
+    return tuple(beside_steps(one) if one.step_dn == step else one for one in isos), float(step)
 
 
 def _common_levels(isos: Sequence[IsoGain], remarks: list[str]) -> tuple[float | None, float | None]:
@@ -336,12 +344,70 @@ def _no_profile(isos: Sequence[IsoCalibration]) -> str:
     return ""
 
 
-def _way_on(isos: Sequence[IsoCalibration], *figures: Figure) -> str:
-    """Return what may be done about withheld figures beside new frames, as the end of a sentence."""
-    found = [[one for one in iso.findings if one.effect == "withheld" and {*figures} & {*one.figures}] for iso in isos]
-    options = {one.option: None for of_iso in found if all(one.is_acceptable for one in of_iso) for one in of_iso}
+def _way_on(isos: Sequence[IsoCalibration], *quantities: Quantity) -> str:
+    """Return the options that give withheld figures all the same, as the end of a sentence."""
+    findings = [
+        [one for one in iso.findings if one.effect == "withheld" and {*quantities} & {*one.figures}] for iso in isos
+    ]
+    options = {one.option: None for of_iso in findings if all(one.is_acceptable for one in of_iso) for one in of_iso}
     return (
         f". Take new frames as they say, or have these figures with a larger error: {' '.join(options)}"
         if options
         else ""
     )
+
+
+# --- ISOs together ----------------------------------------------------------------------------------------------------
+
+_GAIN_TOLERANCE = 0.1  # of K / ISO around its median
+
+
+def check_stated_black(isos: Sequence[IsoCalibration]) -> tuple[IsoCalibration, ...]:
+    """Return the ISOs, with a finding on each whose colour bias is unlike the others'.
+
+    It is beyond 3 % of white, or jumps: by more than a thousandth of white, the noise, and five times what the others
+    differ by. One that jumps is withheld.
+    """
+    given = [one for one in isos if one.colour_bias is not None]
+    means = {one.iso: float(np.mean(one.bias.bias_dn)) for one in given}
+    judged = []
+    for one in isos:
+        others = [mean for iso, mean in means.items() if iso != one.iso]
+        if one.iso not in means or not others:
+            judged.append(one)
+            continue
+        usual, white, mean = float(np.median(others)), one.sensor.white_level_dn, means[one.iso]
+        noise = 0.0 if one.read is None else one.read.sigma_gauss_dn
+        scatter = max(abs(other - usual) for other in others)
+        moved, limit, far = abs(mean - usual), max(0.001 * white, noise, 5.0 * scatter), 0.03 * white
+        jumps = moved > limit and abs(mean) > abs(usual)
+        if not jumps and abs(mean) <= far:
+            judged.append(one)
+            continue
+        black = float(np.mean(one.sensor.black_level_dn))
+        text = (
+            f"the bias frames' own black is {black + mean:.1f} DN, the files state {black:g} (a colour bias of "
+            f"{mean:.3g} DN; at the other ISOs {usual:.3g})"
+        )
+        is_lit = any(finding.check == LIGHT.name for finding in one.findings)
+        if not is_lit:
+            text += ": the stated black is probably wrong at this ISO; look it up, and state it where you use the files"
+        # What other ISOs do not show is drawn with the gain of any (row="any").
+        finding = BLACK.find(moved, limit, text) if jumps else BLACK.find(abs(mean), far, text)
+        if jumps and not is_lit:
+            finding = replace(finding, effect="withheld", figures=BLACK.figures)
+        judged.append(replace(one, findings=(*one.findings, finding)))
+    return tuple(judged)
+
+
+def overall_remarks(isos: Sequence[IsoGain]) -> list[str]:
+    """Return remarks on K / ISO, which show only when the ISOs are seen together."""
+    ratios = {one.iso: one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None}
+    if len(ratios) < 3:
+        return []
+    usual = usual_gain_per_iso(isos)
+    odd = {iso: ratio for iso, ratio in ratios.items() if abs(ratio - usual) > _GAIN_TOLERANCE * usual}
+    if not odd:
+        return []
+    listed = ", ".join(f"ISO {iso:g} ({ratio / usual:.2f} of it)" for iso, ratio in odd.items())
+    return [f"K / ISO is usually {usual:.4g} DN/e-, but not at {listed}: an extended ISO, or frames of another one?"]

@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
-import copy
+import math
 from collections import Counter, defaultdict
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.base.workers import IN_THIS_PROCESS, Workers, require_files
-from eldata.calibration.audit.frames import Copies, FrameFigures, odd_bias_frames, problem_of
+from eldata.base.workers import IN_THIS_PROCESS, Workers
+from eldata.calibration.findings import UNEVEN
 from eldata.datasets.calibration_frames import flat_pairs
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, UnusableRawError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.table import number_text
+from eldata.manifest.verify_report import Problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from fractions import Fraction
 
+    from eldata.calibration.findings import Finding
+    from eldata.calibration.sums import Mosaic
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
-    from eldata.manifest.verify_report import Problem
     from eldata.records import FrameRecord, RawFrame, RawHeader, Sensor
 
-Found = TypeVar("Found")
 Crop = tuple[slice, slice]
 """Rows and columns of a mosaic."""
 
@@ -82,23 +82,7 @@ class IsoFrames:
         return (*self.bias, *(flat for pair in self.pairs for flat in (pair.first, pair.second)))
 
 
-def work_elsewhere(
-    work: Callable[[CalibrationFrames, IsoFrames], Found], frames: CalibrationFrames
-) -> Callable[[IsoFrames], Found]:
-    """Return work on one ISO as workers do it, which have folders of their own to start from."""
-    there = copy.copy(frames)
-    there.root = frames.root.absolute()
-    return partial(_work_there, work, there)
-
-
-def _work_there(
-    work: Callable[[CalibrationFrames, IsoFrames], Found], frames: CalibrationFrames, chosen: IsoFrames
-) -> Found:
-    require_files(*map(frames.path, chosen.records))
-    return work(frames, chosen)
-
-
-def sorted_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -> tuple[IsoFrames, ...]:
+def sort_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS) -> tuple[IsoFrames, ...]:
     """Read every frame's header and sort the frames by ISO.
 
     A problem of an ISO is a file that is missing or unreadable, was taken by another camera model, at another ISO than
@@ -114,11 +98,11 @@ def sorted_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS)
 
     problems: dict[Fraction | None, list[Problem]] = defaultdict(list)
     headers: dict[FrameRecord, RawHeader] = {}
-    for record, found in zip(frames.records, workers.read_ahead(header_of, frames.records), strict=True):
-        if isinstance(found, EldataError):
-            problems[record.iso].append(unreadable(record, found))
+    for record, header in zip(frames.records, workers.read_ahead(header_of, frames.records), strict=True):
+        if isinstance(header, EldataError):
+            problems[record.iso].append(unreadable_problem(record, header))
         else:
-            headers[record] = found
+            headers[record] = header
     models = Counter(header.model for header in headers.values())
     model = models.most_common(1)[0][0] if models else ""
     for record, header in headers.items():
@@ -137,19 +121,19 @@ def sorted_frames(frames: CalibrationFrames, workers: Workers = IN_THIS_PROCESS)
 
 
 def _unlike_its_row(record: FrameRecord, header: RawHeader, model: str) -> Iterator[Problem]:
-    """Yield how a file's header differs from its row, and its camera from that of most frames."""
+    """Yield the differences between a file's header and its row, or the camera of most frames."""
     iso, exposure_s, stated = header.exposure.iso, header.exposure.exposure_s, record.exposure_s
     if header.model != model:
-        yield problem_of(record, "camera", model, header.model or "no model", "move it to its own camera")
+        yield frame_problem(record, "camera", model, header.model or "no model", "move it to its own camera")
     if iso is None or exposure_s is None:
         lost, advice = "ISO" if iso is None else "exposure time", "the file has lost its EXIF: copy the original"
-        yield problem_of(record, "exposure", "ISO and exposure time", f"no {lost}", advice)
+        yield frame_problem(record, "exposure", "ISO and exposure time", f"no {lost}", advice)
     elif iso != record.iso and record.iso is not None:
         advice = "move it to the folder (or row) of its ISO"
-        yield problem_of(record, "iso", number_text(record.iso), number_text(iso), advice)
+        yield frame_problem(record, "iso", number_text(record.iso), number_text(iso), advice)
     elif stated is not None and abs(exposure_s - stated) > RATIO_TOLERANCE * stated:
         advice = "correct the manifest's row, or put the file that it means there"
-        yield problem_of(record, "exposure_s", _time_text(stated), _time_text(exposure_s), advice)
+        yield frame_problem(record, "exposure_s", _time_text(stated), _time_text(exposure_s), advice)
 
 
 def _usual_time(times: Mapping[FrameRecord, Fraction | None], iso: Fraction) -> tuple[Fraction | None, list[Problem]]:
@@ -161,12 +145,17 @@ def _usual_time(times: Mapping[FrameRecord, Fraction | None], iso: Fraction) -> 
     expected = f"{_time_text(usual)} like the other bias frames of ISO {float(iso):g}"
     advice = "take all bias frames at the shortest exposure; is this a flat?"
     odd = [(record, _time_text(time)) for record, time in known.items() if time != usual]
-    return usual, [problem_of(record, "exposure_s", expected, found, advice) for record, found in odd]
+    return usual, [frame_problem(record, "exposure_s", expected, found, advice) for record, found in odd]
 
 
 def _time_text(exposure_s: Fraction) -> str:
     """Return an exposure time as cameras show it."""
     return f"{exposure_s if exposure_s.numerator == 1 else number_text(exposure_s)} s"
+
+
+def frame_problem(record: FrameRecord, field: str, expected: str, found: str, advice: str) -> Problem:
+    """Return the problem of one frame."""
+    return Problem(record.camera, record.path, field, expected, found, advice)
 
 
 # --- reading ------------------------------------------------------------------------------------------------------
@@ -197,9 +186,10 @@ class FrameReader:
         self.frames, self.workers, self._done, self._crop = frames, workers, done, crop
         self._sensors: dict[FrameRecord, Sensor] = {}
         self.problems: list[Problem] = []
-        self.figures: list[FrameFigures] = []
-        """Of the bias frames, among which odd ones are looked for."""
-        self.copies = Copies()
+        self.remarks: list[str] = []
+        self.figures: dict[FrameRecord, tuple[float, float]] = {}
+        """Level and spread of the bias frames, among which odd ones are looked for."""
+        self._digests: dict[bytes, FrameRecord] = {}
 
     def read(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
         """Yield the frames that are like the first one; :meth:`refuse` says what is wrong with the others."""
@@ -208,23 +198,43 @@ class FrameReader:
             frame = next(decoded)
             self._done()
             if isinstance(frame, RawFileError):
-                self.problems.append(unreadable(record, frame))
+                self.problems.append(unreadable_problem(record, frame))
                 continue
             self._sensors[record] = frame.sensor
-            if not unlike(record, frame.sensor, self.sensor, ""):
+            if not compare_sensors(record, frame.sensor, self.sensor, ""):
                 yield record, frame
             del frame
 
     def read_new(self, records: Sequence[FrameRecord]) -> Iterator[tuple[FrameRecord, RawFrame]]:
         """Yield the frames without copies of others: the difference of a frame and its copy holds no noise."""
         for record, frame in self.read(records):
-            if self.copies.original(record, frame.mosaic) is None:
+            if not self.is_copy(record, frame.mosaic):
                 yield record, frame
             del frame  # before the next one is decoded
 
+    def is_copy(self, record: FrameRecord, mosaic: Mosaic) -> bool:
+        """Tell whether a frame repeats the pixels of another one, and remark on it.
+
+        Evenly spread rows of a frame, 4 MB of them, are compared by a digest: two frames of a sensor never agree in a
+        thousand pixels that are not saturated. Frames with fewer of them are taken for new.
+        """
+        from hashlib import blake2b
+
+        rows = np.ascontiguousarray(mosaic[:: max(1, mosaic.nbytes // (1 << 22))])
+        if np.count_nonzero(rows < rows.max()) < 1000:
+            return False
+        first = self._digests.setdefault(blake2b(rows.data, digest_size=16).digest(), record)
+        if first is record:
+            return False
+        self.remarks.append(
+            f"{record.path} has the same pixels as {first.path} and was left out: a copy, or noise too small for the "
+            "values' steps"
+        )
+        return True
+
     def _read(self, record: FrameRecord) -> RawFrame | RawFileError:
         try:
-            return cropped(self.frames.read(record), self._crop)
+            return crop_frame(self.frames.read(record), self._crop)
         except RawFileError as error:
             return error
 
@@ -235,12 +245,12 @@ class FrameReader:
 
     def refuse(self) -> None:
         """Raise what is wrong with the frames so far, if anything is."""
-        problems = [*self.problems, *unlike_most(self._sensors), *odd_bias_frames(self.figures)]
+        problems = [*self.problems, *odd_sensors(self._sensors), *odd_bias_frames(self.figures)]
         if problems:
             raise FramesError(sorted(problems, key=lambda problem: problem.path))
 
 
-def cropped(frame: RawFrame, crop: Crop) -> RawFrame:
+def crop_frame(frame: RawFrame, crop: Crop) -> RawFrame:
     """Return a part of a frame, whose CFA is that of its own first pixel."""
     from eldata.raw.levels import cfa_from
 
@@ -254,7 +264,7 @@ def cropped(frame: RawFrame, crop: Crop) -> RawFrame:
 
 
 def picture_crop(frames: CalibrationFrames, chosen: Sequence[IsoFrames]) -> Crop | None:
-    """Return what of the first bias frame and the first flat that can be read holds picture; ``None``: everything."""
+    """Return the area with picture of the first readable bias frame and flat; ``None``: all of them."""
     from eldata.raw.damage import picture_area
 
     parts = []
@@ -274,7 +284,7 @@ def picture_crop(frames: CalibrationFrames, chosen: Sequence[IsoFrames]) -> Crop
     return None if crop == (slice(None), slice(None)) else crop
 
 
-def checked_crop(crop: Crop) -> Crop:
+def check_crop(crop: Crop) -> Crop:
     """Return two slices without a step; raise :class:`ArgumentError` for anything else."""
     parts: tuple[object, ...] = crop
     if len(parts) != 2 or any(not isinstance(part, slice) or part.step is not None for part in parts):
@@ -288,15 +298,15 @@ def crop_text(crop: Crop) -> str:
     return f"{rows},{columns}"
 
 
-def unlike(record: FrameRecord, found: Sensor, usual: Sensor, example: str) -> list[Problem]:
-    """Return how a frame's sensor differs from those of its ISO's other frames, such as the file ``example``."""
+def compare_sensors(record: FrameRecord, sensor: Sensor, usual: Sensor, example: str) -> list[Problem]:
+    """Return the differences between a frame's sensor and the usual one of its ISO, as in the file ``example``."""
     problems = []
     advice = "take all frames of a camera in one raw mode, and leave this one out"
     for field in ("height", "width", "cfa", "black_level_dn", "white_level_dn"):
-        expected, differs = getattr(usual, field), getattr(found, field)
+        expected, differs = getattr(usual, field), getattr(sensor, field)
         # LibRaw measures some black levels in each file's masked pixels.
         if expected != differs and not (field == "black_level_dn" and _within_1_dn(expected, differs)):
-            problems.append(problem_of(record, field, f"{expected} as in {example}", str(differs), advice))
+            problems.append(frame_problem(record, field, f"{expected} as in {example}", str(differs), advice))
     return problems
 
 
@@ -304,22 +314,115 @@ def _within_1_dn(first: tuple[float, ...], second: tuple[float, ...]) -> bool:
     return len(first) == len(second) and all(abs(a - b) < 1 for a, b in zip(first, second, strict=True))
 
 
-def unlike_most(sensors: Mapping[FrameRecord, Sensor]) -> list[Problem]:
-    """Return how some frames of one ISO differ from most of them."""
+def odd_sensors(sensors: Mapping[FrameRecord, Sensor]) -> list[Problem]:
+    """Return the differences between some frames of one ISO and most of them."""
     kinds: dict[FrameRecord, list[FrameRecord]] = {}  # by the first of each
     for record, sensor in sensors.items():
-        first = next((one for one in kinds if not unlike(record, sensor, sensors[one], "")), record)
+        first = next((one for one in kinds if not compare_sensors(record, sensor, sensors[one], "")), record)
         kinds.setdefault(first, []).append(record)
     if len(kinds) < 2:
         return []
     usual = max(kinds, key=lambda first: len(kinds[first]))  # the first of equals
     others = (record for record in sensors if record not in kinds[usual])
-    return [problem for record in others for problem in unlike(record, sensors[record], sensors[usual], usual.path)]
+    return [
+        problem for record in others for problem in compare_sensors(record, sensors[record], sensors[usual], usual.path)
+    ]
 
 
-def unreadable(record: FrameRecord, error: EldataError) -> Problem:
+def unreadable_problem(record: FrameRecord, error: EldataError) -> Problem:
     """Return the problem of a file that cannot be read."""
     found, advice = error.reason if isinstance(error, RawFileError) else str(error), "copy it again, or leave it out"
     if isinstance(error, UnusableRawError):
         found, advice = error.found, error.advice
-    return problem_of(record, "content", "a whole raw file", found, advice)
+    return frame_problem(record, "content", "a whole raw file", found, advice)
+
+
+# --- frames by their levels -------------------------------------------------------------------------------------------
+
+# Of the signal. Pairs are scaled to each other, and K is right at any ratio; but light that changes so much between two
+# equal exposures is worth a word, and beyond the second limit it is doubtful that nothing else has changed.
+_PAIR_DIFFERENCE = 0.05
+_UNLIKE_PAIR = 0.25
+_OF_NORMAL = 1.287  # standard deviation over the mean distance of the nearer 99 %
+
+
+def measure_frame(mosaic: Mosaic) -> tuple[float, float]:
+    """Return a frame's mean, and the standard deviation by all but one in a hundred, of some 100,000 pixels; DN."""
+    step = max(1, math.isqrt(mosaic.size // 100_000)) | 1  # odd: every site of the CFA takes part
+    sample = mosaic[::step, ::step]
+    away = np.abs(sample - np.median(sample))
+    spread = _OF_NORMAL * float(away[away <= np.quantile(away, 0.99)].mean())
+    return float(sample.mean(dtype=np.float64)), spread
+
+
+def odd_bias_frames(figures: Mapping[FrameRecord, tuple[float, float]]) -> list[Problem]:
+    """Return the bias frames whose level or spread is not like the others' (light leak, lens cap off, another ISO).
+
+    Off by more than 10 robust standard deviations of the frames' levels, a DN, and half the noise; or with a spread
+    that differs by a quarter and a DN.
+    """
+    if not figures:
+        return []
+    levels, spreads = np.array(list(figures.values())).T
+    level, spread = float(np.median(levels)), float(np.median(spreads))
+    scatter = 1.4826 * float(np.median(np.abs(levels - level)))
+    advice = "is it a bias frame of this ISO? look for light and for a lens without its cap, and leave it out"
+    problems = []
+    for record, (own_level, own_spread) in figures.items():
+        for field, value, usual, tolerance in (
+            ("level", own_level, level, max(10 * scatter, 1.0, 0.5 * spread)),
+            ("noise", own_spread, spread, max(0.25 * spread, 1.0)),
+        ):
+            if abs(value - usual) > tolerance:
+                expected = f"about {usual:.1f} DN as in the others"
+                problems.append(frame_problem(record, field, expected, f"{value:.1f} DN", advice))
+                break
+    return problems
+
+
+@dataclass(frozen=True, slots=True)
+class PairLevels:
+    """The mean levels over black of a pair of flats, DN."""
+
+    pair: FlatPair
+    first_dn: float
+    second_dn: float
+
+    @classmethod
+    def of(cls, pair: FlatPair, first: RawFrame, second: RawFrame) -> PairLevels:
+        """Measure a pair on some 100,000 pixels of each frame."""
+        black = float(np.mean(first.sensor.black_level_dn))
+        return cls(pair, *(measure_frame(frame.mosaic)[0] - black for frame in (first, second)))
+
+    @property
+    def difference(self) -> float:
+        """Of the two, as a share of the brighter; a DN is none."""
+        apart = max(0.0, abs(self.first_dn - self.second_dn) - 1.0)
+        return apart / max(self.first_dn, self.second_dn, 1.0)
+
+    def __str__(self) -> str:
+        return f"{self.pair.first.path} and {self.pair.second.path} ({self.first_dn:.0f} and {self.second_dn:.0f} DN)"
+
+
+def unequal_pair(levels: PairLevels) -> str | None:
+    """Return a remark if the two flats of a pair are too unlike to be one scene in one light, else ``None``."""
+    if levels.difference <= _UNLIKE_PAIR:
+        return None
+    return (
+        f"{levels.pair.first.path} and {levels.pair.second.path} were left out: their levels over black are "
+        f"{levels.first_dn:.0f} and {levels.second_dn:.0f} DN; equal exposures of a constant light differ by less than "
+        f"{_PAIR_DIFFERENCE:.0%}, and beyond {_UNLIKE_PAIR:.0%} they are not taken for two frames of one scene"
+    )
+
+
+def uneven_light(used: Sequence[PairLevels]) -> Iterator[Finding]:
+    """Yield a remark if pairs differ by more than equal exposures of a constant light do."""
+    uneven = [levels for levels in used if levels.difference > _PAIR_DIFFERENCE]
+    if uneven:
+        worst = max(uneven, key=lambda levels: levels.difference)
+        yield UNEVEN.find(
+            worst.difference,
+            _PAIR_DIFFERENCE,
+            f"{len(uneven)} of {len(used)} pairs of flats differ in light by up to {worst.difference:.0%}: {worst}; "
+            "they were scaled to each other, so K holds, but a constant light and a mechanical shutter are better",
+        )

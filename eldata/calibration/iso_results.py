@@ -1,4 +1,8 @@
-"""What a calibration found at one ISO: records of figures with their errors, and why some are withheld."""
+"""What a calibration found at one ISO: one record for each figure, with its error, and why some are withheld.
+
+A figure is declared once, where its ISO makes its record (:attr:`IsoCalibration.figures`); profile, tables, JSON, page
+and plots read that record.
+"""
 
 from __future__ import annotations
 
@@ -8,44 +12,81 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.core.figures import (
-    DARK_FIGURES,
-    SIGMA_COLUMN,
-    SIGMA_GAUSS,
-    SIGMA_ROW,
-    SIGMA_TL,
-    TUKEY_LAMBDA,
-)
-from eldata.calibration.core.findings import (
-    COARSE,
-    FIT,
-    ROUNDING,
-    SHAPE,
-    SYMBOLS,
-    GivenFigure,
-    given,
-    named,
-    withheld,
-)
-from eldata.calibration.core.read_noise import read_noise_findings
+from eldata.base.tables import with_error
+from eldata.calibration.findings import SYMBOLS, list_symbols
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from eldata.calibration.core._frames import Plane
-    from eldata.calibration.core.defects import PatternSummary
-    from eldata.calibration.core.findings import Effect, Figure, Finding
-    from eldata.calibration.core.photon_transfer import PhotonTransfer
-    from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
-    from eldata.calibration.core.row_noise import ColourBias, RowNoise
-    from eldata.calibration.core.single_frame import SingleFramePlot
-    from eldata.calibration.reproduction import Reproduction
+    from eldata.calibration.defects import PatternSummary
+    from eldata.calibration.findings import Effect, Finding, Quantity
+    from eldata.calibration.flats import PhotonTransfer
+    from eldata.calibration.held_out import Reproduction
+    from eldata.calibration.lines import ColourBias, LineNoise, RowNoise
+    from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
+    from eldata.calibration.sums import Plane
     from eldata.manifest.verify_report import Problem
     from eldata.noise.parameters import NoiseParameters
     from eldata.noise.profile import ProfileRow
     from eldata.records import Sensor
 
+SCALES = {"sigma_tl_dn": "sigma_TL", "sigma_gauss_dn": "sigma_G", "sigma_row_dn": "sigma_row"}
+"""Figures that have a line over K, with their labels."""
+
 _FRAME_DECIMALS = 4  # of a DN: a mean of three million pixels of 1 DN is not known better than to 0.0006
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredFigure:
+    """A figure at one ISO.
+
+    Attributes
+    ----------
+    name, label, unit
+        Its key in JSON, such as ``sigma_tl_dn``; what tables call it, such as ``sigma_TL``; ``"DN"``, or none.
+    value, error
+        The figure and its standard error with all allowances; nan: withheld, or not known.
+    decimals
+        Of a figure that has no error.
+    why_withheld
+        Which assumption did not hold; empty if the figure is given.
+    is_stated
+        Whether it was not measured: somebody has said so.
+    """
+
+    name: str
+    label: str
+    value: float
+    error: float = math.nan
+    unit: str = ""
+    decimals: int | None = None
+    why_withheld: str = ""
+    is_stated: bool = False
+
+    @property
+    def heading(self) -> str:
+        """Its label with the unit."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+    @property
+    def text(self) -> str:
+        """The figure with its error in as many digits as they bear; a stated one says that it is."""
+        if math.isnan(self.value):
+            return "withheld"
+        if self.decimals is not None:
+            return f"{self.value:.{self.decimals}f}"
+        return with_error(self.value, self.error) + (" (stated)" if self.is_stated else "")
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the figure by its name, and its error: ``sigma_tl_dn`` and ``sigma_tl_error_dn``."""
+        values = {self.name: self.value}
+        if self.decimals is None:
+            stem = self.name.removesuffix("_dn")
+            values[f"{stem}_error{self.name.removeprefix(stem)}"] = self.error
+        return values
+
+
+# --- one ISO ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -93,39 +134,65 @@ class IsoGain:
         return ("R", "G1", "B", "G2") if len(self.sensor.black_level_dn) == 4 else ("R", "G", "B")
 
     @property
-    def withheld(self) -> frozenset[Figure]:
-        """The figures that are not given, since an assumption that they rest on does not hold."""
-        return withheld(self.findings)
+    def withheld(self) -> frozenset[Quantity]:
+        """What is not given, since an assumption that it rests on does not hold."""
+        return self._touched("withheld")
 
     @property
-    def widened(self) -> frozenset[Figure]:
-        """The figures that are given with an error made larger, since an assumption holds only nearly."""
-        wider = (figure for one in self.findings if one.effect == "wider" for figure in one.figures)
-        return frozenset(wider) - self.withheld
+    def widened(self) -> frozenset[Quantity]:
+        """What is given with an error made larger, since an assumption holds only nearly."""
+        return self._touched("wider") - self.withheld
 
-    @property
-    def withheld_and_widened(self) -> tuple[str, str]:
-        """The symbols of both kinds of figures."""
-        return named(self.withheld), named(self.widened)
+    def _touched(self, effect: Effect) -> frozenset[Quantity]:
+        return frozenset(quantity for one in self.findings if one.effect == effect for quantity in one.figures)
 
-    def why(self, *figures: Figure, effect: Effect = "withheld") -> str:
+    def symbols(self, effect: Effect) -> str:
+        """Return the symbols of what is withheld, or given with a larger error."""
+        return list_symbols(self.withheld if effect == "withheld" else self.widened)
+
+    def why(self, *quantities: Quantity, effect: Effect = "withheld") -> str:
         """Return in words why figures are not given, or have a larger error; empty if it is not so."""
-        texts = (one.text for one in self.findings if one.effect == effect and not {*figures}.isdisjoint(one.figures))
-        return "; ".join(dict.fromkeys(texts))
+        findings = (one for one in self.findings if one.effect == effect and {*quantities} & {*one.figures})
+        return "; ".join(dict.fromkeys(one.text for one in findings))
 
     @property
     def all_remarks(self) -> tuple[str, ...]:
         """Every remark, those of the findings first."""
         return (*(one.remark for one in self.findings), *self.remarks)
 
+    def judge(self, quantity: Quantity, figure: MeasuredFigure, scale: float | None = None) -> MeasuredFigure:
+        """Return a figure with what findings add to its error, each a share of ``scale``, or without a value.
+
+        Parameters
+        ----------
+        quantity
+            What the figure is withheld with.
+        figure
+            As it was measured.
+        scale
+            The figure itself by default.
+        """
+        if why := self.why(quantity):
+            return replace(figure, value=math.nan, error=math.nan, why_withheld=why)
+        scale = figure.value if scale is None else scale
+        shares = (one.allowance for one in self.findings if quantity in one.figures and one.effect == "wider")
+        return replace(figure, error=math.hypot(figure.error, *(share * scale for share in shares)))
+
+    def _gain_of(self, measured: Any) -> MeasuredFigure | None:
+        """Return K [DN/e-] of what an estimator measured, if anything; ``None`` if it is withheld."""
+        if measured is None:
+            return None
+        return _known(self.judge("gain", MeasuredFigure(*_GAIN, measured.gain_dn_per_e, measured.gain_error, "DN/e-")))
+
     @property
-    def gain(self) -> GivenFigure | None:
-        """System gain K [DN/e-], measured or else stated; ``None`` if it is not known, or withheld."""
-        measured = None
-        if self.transfer is not None:
-            measured = self._of_gain(self.transfer.gain_dn_per_e, self.transfer.gain_error)
+    def gain(self) -> MeasuredFigure | None:
+        """System gain K [DN/e-], measured or else stated; ``None`` if it is not known, or withheld.
+
+        Wei et al., TPAMI 2021, section 3.2.1, equations 9 to 11; EMVA 1288, photon transfer method.
+        """
+        measured = self._gain_of(self.transfer)
         if measured is None and self.stated_gain_dn_per_e is not None:
-            return GivenFigure(self.stated_gain_dn_per_e, math.nan, is_stated=True)
+            return MeasuredFigure(*_GAIN, self.stated_gain_dn_per_e, unit="DN/e-", is_stated=True)
         return measured
 
     @property
@@ -134,19 +201,15 @@ class IsoGain:
         return None if self.gain is None else self.gain.value
 
     @property
-    def channel_gains(self) -> tuple[GivenFigure, ...] | None:
+    def channel_gains(self) -> tuple[MeasuredFigure, ...] | None:
         """K by CFA channel [DN/e-]."""
-        lines = () if self.transfer is None else self.transfer.channels
-        found = [self._of_gain(line.gain_dn_per_e, line.gain_error) for line in lines]
-        return tuple(one for one in found if one is not None) or None
+        gains = map(self._gain_of, () if self.transfer is None else self.transfer.channels)
+        return tuple(gain for gain in gains if gain is not None) or None
 
     @property
-    def spatial_gain(self) -> GivenFigure | None:
+    def spatial_gain(self) -> MeasuredFigure | None:
         """K by the published single-frame method [DN/e-], for comparison."""
-        return None if self.spatial is None else self._of_gain(self.spatial.gain_dn_per_e, self.spatial.gain_error)
-
-    def _of_gain(self, value: float, error: float) -> GivenFigure | None:
-        return given(self.findings, "gain", value, error, value)
+        return self._gain_of(self.spatial)
 
     @property
     def gain_text(self) -> str:
@@ -157,22 +220,38 @@ class IsoGain:
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure with its standard error as JSON types; ``None``: withheld, or not finite."""
-        channel_gains = self.channel_gains
-        found = {
+        gain, channel_gains, spatial = self.gain, self.channel_gains, self.spatial_gain
+        data = {
             "iso": self.iso,
             "black_level_dn": self.sensor.black_level_dn,
             "white_level_dn": self.sensor.white_level_dn,
             "flat_frames": self.flat_frames,
-            "gain_dn_per_e": self.gain_dn_per_e,
-            "gain_error": None if self.gain is None else self.gain.error,
-            "gain_is_stated": self.gain is not None and self.gain.is_stated,
+            "gain_dn_per_e": None if gain is None else gain.value,
+            "gain_error": None if gain is None else gain.error,
+            "gain_is_stated": gain is not None and gain.is_stated,
             "gain_by_channel": None if channel_gains is None else [channel.value for channel in channel_gains],
-            "gain_spatial_dn_per_e": None if self.spatial_gain is None else self.spatial_gain.value,
-            "withheld": {figure: self.why(figure) for figure in SYMBOLS if figure in self.withheld},
+            "gain_spatial_dn_per_e": None if spatial is None else spatial.value,
+            "withheld": {quantity: self.why(quantity) for quantity in SYMBOLS if quantity in self.withheld},
             "findings": [asdict(finding) for finding in self.findings],
             "remarks": list(self.all_remarks),
         }
-        return {name: without_infinities(value) for name, value in found.items()}
+        return {name: _without_infinities(value) for name, value in data.items()}
+
+
+_GAIN = ("gain_dn_per_e", "K")
+
+
+def _known(figure: MeasuredFigure) -> MeasuredFigure | None:
+    return None if math.isnan(figure.value) else figure
+
+
+def _without_infinities(value: Any) -> Any:
+    """Return dictionaries and lists with ``None`` for numbers that are not finite."""
+    if isinstance(value, dict):
+        return {name: _without_infinities(item) for name, item in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_without_infinities(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -180,8 +259,7 @@ class IsoCalibration(IsoGain):
     """All that was measured at one ISO.
 
     ``bias``, ``rows`` and ``read``, like ``transfer``, are what the estimators found. What of it is given are
-    ``tukey_lambda``, ``sigma_tl_dn``, ``sigma_gauss_dn``, ``sigma_row_dn`` and ``colour_bias``: tables, JSON, profile
-    and page take the figures from there.
+    ``figures`` and ``colour_bias``.
 
     Attributes
     ----------
@@ -194,7 +272,7 @@ class IsoCalibration(IsoGain):
     pattern
         What stays from frame to frame.
     single_frame
-        R^2 as the paper takes it; ``None`` if it was not.
+        R^2 as the paper takes it, against Tukey lambda and normal, and lambda; ``None`` if it was not.
     spectrum_dn2
         (256, 256) power spectrum of a bias frame less its channels' means, zero frequency in the centre, averaged over
         tiles of 256 x 256 pixels; white noise of variance s^2 gives s^2 throughout.
@@ -206,10 +284,6 @@ class IsoCalibration(IsoGain):
         the other.
     quantisation_step_dn
         The rounding that ``read`` is left beside: to 1 DN, or to ``step_dn``.
-    tukey_lambda, sigma_tl_dn, sigma_gauss_dn
-        Shape, scale and standard deviation of the read noise; ``None`` if it is withheld.
-    sigma_row_dn, sigma_column_dn
-        Standard deviations of the row noise, and of what columns have of their own; ``None`` if row noise is withheld.
     """
 
     bias_frames: int
@@ -220,24 +294,89 @@ class IsoCalibration(IsoGain):
     pattern: PatternSummary
     spectrum_dn2: Plane = field(repr=False)
     reproduction: Reproduction | None = None
-    single_frame: SingleFramePlot | None = None
+    single_frame: tuple[float, float, float] | None = None
     stepped: ReadNoise | None = None
     quantisation_step_dn: float = 1.0
 
-    tukey_lambda = TUKEY_LAMBDA
-    sigma_tl_dn = SIGMA_TL
-    sigma_gauss_dn = SIGMA_GAUSS
-    sigma_row_dn = SIGMA_ROW
-    sigma_column_dn = SIGMA_COLUMN
+    @property
+    def figures(self) -> dict[str, MeasuredFigure]:
+        """The figures of the dark by name, in the order of JSON; one that is withheld says why.
+
+        Of the read noise (Wei et al., TPAMI 2021, section 3.2.1, figure 7), as published beside it, and of the row
+        noise (figures 5 and 6). Where values end at a floor, there is no read noise.
+        """
+        read, rows, columns, single = self.read, self.rows.rows, self.rows.columns, self.single_frame
+
+        def of_read(label: str, name: str, error: str = "", **options: Any) -> MeasuredFigure:
+            value, error_of_it = (getattr(read, each, math.nan) if each else math.nan for each in (name, error))
+            return MeasuredFigure(name, label, value, error_of_it, **options)
+
+        def of_lines(label: str, name: str, noise: LineNoise) -> MeasuredFigure:
+            return MeasuredFigure(name, label, noise.sigma_dn, noise.sigma_error_dn, unit="DN")
+
+        of_frame, of_normal = (math.nan, math.nan) if single is None else single[:2]
+        plain: dict[str, Any] = {"decimals": 5}
+        figures = (
+            self.judge("shape", of_read("lambda", "tukey_lambda", "tukey_lambda_error"), 1.0),
+            self.judge("shape", of_read("sigma_TL", "sigma_tl_dn", "sigma_tl_error_dn", unit="DN")),
+            self.judge("read noise", of_read("sigma_G", "sigma_gauss_dn", "sigma_gauss_error_dn", unit="DN")),
+            self.judge("shape", of_read("lambda, PPCC", "ppcc_lambda", **plain)),
+            self.judge("shape", of_read("sigma_TL, PPCC", "ppcc_sigma_tl_dn", unit="DN", **plain)),
+            of_read("R2 TL", "r_squared_tl", **plain),
+            of_read("R2 G", "r_squared_gauss", **plain),
+            MeasuredFigure("single_frame_r_squared_tl", "R2 TL as published", of_frame, **plain),
+            MeasuredFigure("single_frame_r_squared_gauss", "R2 G as published", of_normal, **plain),
+            replace(of_read("chi2", "chi2_per_dof", **plain), name="read_chi2_per_dof"),
+            self.judge("row noise", of_lines("sigma_row", "sigma_row_dn", rows)),
+            MeasuredFigure("row_shapiro_p", "Shapiro-Wilk p", rows.shapiro_p, **plain),
+            self.judge("row noise", of_lines("sigma_column", "sigma_column_dn", columns)),
+        )
+        return {figure.name: figure for figure in figures}
+
+    def given(self, name: str) -> MeasuredFigure | None:
+        """Return a figure of the dark; ``None`` if it is withheld."""
+        return _known(self.figures[name])
 
     @property
-    def colour_bias(self) -> tuple[GivenFigure, ...] | None:
-        """Colour bias by CFA channel [DN]; ``None`` if it is withheld."""
-        found = [
-            given(self.findings, "colour bias", value, error, 1.0)
-            for value, error in zip(self.bias.bias_dn, self.bias.standard_error_dn, strict=True)
-        ]
-        return tuple(one for one in found if one is not None) or None
+    def tukey_lambda(self) -> MeasuredFigure | None:
+        """Shape of the read noise."""
+        return self.given("tukey_lambda")
+
+    @property
+    def sigma_tl_dn(self) -> MeasuredFigure | None:
+        """Scale of the read noise [DN]."""
+        return self.given("sigma_tl_dn")
+
+    @property
+    def sigma_gauss_dn(self) -> MeasuredFigure | None:
+        """Standard deviation of the read noise [DN]."""
+        return self.given("sigma_gauss_dn")
+
+    @property
+    def sigma_row_dn(self) -> MeasuredFigure | None:
+        """Standard deviation of the row noise [DN]."""
+        return self.given("sigma_row_dn")
+
+    @property
+    def sigma_column_dn(self) -> MeasuredFigure | None:
+        """Standard deviation of what columns have of their own [DN]; withheld with the row noise."""
+        return self.given("sigma_column_dn")
+
+    @property
+    def colour_bias(self) -> tuple[MeasuredFigure, ...] | None:
+        """Colour bias by CFA channel [DN], section 3.2.1, figure 4; ``None`` if it is withheld."""
+        pairs = zip(self.bias.bias_dn, self.bias.standard_error_dn, strict=True)
+        channels = (MeasuredFigure("colour_bias_dn", "colour bias", value, error, "DN") for value, error in pairs)
+        figures = map(_known, (self.judge("colour bias", channel, 1.0) for channel in channels))
+        return tuple(figure for figure in figures if figure is not None) or None
+
+    @property
+    def colour_bias_dn(self) -> tuple[float, float, float, float] | None:
+        """Colour bias of R, G1, B, G2; X-Trans has one green, which stands for both. ``None`` if it is withheld."""
+        if self.colour_bias is None:
+            return None
+        red, green, blue, *second = (channel.value for channel in self.colour_bias)
+        return (red, green, blue, *(second or [green]))[:4]  # type: ignore[return-value] # of three or four channels
 
     @property
     def spectrum_lines(self) -> tuple[float, float, float]:
@@ -249,26 +388,6 @@ class IsoCalibration(IsoGain):
         rows, columns = (length // 2 for length in spectrum.shape)
         far = np.abs(np.arange(len(spectrum)) - rows) > 4
         return float(np.median(spectrum)), float(spectrum[far, columns].mean()), float(spectrum[rows, far].mean())
-
-    @property
-    def colour_bias_dn(self) -> tuple[float, float, float, float] | None:
-        """Colour bias of R, G1, B, G2; X-Trans has one green, which stands for both. ``None`` if it is withheld."""
-        if self.colour_bias is None:
-            return None
-        bias = [channel.value for channel in self.colour_bias]
-        return (bias[0], bias[1], bias[2], bias[3] if len(bias) == 4 else bias[1])
-
-    @property
-    def in_steps(self) -> IsoCalibration:
-        """The ISO with the read noise that is left beside rounding to its step; as it is, where that is not known."""
-        if self.stepped is None:
-            return self
-        text = f"the values step by {self.step_dn} DN: fewer bits than the file has room for; the read noise is without"
-        seen = COARSE.seen(self.step_dn, 1.0, f"{text} that rounding, which is component U's (quantisation_step_dn)")
-        of_steps = read_noise_findings(self.stepped, self.bias, self.rows.rows, self.step_dn, self.step_dn)
-        others = (one for one in self.findings if one.check not in {COARSE.name, FIT.name, SHAPE.name, ROUNDING.name})
-        findings = (*others, *of_steps, seen)
-        return replace(self, read=self.stepped, findings=findings, quantisation_step_dn=float(self.step_dn))
 
     @property
     def parameters(self) -> NoiseParameters | None:
@@ -287,37 +406,35 @@ class IsoCalibration(IsoGain):
         """The row of a profile; ``None`` if lambda or the colour bias, which every row has, is withheld."""
         from eldata.noise.profile import ProfileRow
 
-        shape, scale, gauss, row = self.tukey_lambda, self.sigma_tl_dn, self.sigma_gauss_dn, self.sigma_row_dn
-        if shape is None or scale is None or gauss is None or self.colour_bias_dn is None:
+        values = {name: figure.value for name, figure in self.figures.items() if not math.isnan(figure.value)}
+        colour_bias = self.colour_bias_dn
+        if colour_bias is None or not {"tukey_lambda", "sigma_tl_dn", "sigma_gauss_dn"} <= values.keys():
             return None
         frames = [(*of_one, of_one[1])[:4] for of_one in self.bias.frame_bias_dn.round(_FRAME_DECIMALS).tolist()]
+        names = "sigma_tl_dn", "sigma_gauss_dn", "sigma_row_dn", "r_squared_tl", "r_squared_gauss"
         return ProfileRow(
-            tukey_lambda=shape.value,
-            colour_bias_dn=self.colour_bias_dn,
+            tukey_lambda=values["tukey_lambda"],
+            colour_bias_dn=colour_bias,
             iso=self.iso,
             gain_dn_per_e=self.gain_dn_per_e,
-            sigma_tl_dn=scale.value,
-            sigma_gauss_dn=gauss.value,
-            sigma_row_dn=None if row is None else row.value,
-            r_squared_tl=None if self.read is None else self.read.r_squared_tl,
-            r_squared_gauss=None if self.read is None else self.read.r_squared_gauss,
             frame_bias_dn=tuple(frames),
+            **{name: values.get(name) for name in names},
         )
 
     def as_dict(self) -> dict[str, Any]:
         """Return every figure with its standard error as JSON types; ``None``: withheld, or not finite."""
         bias = self.colour_bias
-        found = {**IsoGain.as_dict(self), "bias_frames": self.bias_frames}
-        for figure in DARK_FIGURES.values():
-            found |= figure.as_dict(self)
-        found |= {
+        data = {**IsoGain.as_dict(self), "bias_frames": self.bias_frames}
+        for figure in self.figures.values():
+            data |= figure.as_dict()
+        data |= {
             "colour_bias_dn": None if bias is None else [channel.value for channel in bias],
             "colour_bias_error_dn": None if bias is None else [channel.error for channel in bias],
             "dsnu_dn": self.pattern.dsnu_dn,
             "defects": self.pattern.defects,
             "reproduction": None if self.reproduction is None else self.reproduction.as_dict(),
         }
-        return {name: without_infinities(value) for name, value in found.items()}
+        return {name: _without_infinities(value) for name, value in data.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,12 +455,3 @@ def usual_gain_per_iso(isos: Iterable[IsoGain]) -> float:
     """Return the median of K / ISO, DN per electron at ISO 1; nan if no gain is known."""
     ratios = [one.gain_dn_per_e / one.iso for one in isos if one.gain_dn_per_e is not None]
     return float(np.median(ratios)) if ratios else math.nan
-
-
-def without_infinities(value: Any) -> Any:
-    """Return dictionaries and lists with ``None`` for numbers that are not finite."""
-    if isinstance(value, dict):
-        return {name: without_infinities(item) for name, item in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [without_infinities(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,4 +1,7 @@
-"""The joint distribution of the parameters over the gain: lines of ln(scale) over ln K, one set for each gain mode."""
+"""The joint distribution of the parameters over the gain: lines of ln(scale) over ln K, one set for each gain mode.
+
+Source: Wei et al., TPAMI 2021, section 3.2.2, figure 9.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +13,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.core.figures import SCALES, SIGMA_ROW
-from eldata.calibration.core.findings import STEP
-from eldata.calibration.core.photon_transfer import straight_line
+from eldata.calibration.findings import STEP
+from eldata.calibration.flats import straight_line
+from eldata.calibration.iso_results import SCALES
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.profile import GainMode, LogLogFit, modes_problem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from eldata.calibration.core.figures import DarkFigure
-    from eldata.calibration.core.findings import Finding, GivenFigure
-    from eldata.calibration.iso_results import IsoCalibration
+    from eldata.calibration.findings import Finding
+    from eldata.calibration.iso_results import IsoCalibration, MeasuredFigure
+
+    _Noisy = tuple[IsoCalibration, MeasuredFigure]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +80,7 @@ def fit_log_log(
     Raises
     ------
     ArgumentError
-        If the numbers differ in length, or one is not finite and positive (an error: 0 or above).
+        If the numbers differ in length, or one is not finite and positive.
     DatasetError
         If there are fewer than three measurements, or all at one gain.
 
@@ -88,17 +92,10 @@ def fit_log_log(
     (0.5, 4)
     """
     gains, scales = np.asarray(gains_dn_per_e, dtype=np.float64), np.asarray(scales_dn, dtype=np.float64)
-    if gains.ndim != 1 or gains.shape != scales.shape:
-        raise ArgumentError(f"gains and scales come in pairs; found shapes {gains.shape} and {scales.shape}")
-    if not np.all(np.isfinite(gains) & np.isfinite(scales) & (gains > 0) & (scales > 0)):
-        raise ArgumentError(
-            "gains and scales must be finite and above 0; leave out ISOs at which a scale was not measurable"
-        )
+    if not (gains.shape == scales.shape and np.all(np.isfinite(gains * scales) & (gains > 0) & (scales > 0))):
+        raise ArgumentError("gains and scales come in pairs, finite and above 0; leave out ISOs without a scale")
     if len(gains) < 3 or not np.ptp(gains) > 0:
-        raise DatasetError(
-            f"a line with its residual deviation needs three ISOs of different gain or more; found "
-            f"{counted(len(gains), 'measurement')} at {counted(len(set(gains.tolist())), 'gain')}"
-        )
+        raise DatasetError("a line with its residual deviation needs three ISOs of different gain or more")
     x, y = np.log(gains), np.log(scales)
     freedom, even = len(x) - 2, np.ones(len(x))
     slope, intercept, _ = straight_line(x, y, even, even)
@@ -106,8 +103,6 @@ def fit_log_log(
         np.zeros(len(x)) if errors is None else np.asarray(errors, dtype=np.float64) / values
         for errors, values in ((gain_errors, gains), (scale_errors, scales))
     )
-    if not np.all(np.isfinite(of_gains + of_scales) & (of_gains >= 0) & (of_scales >= 0)):
-        raise ArgumentError("the errors of gains and scales must be finite and not below 0")
     known = of_scales**2 + (slope * of_gains) ** 2
     own = _LEAST_ERROR**2
     for _ in range(2):
@@ -149,10 +144,10 @@ class FittedMode:
     gauss_fit: LogLogEstimate | None
     row_fit: LogLogEstimate | None
 
-    def estimate(self, figure: DarkFigure) -> LogLogEstimate | None:
-        """Return the estimate of a scale."""
-        found: LogLogEstimate | None = getattr(self, figure.fit)
-        return found
+    @property
+    def estimates(self) -> dict[str, LogLogEstimate | None]:
+        """The estimates by the figure that the line is of."""
+        return dict(zip(SCALES, (self.tukey_lambda_fit, self.gauss_fit, self.row_fit), strict=True))
 
 
 # --- steps over the ISOs ----------------------------------------------------------------------------------------------
@@ -163,7 +158,7 @@ _OF_OTHERS = 4.0  # of the median of the other ISOs' steps
 _SAME_GAIN = 0.05  # of ln K: an extended ISO has the K of its neighbour
 
 
-def iso_steps(isos: Sequence[IsoCalibration]) -> list[tuple[float, Finding]]:
+def find_steps(isos: Sequence[IsoCalibration]) -> list[tuple[float, Finding]]:
     """Return steps of K over the ISO or of the read noise between neighbouring ISOs, each with the upper one.
 
     K goes with the ISO. Read noise of parts before and after the amplifier grows over ln K with a slope that goes from
@@ -171,22 +166,21 @@ def iso_steps(isos: Sequence[IsoCalibration]) -> list[tuple[float, Finding]]:
     anywhere from 0 to 1. A camera that switches its conversion gain leaves both.
     """
     known = sorted((one for one in isos if one.gain is not None), key=lambda one: one.iso)
-    found = []
+    steps = []
     for one, other in pairwise(known):
         off = math.log(_gain(other) / _gain(one) * one.iso / other.iso)
         error = math.hypot(*(_relative_error(each.gain) for each in (one, other)))
         threshold = max(_LEAST_STEP_OF_GAIN, _SURELY * error)
         if abs(off) > threshold:
-            found.append(_step(one, other, f"K over the ISO changes by {math.expm1(off):+.0%}", off, threshold))
-    quiet = [one for one in known if one.sigma_gauss_dn is not None and one.sigma_gauss_dn.value > 0]
-    for one, other, off, threshold in _noise_steps(sorted(quiet, key=_gain)):
-        before, after = (each.sigma_gauss_dn.text for each in (one, other) if each.sigma_gauss_dn is not None)
+            steps.append(_step(one, other, f"K over the ISO changes by {math.expm1(off):+.0%}", off, threshold))
+    noisy = [(one, noise) for one in known if (noise := one.sigma_gauss_dn) is not None and noise.value > 0]
+    for (one, before), (other, after), off, threshold in _noise_steps(sorted(noisy, key=lambda each: _gain(each[0]))):
         what = (
-            f"the read noise goes from {before} to {after} DN, {math.expm1(off):+.0%} beside what K and the ISOs "
-            "around make likely"
+            f"the read noise goes from {before.text} to {after.text} DN, {math.expm1(off):+.0%} beside what K and the "
+            "ISOs around make likely"
         )
-        found.append(_step(one, other, what, off, threshold))
-    return sorted(found, key=lambda step: step[0])
+        steps.append(_step(one, other, what, off, threshold))
+    return sorted(steps, key=lambda step: step[0])
 
 
 def _step(one: IsoCalibration, other: IsoCalibration, what: str, off: float, threshold: float) -> tuple[float, Finding]:
@@ -196,71 +190,59 @@ def _step(one: IsoCalibration, other: IsoCalibration, what: str, off: float, thr
         "one line through both sides makes the noise that is drawn from it more varied than the camera's: state the "
         f"gain mode with --mode {high:g} (modes=[{high:g}]), or that there is none with --mode none (modes=[])"
     )
-    return high, STEP.seen(abs(off), threshold, text)
+    return high, STEP.find(abs(off), threshold, text)
 
 
-def _noise_steps(
-    isos: Sequence[IsoCalibration],
-) -> Iterator[tuple[IsoCalibration, IsoCalibration, float, float]]:
+def _noise_steps(noisy: Sequence[_Noisy]) -> Iterator[tuple[_Noisy, _Noisy, float, float]]:
     """Yield the clearest step of sigma_G over K, then those on either side of it."""
-    pairs = [(one, other) for one, other in pairwise(isos) if _gain(other) > _gain(one) * math.exp(_SAME_GAIN)]
-    moved = [(math.log(_gain(other) / _gain(one)), *_rise(one, other)) for one, other in pairs]
+    pairs = [(one, other) for one, other in pairwise(noisy) if _gain(other[0]) > _gain(one[0]) * math.exp(_SAME_GAIN)]
+    if not pairs:
+        return
+    moved = [
+        (
+            math.log(_gain(other) / _gain(one)),
+            math.log(after.value / before.value),
+            math.hypot(_relative_error(before), _relative_error(after)),
+        )
+        for (one, before), (other, after) in pairs
+    ]
     slopes = [min(max(rise / gain, 0.0), 1.0) for gain, rise, _ in moved]
     steps = []
     for place, (gain, rise, _) in enumerate(moved):
-        beside = [0.0, 1.0] if place in (0, len(slopes) - 1) else sorted((slopes[place - 1], slopes[place + 1]))
-        steps.append(rise - min(max(rise, beside[0] * gain), beside[1] * gain))
-    if not steps:
-        return
+        around = [0.0, 1.0] if place in (0, len(slopes) - 1) else sorted((slopes[place - 1], slopes[place + 1]))
+        steps.append(rise - min(max(rise, around[0] * gain), around[1] * gain))
     at = int(np.argmax(np.abs(steps)))
     others = [abs(step) for place, step in enumerate(steps) if abs(place - at) > 1]
     threshold = max(_LEAST_STEP_OF_NOISE, _SURELY * moved[at][2], _OF_OTHERS * float(np.median(others or [0.0])))
     if abs(steps[at]) > threshold:
         one, other = pairs[at]
-        yield from _noise_steps([each for each in isos if _gain(each) <= _gain(one)])
+        yield from _noise_steps([each for each in noisy if _gain(each[0]) <= _gain(one[0])])
         yield one, other, steps[at], threshold
-        yield from _noise_steps([each for each in isos if _gain(each) >= _gain(other)])
+        yield from _noise_steps([each for each in noisy if _gain(each[0]) >= _gain(other[0])])
 
 
-def _rise(one: IsoCalibration, other: IsoCalibration) -> tuple[float, float]:
-    """Return by how much ln(sigma_G) rises, and its error."""
-    first, second = one.sigma_gauss_dn, other.sigma_gauss_dn
-    if first is None or second is None:
-        return math.nan, math.nan
-    return math.log(second.value / first.value), math.hypot(_relative_error(first), _relative_error(second))
+def _gain(one: IsoCalibration) -> float:
+    return one.gain_dn_per_e or math.nan
 
 
-def _relative_error(figure: GivenFigure | None) -> float:
+def _known_error(figure: MeasuredFigure) -> float:
+    """Return the error of a figure; 0 of one that is stated."""
+    return figure.error if math.isfinite(figure.error) else 0.0
+
+
+def _relative_error(figure: MeasuredFigure | None) -> float:
     return 0.0 if figure is None else _known_error(figure) / figure.value
 
 
-# --- gain modes ---------------------------------------------------------------------------------------------------
+# --- gain modes -------------------------------------------------------------------------------------------------------
 
-NO_NOISE_DN = 1e-9
-"""A scale that a log-log line can hold in place of 0."""
-
-
-@dataclass(frozen=True, slots=True)
-class JointFits:
-    """What the joint fits found.
-
-    Attributes
-    ----------
-    modes
-        One, or each gain mode of the camera; none if no ISO has K.
-    remarks
-        What a person should know of them.
-    problem
-        Why no profile can hold the modes that somebody stated; empty if it can.
-    """
-
-    modes: tuple[FittedMode, ...]
-    remarks: tuple[str, ...]
-    problem: str = ""
+_NO_NOISE_DN = 1e-9  # a scale that a log-log line can hold instead of 0
 
 
-def joint_fits(isos: Sequence[IsoCalibration], starts: Sequence[float] | None = None) -> JointFits:
-    """Fit lines of the scales over K, in each gain mode.
+def fit_modes(
+    isos: Sequence[IsoCalibration], starts: Sequence[float] | None, remarks: list[str]
+) -> tuple[tuple[FittedMode, ...], str]:
+    """Fit lines of the scales over K, in each gain mode; add to the remarks.
 
     Parameters
     ----------
@@ -269,81 +251,70 @@ def joint_fits(isos: Sequence[IsoCalibration], starts: Sequence[float] | None = 
     starts
         The first ISO of each gain mode but the lowest, as somebody states them, ascending; none for one mode. ``None``:
         one mode too, and steps over the ISOs are remarked.
+
+    Returns
+    -------
+    tuple
+        One mode, or each that is stated, none if no ISO has K; and why no profile can hold them, empty if it can.
     """
     known = sorted((one for one in isos if one.gain_dn_per_e is not None), key=_gain)
-    parts = _split(known, starts or ())
-    stated = {min(one.iso for one in part) for part in parts[1:] if part}
-    is_without = starts is not None and not starts
-    remarks = [] if is_without else [step.remark for iso, step in iso_steps(isos) if iso not in stated]
+    ends = [-math.inf, *(starts or ()), math.inf]
+    parts = [[one for one in known if low <= one.iso < high] for low, high in pairwise(ends)]
+    if starts is None or starts:
+        begun = {min(one.iso for one in part) for part in parts[1:] if part}
+        remarks += [step.remark for iso, step in find_steps(isos) if iso not in begun]
     if not known:
-        return JointFits((), tuple(remarks))
-    if len(parts) > 1 and (lacking := [part for part in parts if not _makes_a_mode(part)]):
-        place = parts.index(lacking[0])
-        which = f"from ISO {(starts or ())[place - 1]:g} on" if place else f"below ISO {(starts or ())[0]:g}"
-        problem = (
-            f"the gain mode {which} has K, read noise and colour bias at fewer than two ISOs: no line can be fitted"
-        )
-        return JointFits((), tuple(remarks), problem)
-    fitted = [_fitted_mode(part, len(parts) > 1, remarks) for part in parts]
+        return (), ""
+    for place, part in enumerate(parts if starts else ()):
+        if not _makes_a_mode(part):
+            which = f"from ISO {ends[place]:g} on" if place else f"below ISO {ends[1]:g}"
+            return (), (
+                f"the gain mode {which} has K, read noise and colour bias at fewer than two ISOs: no line can be fitted"
+            )
+    fitted = [_fit_mode(part, len(parts) > 1, remarks) for part in parts]
     if starts:
-        fitted = [_from(one, start, remarks) for one, start in zip(fitted, (None, *starts), strict=True)]
-    modes = [one.mode for one in fitted]
-    ends = [end for mode in modes for end in mode.iso_range or ()]
-    if not all(low <= high for low, high in pairwise(ends)):  # K does not go with the ISO
+        fitted = [_extend(one, start, remarks) for one, start in zip(fitted, (None, *starts), strict=True)]
+    limits = [end for one in fitted for end in one.mode.iso_range or ()]
+    if not all(low <= high for low, high in pairwise(limits)):  # K does not go with the ISO
         fitted = [replace(one, mode=replace(one.mode, iso_range=None)) for one in fitted]
-        modes = [one.mode for one in fitted]
-    if len(modes) > 1 and (wrong := modes_problem(modes, *whole_ranges(modes))) is not None:
-        return JointFits((), tuple(remarks), wrong)
-    return JointFits(tuple(fitted), tuple(remarks))
+    modes = [one.mode for one in fitted]
+    if len(modes) > 1 and (problem := modes_problem(modes, *whole_ranges(modes))) is not None:
+        return (), problem
+    return tuple(fitted), ""
 
 
 def whole_ranges(modes: Sequence[GainMode]) -> tuple[tuple[float, float], tuple[float, float] | None]:
-    """Return the range of K and that of the ISOs, if known, from the first mode to the last."""
+    """Return the range of K, and of the ISOs if known, from the first mode to the last."""
     first, last = modes[0], modes[-1]
     isos = None if first.iso_range is None or last.iso_range is None else (first.iso_range[0], last.iso_range[1])
     return (first.gain_range_dn_per_e[0], last.gain_range_dn_per_e[1]), isos
 
 
-def _gain(one: IsoCalibration) -> float:
-    return one.gain_dn_per_e or math.nan
-
-
-def _split(known: Sequence[IsoCalibration], starts: Sequence[float]) -> list[list[IsoCalibration]]:
-    """Return the ISOs below the first start, from it to the next one, and so on."""
-    ends = [-math.inf, *starts, math.inf]
-    return [[one for one in known if low <= one.iso < high] for low, high in pairwise(ends)]
-
-
 def _makes_a_mode(part: Sequence[IsoCalibration]) -> bool:
-    """Return whether two ISOs of different gain have all that a row of the profile needs."""
+    """Tell whether two ISOs of different gain have all that a row of the profile needs."""
     complete = [one for one in part if one.sigma_tl_dn is not None and one.colour_bias_dn is not None]
     return len({_gain(one) for one in complete}) > 1
 
 
-def _fitted_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: list[str]) -> FittedMode:
+def _fit_mode(part: Sequence[IsoCalibration], is_one_of_several: bool, remarks: list[str]) -> FittedMode:
     # Where the read noise is withheld, nothing is known. An extended ISO has the K of its neighbour, and by chance the
     # larger or the smaller one.
     ends = [one for one in part if one.sigma_tl_dn is not None and one.sigma_gauss_dn is not None] or part
     isos = [one.iso for one in ends]
     lowest, highest = min(isos), max(isos)
     where = f" from ISO {lowest:g} to {highest:g}" if is_one_of_several else ""
-    tukey_lambda, gauss, rows = (_fitted(f"{figure.label}{where}", _points(part, figure), remarks) for figure in SCALES)
-    if not _points(part, SIGMA_ROW):
+    fits = [_fit_scale(part, name, f"{label}{where}", remarks) for name, label in SCALES.items()]
+    if all(one.sigma_row_dn is None for one in part):
         if is_one_of_several:
             remarks.append(f"sigma_row is withheld at ISO {lowest:g} to {highest:g}: that gain mode makes no row noise")
         else:
             remarks.append("sigma_row is withheld wherever K is known: the profile makes no row noise")
-    mode = GainMode(
-        gain_range_dn_per_e=(_gain(ends[0]), _gain(ends[-1])),
-        tukey_lambda_fit=tukey_lambda[1],
-        gauss_fit=gauss[1],
-        row_fit=rows[1],
-        iso_range=(lowest, highest),
-    )
-    return FittedMode(mode, tukey_lambda[0], gauss[0], rows[0])
+    tukey_lambda, gauss, row = (line for _, line in fits)
+    mode = GainMode((_gain(ends[0]), _gain(ends[-1])), tukey_lambda, gauss, row, (lowest, highest))
+    return FittedMode(mode, *(estimate for estimate, _ in fits))
 
 
-def _from(one: FittedMode, start: float | None, remarks: list[str]) -> FittedMode:
+def _extend(one: FittedMode, start: float | None, remarks: list[str]) -> FittedMode:
     """Return a mode that begins where somebody states that it does, below its first measured ISO."""
     mode = one.mode
     if start is None or mode.iso_range is None or start == mode.iso_range[0]:
@@ -352,43 +323,32 @@ def _from(one: FittedMode, start: float | None, remarks: list[str]) -> FittedMod
     remarks.append(
         f"the gain mode of ISO {lowest:g} to {highest:g} is stated to begin at ISO {start:g}: its lines go on to there"
     )
-    return replace(
-        one,
-        mode=replace(mode, gain_range_dn_per_e=(least * start / lowest, most), iso_range=(start, highest)),
-    )
+    wider = replace(mode, gain_range_dn_per_e=(least * start / lowest, most), iso_range=(start, highest))
+    return replace(one, mode=wider)
 
 
-def _points(isos: Sequence[IsoCalibration], figure: DarkFigure) -> list[tuple[GivenFigure, GivenFigure]]:
-    """Return K and a scale of the ISOs at which both are given."""
-    pairs = ((one.gain, figure.given(one)) for one in isos)
-    return [(gain, scale) for gain, scale in pairs if gain is not None and scale is not None]
-
-
-def _fitted(
-    name: str, points: Sequence[tuple[GivenFigure, GivenFigure]], remarks: list[str]
+def _fit_scale(
+    part: Sequence[IsoCalibration], name: str, label: str, remarks: list[str]
 ) -> tuple[LogLogEstimate | None, LogLogFit | None]:
     """Return the fit of a scale over K, and the line that the profile has; add to the remarks."""
-    usable = [(gain, scale) for gain, scale in points if scale.value > 0 and math.isfinite(scale.value)]
-    lost = len(points) - len(usable)
+    given = [(gain, scale) for one in part if (gain := one.gain) is not None and (scale := one.given(name)) is not None]
+    usable = [(gain, scale) for gain, scale in given if scale.value > 0 and math.isfinite(scale.value)]
+    lost = len(given) - len(usable)
     if lost:
         what = f"{counted(lost, 'ISO')}, which its fit leaves out" if usable else "every ISO; the profile has none"
-        remarks.append(f"{name} was 0 at {what}")
+        remarks.append(f"{label} was 0 at {what}")
     if not usable:
-        return None, LogLogFit(0.0, math.log(NO_NOISE_DN), 0.0)
+        return None, LogLogFit(0.0, math.log(_NO_NOISE_DN), 0.0)
     if len({gain.value for gain, _ in usable}) < 3:
         remarks.append(
-            f"{name} is known at {counted(len(usable), 'ISO')}, and a line over K with its spread needs three: the "
+            f"{label} is known at {counted(len(usable), 'ISO')}, and a line over K with its spread needs three: the "
             "profile gives each as it was measured (row='measured'), and none in between"
         )
         return None, None
     gains, scales = zip(*usable, strict=True)
-    estimate = fit_log_log(
-        *([one.value for one in figures] for figures in (gains, scales)),
-        *([_known_error(one) for one in figures] for figures in (gains, scales)),
+    values, errors = (
+        [[read(figure) for figure in figures] for figures in (gains, scales)]
+        for read in (lambda figure: figure.value, _known_error)
     )
+    estimate = fit_log_log(*values, *errors)
     return estimate, estimate.fit
-
-
-def _known_error(figure: GivenFigure) -> float:
-    """Return the error of a figure; 0 of one that is stated."""
-    return figure.error if math.isfinite(figure.error) else 0.0

@@ -14,27 +14,33 @@ import numpy as np
 from eldata.base.compiled import in_threads
 from eldata.base.numbers import counted
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.calibration.audit.bias_checks import (
-    BiasAudit,
-    BiasSeen,
-    BiasStatistics,
+from eldata.calibration.bias_sums import BiasPairs, BiasSums
+from eldata.calibration.checks import (
+    beside_steps,
     bias_findings,
+    clipped,
     code_step,
+    flat_findings,
     mean_step,
+    read_noise_findings,
     read_noise_in_steps,
+    saturation,
+    uneven_steps,
 )
-from eldata.calibration.audit.flat_checks import flat_findings, saturation, uneven_steps
-from eldata.calibration.audit.frames import ADVISED_BIAS_FRAMES, FrameFigures, PairLevels, unequal_pair, uneven_light
-from eldata.calibration.core.bias_figures import BiasFigures, BiasSums
-from eldata.calibration.core.defects import MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
-from eldata.calibration.core.findings import CLIPPED, NO_LINE, SHAPE, TRANSFER, with_accepted
-from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
-from eldata.calibration.core.read_noise import read_noise_findings
-from eldata.calibration.core.single_frame import FlatFrames, power_spectrum, single_frame_plot, spatial_photon_transfer
-from eldata.calibration.frames import FrameReader, FramesError
+from eldata.calibration.defects import ADVISED_FRAMES, MINIMUM_FRAMES, BiasStack, FixedPattern, fixed_pattern
+from eldata.calibration.findings import (
+    CLIPPED,
+    NO_LINE,
+    SHAPE,
+    TRANSFER,
+    accept_findings,
+)
+from eldata.calibration.flats import FlatPairs, photon_transfer, spatial_photon_transfer
+from eldata.calibration.frames import FrameReader, FramesError, PairLevels, measure_frame, unequal_pair, uneven_light
+from eldata.calibration.held_out import compared_piece, reproduction
 from eldata.calibration.iso_results import IsoCalibration, IsoGain
-from eldata.calibration.remarks import bias_remarks, flat_remarks, no_pairs, transfer_remarks
-from eldata.calibration.reproduction import compared_piece, reproduction
+from eldata.calibration.lines import colour_bias, power_spectrum, row_noise
+from eldata.calibration.residuals import probability_plot, read_noise, single_frame_plot
 from eldata.errors import ArgumentError, DatasetError
 from eldata.manifest.verify_report import Problem
 from eldata.raw.container import lossy_compression
@@ -42,9 +48,10 @@ from eldata.raw.container import lossy_compression
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from eldata.calibration.core._frames import Mosaic
-    from eldata.calibration.core.findings import Finding
+    from eldata.calibration.bias_sums import BiasStatistics, ResidualHistogram
+    from eldata.calibration.findings import Finding
     from eldata.calibration.frames import IsoFrames
+    from eldata.calibration.sums import Mosaic
     from eldata.datasets.calibration_frames import CalibrationFrames, FlatPair
     from eldata.records import FrameRecord, RawFrame, Sensor
 
@@ -66,7 +73,7 @@ def calibrate_iso(
     frames
         Where the files are.
     chosen
-        The ISO's frames (:func:`~eldata.calibration.frames.sorted_frames`).
+        The ISO's frames (:func:`~eldata.calibration.frames.sort_frames`).
     workers
         The threads that decode; the result does not depend on them. One frame more than that is in memory, besides
         the sums.
@@ -79,20 +86,17 @@ def calibrate_iso(
         If frames differ in size, CFA or levels, or are odd; or if the estimators cannot use the bias frames, and
         there are no flats to give K. Every problem found is in it. Flats without a line are no error: K is withheld.
     """
-    with _unusable(frames, chosen):
-        if chosen.bias or not chosen.pairs:
-            try:
-                return _calibrated(FrameReader(frames, workers, done, chosen.crop), chosen)
-            except FramesError:
+    with as_frames_error(frames, chosen):
+        if not chosen.bias and chosen.pairs:
+            return _measure_gain(FrameReader(frames, workers, done, chosen.crop), chosen)
+        try:
+            return _measure_all(FrameReader(frames, workers, done, chosen.crop), chosen)
+        except DatasetError as error:
+            if isinstance(error, FramesError) or not chosen.pairs:
                 raise
-            except DatasetError as error:
-                if not chosen.pairs:
-                    raise
-                lost = SHAPE.seen(math.nan, math.nan, f"the bias frames cannot be used: {error}")
-                return _gain(
-                    FrameReader(frames, workers, done, chosen.crop), chosen, lost.of("withheld", CLIPPED.figures)
-                )
-        return _gain(FrameReader(frames, workers, done, chosen.crop), chosen)
+            text = f"the bias frames cannot be used: {error}"
+            lost = SHAPE.find(math.nan, math.nan, text, "withheld", CLIPPED.figures)
+            return _measure_gain(FrameReader(frames, workers, done, chosen.crop), chosen, lost)
 
 
 def bias_pattern(
@@ -109,14 +113,14 @@ def bias_pattern(
     FramesError
         As of :func:`calibrate_iso`.
     """
-    with _unusable(frames, chosen):
+    with as_frames_error(frames, chosen):
         reader = FrameReader(frames, workers, done)
         fixed, _, _ = _first_pass(reader, chosen.bias, ())
         return reader.sensor, fixed
 
 
 @contextmanager
-def _unusable(frames: CalibrationFrames, chosen: IsoFrames) -> Iterator[None]:
+def as_frames_error(frames: CalibrationFrames, chosen: IsoFrames) -> Iterator[None]:
     """Turn what the estimators say of one ISO's frames into its problem."""
     try:
         yield
@@ -130,7 +134,7 @@ def _unusable(frames: CalibrationFrames, chosen: IsoFrames) -> Iterator[None]:
 
 
 def decodings(chosen: IsoFrames) -> int:
-    """Return how many frames are decoded for an ISO: bias frames twice."""
+    """Return the number of frames that are decoded for an ISO: bias frames twice."""
     estimated, held_out = _split(chosen.bias)
     return 2 * len(estimated) + len(held_out) + 2 * len(chosen.pairs)
 
@@ -139,85 +143,90 @@ def _split(bias: Sequence[FrameRecord]) -> tuple[Sequence[FrameRecord], Sequence
     return (bias[:-1], bias[-1:]) if len(bias) >= HOLD_OUT_FROM else (bias, ())
 
 
-def _calibrated(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
+def _measure_all(reader: FrameReader, chosen: IsoFrames) -> IsoCalibration:
     fixed, estimated, held_out = _first_pass(reader, *_split(chosen.bias))
-    sensor, is_clipped = reader.sensor, fixed.clips_at_black
-    bias_sums, audit = BiasSums(fixed), BiasAudit(fixed)
-    sums = [bias_sums, audit]
+    sums, pairs = BiasSums(fixed), BiasPairs(fixed)
     spectrum, single = None, None
     for _, frame in reader.read(estimated):
         if spectrum is None:
             spectrum = power_spectrum(frame.mosaic, fixed)
-            single = None if is_clipped else single_frame_plot(frame.mosaic, fixed)
-        in_threads(methodcaller("add", frame.mosaic), sums, reader.workers.jobs)
+            single = None if fixed.clips_at_black else single_frame_plot(frame.mosaic, fixed)
+        in_threads(methodcaller("add", frame.mosaic), [sums, pairs], reader.workers.jobs)
         del frame
     reader.refuse()
     if spectrum is None:
         raise DatasetError("no bias frame could be read")
-
-    def from_bias_frames() -> tuple[BiasFigures, BiasStatistics]:
-        return bias_sums.figures(sensor.black_level_dn), audit.statistics()
-
     # The flats decode while the bias frames' figures are worked out.
-    work = (from_bias_frames, partial(_flats, reader, chosen, fixed))
-    (found, seen), of_flats = in_threads(methodcaller("__call__"), work, reader.workers.jobs)
-    step = math.gcd(code_step(seen.codes), of_flats.step_dn)
-    dark = IsoCalibration(
+    sensor = reader.sensor
+    work = (partial(_estimate, sums, pairs, sensor), partial(_measure_flats, reader, chosen, fixed))
+    (estimates, residuals, statistics), of_flats = in_threads(methodcaller("__call__"), work, reader.workers.jobs)
+    bias, rows, read = estimates["bias"], estimates["rows"], estimates["read"]
+    step = math.gcd(code_step(statistics.codes), of_flats.step_dn)
+    if read is None:
+        findings: tuple[Finding, ...] = (clipped(sums),)
+    else:
+        step_dn = float(step) if step > 1 else mean_step(statistics.codes)
+        of_fit = read_noise_findings(read, bias, rows.rows, step_dn)
+        findings = accept_findings((*of_fit, *bias_findings(statistics, bias, rows, read, step_dn)), chosen.accept)
+    one = IsoCalibration(
         iso=float(chosen.iso),
         sensor=sensor,
         flat_frames=of_flats.flat_frames,
         transfer=of_flats.transfer,
         spatial=of_flats.spatial,
         bias_frames=len(estimated),
-        bias=found.bias,
-        rows=found.rows,
-        read=found.read,
-        plot=found.plot,
         pattern=fixed.summary,
         spectrum_dn2=spectrum,
         single_frame=single,
-        findings=found.findings,
+        findings=(*findings, *of_flats.findings),
         stated_gain_dn_per_e=chosen.stated_gain_dn_per_e,
         step_dn=step,
-        stepped=None if found.residuals is None else read_noise_in_steps(found.residuals, step),
+        stepped=None if residuals is None else read_noise_in_steps(residuals, step),
+        **estimates,
     )
-    of_bias = dark.findings
-    if found.read is not None:
-        step_dn = float(step) if step > 1 else mean_step(seen.codes)
-        of_read = read_noise_findings(found.read, dark.bias, dark.rows.rows, step_dn)
-        of_audit = bias_findings(BiasSeen(seen, dark.bias, dark.rows, found.read, step_dn))
-        of_bias = with_accepted((*of_read, *of_audit), chosen.accept)
-    whole = replace(dark, findings=(*of_bias, *of_flats.findings))
-    parameters = whole.in_steps.parameters
+    parameters = beside_steps(one).parameters
     if held_out is not None and parameters is not None:
         # Its own generator: the comparison of one ISO does not depend on which others are calibrated with it.
         generator = np.random.default_rng(int(chosen.iso))
-        compared = reproduction(held_out, fixed, sensor, parameters, generator)
-        whole = replace(whole, reproduction=compared)
-    files = (reader.frames.path(one) for one in (*estimated[:1], *(pair.first for pair in chosen.pairs[:1])))
+        one = replace(one, reproduction=reproduction(held_out, fixed, sensor, parameters, generator))
+    files = (reader.frames.path(record) for record in (*estimated[:1], *(pair.first for pair in chosen.pairs[:1])))
     lossy = next(filter(None, map(lossy_compression, files)), None)
-    remarks = (*reader.copies.remarks, *bias_remarks(whole, chosen, lossy))
-    return replace(whole, remarks=(*remarks, *of_flats.remarks, *transfer_remarks(whole)))
+    remarks = (*reader.remarks, *bias_remarks(one, chosen, lossy), *of_flats.remarks, *transfer_remarks(one))
+    return replace(one, remarks=remarks)
 
 
-def _gain(reader: FrameReader, chosen: IsoFrames, *lost: Finding) -> IsoGain:
-    found = _flats(reader, chosen, None)
+def _estimate(
+    sums: BiasSums, pairs: BiasPairs, sensor: Sensor
+) -> tuple[dict[str, Any], ResidualHistogram | None, BiasStatistics]:
+    """Return the estimates of an ISO's record, what the read noise is of, and what the checks look at."""
+    rows = row_noise(sums)
+    bias, residuals, read, plot = colour_bias(sums, rows, sensor.black_level_dn), None, None, None
+    if not sums.fixed.clips_at_black:
+        residuals = sums.residuals()
+        read = read_noise(residuals)
+        plot = probability_plot(residuals, read)
+    return {"bias": bias, "rows": rows, "read": read, "plot": plot}, residuals, pairs.statistics()
+
+
+def _measure_gain(reader: FrameReader, chosen: IsoFrames, *lost: Finding) -> IsoGain:
+    """Measure K from flats alone."""
+    one = _measure_flats(reader, chosen, None)
     alone = () if lost else ("there are no bias frames, so K is all that is known",)
-    remarks = (*reader.copies.remarks, *alone, *found.remarks, *transfer_remarks(found))
-    return replace(found, remarks=remarks, findings=(*lost, *found.findings))
+    remarks = (*reader.remarks, *alone, *one.remarks, *transfer_remarks(one))
+    return replace(one, remarks=remarks, findings=(*lost, *one.findings))
 
 
 def _first_pass(
     reader: FrameReader, estimated: Sequence[FrameRecord], held_out: Sequence[FrameRecord]
 ) -> tuple[FixedPattern, Sequence[FrameRecord], Mosaic | None]:
-    """Return what stays from frame to frame, of which frames, and what is compared of the frame that is kept out."""
+    """Return the fixed pattern, the frames that it is of, and the piece of the frame that is kept out."""
     if len(estimated) < MINIMUM_FRAMES:
         raise _too_few(len(estimated))
     stack, kept, used = None, None, []
     for record, frame in reader.read((*estimated, *held_out)):
-        reader.figures.append(FrameFigures.of(record, frame.mosaic))
+        reader.figures[record] = measure_frame(frame.mosaic)
         stack = stack or BiasStack(frame.sensor.cfa)
-        is_copy = reader.copies.original(record, frame.mosaic) is not None
+        is_copy = reader.is_copy(record, frame.mosaic)
         if record in held_out and not is_copy:
             kept = compared_piece(frame.mosaic, len(frame.sensor.cfa))
         elif not is_copy:
@@ -232,75 +241,71 @@ def _first_pass(
             stack.add(frame.mosaic)
         used, kept = [*used, *held_out], None
     if len(used) < MINIMUM_FRAMES:
-        raise _too_few(len(used), reader.copies.remarks)
+        raise _too_few(len(used), reader.remarks)
     return fixed_pattern(stack), used, kept
 
 
 def _too_few(number: int, because: Sequence[str] = ()) -> DatasetError:
     return DatasetError(
-        f"{counted(number, 'bias frame')}, and {MINIMUM_FRAMES} are needed, {ADVISED_BIAS_FRAMES} or more advised: "
+        f"{counted(number, 'bias frame')}, and {MINIMUM_FRAMES} are needed, {ADVISED_FRAMES} or more advised: "
         "take them with the lens capped, at the shortest exposure" + "".join(f"; {reason}" for reason in because)
     )
 
 
-def _flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -> IsoGain:
-    """Read the flats; without bias frames, black is what the files record and no pixel is a defect."""
+def _measure_flats(reader: FrameReader, chosen: IsoFrames, fixed: FixedPattern | None) -> IsoGain:
+    """Measure K; without bias frames, black is what the files record and no pixel is a defect."""
     stated = chosen.stated_gain_dn_per_e
 
-    def found(remarks: Sequence[str], *findings: Finding, **more: Any) -> IsoGain:
+    def record(remarks: Sequence[str], *findings: Finding, **more: Any) -> IsoGain:
         known: dict[str, Any] = {"iso": float(chosen.iso), "sensor": reader.sensor, "stated_gain_dn_per_e": stated}
         return IsoGain(**known, remarks=tuple(remarks), findings=findings, step_dn=step, **more)
 
     step = 0
     if not chosen.pairs:
-        return found(() if stated is not None else (no_pairs(chosen),))
-    pairs, singles = None, None
+        return record(() if stated is not None else (no_pairs(chosen),))
+    flats: FlatPairs | None = None
     used: list[PairLevels] = []
     remarks: list[str] = []
-    for pair, first, second in _pairs(reader, chosen.pairs):
-        if pairs is None or singles is None:
+    for pair, first, second in _read_pairs(reader, chosen.pairs):
+        if flats is None:
             sensor = first.sensor
             # The measured level of no light: the recorded one may be off by the colour bias.
             black, defects = (sensor.black_level_dn, None) if fixed is None else (fixed.level_dn, fixed.defects)
-            options: dict[str, Any] = {"defects": defects, "floor_dn": 0 if fixed is None else fixed.floor_dn or 0}
-            pairs = FlatPairs(sensor.cfa, black, sensor.white_level_dn, **options)
-            singles = FlatFrames(sensor.cfa, black, sensor.white_level_dn, **options)
+            floor_dn = 0 if fixed is None else fixed.floor_dn or 0
+            flats = FlatPairs(sensor.cfa, black, sensor.white_level_dn, defects=defects, floor_dn=floor_dn)
         levels = PairLevels.of(pair, first, second)
         unequal = unequal_pair(levels)
         if unequal is not None:
             remarks.append(unequal)
         else:
             used.append(levels)
-            pairs.add(first.mosaic, second.mosaic)
-            singles.add(first.mosaic)
-            singles.add(second.mosaic)
+            flats.add(first.mosaic, second.mosaic)
         del first, second  # before the next ones are decoded
     reader.refuse()
-    if pairs is not None:
-        step = code_step(pairs.counts[:, : math.ceil(pairs.limit_dn)])
-    said = (*remarks, *flat_remarks(chosen))
-    if pairs is None or singles is None or not pairs.frames:
-        return found(said, _no_line("no pair of flats is usable"))
+    remarks += flat_remarks(chosen)
+    if flats is None or not flats.frames:
+        return record(remarks, _no_line("no pair of flats is usable"))
+    step = code_step(flats.counts[:, : math.ceil(flats.limit_dn)])
     try:
-        transfer = photon_transfer(pairs)
+        transfer = photon_transfer(flats)
     except DatasetError as error:
         no_line = _no_line(f"{error}; pairs used: {', '.join(map(str, used))}")
-        return found(said, *saturation(pairs), no_line)
+        return record(remarks, *saturation(flats), no_line)
     of_line, spatial = tuple(flat_findings(transfer)), None
     if all(one.check != NO_LINE.name for one in of_line):  # of a scene, a frame's variance is the scene's own
         with suppress(DatasetError):  # it needs three brightnesses; it is for comparison alone
-            spatial = spatial_photon_transfer(singles)
-    of_values = (*saturation(pairs), *uneven_steps(pairs, transfer))
-    findings = with_accepted((*uneven_light(used), *of_values, *of_line), chosen.accept)
-    return found(said, *findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
+            spatial = spatial_photon_transfer(flats)
+    of_values = (*saturation(flats), *uneven_steps(flats, transfer))
+    findings = accept_findings((*uneven_light(used), *of_values, *of_line), chosen.accept)
+    return record(remarks, *findings, transfer=transfer, spatial=spatial, flat_frames=transfer.frames)
 
 
 def _no_line(why: str) -> Finding:
     """Return that there is no photon transfer line; the read noise is measured all the same."""
-    return TRANSFER.seen(math.nan, math.nan, why).of("withheld", TRANSFER.figures)
+    return TRANSFER.find(math.nan, math.nan, why, "withheld", TRANSFER.figures)
 
 
-def _pairs(reader: FrameReader, pairs: Sequence[FlatPair]) -> Iterator[tuple[FlatPair, RawFrame, RawFrame]]:
+def _read_pairs(reader: FrameReader, pairs: Sequence[FlatPair]) -> Iterator[tuple[FlatPair, RawFrame, RawFrame]]:
     """Yield the pairs of which both frames can be used; the reader names the others."""
     pair_of = {pair.second: pair for pair in pairs}
     waiting: tuple[FrameRecord, RawFrame] | None = None
@@ -312,3 +317,110 @@ def _pairs(reader: FrameReader, pairs: Sequence[FlatPair]) -> Iterator[tuple[Fla
             yield pair, waiting[1], frame
             waiting = None
         del frame
+
+
+# --- remarks ----------------------------------------------------------------------------------------------------------
+
+_LONGEST_BIAS_S = 1 / 250
+_DRIFT_DN = 0.25  # of the error that it makes
+_OF_DEFECTS_DN = 0.1
+_LEAST_PAIRS = 4
+_DISAGREEMENT = 6.0  # of K with what was stated, standard errors
+
+
+def bias_remarks(one: IsoCalibration, chosen: IsoFrames, lossy: str | None) -> tuple[str, ...]:
+    """Return remarks on the bias frames and the figures from them."""
+    rows, columns = one.rows.rows, one.rows.columns
+    remarks = []
+    if one.bias_frames < ADVISED_FRAMES - 1:
+        remarks.append(f"{one.bias_frames} bias frames were used; {ADVISED_FRAMES} or more are advised")
+    if chosen.bias_exposure_s is not None and chosen.bias_exposure_s > _LONGEST_BIAS_S:
+        remarks.append(
+            f"the bias frames were exposed for {float(chosen.bias_exposure_s):g} s, so dark current is in them; take "
+            "them at the camera's shortest exposure"
+        )
+    if lossy is not None:
+        remarks.append(f"the files have {lossy}, which changes noise: no figure here is the sensor's own")
+    if "row noise" in one.withheld:
+        pass
+    elif rows.sigma_dn == 0:
+        remarks.append(f"no row noise was seen; {rows.sigma_error_dn:.2g} DN would just have been visible")
+    elif rows.shapiro_p < 1e-3 and abs(rows.excess_kurtosis) > 0.5:
+        remarks.append(
+            f"the row noise is not normal (Shapiro-Wilk p = {rows.shapiro_p:.1g}, excess kurtosis "
+            f"{rows.excess_kurtosis:.1f}); the model takes it for normal"
+        )
+    of_columns = columns.variance_dn2 > 5 * columns.variance_error_dn2 and columns.sigma_dn > 0.3 * rows.sigma_dn
+    if of_columns and "row noise" not in one.withheld:
+        remarks.append(
+            f"columns have noise of their own, {columns.sigma_dn:.2g} DN, which the model leaves out and the read "
+            "noise contains"
+        )
+    error = max(one.bias.standard_error_dn)
+    if one.bias.drifts and error > _DRIFT_DN:
+        remarks.append(f"black drifts from frame to frame: the colour bias is uncertain by {error:.2g} DN")
+    of_defects = max(one.bias.of_defects_dn, key=abs)
+    if abs(of_defects) > max(2 * error, _OF_DEFECTS_DN) and "colour bias" not in one.withheld:
+        remarks.append(
+            f"the colour bias is the mean of all pixels, as in the paper: {one.pattern.defects} defects make "
+            f"{of_defects:.2g} DN of it"
+        )
+    if one.pattern.defects > 0.01 * one.pattern.pixels:
+        remarks.append(
+            f"{one.pattern.defects / one.pattern.pixels:.1%} of the pixels were left out: "
+            f"{one.pattern.stuck / one.pattern.pixels:.1%} never change, "
+            f"{one.pattern.off_level / one.pattern.pixels:.1%} are off the level of those around them"
+        )
+    compared = one.reproduction
+    if compared is not None and compared.histogram_distance > max(4 * compared.histogram_distance_by_chance, 0.02):
+        remarks.append(
+            f"a bias frame kept out differs from simulated ones by {compared.histogram_distance:.1%} of its histogram "
+            f"({compared.histogram_distance_by_chance:.1%} by chance)"
+        )
+    return tuple(remarks)
+
+
+def no_pairs(chosen: IsoFrames) -> str:
+    """Return the remark on an ISO whose K is not known."""
+    what = (
+        "no flat frames"
+        if not chosen.single
+        else f"{counted(len(chosen.single), 'flat frame')} and no two of one exposure"
+    )
+    return f"{what}, so K is not known: this ISO does not take part in the fits; take flats in pairs of equal exposure"
+
+
+def flat_remarks(chosen: IsoFrames) -> tuple[str, ...]:
+    """Return remarks on the flats."""
+    remarks = []
+    if chosen.single:
+        names = ", ".join(record.path for record in chosen.single[:3])
+        more = f" and {len(chosen.single) - 3} more" if len(chosen.single) > 3 else ""
+        remarks.append(f"flats without a partner of the same exposure were left out: {names}{more}")
+    if len(chosen.pairs) < _LEAST_PAIRS:
+        remarks.append(
+            f"K comes from {counted(len(chosen.pairs), 'pair')} of flats; {_LEAST_PAIRS} levels or more are advised"
+        )
+    return tuple(remarks)
+
+
+def transfer_remarks(one: IsoGain) -> tuple[str, ...]:
+    """Return remarks on K, measured and stated."""
+    transfer, sensor, remarks = one.transfer, one.sensor, list[str]()
+    stated = one.stated_gain_dn_per_e
+    if one.gain is not None and stated is not None:
+        if one.gain.is_stated:
+            remarks.append(f"K is stated, not measured: {stated:g} DN/e-")
+        elif abs(stated - one.gain.value) > _DISAGREEMENT * one.gain.error:
+            remarks.append(f"K is measured here, and the stated {stated:g} DN/e- does not count")
+    if transfer is None:
+        return tuple(remarks)
+    if transfer.left_out > 0.5:
+        remarks.append(
+            f"{transfer.left_out:.0%} of the flats' area is saturated or clipped and was left out; expose less"
+        )
+    brightest = max(float(line.signal_dn.max()) for line in transfer.channels)
+    share = brightest / (sensor.white_level_dn - float(np.mean(sensor.black_level_dn)))
+    if share < 0.25:
+        remarks.append(f"the brightest usable flat reaches {share:.0%} of the range; some nine tenths are better")
+    return tuple(remarks)

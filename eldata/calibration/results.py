@@ -1,17 +1,16 @@
-"""What a calibration found: the ISOs, the fits over all of them, the profile, and what to be wary of."""
+"""What a calibration found of a camera: the ISOs, the fits over all of them, the profile, and what to be wary of."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from eldata.base.numbers import counted
 from eldata.base.tables import block, table, text_table, with_error
 from eldata.base.visible import in_line
-from eldata.calibration.core.figures import COLUMNS, GAIN, SCALES, SIGMA_GAUSS, SIGMA_ROW, SIGMA_TL
-from eldata.calibration.core.findings import named
-from eldata.calibration.iso_results import usual_gain_per_iso
+from eldata.calibration.findings import list_symbols
+from eldata.calibration.iso_results import SCALES, usual_gain_per_iso
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
@@ -19,14 +18,17 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from eldata.calibration.core.figures import DarkFigure
-    from eldata.calibration.core.findings import Figure, GivenFigure
+    from eldata.calibration.findings import Quantity
     from eldata.calibration.iso_results import FailedIso, IsoCalibration, IsoGain
     from eldata.calibration.joint import FittedMode, LogLogEstimate
     from eldata.manifest.verify_report import Problem
     from eldata.noise.profile import CameraProfile, GainMode
     from eldata.plots.axes import Drawing, Theme
     from eldata.plots.gains import Point
+
+    Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
+_COLUMNS = ("tukey_lambda", *SCALES, "r_squared_tl", "r_squared_gauss")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,20 +73,20 @@ class Calibration:
 
         With too few ISOs, the profile says in a note what it holds instead.
         """
-        return self._fit(SIGMA_TL)
+        return self._fit("sigma_tl_dn")
 
     @property
     def gauss_fit(self) -> LogLogEstimate | None:
         """The line of sigma_G over K; ``None`` as for ``tukey_lambda_fit``."""
-        return self._fit(SIGMA_GAUSS)
+        return self._fit("sigma_gauss_dn")
 
     @property
     def row_fit(self) -> LogLogEstimate | None:
         """The line of sigma_row over K; ``None`` as for ``tukey_lambda_fit``."""
-        return self._fit(SIGMA_ROW)
+        return self._fit("sigma_row_dn")
 
-    def _fit(self, figure: DarkFigure) -> LogLogEstimate | None:
-        return self.modes[0].estimate(figure) if len(self.modes) == 1 else None
+    def _fit(self, scale: str) -> LogLogEstimate | None:
+        return self.modes[0].estimates[scale] if len(self.modes) == 1 else None
 
     @property
     def all_isos(self) -> tuple[IsoGain, ...]:
@@ -98,7 +100,7 @@ class Calibration:
         for one in self.all_isos:
             for finding in one.findings:
                 if finding.is_accepted:
-                    isos.setdefault(f"{finding.check}: {named(finding.figures)}", []).append(f"{one.iso:g}")
+                    isos.setdefault(f"{finding.check}: {list_symbols(finding.figures)}", []).append(f"{one.iso:g}")
         return tuple(f"{what} at ISO {', '.join(places)}" for what, places in isos.items())
 
     @property
@@ -120,22 +122,135 @@ class Calibration:
         return self.made_profile
 
     @property
+    def usual_gain_per_iso(self) -> float:
+        """The median of K / ISO; nan if no gain is known."""
+        return usual_gain_per_iso(self.all_isos)
+
+    @property
+    def all_remarks(self) -> tuple[str, ...]:
+        """Every remark, those of one ISO with its ISO in front."""
+        of_isos = (f"ISO {one.iso:g}: {remark}" for one in self.all_isos for remark in one.all_remarks)
+        return (*of_isos, *self.remarks)
+
+    # --- as tables, text and JSON ---
+
+    def tables(self) -> dict[str, Table]:
+        """Return header and rows of the tables that have any, by name; values with standard errors, or "withheld".
+
+        ``figures`` of the ISOs with bias frames (``9 + 1``: nine were used, one was kept out to hold the result
+        against), ``gains`` of those with flats alone, ``colour-bias``, the ``fits`` over K, and ``reproduction``: how
+        well the noise model reproduces the frames that were kept out.
+        """
+        from eldata.calibration.held_out import HEADINGS
+
+        gain = "K [DN/e-]"
+        labels = [self.isos[0].figures[name].heading for name in _COLUMNS] if self.isos else ()
+        channels = self.isos[0].channels if self.isos else ()
+        figures: list[tuple[str, ...]] = [
+            (
+                f"{one.iso:g}",
+                str(one.bias_frames) + (" + 1" if one.reproduction is not None else ""),
+                str(one.flat_frames),
+                one.gain_text,
+                *(one.figures[name].text for name in _COLUMNS),
+                str(one.pattern.defects),
+            )
+            for one in self.isos
+        ]
+        gains: list[tuple[str, ...]] = [(f"{one.iso:g}", str(one.flat_frames), one.gain_text) for one in self.gains]
+        colour_bias: list[tuple[str, ...]] = []
+        for one in self.isos:
+            texts = ["withheld"] * len(channels) if one.colour_bias is None else [each.text for each in one.colour_bias]
+            colour_bias.append((f"{one.iso:g}", *texts, f"{max(one.pattern.dsnu_dn):.2f}"))
+        fits: list[tuple[str, ...]] = [
+            (
+                f"{label}, {one.mode}" if len(self.modes) > 1 else label,
+                with_error(estimate.fit.slope, estimate.slope_error),
+                with_error(estimate.fit.intercept, estimate.intercept_error),
+                with_error(estimate.fit.sigma, estimate.sigma_error),
+                f"{estimate.r_squared:.4f}",
+            )
+            for one in self.modes
+            for scale, label in SCALES.items()
+            if (estimate := one.estimates[scale]) is not None
+        ]
+        kept = [(f"{one.iso:g}", *one.reproduction.cells()) for one in self.isos if one.reproduction is not None]
+        tables: dict[str, Table] = {
+            "figures": (("ISO", "bias", "flat", gain, *labels, "defects"), figures),
+            "gains": (("ISO", "flat", gain), gains),
+            "colour-bias": (("ISO", *channels, "DSNU"), colour_bias),
+            "fits": (("fit over ln K", "slope", "intercept", "sigma", "R2"), fits),
+            "reproduction": (("ISO", *HEADINGS), kept),
+        }
+        return {name: (header, rows) for name, (header, rows) in tables.items() if rows}
+
+    def format_text(self) -> str:
+        """Return the measured figures as aligned tables, the fits, and the remarks."""
+        titles = {
+            "gains": "K alone, from flats without bias frames\n",
+            "colour-bias": "colour bias over the recorded black level [DN]\n",
+            "reproduction": "a bias frame kept out, against simulated ones\n",
+        }
+        parts = [
+            titles.get(name, "") + text_table(header, rows, left=(0,) if name == "fits" else ())
+            for name, (header, rows) in self.tables().items()
+        ]
+        if self.no_profile:
+            parts.append(f"no profile can be made: {self.no_profile}")
+        if self.accepted:
+            parts.append("accepted, with larger errors\n" + "\n".join(f"  {one}" for one in self.accepted))
+        if self.all_remarks:
+            parts.append("remarks\n" + "\n".join(f"  {remark}" for remark in self.all_remarks))
+        return "\n\n".join(parts)
+
+    def __repr__(self) -> str:
+        isos = ", ".join(f"{one.iso:g}" for one in self.all_isos)
+        profile = "with a profile" if self.made_profile is not None else "no profile"
+        remarks = counted(len(self.all_remarks), "remark")
+        return f"Calibration({in_line(self.camera)!r}, ISO {isos or 'none'}; {profile}, {remarks})"
+
+    def _repr_html_(self) -> str:
+        tables = [table(*each) for name, each in self.tables().items() if name in {"figures", "gains"}]
+        return block(f"Calibration of {self.camera}", *tables, notes=self.all_remarks)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return every figure with its standard error as plain JSON types.
+
+        Numbers that are not finite are ``None``, and so is what is withheld; ``"withheld"`` has the reasons by figure.
+        """
+        fits = {f"{name}_fit": getattr(self, f"{name}_fit") for name in ("tukey_lambda", "gauss", "row")}
+        return {
+            "camera": self.camera,
+            "isos": [one.as_dict() for one in self.isos],
+            "gains": [one.as_dict() for one in self.gains],
+            "failed_isos": [one.iso for one in self.failed],
+            "problems": [asdict(problem) for problem in self.problems],
+            "fits": {name: None if estimate is None else asdict(estimate) for name, estimate in fits.items()},
+            "modes": [asdict(one) for one in self.modes] if len(self.modes) > 1 else [],
+            "profile": None if self.made_profile is None else self.made_profile.as_dict(),
+            "no_profile": self.no_profile or None,
+            "accepted": list(self.accepted),
+            "remarks": list(self.all_remarks),
+        }
+
+    # --- drawing ---
+
+    @property
     def scale_panels(self) -> tuple[ScalePanel, ...]:
         """The scales over K that can be drawn: of the read noise by either model, and of the row noise."""
+        quantities: tuple[Quantity, ...] = ("shape", "read noise", "row noise")
         panels = []
-        for scale in SCALES:
-            known = ((one.gain_dn_per_e, scale.given(one)) for one in self.isos)
+        for (scale, label), quantity in zip(SCALES.items(), quantities, strict=True):
+            known = ((one.gain_dn_per_e, one.figures[scale]) for one in self.isos)
             points = tuple(
-                (gain, found.value, found.error)
-                for gain, found in known
-                if gain is not None and found is not None and 0 < found.value < math.inf
+                (gain, figure.value, figure.error)
+                for gain, figure in known
+                if gain is not None and 0 < figure.value < math.inf
             )
-            lines = ((one.mode, one.estimate(scale)) for one in self.modes)
+            lines = ((one.mode, one.estimates[scale]) for one in self.modes)
             if points:
                 drawn = tuple((mode, line) for mode, line in lines if line is not None)
-                panels.append(
-                    ScalePanel(scale.label.removeprefix("sigma_"), scale.basis or "read noise", drawn, points)
-                )
+                panels.append(ScalePanel(label.removeprefix("sigma_"), quantity, drawn, points))
         return tuple(panels)
 
     def plot(self, iso: float | None = None) -> Drawing:
@@ -174,14 +289,12 @@ class Calibration:
                 axes.set_xlabel("signal [DN]")
 
             draws.append((f"photon transfer, ISO {chosen:g}", draw_transfer))
-        gains = [(one.iso, one.gain.value, one.gain.error) for one in self.all_isos if one.gain is not None]
-        if gains:
+        if gains := {one.iso: one.gain for one in self.all_isos if one.gain is not None}:
+            values, errors = [gain.value for gain in gains.values()], [bar(gain.error) for gain in gains.values()]
 
             def draw_gains(axes: Axes, theme: Theme) -> None:
-                known, values, errors = zip(*gains, strict=True)
-                usual = self.usual_gain_per_iso
-                gain_over_iso(axes, known, values, [bar(error) for error in errors], usual, theme)
-                iso_axis(axes, known)
+                gain_over_iso(axes, list(gains), values, errors, self.usual_gain_per_iso, theme)
+                iso_axis(axes, list(gains))
 
             draws.append(("system gain", draw_gains))
         for panel in self.scale_panels:
@@ -195,135 +308,6 @@ class Calibration:
             raise nothing_to_draw(f"the calibration of {self.camera}", "no ISO has flats or both K and bias frames")
         return drawn_grid(f"Calibration of {self.camera}", draws)
 
-    def __repr__(self) -> str:
-        isos = ", ".join(f"{one.iso:g}" for one in self.all_isos)
-        profile = "with a profile" if self.made_profile is not None else "no profile"
-        remarks = counted(len(self.all_remarks), "remark")
-        return f"Calibration({in_line(self.camera)!r}, ISO {isos or 'none'}; {profile}, {remarks})"
-
-    def _repr_html_(self) -> str:
-        tables = [table(header, rows) for header, rows in (self.table(), self.gain_table()) if rows]
-        return block(f"Calibration of {self.camera}", *tables, notes=self.all_remarks)
-
-    @property
-    def usual_gain_per_iso(self) -> float:
-        """The median of K / ISO; nan if no gain is known."""
-        return usual_gain_per_iso(self.all_isos)
-
-    @property
-    def all_remarks(self) -> tuple[str, ...]:
-        """Every remark, those of one ISO with its ISO in front."""
-        of_isos = (f"ISO {one.iso:g}: {remark}" for one in self.all_isos for remark in one.all_remarks)
-        return (*of_isos, *self.remarks)
-
-    def format_text(self) -> str:
-        """Return the measured figures as aligned tables, the fits, and the remarks."""
-        fits = ("fit over ln K", "slope", "intercept", "sigma", "R2"), self.fit_table()
-        tables = (
-            ("", self.table()),
-            ("K alone, from flats without bias frames\n", self.gain_table()),
-            ("colour bias over the recorded black level [DN]\n", self.bias_table()),
-            ("", fits),
-            ("a bias frame kept out, against simulated ones\n", self.reproduction_table()),
-        )
-        parts = [
-            title + text_table(*of_one, left=(0,) if of_one is fits else ()) for title, of_one in tables if of_one[1]
-        ]
-        if self.no_profile:
-            parts.append(f"no profile can be made: {self.no_profile}")
-        if self.accepted:
-            parts.append("accepted, with larger errors\n" + "\n".join(f"  {one}" for one in self.accepted))
-        if self.all_remarks:
-            parts.append("remarks\n" + "\n".join(f"  {remark}" for remark in self.all_remarks))
-        return "\n\n".join(parts)
-
-    def table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Return header and rows of the figures by ISO, values with their standard errors, or "withheld".
-
-        ``9 + 1`` bias frames: nine were used, one was kept out to hold the result against.
-        """
-        header = ("ISO", "bias", "flat", GAIN.heading, *(figure.heading for figure in COLUMNS), "defects")
-        return header, [
-            (
-                f"{one.iso:g}",
-                str(one.bias_frames) + (" + 1" if one.reproduction is not None else ""),
-                str(one.flat_frames),
-                one.gain_text,
-                *(figure.cell(one) for figure in COLUMNS),
-                str(one.pattern.defects),
-            )
-            for one in self.isos
-        ]
-
-    def gain_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Return header and rows of K at the ISOs that have flats alone."""
-        return ("ISO", "flat", GAIN.heading), [
-            (f"{one.iso:g}", str(one.flat_frames), one.gain_text) for one in self.gains
-        ]
-
-    def bias_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Return header and rows of the colour bias by ISO and CFA channel."""
-        rows = [
-            (
-                f"{one.iso:g}",
-                *map(_cell, one.colour_bias or (None,) * len(one.channels)),
-                f"{max(one.pattern.dsnu_dn):.2f}",
-            )
-            for one in self.isos
-        ]
-        return ("ISO", *(self.isos[0].channels if self.isos else ()), "DSNU"), rows
-
-    def fit_table(self) -> list[tuple[str, ...]]:
-        """Return the rows of the joint fits that could be made, those of each gain mode after another."""
-        return [
-            (
-                f"{figure.label}, {one.mode}" if len(self.modes) > 1 else figure.label,
-                with_error(estimate.fit.slope, estimate.slope_error),
-                with_error(estimate.fit.intercept, estimate.intercept_error),
-                with_error(estimate.fit.sigma, estimate.sigma_error),
-                f"{estimate.r_squared:.4f}",
-            )
-            for one in self.modes
-            for figure in SCALES
-            if (estimate := one.estimate(figure)) is not None
-        ]
-
-    def reproduction_table(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Return header and rows of how well the noise model reproduces the frames that were kept out."""
-        from eldata.calibration.reproduction import HEADINGS
-
-        kept = [(one.iso, one.reproduction) for one in self.isos if one.reproduction is not None]
-        return ("ISO", *HEADINGS), [(f"{iso:g}", *found.cells()) for iso, found in kept]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return every figure with its standard error as plain JSON types.
-
-        Numbers that are not finite are ``None``, and so is what is withheld; ``"withheld"`` has the reasons by figure.
-        """
-        from dataclasses import asdict
-
-        fits = {figure.fit: self._fit(figure) for figure in SCALES}
-        return {
-            "camera": self.camera,
-            "isos": [one.as_dict() for one in self.isos],
-            "gains": [one.as_dict() for one in self.gains],
-            "failed_isos": [one.iso for one in self.failed],
-            "problems": [asdict(problem) for problem in self.problems],
-            "fits": {name: None if estimate is None else asdict(estimate) for name, estimate in fits.items()},
-            "modes": [asdict(one) for one in self.modes] if len(self.modes) > 1 else [],
-            "profile": None if self.made_profile is None else self.made_profile.as_dict(),
-            "no_profile": self.no_profile or None,
-            "accepted": list(self.accepted),
-            "remarks": list(self.all_remarks),
-        }
-
-
-def _cell(figure: GivenFigure | None) -> str:
-    return "withheld" if figure is None else figure.text
-
-
-# --- drawing ----------------------------------------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, slots=True)
 class ScalePanel:
@@ -331,8 +315,8 @@ class ScalePanel:
 
     Attributes
     ----------
-    name, figure
-        Index of its sigma, and the figure that it is withheld with.
+    name, quantity
+        Index of its sigma, and what it is withheld with.
     lines
         The fitted ones, with their gain modes.
     points
@@ -340,7 +324,7 @@ class ScalePanel:
     """
 
     name: str
-    figure: Figure
+    quantity: Quantity
     lines: tuple[tuple[GainMode, LogLogEstimate], ...]
     points: tuple[Point, ...]
 

@@ -12,9 +12,9 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.numbers import counted
 from eldata.base.workers import Workers
-from eldata.calibration.core._frames import sites
-from eldata.calibration.frames import sorted_frames
+from eldata.calibration.frames import sort_frames
 from eldata.calibration.one_iso import bias_pattern
+from eldata.calibration.sums import sites
 from eldata.errors import ArgumentError, DatasetError
 from eldata.noise.dark_shading import DarkShading, ShadingIso
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from eldata.base.workers import AnyWorkers
-    from eldata.calibration.core._frames import Counts, Mask, Plane, Values
-    from eldata.calibration.core.defects import FixedPattern
+    from eldata.calibration.defects import FixedPattern
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
+    from eldata.calibration.sums import Counts, Mask, Plane, Values
     from eldata.datasets.calibration_frames import CalibrationFrames
 
 _REACH = 2  # periods of the CFA around a hot pixel, whose sound pixels stand for it
@@ -67,7 +67,7 @@ class ShadingFit:
     least seen. BLE is what the mean of a channel's sound pixels keeps from its own such line: it adds up to 0 over
     the ISOs of a mode, and has no slope, by this choice, since k and b can hold both.
 
-    The memory is that of eight bytes a pixel and gain mode, whatever the number of ISOs and frames.
+    It takes eight bytes of memory a pixel and gain mode, whatever the number of ISOs and frames.
 
     Parameters
     ----------
@@ -83,11 +83,7 @@ class ShadingFit:
         self._hot: Mask | None = None
 
     def add(
-        self,
-        iso: float,
-        fixed: FixedPattern,
-        black_level_dn: Sequence[float],
-        standard_error_dn: Sequence[float],
+        self, iso: float, fixed: FixedPattern, black_level_dn: Sequence[float], standard_error_dn: Sequence[float]
     ) -> None:
         """Add an ISO.
 
@@ -105,10 +101,8 @@ class ShadingFit:
         Raises
         ------
         ArgumentError
-            If the ISO was added before, or the frames have another size or CFA than those before.
+            If the frames have another size or CFA than those before.
         """
-        if any(one.iso == iso for one in self._isos):
-            raise ArgumentError(f"ISO {iso:g} was added before; add all frames of an ISO together")
         if self._pattern is None or self._hot is None:
             self._pattern, self._hot = fixed.pattern, np.zeros_like(fixed.defects)
         if fixed.defects.shape != self._hot.shape or not np.array_equal(fixed.pattern, self._pattern):
@@ -218,7 +212,7 @@ def _calm(values: Plane, hot: Mask, pattern: Counts) -> None:
 
 def dark_shading(
     frames: CalibrationFrames,
-    found: Calibration,
+    calibration: Calibration,
     *,
     modes: Sequence[float] | None = None,
     workers: AnyWorkers = 1,
@@ -229,11 +223,11 @@ def dark_shading(
     ----------
     frames
         The frames.
-    found
-        What :func:`~eldata.calibration.camera.calibrate` found in them. ISOs that it left out, or whose level it
+    calibration
+        Of these frames, by :func:`~eldata.calibration.camera.calibrate`. ISOs that it left out, or whose level it
         withheld, are left out here too, also where somebody has accepted the level.
     modes
-        The first ISO of each gain mode of the camera but the lowest; by default as ``found`` has them.
+        The first ISO of each gain mode of the camera but the lowest; by default the calibration's.
     workers
         Number of threads that decode. The result does not depend on it.
 
@@ -259,13 +253,13 @@ def dark_shading(
     >>> dark_shading(frames, calibrate(frames)).save("mycamera.npz")  # doctest: +SKIP
     """
     threads = Workers(Workers.of(workers).jobs)
-    limits = [one.mode.iso_range for one in found.modes if one.mode.iso_range is not None]
+    limits = [one.mode.iso_range for one in calibration.modes if one.mode.iso_range is not None]
     starts = [low for low, _ in limits[1:]] if modes is None else list(modes)
     notes = []
-    if modes is None and not found.modes and len(found.isos) > 1:
+    if modes is None and not calibration.modes and len(calibration.isos) > 1:
         notes.append("K is not known, so a switch of the conversion gain would not be seen: all ISOs share one line")
     usable: list[IsoCalibration] = []
-    for one in found.isos:
+    for one in calibration.isos:
         between = any(above < one.iso < start for (_, above), start in zip(limits, starts, strict=False))
         # An error that is accepted is none that a shading could have: it would hold the light itself.
         of_level = [seen for seen in one.findings if "colour bias" in seen.figures]
@@ -276,7 +270,7 @@ def dark_shading(
             notes.append(f"ISO {one.iso:g} was left out: it lies between two gain modes, and no K tells of which it is")
         else:
             usable.append(one)
-    chosen = {float(one.iso): one for one in sorted_frames(frames, threads)}
+    chosen = {float(one.iso): one for one in sort_frames(frames, threads)}
     fit = ShadingFit(starts)
     used = isos = 0
     models: dict[str, float] = {}
@@ -295,4 +289,4 @@ def dark_shading(
         listed = ", ".join(f"those of ISO {iso:g} of a {model}" for model, iso in models.items())
         raise DatasetError(f"{frames.camera}: the bias frames are of several cameras, {listed}; a shading is of one")
     source = f"eldata {__version__} calibrate: {used} bias frames at {counted(isos, 'ISO')}"
-    return fit.shading(found.camera, source, notes, next(iter(models), ""))
+    return fit.shading(calibration.camera, source, notes, next(iter(models), ""))

@@ -107,7 +107,7 @@ def _stated_gain(text: str) -> tuple[int, float] | str:
 
 
 def _stated_crop(text: str) -> tuple[slice, slice]:
-    parts = [part.split(":") for part in text.split(",")]
+    parts = [part.split(":") for part in text.replace("−", "-").split(",")]  # as pages print a minus
     if [len(part) for part in parts] != [2, 2]:
         raise ArgumentTypeError(f"expected rows and columns such as 8:-8,16:, found {text!r}")
     try:

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from eldata.calibration.core.findings import GivenFigure
-    from eldata.calibration.iso_results import IsoCalibration
+    from eldata.calibration.iso_results import IsoCalibration, MeasuredFigure
     from eldata.calibration.results import Calibration
     from eldata.demo.body import FixedFeatures
 
@@ -108,7 +107,7 @@ def _errors(one: IsoCalibration, true: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _relative(found: GivenFigure | None, true: float) -> str:
+def _relative(found: MeasuredFigure | None, true: float) -> str:
     if found is None:
         return "withheld"
     return f"{100 * (found.value / true - 1):+.2f} ({(found.value - true) / found.error:+.1f})"

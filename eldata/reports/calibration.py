@@ -14,7 +14,7 @@ from eldata.reports.calibration_iso import (
     ppcc_plot,
     read_noise_plots,
     reproduced_pictures,
-    reproduced_plots,
+    reproduced_plot,
     rows_plot,
     shading_pictures,
     spectrum_picture,
@@ -26,15 +26,22 @@ from eldata.reports.html import digits, grouped, measured, rendered
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.core.findings import Effect, Figure, GivenFigure
-    from eldata.calibration.iso_results import IsoCalibration, IsoGain
+    from eldata.calibration.findings import Effect, Quantity
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
     from eldata.calibration.results import Calibration
     from eldata.reports.calibration_iso import Pictures
     from eldata.reports.figures import Plot
 
 _GRAVEST: tuple[Effect, ...] = ("withheld", "wider", "remark")
-_READ: tuple[Figure, ...] = ("shape", "read noise")
+_READ: tuple[Quantity, ...] = ("shape", "read noise")
 _FIT_HEADER = ("fit over ln K", "slope", "intercept", "σ", "R²")
+_CAPTIONS = {
+    "figures": "Figures, value ± standard error",
+    "gains": "K alone, from flats without bias frames",
+    "colour-bias": "Colour bias over the recorded black level [DN]",
+    "fits": "Lines of ln σ over ln K",
+    "reproduction": "A bias frame kept out, against simulated ones",
+}
 
 
 def calibration_page(calibration: Calibration) -> str:
@@ -44,8 +51,8 @@ def calibration_page(calibration: Calibration) -> str:
         calibration=calibration,
         verdict=_verdict(calibration) + _without_profile(calibration),
         wary=_wary(calibration),
-        withheld=_where([one.withheld_and_widened[0] for one in calibration.all_isos], calibration),
-        widened=_where([one.withheld_and_widened[1] for one in calibration.all_isos], calibration),
+        withheld=_where([one.symbols("withheld") for one in calibration.all_isos], calibration),
+        widened=_where([one.symbols("wider") for one in calibration.all_isos], calibration),
         remarks=_remarks(calibration),
         tables=_tables(calibration),
         joint=joint_plots(calibration),
@@ -68,17 +75,9 @@ class _Group:
 
 def _tables(calibration: Calibration) -> list[dict[str, Any]]:
     """Return name, caption, header and rows of each table that has any."""
-    found = {
-        "figures": ("Figures, value ± standard error", *calibration.table()),
-        "gains": ("K alone, from flats without bias frames", *calibration.gain_table()),
-        "colour-bias": ("Colour bias over the recorded black level [DN]", *calibration.bias_table()),
-        "fits": ("Lines of ln σ over ln K", _FIT_HEADER, calibration.fit_table()),
-        "reproduction": ("A bias frame kept out, against simulated ones", *calibration.reproduction_table()),
-    }
     return [
-        {"name": name, "caption": caption, "header": header, "rows": rows}
-        for name, (caption, header, rows) in found.items()
-        if rows
+        {"name": name, "caption": _CAPTIONS[name], "header": _FIT_HEADER if name == "fits" else header, "rows": rows}
+        for name, (header, rows) in calibration.tables().items()
     ]
 
 
@@ -180,14 +179,14 @@ def _summary(one: IsoCalibration) -> str:
     return f"{_gain_summary(one)}, λ {shape}, σ TL {scale}, σ row {row}"
 
 
-def _alone(figure: GivenFigure | None, count: int = 3) -> str:
+def _alone(figure: MeasuredFigure | None, count: int = 3) -> str:
     """Return a figure without its error."""
     if figure is None:
         return "withheld"
     return digits(figure.value, count) + (" (stated)" if figure.is_stated else "")
 
 
-def _judged(one: IsoGain, group: _Group, *figures: Figure) -> _Group:
+def _judged(one: IsoGain, group: _Group, *figures: Quantity) -> _Group:
     """Return a group with the sentence why figures are not given, or with which error; as it is if all is well."""
     if why := one.why(*figures):
         return replace(group, note=f"Withheld: {why.rstrip('.')}.", effect="withheld")
@@ -275,12 +274,12 @@ def _read_noise(one: IsoCalibration) -> _Group:
 
 
 def _as_published(one: IsoCalibration) -> tuple[tuple[str, str], ...]:
-    single = one.single_frame
-    if single is None:
+    if one.single_frame is None:
         return ()
+    of_shape, of_normal, _ = one.single_frame
     return (
-        ("R² as published, Tukey lambda", digits(single.r_squared_tl, 6)),
-        ("R² as published, Gaussian", digits(single.r_squared_gauss, 6)),
+        ("R² as published, Tukey lambda", digits(of_shape, 6)),
+        ("R² as published, Gaussian", digits(of_normal, 6)),
     )
 
 
@@ -301,7 +300,7 @@ def _reproduction(one: IsoCalibration) -> _Group:
         ("Row means, σ real", f"{digits(found.row_sigma_real_dn)} DN"),
         ("Row means, σ simulated", f"{digits(found.row_sigma_simulated_dn)} DN"),
     )
-    return _Group(title, numbers, plots=reproduced_plots(one, found), pictures=(reproduced_pictures(one, found),))
+    return _Group(title, numbers, plots=(reproduced_plot(one, found),), pictures=(reproduced_pictures(one, found),))
 
 
 def _pattern(one: IsoCalibration) -> _Group:

@@ -29,11 +29,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from eldata.calibration.core.findings import GivenFigure
-    from eldata.calibration.core.photon_transfer import PhotonTransfer
-    from eldata.calibration.core.read_noise import ProbabilityPlot, ReadNoise
-    from eldata.calibration.iso_results import IsoCalibration, IsoGain
-    from eldata.calibration.reproduction import Reproduction
+    from eldata.calibration.flats import PhotonTransfer
+    from eldata.calibration.held_out import Reproduction
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
+    from eldata.calibration.residuals import ProbabilityPlot, ReadNoise
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
 
@@ -48,7 +47,7 @@ _FRAMES_SHOWN = 32
 _SHADING_SHOWN = 72  # rows or columns
 
 
-def estimated(figure: GivenFigure | None, unit: str = "") -> str:
+def estimated(figure: MeasuredFigure | None, unit: str = "") -> str:
     """Return a figure with its error and unit, or "withheld"."""
     if figure is None:
         return "withheld"
@@ -107,7 +106,7 @@ def _draw_single_frames(axes: Axes, spatial: PhotonTransfer, theme: Theme) -> No
 # --- colour bias --------------------------------------------------------------------------------------------------
 
 
-def bias_plot(one: IsoCalibration, given: Sequence[GivenFigure]) -> Plot:
+def bias_plot(one: IsoCalibration, given: Sequence[MeasuredFigure]) -> Plot:
     """Draw the colour bias, and below how much the frames' own means scatter around it."""
     bias = one.bias
     channels = len(one.channels)
@@ -207,7 +206,7 @@ def _set_up_power(axes: Axes) -> None:
 # --- read noise ---------------------------------------------------------------------------------------------------
 
 
-def ppcc_plot(one: IsoCalibration, read: ReadNoise, shape: GivenFigure) -> Plot:
+def ppcc_plot(one: IsoCalibration, read: ReadNoise, shape: MeasuredFigure) -> Plot:
     """Draw the correlation of the probability plot over the shape, and the shape that is given."""
     alt = (
         f"Correlation of the probability plot over the shape λ at ISO {one.iso:g}: highest at "
@@ -266,8 +265,8 @@ def read_noise_plots(one: IsoCalibration, read: ReadNoise, plot: ProbabilityPlot
 # --- real against simulated ---------------------------------------------------------------------------------------
 
 
-def reproduced_plots(one: IsoCalibration, found: Reproduction) -> tuple[Plot, Plot]:
-    """Draw the quantiles of a real bias frame over those of a simulated one, and the periodograms of their rows."""
+def reproduced_plot(one: IsoCalibration, found: Reproduction) -> Plot:
+    """Draw the quantiles of a real bias frame over those of a simulated one."""
     r_squared = digits(found.r_squared, 6)
     of_quantiles = (
         f"Quantiles of the held-out bias frame against those of a simulated one at ISO {one.iso:g}, from 0.00001 to "
@@ -282,24 +281,7 @@ def reproduced_plots(one: IsoCalibration, found: Reproduction) -> tuple[Plot, Pl
         labels=("simulated [DN]", "real [DN]"),
         note=f"R² {r_squared}",
     )
-    of_rows = (
-        f"Power of the row means of the held-out bias frame and of a simulated one at ISO {one.iso:g}. Standard "
-        f"deviation of the row means: real {digits(found.row_sigma_real_dn)} DN, simulated "
-        f"{digits(found.row_sigma_simulated_dn)} DN."
-    )
-
-    def rows(axes: Axes, theme: Theme) -> None:
-        frequency, real, simulated = found.smoothed_row_powers_dn2(len(one.sensor.cfa))
-        axes.plot(frequency, simulated, "--", color=theme.theory, label="simulated")
-        axes.plot(frequency, real, "-", color=theme.found, label="real")
-        _set_up_power(axes)
-        axes.set(xlabel="frequency [cycles per row]", ylabel="power [DN²]")
-        axes.legend(loc="upper right", ncols=2)
-
-    return (
-        _plot("reproduced-quantiles", one, of_quantiles, quantiles),
-        _plot("reproduced-rows", one, of_rows, rows),
-    )
+    return _plot("reproduced-quantiles", one, of_quantiles, quantiles)
 
 
 # --- pictures -----------------------------------------------------------------------------------------------------

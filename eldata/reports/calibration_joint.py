@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
-    from eldata.calibration.core.findings import GivenFigure
-    from eldata.calibration.iso_results import IsoCalibration, IsoGain
+    from eldata.calibration.iso_results import IsoCalibration, IsoGain, MeasuredFigure
     from eldata.calibration.results import Calibration, ScalePanel
     from eldata.plots.axes import Theme
     from eldata.reports.figures import Plot
@@ -33,7 +32,7 @@ _CHANNEL_STEP = 0.07  # of ln ISO: side by side, where the channels' values are 
 def joint_plots(calibration: Calibration) -> tuple[Plot, ...]:
     """Draw every plot over the ISOs that there is data for."""
     isos = calibration.isos
-    found = [_scale_plot(panel, _left_out(isos, "gain", panel.figure)) for panel in calibration.scale_panels]
+    found = [_scale_plot(panel, _left_out(isos, "gain", panel.quantity)) for panel in calibration.scale_panels]
     with_gain = [one for one in calibration.all_isos if one.gain is not None]
     if with_gain:
         more = _left_out(calibration.all_isos, "gain")
@@ -120,7 +119,7 @@ def _gain_plot(known: Sequence[IsoGain], usual: float, more: str) -> Plot:
     return _plot_by_iso("gain", isos, alt, draw, ratio=1.8, more=more)
 
 
-def _lambda_plot(given: Sequence[tuple[float, GivenFigure]], more: str) -> Plot:
+def _lambda_plot(given: Sequence[tuple[float, MeasuredFigure]], more: str) -> Plot:
     isos, shapes = [iso for iso, _ in given], [shape.value for _, shape in given]
     span = f"from {digits(min(shapes))} to {digits(max(shapes))}"
     alt = f"Shape λ of the read noise at {counted(len(shapes), 'ISO')}, {span}."
@@ -136,7 +135,7 @@ def _lambda_plot(given: Sequence[tuple[float, GivenFigure]], more: str) -> Plot:
     return _plot_by_iso("lambda", isos, alt, draw, more=more)
 
 
-def _bias_plot(names: Sequence[str], given: Sequence[tuple[float, Sequence[GivenFigure]]], more: str) -> Plot:
+def _bias_plot(names: Sequence[str], given: Sequence[tuple[float, Sequence[MeasuredFigure]]], more: str) -> Plot:
     isos = [iso for iso, _ in given]
     values = [channel.value for _, bias in given for channel in bias]
     span = f"from {digits(min(values))} to {digits(max(values))} DN"

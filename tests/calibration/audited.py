@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.audit.bias_checks import BiasAudit, BiasSeen, bias_findings, code_step, mean_step
-from eldata.calibration.core.findings import given, with_accepted
+from eldata.calibration.bias_sums import BiasPairs
+from eldata.calibration.checks import bias_findings, code_step, mean_step
+from eldata.calibration.findings import accept_findings
 from tests.calibration import draws
-from tests.calibration.chain import calibrated, figures_of
+from tests.calibration.chain import calibrated, figures_of, given
 from tests.calibration.simulation import XTRANS, Body, Camera
 
 if TYPE_CHECKING:
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.core.findings import Finding, GivenFigure
+    from eldata.calibration.findings import Finding
+    from eldata.calibration.iso_results import MeasuredFigure
     from tests.calibration.faults import Planted
 
 CAMERA = Camera(shape=(512, 768), shading=1.0)
@@ -30,8 +32,8 @@ class Audited:
     """One camera's bias frames through the estimators and the audit: each figure before it, with it, and in truth."""
 
     findings: tuple[Finding, ...]
-    before: dict[str, GivenFigure]
-    after: dict[str, GivenFigure | None]
+    before: dict[str, MeasuredFigure]
+    after: dict[str, MeasuredFigure | None]
     truth: dict[str, float]
 
     @property
@@ -46,14 +48,13 @@ class Audited:
 
 def audited(camera: Camera, frames: Sequence[NDArray[np.uint16]], *, accept: Sequence[str] = ()) -> Audited:
     found = calibrated(camera, frames)
-    audit = BiasAudit(found.fixed)
+    audit = BiasPairs(found.fixed)
     for frame in frames:
         audit.add(frame)
     statistics = audit.statistics()
     step = code_step(statistics.codes)
     step_dn = float(step) if step > 1 else mean_step(statistics.codes)
-    seen = BiasSeen(statistics, found.bias, found.rows, found.read, step_dn)
-    findings = with_accepted(bias_findings(seen), accept)
+    findings = accept_findings(bias_findings(statistics, found.bias, found.rows, found.read, step_dn), accept)
     before, after, truth = {}, {}, {}
     for name, (figure, value, error, true, scale) in figures_of(found, camera).items():
         before[name] = given((), figure, value, error, scale)

@@ -15,10 +15,16 @@ from eldata.calibration import (
     PhotonTransfer,
     ReadNoise,
     RowNoise,
+    colour_bias,
     fixed_pattern,
     photon_transfer,
+    read_noise,
+    row_noise,
 )
-from eldata.calibration.core.read_noise import read_noise_findings
+from eldata.calibration.checks import read_noise_findings
+from eldata.calibration.iso_results import IsoGain, MeasuredFigure
+from eldata.records import Sensor
+from tests.calibration.simulation import BAYER
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +32,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from eldata.calibration.core.findings import Figure
+    from eldata.calibration.findings import Quantity
     from tests.calibration.simulation import Body, Camera
 
 
@@ -52,13 +58,21 @@ def calibrated(camera: Camera, frames: Sequence[NDArray[np.uint16]]) -> Calibrat
     sums = BiasSums(fixed)
     for frame in frames:
         sums.add(frame)
-    found = sums.figures([camera.black] * len(camera.bias))
-    assert found.read is not None
-    findings = read_noise_findings(found.read, found.bias, found.rows.rows)
-    return Calibration(fixed, found.rows, found.read, found.bias, findings)
+    rows, read = row_noise(sums), read_noise(sums.residuals())
+    bias = colour_bias(sums, rows, [camera.black] * len(camera.bias))
+    return Calibration(fixed, rows, read, bias, read_noise_findings(read, bias, rows.rows))
 
 
-def figures_of(found: Calibration, camera: Camera) -> dict[str, tuple[Figure, float, float, float, float]]:
+def given(
+    findings: Sequence[Finding], quantity: Quantity, value: float, error: float, scale: float
+) -> MeasuredFigure | None:
+    """A figure with what findings make of it; ``None`` if it is withheld."""
+    one = IsoGain(iso=100.0, sensor=Sensor("", "", BAYER, (512.0,) * 4, 16383.0, 2, 2), findings=tuple(findings))
+    figure = one.judge(quantity, MeasuredFigure("x", "x", value, error), scale)
+    return None if figure.why_withheld else figure
+
+
+def figures_of(found: Calibration, camera: Camera) -> dict[str, tuple[Quantity, float, float, float, float]]:
     """Figures of bias frames: what each is withheld with, its value and error, the truth, the scale of allowances."""
     read, rows = found.read, found.rows.rows
     truth = camera.noise.sigma_gauss_dn

@@ -65,15 +65,14 @@ def corner_leak(peak_dn: float) -> Planted:
     return Planted(f"corner leak, {peak_dn:g} DN", _lit(light))
 
 
-def jumping(share: float, sigmas: float, duty: float, sign: int = 1) -> Planted:
-    """Pixels that are so many standard deviations of the read noise higher (or lower) in a share of the frames."""
+def jumping(share: float, sigmas: float, duty: float) -> Planted:
+    """Pixels that are so many standard deviations of the read noise higher in a share of the frames."""
 
     def fault(frames: Frames, camera: Camera, generator: np.random.Generator) -> Frames:
-        step = sign * sigmas * camera.noise.sigma_gauss_dn * (generator.random(camera.shape) < share)
+        step = sigmas * camera.noise.sigma_gauss_dn * (generator.random(camera.shape) < share)
         return [frame + step * (generator.random(camera.shape) < duty) for frame in frames]
 
-    side = "up" if sign > 0 else "down"
-    return Planted(f"pixels that jump {side}, {share:.1%} by {sigmas:g} sigma, {duty:.0%} of the time", fault)
+    return Planted(f"pixels that jump up, {share:.1%} by {sigmas:g} sigma, {duty:.0%} of the time", fault)
 
 
 def _by_site(frames: Frames, camera: Camera, filtered: Callable[..., NDArray[np.float64]]) -> Frames:
@@ -95,8 +94,8 @@ def blurred(share: float) -> Planted:
     return Planted(f"blur of {share:g}", fault)
 
 
-def star_eater(sigmas: float, *, both_sides: bool = False) -> Planted:
-    """Values that far above all eight neighbours of their colour (or below) become the neighbours' median."""
+def star_eater(sigmas: float) -> Planted:
+    """Values that far above all eight neighbours of their colour become the neighbours' median."""
     around = np.ones((3, 3), dtype=np.bool_)
     around[1, 1] = False
 
@@ -106,14 +105,11 @@ def star_eater(sigmas: float, *, both_sides: bool = False) -> Planted:
         def eaten(site: NDArray[np.float64]) -> NDArray[np.float64]:
             median = ndimage.median_filter(site, footprint=around)
             far = site > ndimage.maximum_filter(site, footprint=around) + margin
-            if both_sides:
-                far |= site < ndimage.minimum_filter(site, footprint=around) - margin
             return np.where(far, median, site)
 
         return _by_site(frames, camera, eaten)
 
-    sides = "both sides" if both_sides else "bright side"
-    return Planted(f"star-eater from {sigmas:g} sigma, {sides}", fault, of_values=True)
+    return Planted(f"star-eater from {sigmas:g} sigma", fault, of_values=True)
 
 
 def coarse(step: int) -> Planted:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erf
 
-from eldata.calibration.audit.flat_checks import flat_findings, saturation
-from eldata.calibration.core.findings import given
-from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
+from eldata.calibration.checks import flat_findings, saturation
+from eldata.calibration.flats import FlatPairs, photon_transfer
 from eldata.demo.body import Body
 from eldata.errors import DatasetError
+from tests.calibration.chain import given
 from tests.calibration.simulation import BAYER, XTRANS, Camera
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.core.findings import Finding
+    from eldata.calibration.findings import Finding
     from eldata.demo.body import KnownNoise
 
     Pair = tuple[NDArray[np.uint16], NDArray[np.uint16]]
@@ -65,10 +65,9 @@ def clean(setting: Setting, generator: np.random.Generator, drift: float = 0.0) 
     ]
 
 
-def clipped(white: float, spread: float = 0.0) -> Callable[..., list[Pair]]:
+def clipped(white: int) -> Callable[..., list[Pair]]:
     def make(setting: Setting, generator: np.random.Generator) -> list[Pair]:
-        well = BLACK + (white - BLACK) * (1 + spread * generator.standard_normal(setting.shape))
-        ceiling = np.rint(well).astype(np.uint16)
+        ceiling = np.uint16(white)
         return [(np.minimum(a, ceiling), np.minimum(b, ceiling)) for a, b in clean(setting, generator)]
 
     return make
@@ -164,7 +163,6 @@ def smoothed(weight: float) -> Callable[..., list[Pair]]:
 
 QUIET = Setting(gain=0.09, sigma_tl=0.65)
 LOUD = Setting(gain=27.0, sigma_tl=33.0)
-EVEN = Setting(vignetting=0.0)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.workers import Workers
-    from eldata.calibration.core.read_noise import ReadNoise
+    from eldata.calibration.residuals import ReadNoise
     from eldata.datasets.calibration_frames import CalibrationFrames
     from eldata.records import Role, Sensor
 

@@ -7,13 +7,11 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 
 from eldata.calibration import Finding
-from eldata.calibration.camera import joined
-from eldata.calibration.core.findings import ACCEPTABLE, READ, SYMBOLS, checked_acceptance, named, with_accepted
-from eldata.errors import ArgumentError
+from eldata.calibration.camera import join_isos
+from eldata.calibration.findings import READ, SYMBOLS, accept_findings, list_symbols
 from eldata.noise import CameraProfile
 from eldata.reports.calibration import calibration_page
 from eldata.reports.html import typeset
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from eldata.calibration import Calibration, IsoCalibration
-    from eldata.calibration.core.findings import Effect, Figure
+    from eldata.calibration.findings import Effect, Quantity
 
 WHY = "half of the frames are of another planet; photograph this one"
 GAIN_CELL, ROW_CELL = 3, 7  # of a table's row
@@ -47,7 +45,7 @@ def isos() -> tuple[IsoCalibration, ...]:
     return tuple(measured(iso, camera_at(iso)) for iso in (100.0, 400.0, 1600.0, 6400.0))
 
 
-def finding(*figures: Figure, effect: Effect = "withheld", allowance: float = 0.0) -> Finding:
+def finding(*figures: Quantity, effect: Effect = "withheld", allowance: float = 0.0) -> Finding:
     return Finding("planet", figures, effect, 0.5, 0.1, WHY, allowance)
 
 
@@ -56,13 +54,13 @@ def with_findings(isos: tuple[IsoCalibration, ...], *findings: Finding) -> Calib
     spoilt = replace(isos[1], findings=findings)
     if spoilt.parameters is None:
         spoilt = replace(spoilt, reproduction=None)
-    return joined("TestCamera", [isos[0], spoilt, *isos[2:]])
+    return join_isos("TestCamera", [isos[0], spoilt, *isos[2:]])
 
 
 def page_of(found: Calibration) -> str:
     """The text of the page of the first two ISOs: drawing each takes a second."""
     two = found.isos[:2]
-    return checked(calibration_page(joined(found.camera, two))).text
+    return checked(calibration_page(join_isos(found.camera, two))).text
 
 
 def as_json(found: Calibration) -> dict[str, Any]:
@@ -71,8 +69,8 @@ def as_json(found: Calibration) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("figure", list(SYMBOLS))
-def test_a_withheld_figure_is_given_nowhere(figure: Figure, isos: tuple[IsoCalibration, ...]) -> None:
-    whole, found = joined("TestCamera", isos), with_findings(isos, finding(figure))
+def test_a_withheld_figure_is_given_nowhere(figure: Quantity, isos: tuple[IsoCalibration, ...]) -> None:
+    whole, found = join_isos("TestCamera", isos), with_findings(isos, finding(figure))
     one, data, before = found.isos[1], as_json(found)["isos"][1], as_json(whole)["isos"][1]
     assert one.withheld == {figure}
     assert data["withheld"] == {figure: WHY}
@@ -83,36 +81,36 @@ def test_a_withheld_figure_is_given_nowhere(figure: Figure, isos: tuple[IsoCalib
             assert data[field] == (None if name == figure else before[field]), field
     assert before["withheld"] == {}
 
-    cells = found.table()[1][1]
+    cells = found.tables()["figures"][1][1]
     hidden = CELLS.get(figure, ())
     for index in range(GAIN_CELL, ROW_CELL + 1):
         assert (cells[index] == "withheld") == (index in hidden)
-    colours = found.bias_table()[1][1][1:5]
+    colours = found.tables()["colour-bias"][1][1][1:5]
     assert (colours == ("withheld",) * 4) == (figure == "colour bias")
 
     in_the_dark = figure != "gain"
     assert (one.parameters is None) == in_the_dark
     assert (data["reproduction"] is None) == in_the_dark
     # No number that only the withheld figure has is left in the text or the profile's notes.
-    cells_of_it = {whole.table()[1][1][index] for index in hidden}
-    cells_of_it |= set(whole.bias_table()[1][1][1:5]) if figure == "colour bias" else set()
+    cells_of_it = {whole.tables()["figures"][1][1][index] for index in hidden}
+    cells_of_it |= set(whole.tables()["colour-bias"][1][1][1:5]) if figure == "colour bias" else set()
     for text in (found.format_text(), *found.profile.notes):
         assert [cell for cell in cells_of_it if cell in text] == []
 
 
 def test_a_page_shows_no_withheld_figure(isos: tuple[IsoCalibration, ...]) -> None:
-    whole, page = joined("TestCamera", isos), page_of(with_findings(isos, finding(*SYMBOLS))).replace("−", "-")
+    whole, page = join_isos("TestCamera", isos), page_of(with_findings(isos, finding(*SYMBOLS))).replace("−", "-")
     assert f"Withheld: {WHY}." in page
-    assert f"Withheld, since an assumption does not hold: {typeset(named(SYMBOLS))} at ISO 400." in page
+    assert f"Withheld, since an assumption does not hold: {typeset(list_symbols(SYMBOLS))} at ISO 400." in page
     assert "Not shown, since withheld: ISO 400." in page
-    hidden = {*whole.table()[1][1][GAIN_CELL : ROW_CELL + 1], *whole.bias_table()[1][1][1:5]}
+    hidden = {*whole.tables()["figures"][1][1][GAIN_CELL : ROW_CELL + 1], *whole.tables()["colour-bias"][1][1][1:5]}
     assert [cell for cell in hidden if cell in page] == []
 
 
 def test_the_profile_of_what_is_left(isos: tuple[IsoCalibration, ...], tmp_path: Path) -> None:
     """A row needs lambda and the colour bias; K and sigma_row may be unknown. Lines are of what is given."""
-    whole = joined("TestCamera", isos)
-    expected: dict[Figure, tuple[int, tuple[int, int, int]]] = {
+    whole = join_isos("TestCamera", isos)
+    expected: dict[Quantity, tuple[int, tuple[int, int, int]]] = {
         "gain": (4, (3, 3, 3)),
         "shape": (3, (3, 4, 4)),
         "read noise": (3, (4, 3, 4)),
@@ -135,43 +133,6 @@ def test_the_profile_of_what_is_left(isos: tuple[IsoCalibration, ...], tmp_path:
         else:
             assert kept == []
         assert any(note.startswith("ISO 400: half of the frames") for note in profile.notes)
-
-
-def test_limits_of_k_are_of_what_is_given(isos: tuple[IsoCalibration, ...]) -> None:
-    spoilt = replace(isos[3], findings=(finding("gain"),))
-    profile = joined("TestCamera", [*isos[:3], spoilt]).profile
-    assert profile.iso_range == (100.0, 1600.0)
-    assert profile.gain_range_dn_per_e == (isos[0].gain_dn_per_e, isos[2].gain_dn_per_e)
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_no_profile_of_nothing(isos: tuple[IsoCalibration, ...]) -> None:
-    dark = "the read noise or the colour bias is withheld at every ISO"
-    cases: tuple[tuple[Figure, str], ...] = (
-        ("shape", dark),
-        ("read noise", dark),
-        ("colour bias", dark),
-        ("gain", "K is withheld at every ISO that has flats"),
-    )
-    for figure, why in cases:
-        found = joined("TestCamera", [replace(one, findings=(finding(figure),)) for one in isos])
-        assert found.made_profile is None
-        assert found.no_profile.startswith(why)
-        assert as_json(found)["no_profile"] == found.no_profile
-        assert f"no profile can be made: {why}" in found.format_text()
-    assert f"No profile can be made: {why}" in page_of(found)
-
-
-def test_no_profile_where_gain_and_read_noise_never_meet(isos: tuple[IsoCalibration, ...]) -> None:
-    dark = [replace(one, findings=(finding("gain"),)) for one in isos[:2]]
-    light = [replace(one, findings=(finding("shape"),)) for one in isos[2:]]
-    assert joined("TestCamera", [*dark, *light]).no_profile.startswith("no ISO has both K and the read noise")
-
-
-def test_no_row_noise_that_can_be_given(isos: tuple[IsoCalibration, ...]) -> None:
-    found = joined("TestCamera", [replace(one, findings=(finding("row noise"),)) for one in isos])
-    assert "sigma_row is withheld wherever K is known: the profile makes no row noise" in found.remarks
-    assert found.profile.sample(np.random.default_rng(0)).sigma_row_dn < 1e-8
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -203,14 +164,14 @@ def test_an_allowance_widens_errors_in_quadrature(isos: tuple[IsoCalibration, ..
     data = as_json(found)["isos"][1]
     assert one.gain is not None
     assert data["gain_error"] == one.gain.error
-    error_shown = float(found.table()[1][1][GAIN_CELL].split(" ± ")[1])
+    error_shown = float(found.tables()["figures"][1][1][GAIN_CELL].split(" ± ")[1])
     assert error_shown == pytest.approx(one.gain.error, rel=0.17)
     page = page_of(found)
-    assert found.table()[1][1][GAIN_CELL] in page
-    assert f"Given with a larger error: {typeset(named(one.widened))} at ISO 400." in page
+    assert found.tables()["figures"][1][1][GAIN_CELL] in page
+    assert f"Given with a larger error: {typeset(list_symbols(one.widened))} at ISO 400." in page
     assert "Errors made larger: " in page
     assert "Withheld" not in page
-    assert found.profile.rows == joined("TestCamera", isos).profile.rows, "the figures themselves stay"
+    assert found.profile.rows == join_isos("TestCamera", isos).profile.rows, "the figures themselves stay"
 
 
 def test_findings_are_among_the_remarks_once(isos: tuple[IsoCalibration, ...]) -> None:
@@ -231,13 +192,13 @@ def test_findings_are_among_the_remarks_once(isos: tuple[IsoCalibration, ...]) -
 # --- accepted -------------------------------------------------------------------------------------------------------
 
 
-def spoilt(check: str, figure: Figure, allowance: float) -> Finding:
+def spoilt(check: str, figure: Quantity, allowance: float) -> Finding:
     return replace(finding(figure, allowance=allowance), check=check)
 
 
 @pytest.mark.parametrize("figure", list(SYMBOLS))
 def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
-    figure: Figure, isos: tuple[IsoCalibration, ...], tmp_path: Path
+    figure: Quantity, isos: tuple[IsoCalibration, ...], tmp_path: Path
 ) -> None:
     seen = spoilt("coarse values", figure, 0.25)
     refused = with_findings(isos, seen)
@@ -248,13 +209,13 @@ def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
     )
     assert refused.accepted == refused.profile.accepted == ()
     assert "accepted" not in refused.profile.as_dict()
-    found = with_findings(isos, *with_accepted([seen], ["coarse values"]))
+    found = with_findings(isos, *accept_findings([seen], ["coarse values"]))
     one, whole = found.isos[1], isos[1]
     assert one.withheld == frozenset()
     assert one.widened == {figure}
     assert one.all_remarks == (f"{WHY} (accepted, with a larger error: {symbols})",)
     assert [(seen.effect, seen.allowance) for seen in one.findings] == [("wider", 0.25)]
-    assert found.profile.rows == joined("TestCamera", isos).profile.rows
+    assert found.profile.rows == join_isos("TestCamera", isos).profile.rows
     assert whole.parameters == one.parameters
 
     said = f"coarse values: {symbols} at ISO 400"
@@ -267,13 +228,6 @@ def test_an_accepted_figure_is_given_with_a_larger_error_and_said(
     assert f"accepted, with larger errors\n  {said}" in found.format_text()
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_pages_say_what_is_accepted(isos: tuple[IsoCalibration, ...]) -> None:
-    found = with_findings(isos, *with_accepted([spoilt("coarse values", "read noise", 0.25)], ["coarse values"]))
-    (said,) = found.accepted
-    assert f"Accepted, though a check would withhold it: {typeset(said)}." in page_of(found)
-
-
 def test_what_is_off_by_all_of_itself_cannot_be_accepted() -> None:
     """Nor what a check knows no size of. A level that light has raised is another matter: it is still a level."""
     for seen in (
@@ -281,31 +235,24 @@ def test_what_is_off_by_all_of_itself_cannot_be_accepted() -> None:
         spoilt("coarse values", "read noise", 0.0),
         spoilt("photon transfer", "gain", 0.1),
     ):
-        assert with_accepted([seen], [seen.check]) == (seen,)
+        assert accept_findings([seen], [seen.check]) == (seen,)
         assert "--accept" not in seen.remark
     bias = spoilt("light", "colour bias", 7.0)
-    (accepted,) = with_accepted([bias], ["light"])
+    (accepted,) = accept_findings([bias], ["light"])
     assert (accepted.effect, accepted.is_accepted, accepted.allowance) == ("wider", True, 7.0)
-    assert with_accepted([bias], ["coarse values"]) == (bias,)
-
-
-def test_which_checks_can_be_accepted() -> None:
-    assert checked_acceptance("light") == ("light",)
-    assert checked_acceptance(ACCEPTABLE) == ACCEPTABLE
-    with pytest.raises(ArgumentError, match=r"'coarse value'.*known are 'light', .*; did you mean coarse values"):
-        checked_acceptance(["coarse value"])
-    with pytest.raises(ArgumentError, match="'photon transfer' is not a check whose withheld figures can be accepted"):
-        checked_acceptance(["light", "photon transfer"])
+    assert accept_findings([bias], ["coarse values"]) == (bias,)
 
 
 def test_the_way_on_where_everything_is_withheld(isos: tuple[IsoCalibration, ...]) -> None:
     """It is named where it leads somewhere: not where another check withholds the same figure for good."""
     seen = replace(spoilt("coarse values", "read noise", 0.2), figures=READ)
-    found = joined("TestCamera", [replace(one, findings=(seen,)) for one in isos])
+    found = join_isos("TestCamera", [replace(one, findings=(seen,)) for one in isos])
     assert found.no_profile.endswith('or have these figures with a larger error: --accept "coarse values"')
-    stuck = joined("TestCamera", [replace(one, findings=(seen, finding("read noise"))) for one in isos])
+    stuck = join_isos("TestCamera", [replace(one, findings=(seen, finding("read noise"))) for one in isos])
     assert stuck.no_profile.endswith("the remarks say why")
-    accepted = with_accepted([seen], ["coarse values"])
-    unused = joined("TestCamera", [replace(one, findings=accepted) for one in isos], accept=["coarse values", "light"])
+    accepted = accept_findings([seen], ["coarse values"])
+    unused = join_isos(
+        "TestCamera", [replace(one, findings=accepted) for one in isos], accept=["coarse values", "light"]
+    )
     assert unused.remarks == ("'light' was accepted, and withholds nothing that could be given",)
     assert unused.profile.accepted == ("coarse values: lambda, sigma_TL, sigma_G at ISO 100, 400, 1600, 6400",)

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.calibration.core.findings import CHECKS
+from eldata.calibration.findings import CHECKS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,7 +17,7 @@ DOCS = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
 ROOM = ROOT / "eldata/calibration"
 SOURCES = {path.relative_to(ROOM).as_posix(): path.read_text("utf-8") for path in sorted(ROOM.rglob("*.py"))}
 # Where remarks are made otherwise than by remarks.append(...): the functions that return them.
-RETURNED = {("remarks.py", "no_pairs"), ("audit/frames.py", "unequal_pair"), ("iso_results.py", "FailedIso")}
+RETURNED = {("one_iso.py", "no_pairs"), ("frames.py", "unequal_pair"), ("iso_results.py", "FailedIso")}
 
 
 def text_of(node: ast.expr) -> str:

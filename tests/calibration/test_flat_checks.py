@@ -10,24 +10,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.calibration.audit.flat_checks import flat_findings, uneven_steps
-from eldata.calibration.core.findings import given
-from eldata.calibration.core.photon_transfer import FlatPairs, photon_transfer
+from eldata.calibration.checks import flat_findings, uneven_steps
+from eldata.calibration.flats import FlatPairs, photon_transfer
 from eldata.raw import bayer_cfa
 from tests.calibration import flats as study
+from tests.calibration.chain import given
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import BAYER, XTRANS, Body, Camera
-from tests.calibration.trees import calibrated_iso, made_tree, relative, rewritten
 from tests.cases import in_one_test
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
 SMALL = (256, 384)
-BLACKS = (study.BLACK,) * 4
 
 
 def small(setting: study.Setting) -> study.Setting:
@@ -46,39 +43,6 @@ def test_saturation_below_white(white: int, setting: study.Setting) -> None:
     assert f"the flats saturate at {white} DN, below the recorded white level: values pile up there" in said.text
     assert found.refused or found.off < -0.03
     assert math.isnan(found.error)
-
-
-@in_one_test(
-    "white, spread, setting",
-    [(13583, 0.03, study.QUIET), (12500, 0.02, study.Setting()), (14500, 0.015, study.LOUD), (11000, 0.05, study.EVEN)],
-)
-def test_saturation_by_degrees(white: int, spread: float, setting: study.Setting) -> None:
-    """Each pixel has a full well of its own, so nothing piles up; the variance falls, and there is no line."""
-    found = study.outcome(setting, study.clipped(white, spread)(small(setting), np.random.default_rng(3)))
-    assert math.isnan(found.error)
-    if not found.refused:
-        (said,) = found.findings
-        assert (said.check, said.effect, said.figures) == ("uneven flats", "withheld", ("gain",))
-        assert "saturation by degrees" in said.text
-
-
-def test_the_recorded_white_level_is_no_finding() -> None:
-    """Flats that reach white, and flats that reach nowhere: nothing piles up below."""
-    for white, levels in ((16383, (0.1, 0.5, 1.1)), (16200, (0.1, 0.5, 1.1)), (16383, (0.1, 0.5))):
-        setting = small(study.Setting(levels=levels))
-        found = study.outcome(setting, study.clipped(white)(setting, np.random.default_rng(4)))
-        assert found.findings == ()
-        assert abs(found.off) < 5 * found.error
-
-
-def test_one_saturated_channel_is_named() -> None:
-    setting = small(study.Setting())
-    pairs = study.clean(setting, np.random.default_rng(5))
-    for pair in pairs:
-        for frame in pair:
-            np.minimum(frame[::2, ::2], 12000, out=frame[::2, ::2])
-    (finding,) = study.outcome(setting, pairs).findings
-    assert "saturate at 12000 DN in 1 of 4 channels" in finding.text
 
 
 @in_one_test(
@@ -108,13 +72,6 @@ def test_a_chart_that_moves_within_a_pair(moved: float, levels: tuple[float, ...
     assert said.effect == "withheld"
     assert said.allowance > 0.1
     assert re.search(r"a K that is off by [+-][0-9.]+%", said.text)
-
-
-@in_one_test("moved", [0.0, 0.01, 0.03])
-def test_a_chart_that_hardly_moves_is_as_good_as_a_wall(moved: float) -> None:
-    setting = study.Setting(shape=(512, 1536), levels=(0.3, 0.6, 0.9))
-    found = study.outcome(setting, study.chart(moved)(setting, np.random.default_rng(9)))
-    assert abs(found.off) < 4 * found.error < 0.2
 
 
 @in_one_test(
@@ -176,38 +133,12 @@ def test_a_line_that_is_bent(share: float, effect: str) -> None:
     assert effect == "withheld" or abs(found.off) < 1.96 * found.error
 
 
-def test_flats_without_two_levels_below_saturation() -> None:
-    setting = small(study.Setting(levels=(0.5, 0.9), vignetting=0.0))
-    found = study.outcome(setting, study.clipped(6000)(setting, np.random.default_rng(12)))
-    assert "usable level" in found.refused
-    assert "saturated" in found.refused
-    assert [one.check for one in found.findings] == ["saturation"]
-
-
 def test_sound_cameras_raise_no_alarm() -> None:
     """24 here, of a chance of one in some thousands each."""
     assert study.alarms(24) == {"refused": 0}
 
 
 # --- from files -------------------------------------------------------------------------------------------------------
-
-
-def test_what_withholds_k_names_the_level_and_the_pairs(tmp_path: Path) -> None:
-    tree = made_tree(tmp_path / "tree", isos=(400,), bias_frames=4, flat_levels=4)
-    for path in tree.files("flat", 400):
-        rewritten(path, mosaic=lambda mosaic: np.minimum(mosaic, 9000))
-    found = calibrated_iso(tree.frames(), 400)
-    assert {one.check for one in found.findings} >= {"saturation"}
-    assert found.gain is None
-    assert "saturate at 9000 DN" in found.why("gain")
-    for path in tree.files("flat", 400):
-        rewritten(path, mosaic=lambda mosaic: np.minimum(mosaic, 600))
-    found = calibrated_iso(tree.frames(), 400)
-    assert found.gain is None
-    assert [one.effect for one in found.findings] == ["withheld", "withheld"]
-    assert "saturate at 600 DN" in found.findings[0].text
-    for path in tree.files("flat", 400):
-        assert relative(tree, path) in found.findings[1].text
 
 
 @pytest.mark.study

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 import shutil
 from dataclasses import replace
@@ -15,17 +14,16 @@ import pytest
 
 from eldata import calibrate
 from eldata.base.workers import Workers
-from eldata.calibration import FramesError, one_iso
-from eldata.calibration.audit.bias_checks import code_step, mean_step
-from eldata.calibration.audit.frames import (
-    Copies,
-    FrameFigures,
+from eldata.calibration import FramesError
+from eldata.calibration.checks import code_step, mean_step
+from eldata.calibration.frames import (
     PairLevels,
     odd_bias_frames,
+    odd_sensors,
+    sort_frames,
     unequal_pair,
     uneven_light,
 )
-from eldata.calibration.frames import sorted_frames, unlike, unlike_most
 from eldata.calibration.one_iso import decodings
 from eldata.datasets.calibration_frames import FlatPair
 from eldata.errors import ArgumentError, DatasetError
@@ -86,7 +84,7 @@ def test_good_frames_have_no_problem_and_few_remarks(pristine: FrameTree) -> Non
 def test_good_frames_are_sorted_out(pristine: FrameTree) -> None:
     """Against the manifest, which the simulator wrote."""
     rows = load_records(pristine.manifest)
-    for one in sorted_frames(pristine.frames(), Workers(1)):
+    for one in sort_frames(pristine.frames(), Workers(1)):
         bias = [row for row in rows if row.role == "bias" and row.iso == one.iso]
         flats = [row for row in rows if row.role == "flat" and row.iso == one.iso]
         assert [record.path for record in one.bias] == [row.path for row in bias]
@@ -178,15 +176,9 @@ def test_the_manifests_exposure(tree: FrameTree) -> None:
             tree.manifest, [*rows[:chosen], replace(rows[chosen], exposure_s=time * factor), *rows[chosen + 1 :]]
         )
         frames = tree.frames(manifest=tree.manifest, isos=[100])
-        problems = [problem for one in sorted_frames(frames) for problem in one.problems]
+        problems = [problem for one in sort_frames(frames) for problem in one.problems]
         assert [problem.path for problem in problems] == found
         assert {problem.field for problem in problems} <= {"exposure_s"}
-
-
-def test_one_file_may_have_several(tree: FrameTree) -> None:
-    path = tree.files("bias", 100)[1]
-    rewritten(path, model="Another", iso=Fraction(800), exposure_s=Fraction(1, 2))
-    assert sorted(problem.field for problem in problems_of(tree.frames())) == ["camera", "exposure_s", "iso"]
 
 
 # --- pixels -----------------------------------------------------------------------------------------------------------
@@ -268,30 +260,6 @@ def test_a_black_level_of_0_in_the_file_alone_is_no_clipping(tree: FrameTree) ->
     assert found.gain_dn_per_e == pytest.approx(whole["gain_dn_per_e"], rel=0.03)
 
 
-def test_neither_bias_frames_nor_pairs(tree: FrameTree) -> None:
-    """With pairs of flats, K alone is measured."""
-    shutil.rmtree(tree.camera / "bias" / "ISO100")
-    assert problems_of(tree.frames(isos=[100])) == []
-    for path in tree.files("flat", 100)[::2]:
-        path.unlink()
-    problem = only(problems_of(tree.frames(isos=[100])))
-    assert problem.path == "DemoGamma, ISO 100"
-    assert "0 bias frames, and 4 are needed" in problem.found
-
-
-def test_copies_of_one_frame(tree: FrameTree) -> None:
-    first, *others = tree.files("bias", 100)
-    for path in others:
-        shutil.copy(first, path)
-    (chosen,) = sorted_frames(frames := tree.frames(isos=[100]))
-    one = one_iso.calibrate_iso(frames, chosen)
-    found = one.why("read noise")
-    assert found.startswith("the bias frames cannot be used: 1 bias frame, and 4 are needed")
-    assert one.gain is not None
-    for path in others:
-        assert f"{relative(tree, path)} has the same pixels as {relative(tree, first)}" in found
-
-
 @pytest.mark.parametrize(
     ("copied", "used", "compared"), [((1,), 4, True), ((1, 2), 4, False), ((5,), 5, False)], ids=["one", "two", "last"]
 )
@@ -334,116 +302,7 @@ def test_a_copy_of_a_flat_leaves_its_pair_out(tree: FrameTree, tmp_path: Path) -
     assert found.transfer.frames == 4
 
 
-def test_a_flat_that_is_a_bias_frame(tree: FrameTree) -> None:
-    """Copied with a flat's exposure time, so that its header gives nothing away."""
-    flats, bias = tree.files("flat", 100), tree.files("bias", 100)
-    dark = read_raw(bias[1]).mosaic
-    rewritten(flats[0], mosaic=lambda _: dark)
-    found = calibrated_iso(tree.frames(isos=[100]), 100)
-    assert f"{relative(tree, flats[0])} has the same pixels as {relative(tree, bias[1])}" in found.remarks[0]
-
-
-def test_every_pair_of_flats_a_copy(tree: FrameTree) -> None:
-    flats = tree.files("flat", 100)
-    for first, second in zip(flats[::2], flats[1::2], strict=True):
-        shutil.copy(first, second)
-    found = calibrated_iso(tree.frames(isos=[100]), 100)
-    assert found.withheld == {"gain"}
-    assert found.why("gain") == "no pair of flats is usable"
-    for first, second in zip(flats[::2], flats[1::2], strict=True):
-        text = f"{relative(tree, second)} has the same pixels as {relative(tree, first)}"
-        assert any(remark.startswith(text) for remark in found.remarks)
-
-
-def test_only_pixels_that_tell_are_compared() -> None:
-    """All saturated, or nearly: two such frames may well be equal."""
-    copies, mosaic = Copies(), np.full((64, 96), 16383, dtype=np.uint16)
-    for count, seen in ((0, False), (999, False), (1000, True)):
-        mosaic.flat[:count] = 7
-        assert copies.original(RECORD, mosaic.copy()) is None
-        again = copies.original(replace(RECORD, path="again"), mosaic.copy())
-        assert (again is RECORD) == seen
-    assert len(copies.remarks) == 1
-
-
 # --- flats ------------------------------------------------------------------------------------------------------------
-
-
-def saturated(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    return np.full_like(mosaic, 16383)
-
-
-def test_saturated_flats_are_left_out(pristine: FrameTree, tree: FrameTree) -> None:
-    """The brightest pair of three: K comes from the other two; within 4 of its standard errors of the truth."""
-    for path in tree.files("flat", 1600)[4:]:
-        rewritten(path, mosaic=saturated)
-    found = calibrated_iso(tree.frames(isos=[1600]), 1600)
-    assert found.transfer is not None
-    assert found.transfer.left_out == pytest.approx(1 / 3, abs=0.01)
-    truth = tree.truth["isos"][1]["gain_dn_per_e"]
-    assert abs(found.transfer.gain_dn_per_e - truth) < 4 * found.transfer.gain_error < 0.1 * truth
-    for path in tree.files("flat", 1600)[2:4]:
-        rewritten(path, mosaic=saturated)
-    remarks = calibrated_iso(tree.frames(isos=[1600]), 1600).remarks
-    assert any("67% of the flats' area is saturated or clipped and was left out" in remark for remark in remarks)
-
-
-def dimmed(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    return np.rint(512 + 0.7 * (mosaic.astype(float) - 512)).astype(np.uint16)
-
-
-def test_a_partner_of_another_level_is_left_out_and_said(pristine: FrameTree, tree: FrameTree) -> None:
-    changed = tree.files("flat", 1600)[3]
-    rewritten(changed, mosaic=dimmed)
-    found = calibrated_iso(tree.frames(isos=[1600]), 1600)
-    assert found.transfer is not None
-    assert found.flat_frames == 4
-    remark = next(remark for remark in found.remarks if relative(tree, changed) in remark)
-    assert relative(tree, tree.files("flat", 1600)[2]) in remark
-    truth = tree.truth["isos"][1]["gain_dn_per_e"]
-    assert abs(found.transfer.gain_dn_per_e - truth) < 4 * found.transfer.gain_error
-
-
-def test_swapped_partners_of_other_exposures(tree: FrameTree) -> None:
-    """The names say nothing, the exposure times do: exchanged files still find their partners."""
-    files = tree.files("flat", 100)
-    aside = files[0].with_name("aside")
-    files[1].rename(aside)
-    files[2].rename(files[1])
-    aside.rename(files[2])
-    chosen = sorted_frames(tree.frames(isos=[100]))[0]
-    names = [(pair.first.path[-8:-4], pair.second.path[-8:-4]) for pair in chosen.pairs]
-    number = int(files[0].stem[-4:])
-    assert names == [(f"{number + a:04d}", f"{number + b:04d}") for a, b in ((0, 2), (1, 3), (4, 5))]
-    assert problems_of(tree.frames(isos=[100])) == []
-
-
-def test_a_flat_without_a_partner(tree: FrameTree) -> None:
-    lost = tree.files("flat", 100)[3]
-    kept = relative(tree, tree.files("flat", 100)[2])
-    lost.unlink()
-    found = calibrated_iso(tree.frames(isos=[100]), 100)
-    assert found.flat_frames == 4
-    assert f"flats without a partner of the same exposure were left out: {kept}" in found.remarks
-
-
-def test_flats_without_any_partner(tree: FrameTree) -> None:
-    for path in tree.files("flat", 100)[::2]:
-        path.unlink()
-    found = calibrated_iso(tree.frames(isos=[100]), 100)
-    assert found.transfer is None
-    assert found.gain_dn_per_e is None
-    assert found.reproduction is not None, "a bias frame needs no gain"
-    assert any("3 flat frames and no two of one exposure, so K is not known" in text for text in found.remarks)
-
-
-def test_problems_of_flats_hide_no_partner(tree: FrameTree) -> None:
-    """Both flats of one pair, one of another: three problems, and nothing about frames that are fine."""
-    files = tree.files("flat", 100)
-    for path in (files[0], files[1], files[4]):
-        rewritten(path, mosaic=cropped)
-    problems = problems_of(tree.frames(isos=[100]))
-    assert [problem.path for problem in problems] == [relative(tree, path) for path in (files[0], files[1], files[4])]
 
 
 # --- by itself --------------------------------------------------------------------------------------------------------
@@ -453,25 +312,19 @@ RECORD = FrameRecord(path="C/bias/ISO100/1.dng", role="bias", camera="C")
 SENSOR = Sensor("Make", "Model", BAYER, (512.0,) * 4, 16383.0, 256, 384)
 
 
-def test_black_levels_that_are_measured_in_each_file_differ_a_little() -> None:
-    assert unlike(RECORD, replace(SENSOR, black_level_dn=(512.4, 511.8, 512.9, 511.1)), SENSOR, "x") == []
-    (problem,) = unlike(RECORD, replace(SENSOR, black_level_dn=(512.0, 512.0, 513.0, 512.0)), SENSOR, "x")
-    assert problem.field == "black_level_dn"
-
-
 def test_most_frames_are_right() -> None:
     records = [replace(RECORD, path=f"{number}.dng") for number in range(5)]
     small = replace(SENSOR, height=254)
     for odd in range(5):
         sensors = {record: small if index == odd else SENSOR for index, record in enumerate(records)}
-        assert [problem.path for problem in unlike_most(sensors)] == [f"{odd}.dng"]
+        assert [problem.path for problem in odd_sensors(sensors)] == [f"{odd}.dng"]
     sensors = dict(zip(records, (small, SENSOR, small, SENSOR, small), strict=True))
-    assert [(problem.path, problem.found) for problem in unlike_most(sensors)] == [("1.dng", "256"), ("3.dng", "256")]
-    assert unlike_most(dict.fromkeys(records, SENSOR)) == unlike_most({}) == []
+    assert [(problem.path, problem.found) for problem in odd_sensors(sensors)] == [("1.dng", "256"), ("3.dng", "256")]
+    assert odd_sensors(dict.fromkeys(records, SENSOR)) == odd_sensors({}) == []
 
 
-def figures(*levels: float, spread: float = 5.0) -> list[FrameFigures]:
-    return [FrameFigures(replace(RECORD, path=str(index)), level, spread) for index, level in enumerate(levels)]
+def figures(*levels: float, spread: float = 5.0) -> dict[FrameRecord, tuple[float, float]]:
+    return {replace(RECORD, path=str(index)): (level, spread) for index, level in enumerate(levels)}
 
 
 def test_levels_may_drift() -> None:
@@ -481,18 +334,10 @@ def test_levels_may_drift() -> None:
     assert odd_bias_frames(figures(512, 515, 518, 521, 524, 527)) == []
     assert [problem.path for problem in odd_bias_frames(figures(512, 512, 512, 512, 514.6))] == ["4"]
     assert [problem.path for problem in odd_bias_frames(figures(506, 512, 512.1, 512, 512.3, 530))] == ["0", "5"]
-    assert odd_bias_frames([]) == []
+    assert odd_bias_frames({}) == []
     spread = figures(512, 512, 512, 512)
-    spread[2] = replace(spread[2], spread_dn=6.5)
+    spread[list(spread)[2]] = 512, 6.5
     assert [problem.field for problem in odd_bias_frames(spread)] == ["noise"]
-
-
-def test_the_two_figures_of_a_frame() -> None:
-    """Normal noise of 7 DN, 1.5 million pixels, some 100,000 of them used: 5 standard errors, 7 / sqrt(n) / ..."""
-    mosaic = np.rint(np.random.default_rng(0).normal(600, 7, (1024, 1536))).astype(np.uint16)
-    found = FrameFigures.of(RECORD, mosaic)
-    assert found.level_dn == pytest.approx(600, abs=5 * 7 / math.sqrt(90_000))
-    assert found.spread_dn == pytest.approx(7, abs=0.5 + 5 * 7 / math.sqrt(90_000))  # quantiles of whole DN
 
 
 def test_unequal_pairs() -> None:
@@ -543,23 +388,6 @@ def test_honest_frames_have_no_gaps() -> None:
         assert [step_of(frame) for frame in (body.bias_frame(), *flats)] == [1.0] * 7
 
 
-def test_multiplication_leaves_a_comb() -> None:
-    camera = Camera(shape=(512, 768), sigma_tl=6.0)
-    frame = Body(camera, np.random.default_rng(3)).bias_frame()
-    assert step_of(512 + 2 * (frame - 512)) == 2
-    one_channel = frame.copy()
-    one_channel[1::2, 1::2] = 512 + (frame[1::2, 1::2].astype(np.int64) - 512) * 4 // 3
-    assert step_of(one_channel) == pytest.approx(4 / 3, abs=0.02)
-
-
-@in_one_test("sigma", [0.8, 1.5, 6.0])
-def test_a_curve_leaves_gaps_at_black(sigma: float) -> None:
-    """A square-root table of 2048 codes steps by 2.83 DN at 512, however few of them the noise reaches."""
-    frame = Body(Camera(shape=(512, 768), sigma_tl=sigma), np.random.default_rng(3)).bias_frame()
-    table = np.rint((np.arange(2048) / 2047) ** 2 * 16383).astype(np.uint16)
-    assert step_of(table[np.rint(np.sqrt(frame / 16383) * 2047).astype(np.int64)]) == pytest.approx(2.83, abs=0.25)
-
-
 @in_one_test("step, sigma", [(1, 0.5), (2, 1.0), (3, 0.5), (4, 6.0), (16, 1.0)])
 def test_the_step_of_the_values(step: int, sigma: float) -> None:
     """Hot pixels do not hide it, nor one that the camera has made up; one channel may have another offset."""
@@ -577,17 +405,6 @@ def test_a_curve_leaves_gaps_where_it_is_steep() -> None:
     assert step_of(sony_curve(body.bias_frame())) == 1
     for level, step in ((3000.0, 2), (5200.0, 4), (9000.0, 8)):
         assert step_of(sony_curve(body.flat_frame(level, shaded=False))) == pytest.approx(step, rel=0.1)
-
-
-def test_gaps_are_remarked_on(tree: FrameTree) -> None:
-    """Bias frames multiplied by 4/3 after conversion, flats too: the frames are taken, and the remark says so."""
-
-    def stretched(mosaic: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        return np.clip(512 + 4 * (mosaic.astype(np.int64) - 512) // 3, 0, 32767).astype(np.uint16)
-
-    rewritten_1600(tree, mosaic=stretched, white_level_dn=21674.0)
-    remarks = calibrated_iso(tree.frames(isos=[1600]), 1600).all_remarks
-    assert any("DN in the mean, unevenly: multiplied" in remark for remark in remarks)
 
 
 def test_lossy_compression_is_remarked_on(tree: FrameTree, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.calibration.camera import joined
+from eldata.calibration.camera import join_isos
 from eldata.noise import CameraProfile, NoiseModel
 from eldata.noise.profile import LogLogFit
 from tests.calibration.faults import coarse
 from tests.calibration.in_memory import calibrated_arrays
-from tests.calibration.simulation import XTRANS, Body, Camera
+from tests.calibration.simulation import Body, Camera
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,7 +39,7 @@ def drifting(camera: Camera, frames: int) -> tuple[list[NDArray[np.uint16]], NDA
 
 def profiled(camera: Camera, frames: list[NDArray[np.uint16]]) -> Calibration:
     found = calibrated_arrays(camera.sensor, frames, [])
-    return joined("Simulated", [replace(found, stated_gain_dn_per_e=camera.gain)])
+    return join_isos("Simulated", [replace(found, stated_gain_dn_per_e=camera.gain)])
 
 
 def test_the_spread_of_the_bias_comes_back_by_sampling(tmp_path: Path) -> None:
@@ -71,17 +71,6 @@ def test_the_spread_of_the_bias_comes_back_by_sampling(tmp_path: Path) -> None:
     assert drawn.mean(axis=0) == pytest.approx(row.colour_bias_dn, abs=4 * mean_error)
 
 
-def test_frames_of_a_camera_of_three_channels(tmp_path: Path) -> None:
-    """One green stands for both. 0.06 DN of pixels and rows are in a frame's mean: four and a half of these."""
-    camera = Camera(shape=(264, 384), cfa=XTRANS, bias=(1.5, -0.75, 0.5))
-    frames, given = drifting(camera, 12)
-    profiled(camera, frames).profile.save(tmp_path / "p.json")  # and loaded: their mean is the row's bias
-    (row,) = CameraProfile.load(tmp_path / "p.json").rows
-    biases = np.array(row.frame_bias_dn)
-    moved = given[:-1] - given[:-1].mean(axis=0)
-    np.testing.assert_allclose(biases - biases.mean(axis=0), moved[:, [0, 1, 2, 1]], atol=0.27)
-
-
 # --- the step of the values -------------------------------------------------------------------------------------------
 
 
@@ -108,7 +97,7 @@ def test_a_step_that_all_isos_have_is_the_profiles(in_steps: list[IsoCalibration
 
     Before, at ISO 400, whose noise is of 0.98 steps, they were withheld. sigma_G is within a half of a per cent.
     """
-    found = joined("Coarse", in_steps)
+    found = join_isos("Coarse", in_steps)
     found.profile.save(tmp_path / "p.json")
     profile = CameraProfile.load(tmp_path / "p.json")
     assert profile.quantisation_step_dn == 4
@@ -138,15 +127,15 @@ def test_a_step_that_all_isos_have_is_the_profiles(in_steps: list[IsoCalibration
 
 def test_steps_that_are_not_one_are_said(in_steps: list[IsoCalibration]) -> None:
     plain = stepping(3200.0, 1, COARSE_CAMERA.with_(gain=8.0, sigma_tl=5.6))
-    found = joined("Coarse", [*in_steps, plain])
+    found = join_isos("Coarse", [*in_steps, plain])
     assert found.profile.quantisation_step_dn == 1
     assert found.isos[0] is in_steps[0]
     assert any("4 at ISO 400, 4 at ISO 800, 4 at ISO 1600, 1 at ISO 3200" in remark for remark in found.remarks)
     quiet = stepping(100.0, 4, COARSE_CAMERA.with_(gain=0.25, sigma_tl=1.0))
     assert quiet.stepped is None  # its noise is lost in the steps: half of one
     # It costs the others nothing: the step is of the files' codes.
-    both = joined("Coarse", [quiet, *in_steps])
+    both = join_isos("Coarse", [quiet, *in_steps])
     assert both.profile.quantisation_step_dn == 4
-    assert both.profile.rows == joined("Coarse", in_steps).profile.rows
+    assert both.profile.rows == join_isos("Coarse", in_steps).profile.rows
     assert "read noise" in both.isos[0].withheld
-    assert joined("Coarse", [replace(quiet, step_dn=0), *in_steps]).profile.quantisation_step_dn == 4, "not known"
+    assert join_isos("Coarse", [replace(quiet, step_dn=0), *in_steps]).profile.quantisation_step_dn == 4, "not known"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from eldata.calibration import FlatFrames, FlatPairs, photon_transfer, spatial_photon_transfer
-from eldata.calibration.core.photon_transfer import PhotonTransferLine
+from eldata.calibration import FlatPairs, photon_transfer, spatial_photon_transfer
 from eldata.errors import ArgumentError, DatasetError
 from tests.calibration.chain import transferred
 from tests.calibration.simulation import BAYER, Body, Camera
@@ -18,23 +17,21 @@ def test_prnu_misleads_the_spatial_method_and_not_the_pairs() -> None:
     """1 % PRNU to 6000 DN at K = 0.2, even light: the published method is off by a multiple."""
     camera = Camera(shape=(512, 768), gain=0.2, sigma_tl=1.0)
     body = Body(camera, np.random.default_rng(0))
-    pairs, single = FlatPairs(BAYER, BLACK, 16383, defects=body.hot), FlatFrames(BAYER, BLACK, 16383, defects=body.hot)
+    pairs = FlatPairs(BAYER, BLACK, 16383, defects=body.hot)
     for first, second in body.flat_pairs([500, 2000, 4000, 6000], shaded=False):
         pairs.add(first, second)
-        single.add(first)
-        single.add(second)
     found = photon_transfer(pairs)
     assert abs(found.gain_dn_per_e - 0.2) < 4 * found.gain_error < 0.01 * 0.2
-    assert spatial_photon_transfer(single).gain_dn_per_e > 2 * 0.2
+    assert spatial_photon_transfer(pairs).gain_dn_per_e > 2 * 0.2
 
 
 def test_the_spatial_method_is_right_on_ideal_flats() -> None:
     camera = Camera(shape=(512, 768), prnu=0.0, dsnu=0.0, column_pattern=0.0, hot_share=0.0)
     body = Body(camera, np.random.default_rng(1))
-    single = FlatFrames(BAYER, BLACK, 16383)
+    flats = FlatPairs(BAYER, BLACK, 16383)
     for level in (500, 2000, 5000, 9000):
-        single.add(body.flat_frame(level, shaded=False))
-    assert spatial_photon_transfer(single).gain_dn_per_e == pytest.approx(1.0, rel=0.01)
+        flats.add(body.flat_frame(level, shaded=False), body.flat_frame(level, shaded=False))
+    assert spatial_photon_transfer(flats).gain_dn_per_e == pytest.approx(1.0, rel=0.01)
 
 
 def test_even_flats_of_two_exposures() -> None:
@@ -87,14 +84,6 @@ def test_one_channel_against_plain_numpy() -> None:
     assert signal @ freedom / freedom.sum() == pytest.approx(((a + ratio**2 * b).mean(axis=1) / scale).mean())
 
 
-@pytest.mark.parametrize(
-    ("black", "white", "word"), [(BLACK, 500, "white level"), ([512.0], 16383, "4 finite black levels")]
-)
-def test_unusable_levels(black: list[float], white: float, word: str) -> None:
-    with pytest.raises(ArgumentError, match=word):
-        FlatPairs(BAYER, black, white)
-
-
 def test_unusable_frames() -> None:
     frame = np.full((128, 192), 1000, dtype=np.uint16)
     flats, noise = FlatPairs(BAYER, BLACK, 16383), np.random.default_rng(0)
@@ -113,12 +102,7 @@ def test_unusable_frames() -> None:
         with pytest.raises(DatasetError, match=word):
             photon_transfer(flats)
     with pytest.raises(DatasetError, match="spatial method needs three"):
-        spatial_photon_transfer(FlatFrames(BAYER, BLACK, 16383))
-
-
-def test_hot_pixels_that_are_not_masked_change_little() -> None:
-    body = Body(Camera(shape=(512, 768), hot_share=5e-4), np.random.default_rng(5))
-    assert transferred(body, [500, 3000, 6000, 9000]).gain_dn_per_e == pytest.approx(1, rel=0.01)
+        spatial_photon_transfer(FlatPairs(BAYER, BLACK, 16383))
 
 
 @pytest.mark.parametrize(("deviations", "left_out"), [(3.27, 0.5), (4.3, 0.0)])
@@ -130,13 +114,3 @@ def test_a_level_of_which_a_twentieth_saturates_is_left_out(deviations: float, l
         first, second = (512 + generator.poisson(level, (2, 256, 384))).astype(np.uint16)
         flats.add(first, second)
     assert flats.left_out == pytest.approx(left_out, abs=0.03)
-
-
-def test_pooled_points_are_weighted_by_their_errors() -> None:
-    """Of two points whose errors are 1 and 2 the first counts four times as much."""
-    line = PhotonTransferLine(
-        1.0, 0.1, 0.0, 0.1, 1.0, np.array([10.0, 20.0]), np.array([10.0, 20.0]), np.array([1.0, 2.0])
-    )
-    signal, variance, error = line.pooled(1)
-    assert (signal[0], variance[0]) == (12.0, 12.0)
-    assert error[0] == pytest.approx(1.25**-0.5)

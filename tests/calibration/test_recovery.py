@@ -100,20 +100,6 @@ def test_few_frames_and_noise_that_reaches_0(camera: Camera, frames: int, zeros:
 DRAWS = 60
 
 
-def test_telegraph_pixels_are_in_the_colour_bias() -> None:
-    """One pixel in a hundred that is 27 DN higher for half of the time, as in the paper's mean: 0.135 DN of it."""
-    camera = Camera(shape=(258, 384), hot_share=0.0)
-    body = Body(camera, np.random.default_rng(3))
-    jumping = body.generator.random(camera.shape) < 0.01
-    jump = np.uint16(27) * jumping
-    frames = [frame + jump * (body.generator.random(camera.shape) < 0.5) for frame in body.bias_frames(8)]
-    found = calibrated(camera, frames).bias
-    added = 13.5 * np.array([jumping[camera.channel == channel].mean() for channel in range(4)])
-    truth = np.array(body.colour_bias_dn) + added
-    assert np.abs((np.array(found.bias_dn) - truth) / found.standard_error_dn).max() < 4
-    assert np.mean(found.of_defects_dn) > 0.05
-
-
 @pytest.mark.study
 @pytest.mark.parametrize("frames", [4, 6, 10])
 def test_standard_errors_cover_the_truth(frames: int) -> None:

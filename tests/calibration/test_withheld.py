@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import chain
 from typing import TYPE_CHECKING, cast
 
@@ -10,21 +9,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eldata.calibration import Residuals
-from eldata.calibration.core.findings import given
-from eldata.calibration.core.row_noise import line_sums
 from eldata.calibration.iso_results import IsoCalibration
 from eldata.calibration.one_iso import calibrate_iso
-from eldata.errors import DatasetError
-from eldata.reports.calibration import calibration_page
-from tests.calibration.chain import calibrated, figures_of, stacked
+from tests.calibration.chain import calibrated, figures_of, given, stacked
 from tests.calibration.in_memory import FramesInMemory, calibrated_arrays, iso_frames
 from tests.calibration.simulation import XTRANS, Body, Camera
-from tests.reports.calibrations import calibration
-from tests.reports.pages import checked
 
 if TYPE_CHECKING:
-    from eldata.calibration.core.findings import Finding
+    from eldata.calibration.findings import Finding
     from eldata.datasets.calibration_frames import CalibrationFrames
 
 # --- values that end at 0 ---------------------------------------------------------------------------------------------
@@ -101,34 +93,6 @@ def test_bias_frames_without_noise_cost_an_iso_its_k_no_more() -> None:
         assert abs(found.gain.value - 1) < 5 * found.gain.error
         assert found.withheld == {"shape", "read noise", "row noise", "colour bias"}
         assert "have one value in every frame" in found.why("shape")
-
-
-def test_a_clipped_iso_on_page_in_text_and_as_json() -> None:
-    camera = Camera(shape=(256, 384), black=0.0, bias=(1.0, 0.2, 0.9, 0.5))
-    body = Body(camera, np.random.default_rng(10))
-    one = calibrated_arrays(camera.sensor, body.bias_frames(6), body.flat_pairs((1500.0, 5000.0, 9000.0)))
-    found = calibration([one])
-    assert found.made_profile is None
-    data = found.as_dict()["isos"][0]
-    assert set(data["withheld"]) == {"shape", "read noise", "row noise", "colour bias"}
-    for name in ("tukey_lambda", "tukey_lambda_error", "sigma_tl_dn", "sigma_gauss_dn", "r_squared_tl", "sigma_row_dn"):
-        assert data[name] is None
-    assert data["gain_dn_per_e"] == pytest.approx(1, rel=0.05)
-    page = checked(calibration_page(found)).text
-    assert "Withheld: values end at 0 DN" in page
-    assert "nan" not in page + found.format_text()
-
-
-def test_residuals_do_not_show_clipped_noise() -> None:
-    camera = Camera(shape=(96, 128), black=0.0, hot_share=0.0)
-    frames = Body(camera, np.random.default_rng(8)).bias_frames(4)
-    fixed = stacked(camera, frames)
-    assert fixed.clips_at_black
-    residuals = Residuals(fixed)
-    for frame in frames:
-        residuals.add(frame, line_sums(frame, fixed))
-    with pytest.raises(DatasetError, match="much of it is clipped"):
-        residuals.histogram()
 
 
 @pytest.mark.parametrize("above", [4.5, 6.0])
@@ -211,17 +175,3 @@ def test_levels_that_share_a_fraction(deviation: float, shape: float, dsnu: floa
         assert one is None or abs(one.value - level) < max(2.5 * one.error, 0.01)
     if deviation < 0.5 and dsnu == 0:
         assert any(one.effect == "withheld" for one in of(found.findings, "rounding", "shape"))
-
-
-@pytest.mark.parametrize(("sigma_tl", "level"), [(0.03, 0.0), (0.05, 0.5)])
-def test_lost_in_rounding(sigma_tl: float, level: float) -> None:
-    """Nearly all pixels have one value of two: nothing of the read noise is given."""
-    camera = QUIET.with_(
-        shape=(256, 384), sigma_tl=sigma_tl, tukey_lambda=-0.1, sigma_row=0.03, dsnu=0.6 - level, bias=(level,) * 4
-    )
-    found = calibrated(camera, Body(camera, np.random.default_rng(2)).bias_frames(10))
-    figures = figures_of(found, camera)
-    for name in ("lambda", "sigma_TL"):
-        figure, value, error, _, scale = figures[name]
-        assert given(found.findings, figure, value, error, scale) is None
-    assert math.isfinite(found.rows.rows.sigma_dn)

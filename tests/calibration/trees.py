@@ -7,7 +7,7 @@ import shutil
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from eldata.calibration.frames import FramesError, sorted_frames
+from eldata.calibration.frames import FramesError, sort_frames
 from eldata.calibration.iso_results import IsoCalibration
 from eldata.calibration.one_iso import calibrate_iso
 from eldata.datasets.calibration_frames import CalibrationFrames
@@ -92,7 +92,7 @@ def rewritten(
 
 def problems_of(frames: CalibrationFrames) -> list[Problem]:
     """What the checks of the headers and, where they find nothing, of the pixels list."""
-    chosen = sorted_frames(frames)
+    chosen = sort_frames(frames)
     found = [problem for one in chosen for problem in one.problems]
     if found:
         return found
@@ -105,7 +105,7 @@ def problems_of(frames: CalibrationFrames) -> list[Problem]:
 
 
 def calibrated_iso(frames: CalibrationFrames, iso: int) -> IsoCalibration:
-    (chosen,) = (one for one in sorted_frames(frames) if one.iso == iso)
+    (chosen,) = (one for one in sort_frames(frames) if one.iso == iso)
     found = calibrate_iso(frames, chosen)
     assert isinstance(found, IsoCalibration)
     return found

@@ -10,7 +10,6 @@ import pytest
 
 from eldata.noise import CameraProfile, DarkShading
 from tests.calibration.trees import CAMERA, SIZE, FrameTree, made_tree, relative, rewritten
-from tests.cli.conftest import room_for
 from tests.cli.test_usage import assert_one_line
 
 if TYPE_CHECKING:
@@ -65,39 +64,6 @@ def test_a_profile_and_figures(eldata: Cli, pristine: FrameTree, tmp_path: Path)
     assert eldata("calibrate", pristine.root, "--jobs", "3", *targets).code == 0
     for name in ("p", "d"):
         assert (tmp_path / f"{name}.json").read_bytes() == (tmp_path / f"{name}3.json").read_bytes()
-
-
-def test_a_choice_of_isos(eldata: Cli, pristine: FrameTree, tmp_path: Path) -> None:
-    arguments = ("calibrate", pristine.camera, "--json", tmp_path / "d.json")
-    outcome = eldata(*arguments, "--iso", "100", "--iso", "1600")
-    assert outcome.code == 0
-    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["d.json"], "what was asked for, no more"
-    assert [one["iso"] for one in json.loads((tmp_path / "d.json").read_text())["isos"]] == [100, 1600]
-    assert_one_line(eldata(*arguments, "--iso", "200"), "no frames of ISO 200; there are 100, 400, 1600")
-
-
-def test_a_manifest_and_its_root(
-    eldata: Cli, pristine: FrameTree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """--root wins over the environment, as for every command."""
-    data = pristine.folder / "data"
-    for name, options in (("a", ("--root", data)), ("b", ())):
-        monkeypatch.setenv("ELDATA_ROOT", str(tmp_path / "none") if options else str(data))
-        outcome = eldata("calibrate", pristine.manifest, "--iso", "400", *options, "-o", tmp_path / name)
-        assert (outcome.code, outcome.err) == (0, "")
-    assert eldata("calibrate", pristine.root, "--iso", "400", "-o", tmp_path / "c").code == 0
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes() == (tmp_path / "c").read_bytes()
-    outcome = eldata("calibrate", pristine.manifest, "--root", tmp_path / "none")
-    assert outcome.code == 1
-    assert outcome.out.count("No such file") == 24
-
-
-def test_files_that_are_no_raw_files_are_mentioned(eldata: Cli, tree: FrameTree) -> None:
-    (tree.camera / "bias" / "ISO100" / "IMG_0001.JPG\nall\x1b[31m well").write_bytes(b"x")
-    outcome = eldata("calibrate", tree.root, "--iso", "100")
-    assert outcome.code == 0
-    left = rf"{CAMERA}/bias/ISO100/IMG_0001.JPG\nall\x1b[31m well"
-    assert f"left alone, not raw: 1 file, such as {left}\n" in outcome.out
 
 
 # --- problems -------------------------------------------------------------------------------------------------------
@@ -237,17 +203,6 @@ def test_flats_alone_give_k(eldata: Cli, pristine: FrameTree, tree: FrameTree, t
     assert not (tmp_path / "p.json").exists()
 
 
-def test_flats_alone_at_one_iso(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
-    for path in tree.files("bias", 400):
-        path.unlink()
-    outcome = eldata("calibrate", tree.root, "-o", tmp_path / "p.json", "--json", tmp_path / "d.json")
-    assert (outcome.code, outcome.err) == (0, "")
-    data = json.loads((tmp_path / "d.json").read_text())
-    assert [one["iso"] for one in data["isos"]] == [100, 1600]
-    assert [one["iso"] for one in data["gains"]] == [400]
-    assert [row.iso for row in CameraProfile.load(tmp_path / "p.json").rows] == [100, 1600]
-
-
 def test_without_a_gain_there_are_figures_and_no_profile(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
     for path in tree.camera.glob("flat/*/*"):
         path.unlink()
@@ -302,6 +257,13 @@ def test_a_light_leak_is_accepted(eldata: Cli, tree: FrameTree, tmp_path: Path) 
     assert "Accepted, though a check would withhold it: light" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("crop", ["0:,8:-8", "0:,8:−8"], ids=["minus", "as pages print it"])
+def test_a_crop(crop: str, eldata: Cli, pristine: FrameTree) -> None:
+    outcome = eldata("calibrate", pristine.root, "--iso", "100", "--crop", crop)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "rows and columns 0:,8:-8 are used, as stated" in outcome.out
+
+
 # --- wrong usage ------------------------------------------------------------------------------------------------------
 
 
@@ -321,32 +283,12 @@ def test_unusable_input_is_one_line(eldata: Cli, pristine: FrameTree, tmp_path: 
     [
         ([], ["FRAMES", "eldata calibrate --help"]),
         (["x", "--iso", "0"], ["--iso", "'0'"]),
-        (["x", "--iso", "auto"], ["--iso", "'auto'"]),
-        (["x", "--iso", "²"], ["--iso", "'²'"]),
-        (["x", "--jobs", "0"], ["--jobs"]),
-        (["x", "-o"], ["-o", "expected one argument"]),
+        (["x", "--crop", "8"], ["--crop", "such as 8:-8,16:"]),
         (["{frames}", "--accept", "coarse value"], ["'coarse value'", "did you mean coarse values?"]),
     ],
 )
 def test_wrong_usage_is_one_line(arguments: list[str], words: list[str], eldata: Cli, pristine: FrameTree) -> None:
     assert_one_line(eldata("calibrate", *(one.format(frames=pristine.root) for one in arguments)), *words)
-
-
-def test_a_report_that_cannot_be_written_costs_no_profile(
-    eldata: Cli, pristine: FrameTree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("eldata.reports.calibration.calibration_page", lambda _: "x" * 1_000_000)
-    page, profile, data = (tmp_path / name for name in ("r.html", "p.json", "d.json"))
-    with room_for(500_000):
-        outcome = eldata(
-            "calibrate", pristine.root, "--iso", "400", "--html", page, "-o", profile, "--json", data
-        )  # fmt: skip
-    assert outcome.code == 2
-    assert outcome.err == f"eldata calibrate: cannot write {page}: No space left on device\n"
-    assert f"profile: {profile}" in outcome.out
-    assert CameraProfile.load(profile).camera == CAMERA
-    assert json.loads(data.read_text())["camera"] == CAMERA
-    assert not page.exists()
 
 
 # --- dark shading ---------------------------------------------------------------------------------------------------
@@ -368,13 +310,3 @@ def test_a_dark_shading(eldata: Cli, pristine: FrameTree, tmp_path: Path) -> Non
         off = (np.mean([frame.mosaic for frame in read], axis=0) - black - shading.at(iso))[~shading.hot]
         assert abs(off.mean()) < 0.01
         assert off.std() < shading.measured(iso).sigma_dn / np.sqrt(4), "a line of two parameters follows three means"
-
-
-def test_no_dark_shading_of_flats(eldata: Cli, tree: FrameTree, tmp_path: Path) -> None:
-    for iso in ISOS:
-        for path in tree.files("bias", iso):
-            path.unlink()
-    outcome = eldata("calibrate", tree.root, "--dark-shading", tmp_path / "s.npz")
-    assert outcome.code == 1
-    assert f"{tmp_path / 's.npz'} was not written: {CAMERA}: no ISO gives a dark shading: there are none" in outcome.out
-    assert not (tmp_path / "s.npz").exists()

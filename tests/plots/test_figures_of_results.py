@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from eldata.calibration.core.photon_transfer import PhotonTransferLine
+from eldata.calibration.flats import PhotonTransferLine
 from eldata.errors import ArgumentError
 from eldata.evaluation.comparison import compare
 from eldata.noise import CameraProfile

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.camera import joined
+from eldata.calibration.camera import join_isos
 from tests.calibration.in_memory import calibrated_arrays
 from tests.calibration.simulation import Body, Camera
 
@@ -38,4 +38,4 @@ def measured(iso: float, camera: Camera, *, frames: int = 6, levels: Sequence[fl
 
 def calibration(isos: Sequence[IsoCalibration], camera: str = "TestCamera") -> Calibration:
     """Join ISOs to a calibration, as the package does."""
-    return joined(camera, isos)
+    return join_isos(camera, isos)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from eldata.calibration.iso_results import IsoCalibration
     from eldata.calibration.results import Calibration
 
-DRAWINGS, PICTURES = 9, 1 + 2 + 4  # of an ISO that has everything: spectrum, two frames, shading by channel
+DRAWINGS, PICTURES = 8, 1 + 2 + 4  # of an ISO that has everything: spectrum, two frames, shading by channel
 
 
 @pytest.fixture(scope="module")
@@ -161,10 +161,11 @@ def test_says_what_was_measured(page: str, calibration: Calibration) -> None:
         assert f"ISO {one.iso:g}" in text
         assert one.transfer is not None
         assert measured(one.transfer.gain_dn_per_e, one.transfer.gain_error) in text
-    for header, rows in (calibration.table(), calibration.bias_table(), calibration.reproduction_table()):
+    tables = calibration.tables()
+    for header, rows in (tables[name] for name in ("figures", "colour-bias", "reproduction")):
         for cell in (*header, *(cell for row in rows for cell in row)):
             assert typeset(cell).replace("-", "−") in text.replace("-", "−")
-    for row in calibration.fit_table():
+    for row in tables["fits"][1]:
         for cell in row[1:]:
             assert cell.replace("-", "−") in text
     for plain in ("DN^2", "sigma", "lambda", "R2 ", "nan"):

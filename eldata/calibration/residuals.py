@@ -1,15 +1,18 @@
 """Read noise: shape lambda and scale sigma_TL of the Tukey-lambda distribution, from all pixels of all bias frames.
 
-Nothing is sorted: the second pass over the bias frames counts the residuals in cells of a twentieth of their standard
-deviation, and both estimators work on those counts.
+Source: Wei et al., TPAMI 2021, section 3.2.1, figure 7, whose probability-plot correlation (PPCC) starts a maximum
+likelihood fit. Nothing is sorted: :class:`~eldata.calibration.bias_sums.BiasSums` counts the residuals in cells of a
+twentieth of their standard deviation, and both estimators work on those counts.
 
 A residual is a pixel's value less its own mean over the n frames, the channel's drift in this frame and the row's
 offset. Taking off the pixel's mean removes every fixed pattern, whatever its distribution, but mixes the noise of n
 frames, which makes tails look lighter: the kurtosis shrinks by ((1 - 1/n)^4 + (n - 1)/n^4) / (1 - 1/n)^2, a fifth at
 n = 10. The model is therefore of the residual, not of the noise: the pixel's own share of Tukey lambda plus rounding,
-and the other frames' share with its own distribution (:class:`eldata.calibration.core._tukey_lambda.ResidualModel`).
+and the other frames' share with its own distribution (:class:`eldata.calibration.tukey_lambda.ResidualModel`).
 
-Noise of a column that changes from frame to frame stays in the read noise.
+Rounding counts as an independent and uniform error; in quiet bodies whose pixels' levels share a fraction of a DN it is
+not, and :func:`~eldata.calibration.checks.read_noise_findings` allows for it. Noise of a column that changes from frame
+to frame stays in the read noise.
 """
 
 from __future__ import annotations
@@ -20,36 +23,32 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.core.findings import FIT, READ, ROUNDING, SHAPE
-from eldata.errors import ArgumentError, DatasetError
-from eldata.noise.parameters import tukey_lambda_variance
+from eldata.calibration.bias_sums import CELLS_PER_SIGMA, count_frame
+from eldata.calibration.tukey_lambda import (
+    HIGHEST,
+    LOWEST,
+    NEARLY_NORMAL,
+    ResidualModel,
+    correlation,
+    normal_correlation,
+    tukey_lambda_quantile,
+    wave_of_rounding,
+)
+from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from eldata.calibration.core._frames import Values
-    from eldata.calibration.core._residual_fit import ResidualFit, ResidualHistogram
-    from eldata.calibration.core._tukey_lambda import ResidualModel
-    from eldata.calibration.core.findings import Figure, Finding
-    from eldata.calibration.core.row_noise import ColourBias, LineNoise
+    from eldata.calibration.bias_sums import ResidualHistogram
+    from eldata.calibration.defects import FixedPattern
+    from eldata.calibration.sums import Counts, Mosaic, Values
 
 _TAIL = 1000  # residuals beyond the point from which on the variance is the fitted distribution's
-_MOST_ERROR = 0.15  # of lambda, and of sigma_TL as a share: beyond, neither figure nor error means anything
-_BY_CHANCE = 1e-6  # of the fit's chi^2
-_QUIETEST = 0.4  # of sigma_G, in steps: below, rounding decides what is recorded
-_NEARLY_NORMAL = 0.14  # a shape
 _LEAST_BLUR = 0.05
 _WAVE_BY_CHANCE = 6.0  # of 1 / N, the mean squared size of N levels that lie anywhere: more once in 400
 _STEPS_SHOW = 5.0  # of the levels' wave in its own standard errors: of less, chi^2 per degree is not 0.2 larger
-# Measured, from 0.3 to 0.8 DN, with the ripple of the variance, peak to peak, for 1: of bodies without fixed pattern,
-# shifts of lambda and sigma_TL are up to 2 (relative ones) and of sigma_G up to 0.4; where levels lie anywhere, 0.2 and
-# 0.04 with its square for 1, as the noise of pixels then differs.
-_OF_RIPPLE, _OF_RIPPLE_IN_SIGMA = 2.0, 0.5
-_OF_SQUARE, _OF_SQUARE_IN_SIGMA = 0.2, 0.05
-_MOST_RIPPLE = 0.3  # of the variance: beyond, not even sigma_G is known
-_MOST_IN_ROWS = 0.3  # of sigma_row
 
 PLOT_POINTS = 121
 """Of a probability plot."""
@@ -83,8 +82,6 @@ class ReadNoise:
         where the pixels' levels are so alike that the residuals show their steps of a DN.
     residuals
         How many there were.
-    beyond
-        How many lay outside of the histogram (more than 400 standard deviations).
     converged
         Whether the fit came to an end.
     alike
@@ -108,7 +105,6 @@ class ReadNoise:
     chi2_freedom: int
     residuals: int
     converged: bool
-    beyond: int
     alike: float
 
     @property
@@ -124,7 +120,7 @@ class ReadNoise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProbabilityPlot:
-    """Quantiles of the residuals beside those of the two distributions (figure "TL-PPCC").
+    """Quantiles of the residuals and of the two distributions (figure "TL-PPCC").
 
     Attributes
     ----------
@@ -155,35 +151,11 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
 
     Raises
     ------
-    ArgumentError
-        If the histogram is malformed.
     DatasetError
-        If it holds too few residuals, or all in a few cells.
+        If the histogram holds too few residuals, or all in a few cells.
     """
-    from eldata.calibration.core._residual_fit import ResidualCells, residual_fit
-    from eldata.calibration.core._tukey_lambda import (
-        HIGHEST,
-        LOWEST,
-        ResidualModel,
-        correlation,
-        normal_correlation,
-        wave_of_rounding,
-    )
-
-    counts = histogram.counts
-    if counts.ndim != 2 or counts.shape[1] % 2 == 0 or not histogram.cell_dn > 0:
-        raise ArgumentError(
-            "a histogram is (groups, an odd number of cells) with cells of positive width; found shape "
-            f"{counts.shape}, width {histogram.cell_dn}"
-        )
-    if histogram.frames < 1 or not histogram.row_pixels > 1:
-        raise ArgumentError(
-            f"residuals are of 1 frame or more and rows of 2 pixels or more; found {histogram.frames} and "
-            f"{histogram.row_pixels}"
-        )
-    total = counts.sum(axis=0)
+    total = histogram.counts.sum(axis=0)
     inner = total[1:-1]
-    beyond = int(total[0] + total[-1])
     number = int(total.sum())
     if number < 1000 or np.count_nonzero(inner) < 5:
         raise DatasetError(
@@ -194,11 +166,10 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     plain_lambda, plain_sigma, curve = ppcc(values, inner)
 
     model = ResidualModel(histogram.frames, histogram.row_pixels, histogram.rounding_dn)
-    cells = ResidualCells.of(histogram)
     variance = float(inner @ values**2) / float(inner.sum())
     start = (min(max(plain_lambda, LOWEST + 0.1), HIGHEST - 0.1), max(plain_sigma, 0.05 * math.sqrt(variance)))
     deviation = math.sqrt(variance / model.own)
-    fit = residual_fit(cells, model, start)
+    fit = fit_residuals(histogram, model, start)
     shape, sigma = fit.shape, fit.scale
     # The groups' scatter, of which errors are made, scatters itself: never below what independent residuals give. Of a
     # pixel's n only n - 1 are: measured, their variances are between those of n and of n - 1.
@@ -211,7 +182,7 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
     best, _ = correlation(values[inner > 0], inner[inner > 0].astype(np.float64), plain_lambda)
     normal, _ = normal_correlation(values[inner > 0], inner[inner > 0].astype(np.float64))
     gauss, gauss_error = _standard_deviation(histogram, model, fit)
-    chi2, freedom = fit.chi2_per_dof(cells)
+    chi2, freedom = fit.chi2_per_dof()
     # The mean of n frames blurs the wave of the levels. Where it leaves nothing, how alike they are is not known.
     blur = math.exp(-2 * math.pi**2 * deviation**2 / histogram.frames)
     by_chance = _WAVE_BY_CHANCE * len(histogram.level_waves) * histogram.frames / number
@@ -235,115 +206,14 @@ def read_noise(histogram: ResidualHistogram) -> ReadNoise:
         chi2_per_dof=math.nan if wave * math.sqrt(number) > _STEPS_SHOW else chi2,
         chi2_freedom=freedom,
         residuals=number,
-        beyond=beyond,
         converged=fit.converged,
         alike=alike,
     )
 
 
-def read_noise_findings(
-    read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: float = 1.0, rounding_dn: float = 1.0
-) -> tuple[Finding, ...]:
-    """Return what the fit shows of its own assumptions, and what rounding does to the figures.
-
-    It is to steps of ``step_dn`` in the mean; the read noise is beside one to steps of ``rounding_dn``.
-
-    The fit's chi^2 has as many degrees of freedom as cells, less the parameters. What it is above 1 per degree, the
-    errors are to be larger: a misfit of that size along the direction that a parameter moves would shift it so far.
-    """
-    from scipy.special import chdtri
-
-    limit = float(chdtri(read.chi2_freedom, _BY_CHANCE)) / read.chi2_freedom
-    misfit = math.sqrt(read.chi2_per_dof - 1) if read.chi2_per_dof > limit else 0.0
-    error = math.hypot(1.0, misfit) * read.largest_error
-    found = list(_rounding(read, bias, rows, step_dn, math.sqrt(max(step_dn**2 - rounding_dn**2, 0.0) / 12)))
-    if not read.converged:
-        text = (
-            f"the fit of a Tukey-lambda distribution to {read.residuals} residuals came to no end: lambda and its "
-            "error are not known; look at its plots"
-        )
-        found.append(SHAPE.seen(math.inf, _MOST_ERROR, text).of("withheld", READ))
-    elif not error < _MOST_ERROR:
-        text = (
-            f"{read.residuals} residuals do not tell the shape of the read noise: lambda is uncertain by "
-            f"{read.tukey_lambda_error:.2g}, sigma_TL by {read.sigma_tl_error_dn / read.sigma_tl_dn:.1%}"
-            + (f", {math.hypot(1, misfit):.1f} times as much by their misfit" if misfit else "")
-            + "; look at its plots, and use more frames or a higher ISO"
-        )
-        found.append(SHAPE.seen(error, _MOST_ERROR, text).of("withheld", READ))
-    elif misfit:
-        text = (
-            f"the residuals do not follow the fitted Tukey-lambda distribution (chi2 per degree of freedom "
-            f"{read.chi2_per_dof:.1f}, by chance at most {limit:.1f}): look at its plots"
-        )
-        allowance = misfit * read.largest_error
-        found.append(FIT.seen(read.chi2_per_dof, limit, text).of("wider", READ, allowance))
-    return tuple(found)
-
-
-def _rounding(read: ReadNoise, bias: ColourBias, rows: LineNoise, step_dn: float, added_dn: float) -> Iterator[Finding]:
-    """Yield what rounding to steps of so many DN, which adds so much to the read noise, does to figures of quiet noise.
-
-    It adds a twelfth to the variance, whatever the noise, only where the pixels' levels lie everywhere between two
-    steps, or the noise is wide. Where they share a fraction of one, it makes noise smaller or larger, moves the mean,
-    and hides offsets of rows or enlarges them, by what :class:`Ripple` says; the rows' own offsets spread the levels.
-    """
-    from eldata.calibration.core._tukey_lambda import Ripple
-
-    sigma, quietest = math.sqrt(max(read.sigma_gauss_dn**2 - added_dn**2, 0.0)), _QUIETEST * step_dn
-    steps = f"steps of {step_dn:.3g}" if step_dn > 1 else "whole"
-    if not sigma >= quietest:
-        text = (
-            f"the read noise is {sigma:.2g} DN, below {quietest:.2g} DN, where rounding to {steps} DN decides what is "
-            "recorded, and the shape of the noise is not seen: use a raw mode of more bits, or the figures of a higher "
-            "ISO"
-        )
-        yield ROUNDING.seen(sigma, quietest, text).of("withheld", ("shape",))
-    # How alike the levels' fractions of a DN are says nothing of wider steps.
-    alike = (1.0 if step_dn > 1 else read.alike) * math.exp(-2 * (math.pi * rows.sigma_dn / step_dn) ** 2)
-    # Rounding itself makes tails light: lighter ones than a normal distribution's are not taken for the noise's.
-    shape = min(read.tukey_lambda, _NEARLY_NORMAL)
-    scale = sigma / math.sqrt(tukey_lambda_variance(shape)) / step_dn
-    ripple, lower = Ripple.of(shape, scale), 1.0
-    recorded = 1 + (step_dn / max(sigma, 1e-12)) ** 2 / 12  # with rounding, of the variance without
-    for _ in range(20):  # of the noise as quiet as it may be, if rounding has made it larger
-        lower = math.sqrt(max(1 - ripple.variance * alike / 2 * recorded, 0.1))
-        ripple = Ripple.of(shape, lower * scale)
-    width, shift = ripple.variance * alike, ripple.mean_steps / 2 * step_dn * alike
-    changed = (
-        f"changes the variance of a pixel's noise by up to {ripple.variance / 2:.1%}, as its level lies between two "
-        f"values, that of all by up to {width / 2:.1%}, and"
-        if math.isfinite(width)
-        else "decides whether a pixel changes at all, and changes"
-    )
-    text = (
-        f"the read noise is quiet ({sigma:.2g} DN): rounding to {steps} DN {changed} the mean by up to {shift:.2g} "
-        "DN; use a raw mode of more bits"
-    )
-    square, of_rows = ripple.variance**2, rows.sigma_error_dn / max(rows.sigma_dn, 1e-12)
-    off: dict[Figure, tuple[float, float, float]] = {  # by so much; what is too much, and what is in the error
-        "shape": (_OF_RIPPLE * width + _OF_SQUARE * square, _MOST_ERROR, read.largest_error),
-        "read noise": (
-            *(_OF_RIPPLE_IN_SIGMA * width + _OF_SQUARE_IN_SIGMA * square, math.inf),
-            read.sigma_gauss_error_dn / max(sigma, 1e-12),
-        ),
-        "row noise": (2 * math.pi * shift / step_dn, _MOST_IN_ROWS if read.converged else of_rows, of_rows),
-        "colour bias": (shift, math.inf, min(filter(math.isfinite, bias.standard_error_dn), default=math.inf)),
-    }
-    of_width = () if width <= _MOST_RIPPLE else READ if math.isfinite(width) else (*READ, "row noise")
-    lost = tuple(figure for figure, (share, most, _) in off.items() if share > most or figure in of_width)
-    if lost:
-        yield ROUNDING.seen(width, _MOST_RIPPLE, text).of("withheld", lost)
-    for figure, (share, _, least) in off.items():
-        if figure not in lost and share > least:
-            yield ROUNDING.seen(share, least, text).of("wider", (figure,), share)
-
-
 def probability_plot(histogram: ResidualHistogram, read: ReadNoise) -> ProbabilityPlot:
     """Return the points of the two probability plots that :func:`read_noise` has taken its R^2 of ``read`` from."""
     from scipy.special import ndtr, ndtri
-
-    from eldata.calibration.core._tukey_lambda import normal_correlation, tukey_lambda_quantile
 
     inner = histogram.counts[:, 1:-1].sum(axis=0)
     number = int(inner.sum())
@@ -363,6 +233,19 @@ def probability_plot(histogram: ResidualHistogram, read: ReadNoise) -> Probabili
     )
 
 
+def single_frame_plot(mosaic: Mosaic, fixed: FixedPattern) -> tuple[float, float, float]:
+    """Return R^2 of one frame's probability plots against Tukey lambda and normal, and lambda, as published.
+
+    For comparison: fixed pattern, which is not noise, takes part. Defects do not, as a probability plot weighs a
+    residual by its square: a handful of hot pixels would be all that it shows.
+    """
+    values, counts = count_frame(mosaic, fixed)
+    filled = counts > 0
+    values, number = values[filled], counts[filled].astype(np.float64)
+    shape, _, _ = ppcc(values, number)
+    return correlation(values, number, shape)[0] ** 2, normal_correlation(values, number)[0] ** 2, shape
+
+
 def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:
     """Return the shape of the highest probability-plot correlation, the plot's slope there, and the curve.
 
@@ -379,21 +262,19 @@ def ppcc(values: Values, counts: NDArray[Any]) -> tuple[float, float, Values]:
     """
     from scipy.optimize import minimize_scalar
 
-    from eldata.calibration.core._tukey_lambda import correlation
-
     used = counts > 1e-12 * np.max(counts)
     values, weights = values[used], np.asarray(counts, dtype=np.float64)[used]
     shapes = np.linspace(-0.45, 0.55, 41)
     curve = np.array([correlation(values, weights, float(shape))[0] for shape in shapes])
     best = int(curve.argmax())
     around = (float(shapes[max(best - 1, 0)]), float(shapes[min(best + 1, 40)]) + (best == 40) * 1.4)
-    found = minimize_scalar(
+    highest = minimize_scalar(
         lambda shape: -correlation(values, weights, float(shape))[0],
         bounds=around,
         method="bounded",
         options={"xatol": 1e-6},
     )
-    shape = float(found.x)
+    shape = float(highest.x)
     return shape, correlation(values, weights, shape)[1], np.stack([shapes, curve])
 
 
@@ -416,14 +297,12 @@ def _standard_deviation(histogram: ResidualHistogram, model: ResidualModel, fit:
     The mean square of the residuals is the measured one up to where :data:`_TAIL` lie further out, and the fitted one
     beyond: the mean square of heavy tails hangs on a few pixels, and of shapes below -1/4 it has no error.
     """
-    from eldata.calibration.core._residual_fit import centred
-
     both = histogram.folded
     numbers = both.sum(axis=1)
     number = float(numbers.sum())
     tail = np.cumsum(both.sum(axis=0)[::-1])[::-1]
     # Tails lighter than a normal distribution's decide nothing, and are often what rounding has left of the noise.
-    far = int(np.count_nonzero(tail >= _TAIL)) if fit.shape < _NEARLY_NORMAL else both.shape[1]
+    far = int(np.count_nonzero(tail >= _TAIL)) if fit.shape < NEARLY_NORMAL else both.shape[1]
     far = max(1, int(min(far, both.shape[1] - 1)))
     squares_of_cells = (np.arange(both.shape[1]) * histogram.cell_dn) ** 2
     if histogram.squares_dn2 is None:
@@ -449,9 +328,131 @@ def _standard_deviation(histogram: ResidualHistogram, model: ResidualModel, fit:
     mean = float(squares.sum()) / number + beyond(fit.shape, fit.scale)
     by_rounding = histogram.rounding_dn**2 / 12
     sigma = math.sqrt(max(mean / model.own - by_rounding, 0.0))  # 1/own undoes what the means took
-    by_group = centred(squares, numbers) / number + fit.influence @ slope
+    by_group = _subtract_share(squares, numbers) / number + fit.influence @ slope
     groups = len(by_group)
     if groups < 2 or sigma == 0:
         return sigma, math.nan
     error = math.sqrt(float(by_group @ by_group) * groups / (groups - 1)) / model.own
     return sigma, error / (2 * sigma)
+
+
+# --- maximum likelihood -----------------------------------------------------------------------------------------------
+
+_CORE = 6 * CELLS_PER_SIGMA  # cells that stay as they are; beyond, they merge to ever wider ones
+_GROWTH = 1.05
+_LEAST_IN_TAIL = 20  # residuals in the outermost cell of the likelihood
+_NEAR = 0.1  # to the end, in errors that the parameters would have if all residuals were independent
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualFit:
+    """Shape and scale of highest likelihood, and what errors and other figures are worked out from.
+
+    Attributes
+    ----------
+    shape, scale
+        Of the Tukey-lambda distribution, the scale in DN.
+    counts, probabilities
+        Residuals in each cell of the likelihood, and the share that the fit expects there.
+    influence
+        (groups, 2): what each group of rows adds to the errors of shape and ln scale.
+    information
+        (2, 2) covariance of the two if all residuals were independent.
+    converged
+        Whether the iteration came to an end.
+    """
+
+    shape: float
+    scale: float
+    counts: Values = field(repr=False)
+    probabilities: Values = field(repr=False)
+    influence: Values = field(repr=False)
+    information: Values = field(repr=False)
+    converged: bool
+
+    @property
+    def covariance(self) -> Values:
+        """(2, 2) of shape and ln scale, from the scatter between groups of rows."""
+        groups = len(self.influence)
+        if groups < 8:
+            return self.information
+        return np.asarray(self.influence.T @ self.influence * groups / (groups - 1))
+
+    def chi2_per_dof(self) -> tuple[float, int]:
+        """Return chi^2 per degree of freedom over the cells where 25 residuals or more are expected, and these."""
+        expected = self.probabilities * float(self.counts.sum())
+        filled = expected >= 25
+        misfit = ((self.counts - expected) ** 2)[filled] / expected[filled]
+        freedom = max(1, misfit.size - 3)
+        return float(misfit.sum()) / freedom, freedom
+
+
+def fit_residuals(histogram: ResidualHistogram, model: ResidualModel, start: tuple[float, float]) -> ResidualFit:
+    """Fit shape and scale to the counts of abs(residual), from a shape and a scale to begin with."""
+    both = histogram.folded
+    starts = _cell_starts(both.sum(axis=0))
+    observed = np.add.reduceat(both, starts, axis=1).astype(np.float64)
+    edges = np.asarray(np.maximum(starts - 0.5, 0.0) * histogram.cell_dn)
+    counts = observed.sum(axis=0)
+
+    def expect(at: Values) -> Values:
+        """Return the probabilities of the cells at shape and ln scale."""
+        return model.probabilities(edges.copy(), float(at[0]), math.exp(float(at[1])))
+
+    at, probabilities, scores, converged = _maximise(counts, expect, np.array([start[0], math.log(start[1])]))
+    inverse = np.linalg.inv((scores * probabilities) @ scores.T * float(counts.sum()))
+    by_group = (observed - observed.sum(axis=1, keepdims=True) * probabilities) @ scores.T
+    influence = _subtract_share(by_group, observed.sum(axis=1)) @ inverse
+    return ResidualFit(float(at[0]), math.exp(at[1]), counts, probabilities, influence, inverse, converged)
+
+
+def _maximise(counts: Values, expect: Callable[[Values], Values], at: Values) -> tuple[Values, Values, Values, bool]:
+    """Maximise the likelihood by Fisher scoring; return the place, probabilities and scores there, and convergence."""
+    number = float(counts.sum())
+
+    def scores_at(place: Values) -> Values:
+        """Return d ln P / d (shape, ln scale), (2, cells)."""
+        step = 1e-4
+        ends = ((expect(place + step * unit), expect(place - step * unit)) for unit in np.eye(2))
+        return np.stack([(np.log(above) - np.log(below)) / (2 * step) for above, below in ends])
+
+    probabilities = expect(at)
+    value, scores = float(counts @ np.log(probabilities)), scores_at(at)
+    for _ in range(60):
+        information = (scores * probabilities) @ scores.T * number
+        ascent = scores @ counts
+        move = np.linalg.solve(information, ascent)
+        is_near = float(ascent @ move) < _NEAR**2
+        length = min(1.0, 0.1 / float(np.abs(move).max()))
+        while length > 1e-4:
+            shape, log_scale = at + length * move
+            proposed = np.array([min(max(float(shape), LOWEST + 1e-3), HIGHEST), float(log_scale)])
+            tried = expect(proposed)
+            reached = float(counts @ np.log(tried))
+            if reached >= value - 1e-12 * abs(value):
+                break
+            length /= 2
+        else:
+            break
+        moved = float(np.abs(proposed - at).max())
+        at, value, probabilities, scores = proposed, reached, tried, scores_at(proposed)
+        if moved < 1e-6:
+            return at, probabilities, scores, True
+    return at, probabilities, scores, is_near
+
+
+def _subtract_share(by_group: Values, sizes: Values | Counts) -> Values:
+    """Return sums by group less their share of the whole, by the groups' sizes."""
+    return np.asarray(by_group - np.multiply.outer(sizes / sizes.sum(), by_group.sum(axis=0)))
+
+
+def _cell_starts(both: Counts) -> Counts:
+    """Return the starts of the likelihood's cells: one by one in the core, then ever wider; the last is open."""
+    starts = list(range(min(_CORE, len(both) - 1)))
+    width = 1.0
+    while starts[-1] + math.ceil(width) < len(both):
+        starts.append(starts[-1] + math.ceil(width))
+        width *= _GROWTH
+    tail = np.cumsum(both[::-1])[::-1]
+    kept = [start for start in starts if start == 0 or tail[start] >= _LEAST_IN_TAIL]
+    return np.array(kept, dtype=np.int64)

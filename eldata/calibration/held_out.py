@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.calibration.core._frames import by_pixel
-from eldata.calibration.core.row_noise import smoothed_power
+from eldata.calibration.sums import by_pixel
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from eldata.calibration.core._frames import Counts, Mosaic, Plane, Values
-    from eldata.calibration.core.defects import FixedPattern
+    from eldata.calibration.defects import FixedPattern
+    from eldata.calibration.sums import Counts, Mosaic, Plane, Values
     from eldata.noise.parameters import NoiseParameters
     from eldata.records import Sensor
 
@@ -64,8 +63,6 @@ class Reproduction:
         Standard deviation of the residuals' row means.
     levels, quantiles_real_dn, quantiles_simulated_dn
         Quantiles of the residuals.
-    row_frequency, row_power_real_dn2, row_power_simulated_dn2
-        Periodograms of the row means, cycles per row.
     real_dn, simulated_dn
         A piece of both frames, less the black level, (128, 192): the real one with its fixed pattern, the simulated one
         with its shading and pixel levels that scatter as much.
@@ -83,9 +80,6 @@ class Reproduction:
     levels: Values = field(repr=False)
     quantiles_real_dn: Values = field(repr=False)
     quantiles_simulated_dn: Values = field(repr=False)
-    row_frequency: Values = field(repr=False)
-    row_power_real_dn2: Values = field(repr=False)
-    row_power_simulated_dn2: Values = field(repr=False)
     real_dn: Plane = field(repr=False)
     simulated_dn: Plane = field(repr=False)
 
@@ -93,11 +87,6 @@ class Reproduction:
     def shown_sigmas_dn(self) -> tuple[float, float]:
         """Standard deviations of the pieces of both frames, the real one's first."""
         return float(self.real_dn.std()), float(self.simulated_dn.std())
-
-    def smoothed_row_powers_dn2(self, period: int) -> tuple[Values, ...]:
-        """Return frequencies and the two periodograms, the real one first, in neighbouring frequencies together."""
-        frequency, real = smoothed_power(self.row_frequency, self.row_power_real_dn2, period)
-        return frequency, real, smoothed_power(self.row_frequency, self.row_power_simulated_dn2, period)[1]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the plain numbers."""
@@ -109,13 +98,8 @@ class Reproduction:
 
 
 def compared_piece(mosaic: Mosaic, period: int) -> Mosaic:
-    """Return a copy of all that :func:`reproduction` needs of a frame whose CFA repeats itself after ``period``."""
-    return mosaic[compared_place(mosaic.shape, period)].copy()
-
-
-def compared_place(shape: tuple[int, ...], period: int) -> tuple[slice, slice]:
-    """Return the rows and columns of that piece: a million pixels in the middle, from the start of a CFA period on."""
-    return _middle(shape, (_SIDE, _SIDE), period)
+    """Return a copy of all that :func:`reproduction` needs: a million pixels in the middle, from a CFA period on."""
+    return mosaic[_middle(mosaic.shape, (_SIDE, _SIDE), period)].copy()
 
 
 def reproduction(
@@ -128,25 +112,26 @@ def reproduction(
     Raises
     ------
     ArgumentError
-        If the frame's shape is not that of the fixed pattern, or it is smaller than 128 x 192.
+        If the frame's shape is not that of the fixed pattern, or a side is smaller than 192 pixels.
     """
     shape, period = fixed.total_dn.shape, len(fixed.pattern)
-    place = compared_place(shape, period)
+    place = _middle(shape, (_SIDE, _SIDE), period)
     sound = ~fixed.defects[place]
     if held_out.shape == shape:
         held_out = held_out[place]
-    if held_out.shape != sound.shape:
-        raise ArgumentError(f"the held-out frame is {held_out.shape}, the others are {shape}")
-    if shape[0] < _SHOWN[0] or shape[1] < _SHOWN[1]:
-        raise ArgumentError(f"the comparison needs {_SHOWN[0]} x {_SHOWN[1]} pixels; found {shape}")
+    if held_out.shape != sound.shape or min(shape) < max(_SHOWN):
+        raise ArgumentError(
+            f"the comparison is of frames of one shape, {max(_SHOWN)} pixels a side or more; found {held_out.shape} "
+            f"and {shape}"
+        )
     real = held_out - fixed.total_dn[place] / fixed.frames
     channel = by_pixel(np.arange(len(sensor.black_level_dn)), fixed.pattern, real.shape)
     block = _SHADING_BLOCK * len(fixed.pattern)
     rows_of, columns_of = (np.arange(part.start, part.stop) // block for part in place)
     level = fixed.summary.shading_dn[channel, rows_of[:, None], columns_of]
     spread = np.asarray(fixed.summary.dsnu_dn)[channel]
-    first, simulated = _simulated(level, spread, channel, fixed.frames, sensor, parameters, generator)
-    _, again = _simulated(level, spread, channel, fixed.frames, sensor, parameters, generator)
+    first, simulated = _simulate(level, spread, channel, fixed.frames, sensor, parameters, generator)
+    _, again = _simulate(level, spread, channel, fixed.frames, sensor, parameters, generator)
     for residual in (real, simulated, again):
         for index in range(int(channel.max()) + 1):
             chosen = channel == index
@@ -162,7 +147,6 @@ def reproduction(
     histograms = [_histogram(ordered, cell) for ordered in values]
     pixels = np.maximum(sound.sum(axis=1), 1)
     rows = [np.where(sound, residual, 0).sum(axis=1) / pixels for residual in (real, simulated)]
-    power = [np.abs(np.fft.rfft(row)) ** 2 / len(row) for row in rows]
     shown = tuple(
         slice(part.start - whole.start, part.stop - whole.start)
         for part, whole in zip(_middle(shape, _SHOWN, period), place, strict=True)
@@ -181,9 +165,6 @@ def reproduction(
         levels=_LEVELS,
         quantiles_real_dn=quantiles[0],
         quantiles_simulated_dn=quantiles[1],
-        row_frequency=np.asarray(np.fft.rfftfreq(len(rows[0])), dtype=np.float64),
-        row_power_real_dn2=power[0],
-        row_power_simulated_dn2=power[1],
         real_dn=(held_out[shown] - black).astype(np.float32),
         simulated_dn=(first[: _SHOWN[0], : _SHOWN[1]] - black).astype(np.float32),
     )
@@ -195,15 +176,10 @@ def _middle(shape: tuple[int, ...], side: tuple[int, int], period: int) -> tuple
     return slice(starts[0], starts[0] + min(side[0], shape[0])), slice(starts[1], starts[1] + min(side[1], shape[1]))
 
 
-def _simulated(
-    level_dn: Values,
-    spread_dn: Values,
-    channel: Counts,
-    frames: int,
-    sensor: Sensor,
-    parameters: NoiseParameters,
+def _simulate(
+    level_dn: Values, spread_dn: Values, channel: Counts, frames: int, sensor: Sensor, parameters: NoiseParameters,
     generator: np.random.Generator,
-) -> tuple[Values, Values]:
+) -> tuple[Values, Values]:  # fmt: skip
     """Return one simulated bias frame in DN, and its residual to the mean of n more.
 
     Pixels scatter by ``spread_dn`` around ``level_dn``, which comes on top of their channel's black level and bias.

@@ -14,12 +14,17 @@ from eldata.noise.parameters import tukey_lambda_variance
 if TYPE_CHECKING:
     from typing import TypeAlias
 
-    from eldata.calibration.core._frames import Values
+    from scipy.interpolate import PchipInterpolator
+
+    from eldata.calibration.sums import Values
 
     Nodes: TypeAlias = tuple[Values, Values]
 
 LOWEST, HIGHEST = -0.49, 1.0
 """Shapes that are searched: finite variance, up to nearly uniform."""
+
+NEARLY_NORMAL = 0.14
+"""The shape at which the distribution is nearest to the normal one."""
 
 NOTHING: Nodes = (np.zeros(1), np.ones(1))
 """A discrete distribution, as nodes and weights: of what is always 0."""
@@ -66,8 +71,8 @@ def tukey_lambda_quantile(levels: Values, shape: float, above: Values | None = N
     """Return quantiles ``(u^l - v^l) / l`` of scale 1, v = 1 - u, and their limit ``ln(u / v)`` at l = 0."""
     from scipy.special import boxcox
 
-    found: Values = boxcox(levels, shape) - boxcox(1 - levels if above is None else above, shape)
-    return found
+    quantiles: Values = boxcox(levels, shape) - boxcox(1 - levels if above is None else above, shape)
+    return quantiles
 
 
 @kernel
@@ -80,27 +85,13 @@ def smoothed_tails(x: Values, shape: float, scale: float, nodes: Values, weights
     return tails
 
 
-class TailTable:
-    """Tails of ``scale X + U`` with X of a Tukey-lambda distribution and U discrete, from a table in steps of ``unit``.
-
-    ``unit`` is the standard deviation of the sum.
-    """
-
-    def __init__(self, unit: float, shape: float, scale: float, nodes: Nodes = NOTHING) -> None:
-        from scipy.interpolate import PchipInterpolator
-
-        self.unit = unit
-        tails = smoothed_tails(unit * np.sinh(_TABLE), shape, scale, *nodes)
-        # Monotone, as tails of a positive shape end: a spline would ring there.
-        self._logs = PchipInterpolator(_TABLE, np.log(np.maximum(tails, 1e-40)))
-
-    def tails(self, edges: Values, others: Nodes = NOTHING, own: float = 1.0) -> Values:
-        """Return P(own times the sum + Z > edge) for each edge, Z discrete."""
-        values, chances = others
-        away = np.subtract.outer(edges, values) / (own * self.unit)
-        beyond = np.exp(self._logs(np.minimum(np.arcsinh(np.abs(away)), _TABLE[-1])))
-        found: Values = np.where(away < 0, 1 - beyond, beyond) @ chances
-        return found
+def _look_up(logs: PchipInterpolator, unit: float, edges: Values, others: Nodes) -> Values:
+    """Return P(X + Z > edge) for each edge: X by the logarithms of its tails in steps of ``unit``, Z discrete."""
+    values, chances = others
+    away = np.subtract.outer(edges, values) / unit
+    beyond = np.exp(logs(np.minimum(np.arcsinh(np.abs(away)), _TABLE[-1])))
+    tails: Values = np.where(away < 0, 1 - beyond, beyond) @ chances
+    return tails
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,9 +157,14 @@ class ResidualModel:
 
     def tails(self, edges: Values, shape: float, sigma: float) -> Values:
         """Return P(residual > edge) for each edge."""
+        from scipy.interpolate import PchipInterpolator
+
         unit = math.sqrt(sigma**2 * tukey_lambda_variance(shape) + self.rounding_dn**2 / 12)
-        table = TailTable(unit, shape, sigma, (_LEGENDRE[0] * (self.rounding_dn / 2), _LEGENDRE[1] / 2))
-        return table.tails(edges, self._others(table), self.own)
+        rounding = _LEGENDRE[0] * (self.rounding_dn / 2), _LEGENDRE[1] / 2
+        of_table = smoothed_tails(unit * np.sinh(_TABLE), shape, sigma, *rounding)
+        # Monotone, as tails of a positive shape end: a spline would ring there.
+        logs = PchipInterpolator(_TABLE, np.log(np.maximum(of_table, 1e-40)))
+        return _look_up(logs, self.own * unit, edges, self._others(logs, unit))
 
     def probabilities(self, edges: Values, shape: float, sigma: float) -> Values:
         """Return P of each cell of abs(residual): between the edges (the first is 0) and beyond the last."""
@@ -176,9 +172,8 @@ class ResidualModel:
         tails[0] = 0.5
         return np.maximum(-2 * np.diff(tails, append=0.0), 1e-300)
 
-    def _others(self, table: TailTable) -> Nodes:
+    def _others(self, logs: PchipInterpolator, unit: float) -> Nodes:
         """Return Z as nodes and weights."""
-        unit = table.unit
         variance = self.own * (1 - self.own) * unit**2
         if variance <= 0:
             return NOTHING
@@ -187,7 +182,7 @@ class ResidualModel:
         share = (1 - 1 / self.row_pixels) / self.frames
         width = share * unit / _CELLS
         edges = (np.arange(_SIZE // 2) + 0.5) * width
-        tails = table.tails(edges, own=share)
+        tails = _look_up(logs, share * unit, edges, NOTHING)
         half = -np.diff(tails, append=0.0)
         cells = np.zeros(_SIZE)
         cells[0] = 1 - 2 * tails[0]
@@ -257,8 +252,8 @@ def _integral(below: Values, above: Values, shape: float) -> Values:
 
     with np.errstate(divide="ignore", invalid="ignore"):
         terms = [np.where(share > 0, share * boxcox(share, shape), 0.0) for share in (below, above)]  # 0 ln 0 is 0
-    found: Values = (terms[0] + terms[1]) / (shape + 1)
-    return found
+    integral: Values = (terms[0] + terms[1]) / (shape + 1)
+    return integral
 
 
 def _plot(values: Values, weights: Values, blocks: Values, inside: float) -> tuple[float, float]:

@@ -1,43 +1,33 @@
-"""Row noise sigma_row: the standard deviation of one random offset per mosaic row and frame; column noise likewise.
+"""Row noise sigma_row and colour bias mu_c, from the second pass over the bias frames.
 
-And the colour bias mu_c: by how much the mean of a bias frame differs from the recorded black level, per channel.
+sigma_row is the standard deviation of one random offset per mosaic row and frame (Wei et al., TPAMI 2021, section
+3.2.1, figures 5 and 6); noise of the columns is measured likewise. Each pixel's own mean over the frames is taken off,
+which removes every fixed row and column pattern; the factor n / (n - 1) makes up for what that takes from the noise.
 
-The second pass over the bias frames, after :mod:`eldata.calibration.core.defects`: each pixel's own mean over the
-frames is taken off, which removes every fixed row and column pattern; the factor n / (n - 1) makes up for what that
-takes from the noise.
+mu_c is by how much the mean of a bias frame differs from the recorded black level, per channel (section 3.2.1,
+figure 4).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.calibration.core._frames import (
-    channels_of,
-    checked_black_level,
-    checked_mosaic,
-    classes_of_rows,
-    sums_by_line,
-)
+from eldata.calibration.sums import channels_of, checked_black_level, levels_and_lines, sites
 from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from typing import TypeAlias
 
-    from numpy.typing import NDArray
-
-    from eldata.calibration.core._frames import Counts, Mosaic, Values
-    from eldata.calibration.core.defects import FixedPattern
-
-    LineSums: TypeAlias = tuple[Counts, Counts, Counts]
+    from eldata.calibration.bias_sums import BiasSums
+    from eldata.calibration.defects import FixedPattern
+    from eldata.calibration.sums import Counts, Mosaic, Plane, Values
 
 _BY_CHANCE = 1e-3  # of the frames' scatter
-SHAPIRO_VALUES = 5000
-"""The Shapiro-Wilk test's p is accurate up to this many values; more are thinned evenly."""
+_SHAPIRO_VALUES = 5000  # up to which the Shapiro-Wilk test's p is accurate; more are thinned evenly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +76,11 @@ class LineNoise:
     fixed_dn: Values = field(repr=False)
 
     @property
+    def relative_error(self) -> float:
+        """Standard error of sigma as a share of it."""
+        return self.sigma_error_dn / max(self.sigma_dn, 1e-12)
+
+    @property
     def normal_line_dn(self) -> tuple[float, float]:
         """Slope and level of the straight line through the normal probability plot, DN."""
         slope, level = np.polyfit(self.quantiles, self.ordered_dn, 1)
@@ -106,14 +101,11 @@ class RowNoise:
         Of mosaic rows over all their channels, and of mosaic columns.
     pixel_variance_dn2
         Variance of a pixel over time around its row's offset; with quantisation.
-    frames
-        Number of frames.
     """
 
     rows: LineNoise
     columns: LineNoise
     pixel_variance_dn2: float
-    frames: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,87 +137,7 @@ class ColourBias:
     frames: int
 
 
-class LineMeans:
-    """Accumulates what bias frames show by row, column and channel, for :func:`row_noise` and :func:`colour_bias`.
-
-    Parameters
-    ----------
-    fixed
-        The first pass's result. Add the same frames again, each once.
-
-    Attributes
-    ----------
-    rows_dn, columns_dn
-        Mean of each line over its channels, each channel less its own mean in the frame; an entry per frame, as all.
-    means_dn, sound_means_dn
-        Mean of each channel over all pixels, and over the sound ones.
-    squares
-        Sum over pixels and frames of the squared deviation from the pixel's mean and its row's, DN^2.
-    """
-
-    def __init__(self, fixed: FixedPattern) -> None:
-        self.fixed = fixed
-        self.row_pixels, self.column_pixels = sums_by_line(~fixed.defects, fixed.pattern)
-        self.row_totals, self.column_totals = sums_by_line(np.where(fixed.defects, 0, fixed.total_dn), fixed.pattern)
-        self.rows_dn: list[Values] = []
-        self.columns_dn: list[Values] = []
-        self.means_dn: list[Values] = []
-        self.sound_means_dn: list[Values] = []
-        self.squares = 0.0
-        self._defects = np.flatnonzero(fixed.defects)
-        down, across = np.divmod(self._defects, fixed.defects.shape[1])
-        self._defect_channels = fixed.pattern[down % len(fixed.pattern), across % len(fixed.pattern)]
-
-    def add(self, mosaic: Mosaic) -> LineSums:
-        """Add a bias frame, and return its sums."""
-        found = line_sums(mosaic, self.fixed)
-        rows, squares, columns = found
-        frames = self.fixed.frames
-        sums = rows.sum(axis=1)
-        pixels = self.row_pixels.sum(axis=1)
-        self.squares += float((squares - sums**2 / np.maximum(pixels, 1)).sum()) / frames**2
-        self.rows_dn.append(levels_and_lines(rows / frames, self.row_pixels)[1])
-        self.columns_dn.append(levels_and_lines(columns / frames, self.column_pixels)[1])
-        values = (rows + self.row_totals).sum(axis=0) // frames  # of the pixels themselves, exactly
-        of_channel = self.row_pixels.sum(axis=0)
-        of_defects = mosaic.ravel()[self._defects]
-        added, number = (np.bincount(self._defect_channels, of, of_channel.size) for of in (of_defects, None))
-        self.sound_means_dn.append(values / of_channel)
-        self.means_dn.append((values + added) / (of_channel + number))
-        return found
-
-
-def check_same_frames(added: int, fixed: FixedPattern) -> None:
-    """Raise a DatasetError unless the second pass saw as many frames as the first."""
-    if added != fixed.frames:
-        raise DatasetError(
-            f"{added} frames were added and the fixed pattern comes from {fixed.frames}: add the same frames again"
-        )
-
-
-def line_sums(mosaic: Mosaic, fixed: FixedPattern) -> LineSums:
-    """Return sums of one frame's residuals (n times the deviation from the pixel's mean) over its sound pixels.
-
-    By (row, channel), their squares by row, and by (column, channel).
-    """
-    from eldata.calibration.core._kernels import residual_sums
-
-    height, width = fixed.total_dn.shape
-    checked_mosaic(mosaic, (height, width), len(fixed.pattern))
-    channels = channels_of(fixed.pattern)
-    rows, columns = np.zeros((height, channels), dtype=np.int64), np.zeros((width, channels), dtype=np.int64)
-    squares = np.zeros(height, dtype=np.int64)
-    residual_sums(mosaic, fixed.total_dn, fixed.defects, fixed.frames, fixed.pattern, rows, squares, columns)
-    return rows, squares, columns
-
-
-def levels_and_lines(sums: NDArray[Any], pixels: Counts) -> tuple[Values, Values]:
-    """Return each channel's mean in the frame, and that of each line over its channels, each less its own."""
-    level = sums.sum(axis=0) / np.maximum(pixels.sum(axis=0), 1)
-    return level, (sums - pixels * level).sum(axis=1) / np.maximum(pixels.sum(axis=1), 1)
-
-
-def row_noise(means: LineMeans) -> RowNoise:
+def row_noise(sums: BiasSums) -> RowNoise:
     """Estimate sigma_row (and the columns' sigma) from the line means over time.
 
     With r the mean of one mosaic row over its channels, less the channels' means and the row's mean over the n frames,
@@ -233,44 +145,30 @@ def row_noise(means: LineMeans) -> RowNoise:
     likelihood for normal offsets, made unbiased, less what the mean of finitely many pixels scatters.
     Its variance is ``2 (sum r^2 / nu)^2 / nu``.
 
-    Parameters
-    ----------
-    means
-        Of the same frames as the fixed pattern's.
-
     Raises
     ------
     DatasetError
         If the frames added are not those of the fixed pattern.
     """
-    fixed, frames = means.fixed, means.fixed.frames
-    check_same_frames(len(means.rows_dn), fixed)
-    pixels = means.row_pixels.sum(axis=1)
+    sums.check_frames()
+    fixed, frames = sums.fixed, sums.fixed.frames
+    pixels = sums.row_pixels.sum(axis=1)
     # Per pixel and row 1/n and 1/m of the freedom are gone.
     freedom = (frames - 1) * float(np.maximum(pixels - 1, 0).sum())
-    pixel_variance = means.squares / freedom
+    pixel_variance = sums.squares / freedom
     lines = (
-        (means.rows_dn, means.row_pixels, means.row_totals, fixed.pattern),
-        (means.columns_dn, means.column_pixels, means.column_totals, fixed.pattern.T),
+        (sums.rows_dn, sums.row_pixels, sums.row_totals, fixed.pattern),
+        (sums.columns_dn, sums.column_pixels, sums.column_totals, fixed.pattern.T),
     )
     of_rows, of_columns = (
-        _line_noise(np.array(deviations), counts, sums / frames, pattern, pixel_variance)
-        for deviations, counts, sums, pattern in lines
+        _line_noise(np.array(deviations), counts, totals / frames, pattern, pixel_variance)
+        for deviations, counts, totals, pattern in lines
     )
-    return RowNoise(
-        rows=of_rows,
-        columns=of_columns,
-        pixel_variance_dn2=pixel_variance,
-        frames=frames,
-    )
+    return RowNoise(of_rows, of_columns, pixel_variance)
 
 
 def _line_noise(
-    deviations: Values,
-    pixels: Counts,
-    fixed_sums: Values,
-    pattern: Counts,
-    pixel_variance: float,
+    deviations: Values, pixels: Counts, fixed_sums: Values, pattern: Counts, pixel_variance: float
 ) -> LineNoise:
     from scipy import stats
 
@@ -278,18 +176,18 @@ def _line_noise(
     used = counts > 0
     deviations = deviations[:, used]
     frames, lines = deviations.shape
-    freedom = (frames - 1) * (lines - classes_of_rows(pattern))
+    freedom = (frames - 1) * (lines - _classes_of_rows(pattern))
     if freedom < 2:
-        raise DatasetError("too few sound rows or columns are left: raise the threshold of the defects")
+        raise DatasetError("too few sound rows or columns are left")
     scatter = float((deviations**2).sum()) / freedom
     of_pixels = pixel_variance * float((1 / counts[used]).mean())
     variance, variance_error = scatter - of_pixels, scatter * math.sqrt(2 / freedom)
     sigma, error = _sigma(variance, variance_error)
     values = deviations.ravel() * math.sqrt(frames / (frames - 1))
-    thinned = values[np.linspace(0, values.size - 1, min(values.size, SHAPIRO_VALUES)).astype(np.int64)]
+    thinned = values[np.linspace(0, values.size - 1, min(values.size, _SHAPIRO_VALUES)).astype(np.int64)]
     (quantiles, ordered), (_, _, correlation) = stats.probplot(thinned)
     fixed = levels_and_lines(fixed_sums, pixels)[1]
-    fixed_variance = float((fixed[used] ** 2).sum()) / (lines - classes_of_rows(pattern)) - scatter / frames
+    fixed_variance = float((fixed[used] ** 2).sum()) / (lines - _classes_of_rows(pattern)) - scatter / frames
     return LineNoise(
         sigma_dn=sigma,
         sigma_error_dn=error,
@@ -309,6 +207,12 @@ def _line_noise(
     )
 
 
+def _classes_of_rows(pattern: Counts) -> int:
+    """Return the degrees of freedom that channel means take from row means: the rank of the rows' composition."""
+    composition = np.stack([np.bincount(row, minlength=channels_of(pattern)) for row in pattern])
+    return int(np.linalg.matrix_rank(composition))
+
+
 def _sigma(variance: float, error: float) -> tuple[float, float]:
     """Return the standard deviation of offsets whose variance is given with its error, and its error."""
     if variance <= 0:
@@ -318,7 +222,7 @@ def _sigma(variance: float, error: float) -> tuple[float, float]:
     return math.sqrt(variance), min(error * slope, math.sqrt(error))
 
 
-def colour_bias(means: LineMeans, noise: RowNoise, black_level_dn: Sequence[float]) -> ColourBias:
+def colour_bias(sums: BiasSums, noise: RowNoise, black_level_dn: Sequence[float]) -> ColourBias:
     """Return mu_c: the mean of each channel over all frames minus its recorded black level.
 
     Independent noise of pixels, rows and columns gives the mean of a channel of N pixels, m of them in a line, over n
@@ -334,12 +238,12 @@ def colour_bias(means: LineMeans, noise: RowNoise, black_level_dn: Sequence[floa
     """
     from scipy.special import chdtri, ndtri, stdtrit
 
-    check_same_frames(len(means.means_dn), means.fixed)
-    table = np.array(means.means_dn)
+    sums.check_frames()
+    table = np.array(sums.means_dn)
     frames, channels = table.shape
     bias = table - checked_black_level(black_level_dn, channels)
-    lines = ((means.row_pixels, noise.rows), (means.column_pixels, noise.columns))
-    pixels = means.row_pixels.sum(axis=0)
+    lines = ((sums.row_pixels, noise.rows), (sums.column_pixels, noise.columns))
+    pixels = sums.row_pixels.sum(axis=0)
     of_frame = noise.pixel_variance_dn2 / pixels + sum(
         max(line.variance_dn2, 0.0) * ((counts / pixels) ** 2).sum(axis=0) for counts, line in lines
     )
@@ -351,7 +255,7 @@ def colour_bias(means: LineMeans, noise: RowNoise, black_level_dn: Sequence[floa
         bias_dn=tuple(bias.mean(axis=0).tolist()),
         standard_error_dn=tuple(error.tolist()),
         drifts=bool(drifts),
-        of_defects_dn=tuple((table - np.array(means.sound_means_dn)).mean(axis=0).tolist()),
+        of_defects_dn=tuple((table - np.array(sums.sound_means_dn)).mean(axis=0).tolist()),
         frame_bias_dn=bias,
         frames=frames,
     )
@@ -372,3 +276,39 @@ def smoothed_power(frequency: Values, power: Values, period: int) -> tuple[Value
     kept = np.flatnonzero(np.abs(places - np.rint(places)) > period * frequency[1] / 2)
     groups = np.array_split(kept, max(1, min(_FREQUENCIES, kept.size // _FREQUENCIES_TOGETHER)))
     return np.array([frequency[g].mean() for g in groups]), np.array([power[g].mean() for g in groups])
+
+
+_TILE = 256
+_MOST_TILES = 64
+
+
+def power_spectrum(mosaic: Mosaic, fixed: FixedPattern) -> Plane:
+    """Return the centred power spectrum of a bias frame less its channels' means, DN^2 per pixel.
+
+    The average over tiles of 256 x 256 pixels (up to 64 of them, evenly spread): white noise of variance s^2 gives s^2
+    throughout. Noise that a row shares lies on the column of horizontal frequency 0, that of a column on the row of
+    vertical frequency 0. Defects count as their channel's mean; fixed patterns stay in.
+
+    Raises
+    ------
+    DatasetError
+        If the frame is smaller than a tile.
+    """
+    height, width = mosaic.shape
+    if height < _TILE or width < _TILE:
+        raise DatasetError(f"the spectrum needs a frame of {_TILE} x {_TILE} pixels or more; found {height} x {width}")
+    down, across = height // _TILE, width // _TILE
+    step = max(1, round((down * across / _MOST_TILES) ** 0.5))
+    power = np.zeros((_TILE, _TILE))
+    tiles = 0
+    for y in range(0, down, step):
+        for x in range(0, across, step):
+            place = slice(y * _TILE, (y + 1) * _TILE), slice(x * _TILE, (x + 1) * _TILE)
+            tile = mosaic[place].astype(np.float64)
+            tile[fixed.defects[place]] = np.nan
+            for within, _ in sites(fixed.pattern):  # by site, not by channel: the two greens of Bayer may differ
+                tile[within] -= np.nanmean(tile[within])
+            power += np.abs(np.fft.fft2(np.nan_to_num(tile))) ** 2
+            tiles += 1
+    spectrum: Plane = np.fft.fftshift(power / (tiles * _TILE * _TILE)).astype(np.float32)
+    return spectrum

@@ -1,4 +1,8 @@
-"""What the estimates assume, and what became of it: each check leaves a finding for each figure that it touches."""
+"""Findings: what the frames show of the assumptions of the estimates, and what becomes of the figures.
+
+Each check (:mod:`eldata.calibration.checks`) leaves a finding for the figures that it touches: they are withheld, or
+given with a larger error. A remark touches none.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +10,15 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
-from eldata.base.tables import with_error
 from eldata.errors import ArgumentError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
 
-Figure = Literal["gain", "shape", "read noise", "row noise", "colour bias"]
+Quantity = Literal["gain", "shape", "read noise", "row noise", "colour bias"]
 """What a calibration measures at one ISO. Shape is that of the read noise with its scale: lambda and sigma_TL."""
 
-SYMBOLS: Final[Mapping[Figure, str]] = {
+SYMBOLS: Final[Mapping[Quantity, str]] = {
     "gain": "K",
     "shape": "lambda, sigma_TL",
     "read noise": "sigma_G",
@@ -24,7 +27,7 @@ SYMBOLS: Final[Mapping[Figure, str]] = {
 }
 
 
-def named(figures: Collection[Figure]) -> str:
+def list_symbols(figures: Collection[Quantity]) -> str:
     """Return the figures' symbols as a list."""
     return ", ".join(symbol for figure, symbol in SYMBOLS.items() if figure in figures)
 
@@ -60,17 +63,13 @@ class Finding:
     """
 
     check: str
-    figures: tuple[Figure, ...]
+    figures: tuple[Quantity, ...]
     effect: Effect
     statistic: float
     threshold: float
     text: str
     allowance: float = 0.0
     is_accepted: bool = False
-
-    def of(self, effect: Effect, figures: tuple[Figure, ...], allowance: float = 0.0) -> Finding:
-        """Return it with what becomes of figures."""
-        return replace(self, effect=effect, figures=figures, allowance=allowance)
 
     @property
     def is_acceptable(self) -> bool:
@@ -88,13 +87,13 @@ class Finding:
         """The text, and what becomes of the figures for it."""
         if self.effect == "remark" or not self.figures:
             return self.text
-        fate = f"withheld: {named(self.figures)}"
+        fate = f"withheld: {list_symbols(self.figures)}"
         if self.is_acceptable:
             fate += f"; to have it all the same, with a larger error: {self.option}"
         elif self.is_accepted:
-            fate = f"accepted, with a larger error: {named(self.figures)}"
+            fate = f"accepted, with a larger error: {list_symbols(self.figures)}"
         elif self.effect == "wider":
-            fate = f"errors made larger: {named(self.figures)}"
+            fate = f"errors made larger: {list_symbols(self.figures)}"
         return f"{self.text} ({fate})"
 
 
@@ -109,36 +108,43 @@ class Check:
     figures
         What it withholds or gives with a larger error; empty: it only says what a person should know.
     most_allowed
-        The share of a figure beyond which it is not given; up to it, its error allows for it. Infinite: it is never
-        withheld, since the figures are those of the distribution of the family that is most like the noise.
+        The share of a figure beyond which it is not given; up to it, its error allows for it.
     is_acceptable
         Whether a person may have what it withholds all the same: it knows how far off the figure may be.
     """
 
     name: str
-    figures: tuple[Figure, ...] = ()
+    figures: tuple[Quantity, ...] = ()
     most_allowed: float = 0.05
     is_acceptable: bool = False
 
-    def seen(self, statistic: float, threshold: float, text: str) -> Finding:
-        """Return a remark."""
-        return Finding(self.name, (), "remark", statistic, threshold, text)
+    def find(
+        self,
+        statistic: float,
+        threshold: float,
+        text: str,
+        effect: Effect = "remark",
+        figures: tuple[Quantity, ...] = (),
+        allowance: float = 0.0,
+    ) -> Finding:
+        """Return a finding of this check; by default a remark."""
+        return Finding(self.name, figures, effect, statistic, threshold, text, allowance)
 
-    def judged(
-        self, statistic: float, threshold: float, text: str, shares: Mapping[Figure, tuple[float, float]]
+    def judge(
+        self, statistic: float, threshold: float, text: str, shares: Mapping[Quantity, tuple[float, float]]
     ) -> Iterator[Finding]:
         """Yield what follows from what was seen, given by what share it may put each figure off, and its own error."""
-        seen = self.seen(statistic, threshold, text)
         off = {figure: share for figure, (share, _) in shares.items() if share > self.most_allowed}
         wider = {figure: share for figure, (share, error) in shares.items() if error < share <= self.most_allowed}
-        for effect, figures in (("withheld", off), ("wider", wider)):
-            if figures:
-                yield seen.of(effect, tuple(figures), max(figures.values()))  # type: ignore[arg-type] # the two words
+        if off:
+            yield self.find(statistic, threshold, text, "withheld", tuple(off), max(off.values()))
+        if wider:
+            yield self.find(statistic, threshold, text, "wider", tuple(wider), max(wider.values()))
         if not off and not wider:
-            yield seen
+            yield self.find(statistic, threshold, text)
 
 
-READ: Final[tuple[Figure, ...]] = ("shape", "read noise")
+READ: Final[tuple[Quantity, ...]] = ("shape", "read noise")
 _TOO_WIDE: Final = 0.1
 """Of K: beyond it, no error says how wrong it may be."""
 
@@ -167,7 +173,7 @@ ACCEPTABLE: Final = tuple(check.name for check in CHECKS if check.is_acceptable)
 """Checks that know how far off a figure may be that they withhold: it can be accepted with that for its error."""
 
 
-def checked_acceptance(accept: Iterable[str]) -> tuple[str, ...]:
+def check_acceptance(accept: Iterable[str]) -> tuple[str, ...]:
     """Return the names of checks to be accepted; :class:`ArgumentError` if one of them is not a check that can be."""
     names = (accept,) if isinstance(accept, str) else tuple(accept)
     for name in names:
@@ -179,46 +185,9 @@ def checked_acceptance(accept: Iterable[str]) -> tuple[str, ...]:
     return names
 
 
-@dataclass(frozen=True, slots=True)
-class GivenFigure:
-    """A figure as it is given.
-
-    Attributes
-    ----------
-    value
-        The figure.
-    error
-        Its standard error with all allowances; nan if it is not known.
-    is_stated
-        Whether it was not measured: somebody has said so.
-    """
-
-    value: float
-    error: float
-    is_stated: bool = False
-
-    @property
-    def text(self) -> str:
-        """The figure with its error in as many digits as they bear; a stated one says that it is."""
-        return with_error(self.value, self.error) + (" (stated)" if self.is_stated else "")
-
-
-def given(findings: Iterable[Finding], figure: Figure, value: float, error: float, scale: float) -> GivenFigure | None:
-    """Return a figure with what findings add to its error, each a share of ``scale``; ``None`` if it is withheld."""
-    of_it = [one for one in findings if figure in one.figures]
-    if any(one.effect == "withheld" for one in of_it):
-        return None
-    return GivenFigure(value, math.hypot(error, *(one.allowance * scale for one in of_it if one.effect == "wider")))
-
-
-def with_accepted(findings: Iterable[Finding], accept: Collection[str]) -> tuple[Finding, ...]:
+def accept_findings(findings: Iterable[Finding], accept: Collection[str]) -> tuple[Finding, ...]:
     """Return findings that give with a larger error what accepted checks among them would withhold."""
     return tuple(
         replace(one, effect="wider", is_accepted=True) if one.is_acceptable and one.check in accept else one
         for one in findings
     )
-
-
-def withheld(findings: Iterable[Finding]) -> frozenset[Figure]:
-    """Return the figures that are not given."""
-    return frozenset(figure for one in findings if one.effect == "withheld" for figure in one.figures)

@@ -13,27 +13,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.core._frames import FrameSums, sites
-from eldata.errors import ArgumentError, DatasetError
+from eldata.calibration.sums import FrameSums, sites
+from eldata.errors import DatasetError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Values
-    from eldata.raw.levels import Cfa
+    from eldata.calibration.sums import Counts, Mask, Mosaic, Values
 
-MINIMUM_FRAMES = 4
-"""Bias frames that the calibration needs; ten or more are advised."""
+MINIMUM_FRAMES, ADVISED_FRAMES = 4, 10
+"""Bias frames that the calibration needs, and that are advised."""
 
-_MOST_FRAMES = 16_384  # twice their sum fits 31 bits
+_SQUARED_PIXELS = 1 << 22  # of a frame with more, a seventh tells the variance over time: every
+_STEP = 7  # seventh period of its rows
+_THRESHOLD = 6.0  # robust standard deviations off its neighbourhood: a defect
 _CLIPPED_SHARE = 0.01  # of pixels that reach the floor
 _REACHING_SHARE, _PILE = 1e-4, 40  # of pixels, and how many at least, that end at a floor
 _EXPECTED_BELOW, _BELOW = 30, 0.02  # pixels that would lie below it, and the share of them that may
 _OUTER = (0.9, 1.645), (0.99, 2.576)  # shares of normal values, and how many standard deviations they lie within
 _LEAST_REACH = 2.0  # standard deviations below its mean that a residual must be able to go
 _BLOCK = 16  # periods of the CFA a side, for the local level
-_SQUARED_PIXELS = 1 << 22  # of a frame with more, a seventh tells the variance over time: every
-_STEP = 7  # seventh period of its rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,15 +75,11 @@ class FixedPattern:
         (H, W) exact sum of the frames.
     defects
         (H, W) True where a pixel is hot, cold or stuck.
-    threshold_dn
-        Distance from the local level that makes a defect, per channel.
     level_dn
         Mean of the sound pixels, per channel.
     temporal_variance_dn2
         Mean variance over time of the sound pixels, per channel; with row noise and quantisation. Of large frames, of
         those in a seventh of the rows.
-    shading_error_dn
-        Noise of an entry of the summary's shading, per channel.
     floor_dn
         The value at which recorded values end below though the noise goes on, by :func:`find_floor`; ``None``: none.
     summary
@@ -95,16 +90,14 @@ class FixedPattern:
     frames: int
     total_dn: NDArray[np.uint32] = field(repr=False)
     defects: Mask = field(repr=False)
-    threshold_dn: tuple[float, ...]
     level_dn: tuple[float, ...]
     temporal_variance_dn2: tuple[float, ...]
-    shading_error_dn: tuple[float, ...]
     floor_dn: int | None
     summary: PatternSummary
 
     @property
     def clips_at_black(self) -> bool:
-        """Whether the noise reaches the floor, where values end, so that residuals are not those of the noise.
+        """Whether the noise reaches the floor, where values end, so that residuals do not show it.
 
         A residual is (1 - 1/n) of its own value less what the other frames put in, within five standard deviations.
         """
@@ -116,7 +109,7 @@ class FixedPattern:
 
 
 class BiasStack(FrameSums):
-    """Accumulates bias frames for :func:`fixed_pattern`: the memory of some four mosaics, for any number of frames.
+    """Bias frames summed up for :func:`fixed_pattern`, in the memory of four mosaics.
 
     Parameters
     ----------
@@ -124,13 +117,8 @@ class BiasStack(FrameSums):
         The CFA of pixel (0, 0).
     """
 
-    def __init__(self, cfa: Cfa) -> None:
-        super().__init__(cfa)
-
     def add(self, mosaic: Mosaic) -> None:
         """Add a bias frame."""
-        if self.frames >= _MOST_FRAMES:
-            raise ArgumentError(f"a stack takes {_MOST_FRAMES} frames at most")
         shape = self._check(mosaic).shape
         if self.frames == 1:
             self.total = np.zeros(shape, dtype=np.uint32)
@@ -154,11 +142,11 @@ class BiasStack(FrameSums):
         return total
 
 
-def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
+def fixed_pattern(stack: BiasStack) -> FixedPattern:
     """Find the defects and measure the fixed pattern.
 
     A pixel is a defect if its trimmed mean over time (its lowest and highest value left out, so that one extreme draw
-    of heavy-tailed read noise is not taken for a hot pixel) lies more than ``threshold`` robust standard deviations
+    of heavy-tailed read noise is not taken for a hot pixel) lies more than six robust standard deviations
     (1.4826 times the median absolute deviation) off the median of its neighbourhood, or if it never changes although
     the noise should move it.
 
@@ -167,13 +155,9 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
 
     Raises
     ------
-    ArgumentError
-        If the threshold is not positive.
     DatasetError
         If there are too few frames, or nearly all pixels never change.
     """
-    if not threshold > 0:
-        raise ArgumentError(f"the threshold is a positive number of standard deviations; found {threshold}")
     if stack.frames < MINIMUM_FRAMES:
         raise DatasetError(
             f"found {counted(stack.frames, 'bias frame')}: to tell what stays from what changes, "
@@ -189,8 +173,8 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     stuck = int(defects.sum())
     off_level = 0
 
-    def limit(channel: int) -> float:
-        """Mark the channel's pixels that are off their neighbourhood's level, and return what counts as off."""
+    def mark_off_level(channel: int) -> None:
+        """Mark the channel's pixels that are off their neighbourhood's level."""
         nonlocal off_level
         distances = []
         for site in sites_of[channel]:
@@ -204,14 +188,14 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         # Near a floor, and between coarse steps, half of the pixels or more may lie within less than the noise.
         if is_cut or spread == 0:
             spread = max(spread, *(float(np.quantile(every, share)) / per_dn / size for share, size in _OUTER))
-        far = threshold * max(spread, 1 / frames)
+        far = _THRESHOLD * max(spread, 1 / frames)
         for site, distance in distances:
             off = distance > far * per_dn
             defects[site] |= off
             off_level += int(off.sum())
-        return far
 
-    limits = [limit(channel) for channel in range(channels)]
+    for channel in range(channels):
+        mark_off_level(channel)
     defect_rows = defects[stack.squared_rows]
 
     # One grid for all sites: of a frame whose size is not a multiple of a block's, some may have none in the last row.
@@ -219,7 +203,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
     grid = tuple(-(-length // side) for length in defects.shape)
 
     def measure(channel: int) -> tuple[Any, ...]:
-        """Return variance over time, level, non-uniformity and its error, shading, and noise of an entry of it."""
+        """Return variance over time, level, non-uniformity and its error, and shading."""
         blocks: list[tuple[NDArray[Any], ...]] = []
         added, squared, counted = 0, 0.0, 0
         for site in sites_of[channel]:
@@ -229,7 +213,7 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
             count, means, squares = _block_moments(total[site], ~defects[site], grid)
             blocks.append((count, means / frames, squares / frames**2))
         if counted < 2:
-            raise DatasetError(f"channel {channel} has no sound pixel left: raise the threshold ({threshold:g})")
+            raise DatasetError(f"channel {channel} has no sound pixel left")
         freedom = frames * (frames - 1)
         variance = added / freedom / counted
         variance_error = math.sqrt(max(squared / counted - (added / counted) ** 2, 0.0) / counted) / freedom
@@ -238,19 +222,16 @@ def fixed_pattern(stack: BiasStack, *, threshold: float = 6.0) -> FixedPattern:
         mean = float((level * pixels).sum() / np.sum(pixels))
         dsnu, dsnu_error = _non_uniformity(blocks, variance / frames, variance_error / frames)
         shading = _with_edges(np.where(pixels > 0, level - mean, 0.0), np.asarray(pixels))
-        noise = math.sqrt((variance / frames + dsnu**2) / max(float(np.median(pixels)), 1.0))
-        return variance, mean, dsnu, dsnu_error, shading, noise
+        return variance, mean, dsnu, dsnu_error, shading
 
-    variances, levels, dsnu, dsnu_error, shading, noise = zip(*map(measure, range(channels)), strict=True)
+    variances, levels, dsnu, dsnu_error, shading = zip(*map(measure, range(channels)), strict=True)
     return FixedPattern(
         pattern=pattern,
         frames=frames,
         total_dn=total,
         defects=defects,
-        threshold_dn=tuple(limits),
         level_dn=levels,
         temporal_variance_dn2=variances,
-        shading_error_dn=noise,
         floor_dn=floor,
         summary=PatternSummary(
             defects=int(defects.sum()),
@@ -277,7 +258,7 @@ def find_floor(stack: BiasStack) -> int | None:
 
 
 def _cut_at(counts: Counts) -> int | None:
-    """Return where counts by value begin, if they are cut off there."""
+    """Return the value at which counts by value begin, if they are cut off there."""
     below = np.cumsum(counts)
     place = int(np.searchsorted(below, max(_PILE, _REACHING_SHARE * float(below[-1]))))
     if place >= len(counts):
@@ -288,7 +269,7 @@ def _cut_at(counts: Counts) -> int | None:
 
 
 def _from_median(values: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return twice the distance from the median of blocks, in place of the values.
+    """Return twice the distance from the median of blocks; it overwrites the values.
 
     Blocks over an edge are filled up as in a mirror.
     """
@@ -324,7 +305,7 @@ def _block_moments(total: NDArray[np.uint32], sound: Mask, grid: tuple[int, ...]
 
 
 def _with_edges(levels: Values, pixels: Counts) -> Values:
-    """Return the levels of blocks, those of a last row or column without a pixel from the one before."""
+    """Return the levels of blocks; a last row or column without a pixel repeats the one before."""
     for of_edge, counts in ((levels, pixels), (levels.T, pixels.T)):
         if len(of_edge) > 1 and not counts[-1].any():
             of_edge[-1] = of_edge[-2]

@@ -1,8 +1,10 @@
 """System gain K from flat-field frames: the slope of the photon transfer line ``Var(D) = K (K I) + Var(N_o)``.
 
-Two methods. ``pairs`` is the one to use: the variance is temporal, half that of the difference of two equal flats, so
-that everything that stays (fixed pattern, PRNU, shading) cancels. ``spatial`` is the published one, the variance inside
-of single frames over their median; it takes PRNU and shading, which grow with the square of the signal, for shot noise.
+Sources: Wei et al., TPAMI 2021, section 3.2.1, equations 9 to 11; EMVA 1288 release 4.0 Linear, its photon transfer
+method. The variance is temporal, half that of the difference of two equal flats, so that
+everything that stays (fixed pattern, PRNU, shading) cancels. The paper's own way, the variance inside of single frames
+over their median, is there for comparison: it takes PRNU and shading, which grow with the square of the signal, for
+shot noise.
 
 The intercept is free and never used as read noise: it also holds row noise, quantisation and black-level errors.
 """
@@ -16,13 +18,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eldata.base.numbers import counted
-from eldata.calibration.core._frames import FrameSums, checked_black_level
+from eldata.calibration.sums import FrameSums, channel_histograms, checked_black_level, segment_sums
 from eldata.errors import ArgumentError, DatasetError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from eldata.calibration.core._frames import Counts, Mask, Mosaic, Values
+    from eldata.calibration.sums import Counts, Mask, Mosaic, Values
     from eldata.raw.levels import Cfa
 
 SEGMENT = 96
@@ -116,8 +118,27 @@ class PhotonTransfer:
     medians: tuple[Values, ...] = field(default=(), repr=False)
 
 
-class FlatSums(FrameSums):
-    """Sums of flat frames; parameters as :class:`FlatPairs`."""
+class FlatPairs(FrameSums):
+    """Pairs of equal flat frames, of any number of levels, summed up for :func:`photon_transfer`.
+
+    Parameters
+    ----------
+    cfa, black_level_dn, white_level_dn
+        As in :class:`eldata.records.Sensor`; measured levels are better than recorded ones.
+    defects
+        (H, W) True where a pixel is not to be used.
+    floor_dn
+        Up to which value a pixel counts as clipped.
+
+    Attributes
+    ----------
+    limit_dn
+        From which value on a pixel counts as saturated.
+    counts
+        (channels, 65536) sound pixels by value.
+    single_frames
+        By channel: median over black and variance of each frame that is neither clipped nor saturated.
+    """
 
     def __init__(
         self, cfa: Cfa, black_level_dn: Sequence[float], white_level_dn: float, *, defects: Mask | None = None,
@@ -131,37 +152,12 @@ class FlatSums(FrameSums):
                 f"the white level ({white_level_dn} DN) must lie above every black level ({self.black.tolist()})"
             )
         self.limit_dn = float(white_level_dn - MARGIN * (white_level_dn - self.black.max()))
-        """From which value on a pixel counts as saturated."""
-        self._make_room()
-
-    def _make_room(self) -> None:
-        """Set up what the frames are added to, if anything."""
-
-
-class FlatPairs(FlatSums):
-    """Accumulates pairs of equal flat frames, of any number of levels, for :func:`photon_transfer`.
-
-    Parameters
-    ----------
-    cfa, black_level_dn, white_level_dn
-        As in :class:`eldata.records.Sensor`; measured levels are better than recorded ones.
-    defects
-        (H, W) True where a pixel is not to be used.
-    floor_dn
-        Up to which value a pixel counts as clipped.
-
-    Attributes
-    ----------
-    counts
-        (channels, 65536) sound pixels by value.
-    """
-
-    def _make_room(self) -> None:
         self._level_dn = (self.limit_dn - float(self.black.min())) / _LEVELS
         self._segments = np.zeros((self.channels, _LEVELS, 2), dtype=np.int64)
         self._sums = np.zeros((self.channels, _LEVELS, 6))
         self._medians: list[list[tuple[float, float, float]]] = [[] for _ in self.black]
         self.counts = np.zeros((self.channels, 65536), dtype=np.int64)
+        self.single_frames: list[list[tuple[float, float]]] = [[] for _ in self.black]
 
     def add(self, first: Mosaic, second: Mosaic) -> None:
         """Add two frames of the same scene, exposure and ISO; use each frame in one pair only.
@@ -169,16 +165,13 @@ class FlatPairs(FlatSums):
         The light may change between the two, at once or from row to row: each segment of a row is scaled by its own
         ratio, so that what stays in the pixels cancels. Where the picture moves, its edges do not.
         """
-        from eldata.calibration.core._kernels import channel_histograms
-
         self._check(first)
         defects = self._check(second)
         height, width = first.shape
         if width < SEGMENT:
             raise ArgumentError(f"flat frames must be {SEGMENT} pixels wide or more; found {width}")
-        width -= width % SEGMENT
         for frame in (first, second):
-            channel_histograms(frame[:, :width], defects[:, :width], self.pattern, self.counts[None])
+            self._count(frame, defects)
         ratios, every = self._ratios(first, second, defects), np.arange(_LEVELS)
         for channel in range(self.channels):
             medians = []
@@ -194,6 +187,22 @@ class FlatPairs(FlatSums):
                 medians.append(figures[:3])
             self._medians[channel] += _medians(*np.concatenate(medians, axis=1))
 
+    def _count(self, mosaic: Mosaic, defects: Mask) -> None:
+        """Count a frame's values, and measure it by itself, as published."""
+        counts = np.zeros((1, *self.counts.shape), dtype=np.int64)
+        channel_histograms(mosaic, defects, self.pattern, counts)
+        self.counts += counts[0]
+        values = np.arange(65536)  # integers: exact, and no BLAS, whose threads would wait in vain
+        for channel, histogram in enumerate(counts[0]):
+            total = int(histogram.sum())
+            bad = int(histogram[: self.floor_dn + 1].sum()) + int(histogram[math.ceil(self.limit_dn) :].sum())
+            if total < 2 or bad > CLIPPED_SHARE * 0.01 * total:
+                continue
+            median = float(np.searchsorted(np.cumsum(histogram), total / 2))
+            first, second = int(histogram @ values), int(histogram @ values**2)
+            variance = (second - first * first / total) / (total - 1)
+            self.single_frames[channel].append((median - float(self.black[channel]), variance))
+
     def _measure(
         self, first: Mosaic, second: Mosaic, defects: Mask, channel: int, ratios: Values
     ) -> tuple[Values, Mask, Values]:
@@ -205,8 +214,6 @@ class FlatPairs(FlatSums):
         degrees of freedom times the square of the variance. A segment whose mean is many times its noise has its own
         ratio.
         """
-        from eldata.calibration.core._kernels import segment_sums
-
         sums = np.zeros((13, len(first), first.shape[1] // SEGMENT), dtype=np.int64)
         segment_sums(first, second, defects, self.pattern, channel, self.floor_dn, self.limit_dn, SEGMENT, sums)
         rows = np.arange(len(first)) % len(self.pattern)
@@ -235,7 +242,7 @@ class FlatPairs(FlatSums):
         return 0.5 * (mean_a + mean_b)[enough], (clipped > 0)[enough], np.stack([one[whole] for one in figures])
 
     def _ratios(self, first: Mosaic, second: Mosaic, defects: Mask) -> Values:
-        """Return the light of the first frame over that of the second, by channel; 1 where it is not well known."""
+        """Return the ratio of light between the two frames, by channel; 1 where it is not well known."""
         period = len(self.pattern)
         ratios = np.ones(self.channels)
         for channel in range(self.channels):
@@ -285,7 +292,7 @@ class FlatPairs(FlatSums):
         return mean / freedom, variance / freedom, freedom
 
     def scatter(self, channel: int) -> tuple[Values, Counts]:
-        """Return how the variances of a channel's usable levels scatter, and the segments that show it.
+        """Return the scatter of the variances of a channel's usable levels, and the segments that show it.
 
         The mean square deviation of the segments' own variances from their level's, times their degrees of freedom,
         DN^4.
@@ -300,9 +307,9 @@ class FlatPairs(FlatSums):
 
         Of each pair, at usable levels: what lies in less than half of the segments, as edges that move, is not in them.
         """
-        found = np.array(self._medians[channel]).reshape(-1, 3).T
-        level = np.clip((found[0] / self._level_dn).astype(np.int64), 0, _LEVELS - 1)
-        return found[:, self._usable[channel, level]]
+        points = np.array(self._medians[channel]).reshape(-1, 3).T
+        level = np.clip((points[0] / self._level_dn).astype(np.int64), 0, _LEVELS - 1)
+        return points[:, self._usable[channel, level]]
 
 
 def _medians(freedom: Values, variance: Values, signal: Values) -> list[tuple[float, float, float]]:
@@ -312,14 +319,14 @@ def _medians(freedom: Values, variance: Values, signal: Values) -> list[tuple[fl
     and scatters by sqrt(pi / 2) of it.
     """
     signal, variance = signal / freedom, variance / freedom
-    found = []
+    points = []
     for group in np.array_split(np.argsort(signal, kind="stable"), _MEDIANS):
         if group.size < _FEWEST_SEGMENTS:
             continue
         n = float(np.median(freedom[group]))
         middle = float(np.median(variance[group])) / (1 - 2 / (9 * n)) ** 3
-        found.append((float(np.median(signal[group])), middle, math.sqrt(math.pi / n / group.size)))
-    return found
+        points.append((float(np.median(signal[group])), middle, math.sqrt(math.pi / n / group.size)))
+    return points
 
 
 def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
@@ -349,7 +356,7 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
     )
     correlation, error = flats.correlation
     return replace(
-        join_lines(lines, flats.frames, flats.left_out),
+        _join_lines(lines, flats.frames, flats.left_out),
         correlation=correlation,
         correlation_error=error,
         medians=tuple(map(flats.medians, range(flats.channels))),
@@ -359,6 +366,7 @@ def photon_transfer(flats: FlatPairs) -> PhotonTransfer:
 def _weighted_line(
     signal: Values, variance: Values, freedom: Values, scatter: Values, segments: Counts, channel: int
 ) -> PhotonTransferLine:
+    """Fit the line of one channel, weighted as :func:`photon_transfer` says."""
     if len(signal) < 2 or not np.ptp(signal) > 0:
         raise DatasetError(
             f"channel {channel} has {counted(len(signal), 'usable level')} and a line needs two: the flats are "
@@ -399,6 +407,46 @@ def _weighted_line(
     )
 
 
+def spatial_photon_transfer(flats: FlatPairs) -> PhotonTransfer:
+    """Estimate K as published: ordinary least squares of each frame's variance over its median.
+
+    For comparison only: PRNU of p adds ``(p signal)^2``, and shading more. The standard errors come from the scatter
+    around the line and allow for neither.
+
+    Raises
+    ------
+    DatasetError
+        If a channel has fewer than three usable frames.
+    """
+    return _join_lines(
+        tuple(_plain_line(points, channel) for channel, points in enumerate(flats.single_frames)),
+        flats.frames,
+        1 - sum(map(len, flats.single_frames)) / max(1, flats.frames * len(flats.single_frames)),
+    )
+
+
+def _plain_line(points: Sequence[tuple[float, float]], channel: int) -> PhotonTransferLine:
+    signal, variance = np.array(points, dtype=np.float64).reshape(-1, 2).T
+    if len(signal) < 3 or not np.ptp(signal) > 0:
+        raise DatasetError(
+            f"channel {channel} has {counted(len(signal), 'usable flat frame')} and the spatial method needs three of "
+            "different brightness: take flats at four exposures or more, from a tenth to nine tenths of the range"
+        )
+    even = np.ones(len(signal))
+    slope, intercept, scales = straight_line(signal, variance, even, even)
+    scatter = float(((variance - slope * signal - intercept) ** 2).sum()) / (len(signal) - 2)
+    return PhotonTransferLine(
+        gain_dn_per_e=slope,
+        gain_error=max(math.sqrt(scatter * scales[0]), 1e-300),
+        intercept_dn2=intercept,
+        intercept_error=math.sqrt(scatter * scales[1]),
+        chi2_per_dof=math.nan,
+        signal_dn=signal,
+        variance_dn2=variance,
+        variance_error_dn2=np.full(len(signal), math.sqrt(scatter)),
+    )
+
+
 def straight_line(x: Values, y: Values, weight: Values, error2: Values) -> tuple[float, float, tuple[float, float]]:
     """Return slope and intercept with these weights, and the variances of both if y has these."""
     total = float(weight.sum())
@@ -410,7 +458,7 @@ def straight_line(x: Values, y: Values, weight: Values, error2: Values) -> tuple
     return slope, intercept, (float(of_slope**2 @ error2), float(of_intercept**2 @ error2))
 
 
-def join_lines(lines: tuple[PhotonTransferLine, ...], frames: int, left_out: float) -> PhotonTransfer:
+def _join_lines(lines: tuple[PhotonTransferLine, ...], frames: int, left_out: float) -> PhotonTransfer:
     """Return K of all channels together."""
     # One slope with an intercept per channel is the inverse-variance mean of the channels' slopes.
     gains = np.array([line.gain_dn_per_e for line in lines])

@@ -1,0 +1,391 @@
+"""The second pass over the bias frames, a frame at a time, each less what the first one has found to stay.
+
+:class:`BiasSums` takes each pixel's own mean off, and with it every fixed pattern
+(:mod:`eldata.calibration.defects`); what is left tells colour bias, row noise and read noise. :class:`BiasPairs`
+sums up, of frames taken two by two, what the checks look at.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eldata.calibration.sums import (
+    channel_histograms,
+    checked_mosaic,
+    groups_of_rows,
+    lag_products,
+    levels_and_lines,
+    residual_histogram,
+    residual_sums,
+    standardise,
+    sums_by_row,
+)
+from eldata.errors import DatasetError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from eldata.calibration.defects import FixedPattern
+    from eldata.calibration.sums import Counts, Mosaic, Values
+
+CELLS_PER_SIGMA = 20
+"""Of a histogram of residuals."""
+
+_HALF = 8192  # cells on each side of 0: 400 standard deviations
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualHistogram:
+    """Counts of residuals.
+
+    Attributes
+    ----------
+    counts
+        (groups, cells): cell j is centred on (j - cells // 2) ``cell_dn``; the first and last hold all beyond. Whole
+        numbers, or estimates of them, which in the tails may be negative.
+    cell_dn
+        Width of a cell.
+    frames
+        Over how many frames each pixel's mean was taken off; 1 if none was.
+    row_pixels
+        Over how many pixels each row's mean was taken off; infinity if none was.
+    rounding_dn
+        Step that the values had been rounded to before other things were taken off; 0 if the cells are that rounding
+        (whole DN, counted as they are).
+    is_cut
+        Whether recorded values end below, so that the residuals above 0 alone tell the noise.
+    squares_dn2
+        (groups,) exact sums of the squared residuals; without, the counts tell them.
+    level_waves
+        By channel, how alike the fractions of a DN are that the pixels' means over the frames have: the mean of
+        exp(2 pi i mean), near 0 where they lie everywhere between whole DN.
+    """
+
+    counts: NDArray[Any] = field(repr=False)
+    cell_dn: float
+    frames: int = 1
+    row_pixels: float = math.inf
+    rounding_dn: float = 1.0
+    is_cut: bool = False
+    squares_dn2: Values | None = field(default=None, repr=False)
+    level_waves: NDArray[np.complexfloating[Any, Any]] = field(repr=False, default_factory=lambda: np.zeros(1, complex))
+
+    @property
+    def folded(self) -> Counts:
+        """Counts of abs(residual), as the distribution is symmetric; where it is cut, of half of them."""
+        centre = self.counts.shape[1] // 2
+        both: Counts = self.counts[:, centre:].copy()
+        if self.is_cut:
+            both[:, 0] //= 2
+        else:
+            both[:, 1:] += self.counts[:, :centre][:, ::-1]
+        return both
+
+    @property
+    def values_dn(self) -> Values:
+        """Centre of each cell."""
+        cells = self.counts.shape[1]
+        return np.asarray((np.arange(cells) - cells // 2) * self.cell_dn, dtype=np.float64)
+
+
+class BiasSums:
+    """The bias frames that made a fixed pattern, summed up for row noise, colour bias and read noise.
+
+    A residual is a pixel's value less its mean over the n frames, the channel's drift in this frame and the row's
+    offset. Where the noise reaches a floor, at which values end, none are counted.
+
+    Parameters
+    ----------
+    fixed
+        The first pass's result. Add the same frames again, each once.
+
+    Attributes
+    ----------
+    rows_dn, columns_dn
+        Mean of each line over its channels, each channel less its own mean in the frame; an entry per frame, as all.
+    means_dn, sound_means_dn
+        Mean of each channel over all pixels, and over the sound ones.
+    squares
+        Sum over pixels and frames of the squared deviation from the pixel's mean and its row's, DN^2.
+    at_floor
+        Where the noise reaches the floor: values that lie on it.
+    """
+
+    def __init__(self, fixed: FixedPattern) -> None:
+        self.fixed = fixed
+        sound, total = ~fixed.defects, np.where(fixed.defects, 0, fixed.total_dn)
+        self.row_pixels, self.row_totals = (sums_by_row(values, fixed.pattern) for values in (sound, total))
+        self.column_pixels, self.column_totals = (sums_by_row(each.T, fixed.pattern.T) for each in (sound, total))
+        self.rows_dn: list[Values] = []
+        self.columns_dn: list[Values] = []
+        self.means_dn: list[Values] = []
+        self.sound_means_dn: list[Values] = []
+        self.squares = 0.0
+        self.at_floor = 0
+        self._defects = np.flatnonzero(fixed.defects)
+        down, across = np.divmod(self._defects, fixed.defects.shape[1])
+        self._defect_channels = fixed.pattern[down % len(fixed.pattern), across % len(fixed.pattern)]
+        sigma = math.sqrt(float(np.mean(fixed.temporal_variance_dn2)))
+        step = round(fixed.frames * sigma / CELLS_PER_SIGMA)
+        self._step = max(1, step - 1 + step % 2)  # odd, so that cell 0 is symmetric; in units of 1/n DN
+        self._group = groups_of_rows(len(self.row_pixels))
+        self._counts = np.zeros((int(self._group.max()) + 1, 2 * _HALF + 1), dtype=np.int64)
+        self._group_squares = np.zeros(len(self._counts))  # of residuals, in units of 1/n DN
+
+    def add(self, mosaic: Mosaic) -> None:
+        """Add a bias frame."""
+        fixed, (height, width) = self.fixed, self.fixed.defects.shape
+        checked_mosaic(mosaic, (height, width), len(fixed.pattern))
+        # Of n times the deviation from the pixel's own mean: by (row, channel), squares by row, by (column, channel).
+        rows, columns = np.zeros_like(self.row_pixels), np.zeros_like(self.column_pixels)
+        squares = np.zeros(height, dtype=np.int64)
+        residual_sums(mosaic, fixed.total_dn, fixed.defects, fixed.frames, fixed.pattern, rows, squares, columns)
+        self._add_lines(mosaic, rows, squares, columns)
+        if fixed.clips_at_black:
+            self.at_floor += int(np.count_nonzero(mosaic <= (fixed.floor_dn or 0)))
+        else:
+            self._count_residuals(mosaic, rows, squares)
+
+    def _add_lines(self, mosaic: Mosaic, rows: Counts, squares: Counts, columns: Counts) -> None:
+        frames = self.fixed.frames
+        sums, pixels = rows.sum(axis=1), self.row_pixels.sum(axis=1)
+        self.squares += float((squares - sums**2 / np.maximum(pixels, 1)).sum()) / frames**2
+        self.rows_dn.append(levels_and_lines(rows / frames, self.row_pixels)[1])
+        self.columns_dn.append(levels_and_lines(columns / frames, self.column_pixels)[1])
+        values = (rows + self.row_totals).sum(axis=0) // frames  # of the pixels themselves, exactly
+        of_channel = self.row_pixels.sum(axis=0)
+        of_defects = mosaic.ravel()[self._defects]
+        added, number = (np.bincount(self._defect_channels, of, of_channel.size) for of in (of_defects, None))
+        self.sound_means_dn.append(values / of_channel)
+        self.means_dn.append((values + added) / (of_channel + number))
+
+    def _count_residuals(self, mosaic: Mosaic, rows: Counts, squares: Counts) -> None:
+        fixed = self.fixed
+        level, line = levels_and_lines(rows, self.row_pixels)
+        by_channel = line[:, None] + level
+        left = squares - 2 * (by_channel * rows).sum(axis=1) + (by_channel**2 * self.row_pixels).sum(axis=1)
+        self._group_squares += np.bincount(self._group, left, minlength=len(self._group_squares))
+        phases = np.arange(len(line)) % len(fixed.pattern)
+        offsets = np.rint(line[:, None] + level[fixed.pattern[phases]]).astype(np.int64)
+        residual_histogram(mosaic, fixed.total_dn, fixed.defects, fixed.frames, offsets, self._step, self._counts)
+
+    def check_frames(self) -> None:
+        """Raise a DatasetError unless the second pass saw as many frames as the first."""
+        added, frames = len(self.means_dn), self.fixed.frames
+        if added != frames:
+            raise DatasetError(
+                f"{added} frames were added and the fixed pattern comes from {frames}: add the same frames again"
+            )
+
+    def residuals(self) -> ResidualHistogram:
+        """Return the counts so far.
+
+        Raises
+        ------
+        DatasetError
+            If the frames added are not those of the fixed pattern, or black is too close to the floor.
+        """
+        self.check_frames()
+        fixed, frames = self.fixed, self.fixed.frames
+        if fixed.clips_at_black:
+            raise DatasetError(
+                f"the black level ({min(fixed.level_dn):.1f} DN) is too close to {fixed.floor_dn} DN for noise of "
+                f"{math.sqrt(max(fixed.temporal_variance_dn2)):.1f} DN: much of it is clipped, and residuals do not "
+                "show it"
+            )
+        return ResidualHistogram(
+            self._counts.copy(),
+            self._step / frames,
+            frames,
+            float(self.row_pixels.sum(axis=1).mean()),
+            is_cut=fixed.floor_dn is not None,
+            squares_dn2=None if fixed.floor_dn is not None else self._group_squares / frames**2,
+            level_waves=self._level_waves(),
+        )
+
+    def _level_waves(self) -> NDArray[np.complexfloating[Any, Any]]:
+        """Return by channel the mean of exp(2 pi i mean level)."""
+        fixed, frames = self.fixed, self.fixed.frames
+        remainders = np.zeros((1, len(fixed.level_dn), frames), dtype=np.int64)
+        of_pixels = np.empty(fixed.total_dn.shape, dtype=np.uint16)
+        np.remainder(fixed.total_dn, frames, out=of_pixels, casting="unsafe")
+        channel_histograms(of_pixels, fixed.defects, fixed.pattern, remainders)
+        turns = np.exp(2j * math.pi * np.arange(frames) / frames)
+        return np.asarray(remainders[0] @ turns / np.maximum(remainders[0].sum(axis=1), 1))
+
+
+def count_frame(mosaic: Mosaic, fixed: FixedPattern) -> tuple[Values, Counts]:
+    """Return values and counts of one frame's sound pixels, less its channels' and its rows' means; DN.
+
+    As the paper has it: of a single frame, whose fixed pattern stays in.
+    """
+    units = 256  # of a DN: rows' means are rounded to them
+    sound = ~fixed.defects
+    level, row = levels_and_lines(sums_by_row(mosaic * sound, fixed.pattern), sums_by_row(sound, fixed.pattern))
+    phases = np.arange(len(row)) % len(fixed.pattern)
+    offsets = np.rint(units * (row[:, None] + level[fixed.pattern[phases]])).astype(np.int64)
+    sigma = math.sqrt(float(np.mean(fixed.temporal_variance_dn2)) + max(fixed.summary.dsnu_dn) ** 2)
+    step = max(1, round(units * sigma / CELLS_PER_SIGMA)) | 1  # odd: cell 0 is symmetric
+    counts = np.zeros((1, 2 * _HALF + 1), dtype=np.int64)
+    nothing = np.broadcast_to(np.uint32(0), mosaic.shape)
+    residual_histogram(mosaic, nothing, fixed.defects, units, offsets, step, counts)
+    return np.asarray((np.arange(2 * _HALF + 1) - _HALF) * (step / units), dtype=np.float64), counts[0]
+
+
+# --- frames two by two ------------------------------------------------------------------------------------------------
+
+BLOCK = 48
+"""Pixels a side of the blocks by whose scatter errors are told: whole periods of every CFA."""
+
+# Differences are standardised, and held in sixteenths of a standard deviation, up to eight of them: no single outlier
+# decides anything. Their squares are summed up to four, so that heavy tails do no harm.
+_UNITS = 16
+_LIMIT, _CLIP = 8 * _UNITS - 1, 4 * _UNITS
+_MOST_PIXELS = 1 << 22  # of a frame; of larger ones evenly spread bands of rows are looked at
+
+LAGS = np.array([(0, 1), (0, 2), (1, -2), (1, -1), (1, 0), (1, 1), (1, 2), (2, -2), (2, -1), (2, 0), (2, 1), (2, 2)])
+"""Rows and columns between two neighbours; one of each two opposite directions."""
+
+# What pixels far apart share, in the same row, in the same column, and in neither: drift, and what rounding makes of
+# row noise that is larger than the pixels' own. 36 columns are beyond the reach of any filter in a raw file, and whole
+# periods of Bayer and of X-Trans.
+_FAR = np.array([(0, 36), (0, 48), (12, 0), (18, 0), (1, 36), (2, 36), (1, -36), (2, -36)])
+_FAR_KINDS = np.array([0, 0, 1, 1, 2, 2, 2, 2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BiasStatistics:
+    """What pairs of bias frames show, by block of 48 x 48 pixels.
+
+    A block counts twice: with the level of every second period of its columns and the variance of the others, and the
+    other way round. So a pixel that is both brighter and noisier than the others, by telegraph noise or dark current of
+    its own, does not tie the two.
+
+    Attributes
+    ----------
+    sigma_dn
+        Standard deviation of the noise of a frame, with rounding.
+    level_dn
+        (2, rows, columns): mean of one half of the block over its channels' means.
+    variance
+        (2, rows, columns): of the other half's noise over time, clipped at four standard deviations; the mean one
+        counts as 1.
+    correlation, correlation_error
+        (lags,) of the temporal noise of neighbours (:data:`LAGS`), less that of pixels far apart; and the standard
+        error of each where there is none.
+    codes
+        (channels, 65536) sound pixels by value.
+    """
+
+    sigma_dn: float
+    level_dn: Values = field(repr=False)
+    variance: Values = field(repr=False)
+    correlation: Values
+    correlation_error: float
+    codes: Counts = field(repr=False)
+
+
+class BiasPairs:
+    """The bias frames that made a fixed pattern, two by two: half of a squared difference is the noise's variance.
+
+    The memory is a copy of every second frame, of 4 megapixels at most.
+
+    Parameters
+    ----------
+    fixed
+        The first pass's result. Add the same frames again, each once.
+    """
+
+    def __init__(self, fixed: FixedPattern) -> None:
+        height, width = fixed.total_dn.shape
+        self._fixed, rows = fixed, height // BLOCK
+        self._width = width // BLOCK * BLOCK
+        step = max(1, math.ceil(rows * BLOCK * width / _MOST_PIXELS))
+        self._bands = [slice(place * BLOCK, (place + 1) * BLOCK) for place in range(0, rows, step)]
+        sigma = np.sqrt(np.maximum(fixed.temporal_variance_dn2, 1e-6))
+        self._sigma_dn = math.sqrt(float(np.mean(sigma**2)))
+        self._scale = (_UNITS / (math.sqrt(2) * sigma)).astype(np.float32)
+        self._halves = [np.arange(self._width) // len(fixed.pattern) % 2 == half for half in (0, 1)]
+        self._first: Mosaic | None = None
+        self._squares = np.zeros((2, len(self._bands), self._width // BLOCK))
+        self._pairs = 0
+        self._codes = np.zeros((len(fixed.level_dn), 65536), dtype=np.int64)
+        self._lags = np.concatenate([LAGS, _FAR])
+        self._products = np.zeros(len(self._lags), dtype=np.int64)
+        self._lag_pairs, self._induced = np.zeros((2, len(self._lags)))
+        self._rows_took = np.array(
+            [0.0 if down else _row_means_took(fixed.pattern, across) for down, across in self._lags]
+        )
+        self._all_squares = self._pixels = 0
+
+    def add(self, mosaic: Mosaic) -> None:
+        """Add a bias frame."""
+        defects, pattern = self._fixed.defects, self._fixed.pattern
+        for rows in self._bands:
+            channel_histograms(mosaic[rows], defects[rows], pattern, self._codes[None])
+        if self._first is None:
+            self._first = np.stack([mosaic[rows] for rows in self._bands])
+            return
+        for index, rows in enumerate(self._bands):
+            band = np.empty(self._first[index].shape, dtype=np.int16)
+            standardise(self._first[index], mosaic[rows], defects[rows], pattern, self._scale, _LIMIT, band)
+            self.add_neighbours(band)
+            values = np.clip(band[:, : self._width], -_CLIP, _CLIP).astype(np.int32)
+            values *= values
+            for half, chosen in enumerate(self._halves):
+                self._squares[half, index] += _sum_by_block(values * ~chosen)
+        self._first = None
+        self._pairs += 1
+
+    def add_neighbours(self, band: NDArray[np.int16]) -> None:
+        """Add rows of the standardised difference of two frames; they start with the pattern's first."""
+        height, width = band.shape
+        lag_products(band, self._lags, self._products)
+        self._all_squares += int(np.einsum("ij,ij->", band, band, dtype=np.int64))
+        self._pixels += band.size
+        pairs = (height - self._lags[:, 0]) * (width - np.abs(self._lags[:, 1]))
+        self._lag_pairs += pairs
+        self._induced += pairs * self._rows_took / width
+
+    def correlation(self) -> tuple[Values, float]:
+        """Return the correlation of the noise of neighbours, and the largest standard error of it."""
+        variance = self._all_squares / self._pixels
+        correlation = self._products / (self._lag_pairs * variance) - self._induced / self._lag_pairs
+        near = len(LAGS)
+        kinds = np.where(LAGS[:, 0] == 0, 0, np.where(LAGS[:, 1] == 0, 1, 2))
+        far = np.array([correlation[near:][kind == _FAR_KINDS].mean() for kind in range(3)])
+        # The product of two independent values has the variance of the one times that of the other, whatever their
+        # tails. The mean of the far ones adds to it.
+        error = np.sqrt((1 + 1 / np.bincount(_FAR_KINDS)[kinds]) / self._lag_pairs[:near])
+        return correlation[:near] - far[kinds], float(error.max())
+
+    def statistics(self) -> BiasStatistics:
+        """Return the statistics of the pairs so far."""
+        fixed, width, period = self._fixed, self._width, len(self._fixed.pattern)
+        own = np.array(fixed.level_dn)[np.tile(fixed.pattern, (BLOCK // period, width // period))]
+        levels, pixels = np.zeros((2, *self._squares.shape))
+        for index, rows in enumerate(self._bands):
+            sound = ~fixed.defects[rows, :width]
+            above = np.where(sound, fixed.total_dn[rows, :width] / fixed.frames - own, 0.0)
+            for half, chosen in enumerate(self._halves):
+                levels[half, index] = _sum_by_block(above * chosen) / np.maximum(_sum_by_block(sound & chosen), 1)
+                pixels[half, index] = np.maximum(_sum_by_block(sound & ~chosen), 1)
+        variance = self._squares / (self._pairs * pixels) / _UNITS**2
+        return BiasStatistics(self._sigma_dn, levels, variance, *self.correlation(), self._codes)
+
+
+def _sum_by_block(band: NDArray[Any]) -> NDArray[Any]:
+    """Return the sums over each block of columns of a band."""
+    sums: NDArray[Any] = band.reshape(len(band), -1, BLOCK).sum(axis=(0, 2))
+    return sums
+
+
+def _row_means_took(pattern: Counts, across: int) -> float:
+    """Return the correlation that taking off the mean of each row and channel makes at a lag, times the columns."""
+    share = np.array([[np.count_nonzero(row == channel) for channel in row] for row in pattern]) / len(pattern)
+    alike = np.roll(pattern, -across, axis=1) == pattern
+    return -float(np.where(alike, 1 / share, 0.0).mean())

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.arrays import rgb_frame
 from eldata.base.files import inside
-from eldata.base.pixels import rgb_frame
 from eldata.base.workers import require_files
 from eldata.errors import ArgumentError
 from eldata.raw.cfa import pack

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from eldata.base.arguments import is_tensor
+from eldata.base.arrays import is_tensor
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 from eldata.noise.mosaic import channel_bias_dn

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from eldata.base.arguments import is_tensor
+from eldata.base.arrays import is_tensor
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.arrays import NpyError, opened_npz
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import file_problem
-from eldata.base.pixels import NpyError, opened_npz
 from eldata.errors import ArgumentError, ShadingError
 from eldata.raw.cfa import packed_channels
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from eldata.base.pixels import NpyHeader, NpzArchive
+    from eldata.base.arrays import Declared, NpzArchive
     from eldata.raw.cfa import CfaRows
 
 SCHEMA = 1
@@ -119,12 +119,12 @@ def _read(path: Path, archive: NpzArchive) -> tuple[dict[str, Any], str]:
     return content | arrays, top.text("digest")
 
 
-def _like(name: str, values: str, shape: tuple[int, ...] | None) -> Callable[[NpyHeader], None]:
+def _like(name: str, values: str, shape: tuple[int, ...] | None) -> Callable[[Declared], None]:
     """Return a check that an array is of a type and shape; of any length up to a MiB, if that is not known."""
 
-    def check(header: NpyHeader) -> None:
+    def check(header: Declared) -> None:
         fits = header.shape == shape if shape else len(header.shape) == 1 and header.shape[0] <= _MOST_ABOUT_BYTES
-        if header.values != values or header.fortran_order or not fits:
+        if header.values != values or not fits:
             expected = f"{values} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
             raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
 

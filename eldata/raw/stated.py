@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.base.pixels import Declared
+    from eldata.base.arrays import Declared
 
 ARRAY_EXTENSIONS = frozenset((".npy", ".npz", ".mat", ".h5", ".tif", ".tiff"))
 """Lower case, with the dot: files whose header says the shape; those of any other name have none."""
@@ -112,7 +112,7 @@ class StatedFile:
 
     def check(self) -> None:
         """Look at what the file declares, without its pixels; raises like :meth:`read`."""
-        from eldata.base.array_files import declared_array
+        from eldata.base.arrays import declared_array
 
         if self._has_header:
             declared = declared_array(self.path, name=self.facts.array, error=RawFileError, advice=_AGAIN)
@@ -125,7 +125,7 @@ class StatedFile:
         return self.path.suffix.lower() in ARRAY_EXTENSIONS
 
     def _array(self) -> NDArray[Any]:
-        from eldata.base.array_files import read_array
+        from eldata.base.arrays import read_array
 
         check = partial(_check_declared, self)
         return read_array(self.path, check, name=self.facts.array, error=RawFileError, advice=_AGAIN)

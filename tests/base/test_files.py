@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import eldata.base.files
-from eldata.base.array_files import declared_array
+from eldata.base.arrays import declared_array
 from eldata.base.files import (
     atomic_write,
     file_problem,

@@ -8,7 +8,7 @@ import imagecodecs
 import numpy as np
 import pytest
 
-from eldata.base.pixels import read_rgb16
+from eldata.base.arrays import read_rgb16
 from eldata.errors import FileError
 from tests.cases import in_one_test
 from tests.raw.damaging import HARMS, Whole

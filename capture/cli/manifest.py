@@ -22,10 +22,9 @@ from typing import TYPE_CHECKING
 
 from capture.cli.values import add_only
 from capture.observed import ORDERS
-from eldata.base.console import OK, PROBLEMS, add_shared
+from eldata.base.console import OK, PROBLEMS, add_output, add_shared
 from eldata.base.files import write_json
 from eldata.base.numbers import counted
-from eldata.base.outputs import add_output
 from eldata.base.visible import in_line
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError

@@ -28,8 +28,7 @@ from capture.cli.values import (
     seconds,
 )
 from capture.protocol import COUNTS, PROTOCOLS, CaptureProtocol
-from eldata.base.console import OK, add_shared, show_and_write, whole_number
-from eldata.base.outputs import add_output
+from eldata.base.console import OK, add_output, add_shared, show_and_write, whole_number
 from eldata.base.tables import text_table
 from eldata.errors import ArgumentError
 

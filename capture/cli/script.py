@@ -20,9 +20,8 @@ from capture.cli.values import add_only
 from capture.observed import f_text
 from capture.plan import CALIBRATION, Plan
 from capture.shots import WRITE_S, minutes
-from eldata.base.console import OK, add_shared
+from eldata.base.console import OK, add_output, add_shared
 from eldata.base.files import write_text
-from eldata.base.outputs import add_output
 from eldata.base.tables import one_line
 
 if TYPE_CHECKING:

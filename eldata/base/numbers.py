@@ -16,7 +16,7 @@ from operator import index
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from eldata.base.tables import with_error
-from eldata.base.visible import named_field, shown
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -183,27 +183,6 @@ def checked_json_number(found: object, at_least: float | None, above: float | No
     """Return a finite number of a JSON file, as :func:`number_of` does one of a text."""
     value = found if isinstance(found, (int, float)) and not isinstance(found, bool) else None
     return _checked(_finite(value), found, "a finite number", at_least=at_least, above=above)
-
-
-def short_whole(text: str) -> float:
-    """Return a whole number; as a float if only a number field could hold it, infinite if not even that could."""
-    return int(text) if len(text) <= _MOST_DIGITS else float(text)
-
-
-def place_of_constant(data: Any) -> str:
-    """Return a field that is not a finite number, as messages call it."""
-    waiting: list[tuple[str, Any]] = [("", data)]
-    while waiting:
-        name, value = waiting.pop()
-        if isinstance(value, float) and not math.isfinite(value):
-            return f"field {name}" if name else ""
-        if isinstance(value, dict):
-            waiting += [
-                (f"{name}.{named_field(key)}" if name else named_field(key), inner) for key, inner in value.items()
-            ]
-        elif isinstance(value, list):
-            waiting += [(f"{name}[{index}]", inner) for index, inner in enumerate(value)]
-    return ""
 
 
 # --- figures --------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""`eldata demo`: the whole path on simulated raw files, without a download.
+"""`eldata demo`: try everything on simulated raw files, without a download.
 
 Photograph procedural scenes with two simulated cameras into real DNG files, verify them, denoise them, score the
 results and draw a contact sheet. With --train, train a network on other scenes of these cameras, in about two minutes

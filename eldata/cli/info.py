@@ -1,4 +1,4 @@
-"""`eldata info`: datasets known: where to get them, size, licence, citation.
+"""`eldata info`: list datasets: where to get them, size, licence, citation.
 
 List the datasets that eldata knows, or all that is known about one: where to get it, size, licence, citation, known
 defects, where its files belong and whether they are there. It looks at names, not at contents: eldata verify checks

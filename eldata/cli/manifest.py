@@ -1,4 +1,4 @@
-"""`eldata manifest`: make a manifest and a card of your own raws, from their EXIF and folders.
+"""`eldata manifest`: list raws of your own: a manifest and a card from EXIF.
 
 Make the manifest (CSV) and, beside it, the card (JSON) of a folder of your own raws, by their EXIF. A scene is a
 folder; its reference is what was exposed most at the lowest ISO, the others are noisy frames of it. What cannot be told
@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base import console
+from eldata.base.console import add_output
 from eldata.base.numbers import counted
-from eldata.base.outputs import add_output
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:

@@ -389,7 +389,7 @@ def _packed_noisy(path: Path, record: PairRecord, target: Frame) -> Frame:
     shape = packed_shape(target.shape, target.cfa)
 
     def check(header: Declared) -> None:
-        if header.shape != shape or header.values != "float32":
+        if header.shape != shape or header.values != "float32":  # noqa: PD011 # no pandas
             found = f"{header.values} {header.shape}"  # noqa: PD011 # no pandas
             raise DatasetError(f"{path}: expected float32 {shape} like its reference, found {found}")
 

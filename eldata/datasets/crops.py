@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from eldata.base.memory import scratch
+from eldata.base.compiled import scratch
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.cfa import PackedArea, cfa_from, packed_area, packed_shape, packing_sites, with_rows
 from eldata.raw.levels import pack_normalised

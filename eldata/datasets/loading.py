@@ -21,9 +21,9 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset
 
-from eldata.base.arguments import require_main_guard
 from eldata.base.numbers import checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
+from eldata.base.workers import require_main_guard
 from eldata.datasets.items import keep_counts
 from eldata.datasets.ranks import START_METHODS, Rank, ShuffledSampler, current_rank, loader_workers
 from eldata.errors import ArgumentError, check_choice

@@ -50,7 +50,7 @@ class Originals:
         return inside(self.files.folder, path)
 
     def require(self, path: str) -> None:
-        """Raise :class:`~eldata.base.workers.UnseenFileError` unless this machine sees a frame's file."""
+        """Check that this machine sees a frame's file."""
         require_files(self.place(path))
 
     def raw(self, path: str) -> RawFrame:

@@ -121,18 +121,10 @@ def test_problems_of_the_whole_file_name_it_and_say_what_to_do(tmp_path: Path) -
             TextFile(path, ProfileError, "export it again").json()
         assert str(caught.value).startswith(f"{path}: {reason}")
         assert str(caught.value).endswith("; export it again")
-    for content, message in (
-        (
-            b'{"a": {"b": [1, NaN]}}',
-            f"{path}, field a.b[1]: expected a finite number, found NaN, which JSON does not have",
-        ),
-        (b'{"a": 1.0, "b": -Infinity}', f"{path}, field b: expected a finite number, found -Infinity, which JSON doe"),
-        (b"NaN", f"{path}: expected a finite number, found NaN"),
-    ):
+    for content in (b'{"a": {"b": [1, NaN]}}', b'{"a": 1.0, "b": -Infinity}', b"NaN"):
         path.write_bytes(content)
-        with pytest.raises(ProfileError) as caught:
+        with pytest.raises(ProfileError, match=r"is not JSON that can be read: it holds .*, expected finite numbers"):
             TextFile(path, ProfileError).json()
-        assert str(caught.value).startswith(message)
     with pytest.raises(FileError) as told:
         TextFile(tmp_path / "b.json", FileError, "look again").json()
     assert (told.value.path, told.value.reason) == (
@@ -151,25 +143,6 @@ def test_files_that_are_too_large_are_not_read(tmp_path: Path) -> None:
     for large in (path, "/dev/zero"):
         with pytest.raises(FileError, match=r"expected at most 1 MiB, found more; is it the right file\?"):
             TextFile(large, FileError, largest_bytes=1 << 20).text()
-
-
-def test_pipes(tmp_path: Path) -> None:
-    """One that lies in a folder would be waited for, for ever; what a shell hands over is read."""
-    os.mkfifo(tmp_path / "a.json")
-    (tmp_path / "b.json").symlink_to("a.json")
-    for name in ("a.json", "b.json"):
-        with pytest.raises(FileError, match=r"is a named pipe, not a file; only pipes of the shell are read"):
-            TextFile(tmp_path / name, FileError).text()
-    (tmp_path / "c.json").symlink_to("c.json")
-    with pytest.raises(FileError, match=r"cannot be read: Too many levels of symbolic links"):
-        TextFile(tmp_path / "c.json", FileError).text()
-    reading, writing = os.pipe()
-    os.write(writing, b"of a shell")
-    os.close(writing)
-    try:
-        assert TextFile(f"/dev/fd/{reading}", FileError).text() == "of a shell"
-    finally:
-        os.close(reading)
 
 
 def test_toml(tmp_path: Path) -> None:
@@ -308,11 +281,12 @@ def test_values_come_as_they_are() -> None:
 
 
 def test_long_whole_numbers_are_numbers_at_most() -> None:
-    top = parsed(f'{{"long": {"1" * 41}, "longer": {"1" * 5000}}}')
+    top = parsed(f'{{"long": {"1" * 41}}}')
     assert top.number("long") == float("1" * 41)
-    for name, read in (("long", top.whole), ("longer", top.whole), ("longer", top.number)):
-        with pytest.raises(ManifestError, match=f"field {name}: expected a .*number.*, found "):
-            read(name)
+    with pytest.raises(ManifestError, match=r"field long: expected a whole number.*, found "):
+        top.whole("long")
+    with pytest.raises(ManifestError, match="is not JSON that can be read: Exceeds the limit"):
+        parsed(f'{{"longer": {"1" * 5000}}}')
 
 
 def test_unknown_fields_are_refused_with_the_nearest_name() -> None:

@@ -342,7 +342,7 @@ TARGETS = {
     "file-as-folder": ("scores.csv/new.csv", "is not a folder"),
     "too-long-with-what-is-added": ("x" * 250, "File name too long"),
     "too-long": ("x" * 300, "File name too long"),
-    "nul": ("a\0b", "NUL"),
+    "nul": ("a\0b", "null byte"),
 }
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import torch
 
-from eldata.base.files import wait_for_lock, write_json
+from eldata.base.files import try_lock, write_json
 from eldata.baselines import NetworkDenoiser, Training, UNet, clip_error, load_network, save_network
 from eldata.baselines.noisy_frames import mirrored_window
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
@@ -420,10 +420,10 @@ def test_of_two_works_that_begin_one_folder_at_once_one_is_refused(
     inside: list[str] = []
     refused: list[str] = []
 
-    def waiting(descriptor: int) -> None:
-        if threading.current_thread() is second:
+    def waiting(file: Any, **options: bool) -> bool | None:
+        if threading.current_thread() is second and options.get("wait"):
             decides.set()
-        wait_for_lock(descriptor)
+        return try_lock(file, **options)
 
     def write_slowly(*given: Any) -> None:
         come.set()
@@ -444,7 +444,7 @@ def test_of_two_works_that_begin_one_folder_at_once_one_is_refused(
             refused.append(str(error))
 
     monkeypatch.setattr("eldata.baselines.prediction_folder.write_json", write_slowly)
-    monkeypatch.setattr("eldata.baselines.prediction_folder.wait_for_lock", waiting)
+    monkeypatch.setattr("eldata.baselines.prediction_folder.try_lock", waiting)
     first, second = (threading.Thread(target=work, args=(name,)) for name in ("first", "second"))
     second.start()
     first.start()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from eldata.base.console import Parser, add_module, run
+from eldata.base.console import Parser, add_command, run
 from eldata.cli import protocols
 from eldata.protocols import PROTOCOLS
 from tests.cases import in_one_test
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def command(*arguments: str) -> int:
     parser = Parser(prog="eldata")
-    add_module(parser.add_subparsers(), protocols)
+    protocols.add_options(add_command(parser.add_subparsers(), "protocols", protocols.__doc__))
     return run(parser, ["protocols", *arguments])
 
 

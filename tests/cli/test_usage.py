@@ -41,22 +41,13 @@ def test_version(eldata: Cli) -> None:
     assert eldata("--version") == Outcome(0, f"eldata {package.__version__}\n", "")
 
 
-def test_no_command(eldata: Cli) -> None:
-    outcome = eldata()
-    assert outcome.code == 2
-    assert outcome.out == ""
-    assert "--help" in outcome.err
-    assert "Traceback" not in outcome.err
-
-
-def test_running_stands_before_a_command_or_after_it(eldata: Cli) -> None:
-    after = eldata("profile", "list", "--json", "after.json", "--debug")
-    assert after.code == 0
-    assert eldata("--json=before.json", "--debug", "profile", "list") == after
-    assert Path("before.json").read_bytes() == Path("after.json").read_bytes()
-    assert_one_line(eldata("--dask", "a", "demo"), "eldata demo: there is no option --dask")
-    assert_one_line(eldata("--jobs", "2", "verify", "--dask", "a"), "--dask: not allowed with argument --jobs")
-    assert "a command is needed" in eldata("--jobs", "2").err
+def test_no_command_lists_the_commands(eldata: Cli) -> None:
+    for arguments, names in (((), ("demo", "evaluate", "verify")), (("profile",), ("show", "import", "list"))):
+        outcome = eldata(*arguments)
+        assert (outcome.code, outcome.out) == (2, "")
+        assert all(f"\n    {name} " in outcome.err for name in names)
+    assert_one_line(eldata("--jobs", "2", "verify"), "there is no option --jobs, and a command's options come after")
+    assert_one_line(eldata("demo", "--dask", "a"), "eldata demo: there is no option --dask")
 
 
 # --- wrong usage ----------------------------------------------------------------------------------------------

@@ -25,11 +25,11 @@ from eldata.base.files import (
     atomic_write,
     check_same_work,
     json_text,
+    refuse_among,
     remove_leftovers,
     visible_below,
     write_json,
 )
-from eldata.base.outputs import refuse_among
 from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import CleanScene, clean_scenes

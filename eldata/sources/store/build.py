@@ -18,8 +18,7 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.arrays import read_rgb16
 from eldata.base.files import atomic_write, inside
-from eldata.base.processes import hold_signals
-from eldata.base.workers import AnyWorkers, Workers, require_files
+from eldata.base.workers import AnyWorkers, Workers, hold_signals, require_files
 from eldata.errors import EldataError
 from eldata.manifest.patterns import is_png
 from eldata.manifest.verify_report import DatasetReport, Problem, VerifyReport

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
+from eldata.base.compiled import scratch
+from eldata.base.fields import no_search_for_cycles
 from eldata.base.files import file_problem
-from eldata.base.memory import no_search_for_cycles, scratch
 from eldata.errors import DatasetError, EldataError
 from eldata.manifest.catalogue import load_manifest
 from eldata.manifest.pairs import Choice

@@ -93,7 +93,7 @@ def test_a_unit_that_ends_every_worker_is_named_and_the_rest_is_done(
     found = list(Workers(executor=dask).attempt(work.end_the_process, tasks))
     assert [one for one in found if not isinstance(one, Failed)] == [number for number in range(20) if number != 3]
     assert isinstance(found[3], Failed)
-    assert found[3].reason.startswith("3.dng: the workers that ran it died again and again")
+    assert found[3].reason.startswith("3.dng: worker processes died at it again and again")
 
 
 # --- the command line -------------------------------------------------------------------------------------------------

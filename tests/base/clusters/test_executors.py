@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import socket
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from eldata.base.workers import Failed, UnseenFileError, Workers, slots_of
-from eldata.errors import ArgumentError, EldataError, RawFileError
+from eldata.base.workers import Failed, Workers, count_workers
+from eldata.errors import EldataError, FileError, RawFileError
 from tests.base.clusters import work
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def test_a_file_that_the_worker_does_not_see(executor: Executor, tmp_path: Path)
     found = list(Workers(executor=executor).attempt(work.look_at, [tmp_path / "gone.dng", tmp_path / "here.dng"]))
     assert found[1] == 3
     assert isinstance(found[0], Failed)
-    assert isinstance(found[0].error, UnseenFileError)
+    assert isinstance(found[0].error, FileError)
     assert found[0].reason == (
         f"{tmp_path / 'gone.dng'}: No such file or directory on {socket.gethostname()}; every machine that takes part "
         "must see the same files under the same paths"
@@ -136,21 +136,11 @@ def test_a_bounded_number_of_units_is_in_flight(workers: int | None, in_flight: 
     assert executor.most == in_flight
 
 
-@pytest.mark.parametrize(("workers", "in_flight"), [(1, 3), (3, 7), (None, 17), (500, 17)])
+@pytest.mark.parametrize(("workers", "in_flight"), [(1, 2), (3, 4), (None, 17), (500, 17)])
 def test_fewer_large_results_are_in_flight(workers: int | None, in_flight: int) -> None:
     executor = Stepwise(workers)
     list(Workers(executor=executor).read_ahead(work.double, range(200)))
     assert executor.most == in_flight
-
-
-def test_the_window_follows_a_cluster_that_grows() -> None:
-    executor = Stepwise(1)
-    results = Workers(executor=executor).run(work.double, range(200))
-    next(results)
-    assert executor.most == 5
-    executor._max_workers = 3
-    list(results)
-    assert executor.most == 13
 
 
 def test_what_waits_is_cancelled_if_the_caller_leaves() -> None:
@@ -163,27 +153,20 @@ def test_what_waits_is_cancelled_if_the_caller_leaves() -> None:
 
 @pytest.mark.dask
 def test_workers_are_counted(threads: Executor, processes: Executor, dask: Executor) -> None:
-    assert [slots_of(executor) for executor in (threads, processes, dask)] == [2, 2, 2]
-    assert slots_of(Stepwise()) == 16
+    assert [count_workers(executor) for executor in (threads, processes, dask)] == [2, 2, 2]
+    assert count_workers(Stepwise()) == 16
 
 
 # --- executors that cannot --------------------------------------------------------------------------------------------
-
-
-def test_an_executor_that_was_shut_down() -> None:
-    pool = ThreadPoolExecutor(1)
-    pool.shutdown()
-    with pytest.raises(ArgumentError, match=r"^the executor takes no work: cannot schedule new futures after shutdown"):
-        list(Workers(executor=pool).run(work.double, [1]))
 
 
 @pytest.mark.kill
 def test_a_broken_pool_of_the_callers_is_an_error_that_names_the_unit(importable: None) -> None:
     tasks = [work.Task(3, "three.dng"), *(work.Task(number) for number in range(4, 40))]
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        with pytest.raises(EldataError, match=r"^the executor broke at or soon after three\.dng"):
+        with pytest.raises(EldataError, match=r"^the executor cannot run the work on three\.dng: BrokenProcessPool"):
             list(Workers(executor=pool).run(work.end_the_process, tasks))
-        with pytest.raises(EldataError, match=r"^the executor broke"):
+        with pytest.raises(EldataError, match=r"BrokenProcessPool"):
             list(Workers(executor=pool).run(work.end_the_process, tasks))
 
 
@@ -195,7 +178,7 @@ def test_work_that_cannot_travel(processes: Executor) -> None:
 def test_a_unit_that_someone_cancels() -> None:
     results = Workers(executor=Stepwise(1, cancelling=2)).run(work.double, range(9))
     assert [next(results), next(results)] == [0, 2]
-    with pytest.raises(EldataError, match=r"^the work on 2 was cancelled"):
+    with pytest.raises(EldataError, match=r"^the executor cannot run the work on 2: CancelledError"):
         next(results)
 
 
@@ -217,5 +200,5 @@ def test_a_unit_that_ends_every_process_is_named_and_the_rest_is_done(importable
     assert [one for one in found if not isinstance(one, Failed)] == [number for number in range(30) if number != 3]
     assert isinstance(found[3], Failed)
     assert found[3].unit == tasks[3]
-    assert found[3].reason.startswith("3.dng: a worker process died at it twice")
+    assert found[3].reason.startswith("3.dng: worker processes died at it again and again")
     assert "--jobs" in found[3].reason

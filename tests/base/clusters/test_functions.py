@@ -12,10 +12,10 @@ import h5py
 import numpy as np
 import pytest
 
-from eldata.base.workers import UnseenFileError
 from eldata.calibration.camera import calibrate
 from eldata.datasets.published.clips import DRVDataset
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
+from eldata.errors import FileError
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.predictions import save_clip_prediction
 from eldata.manifest.lock import lock
@@ -139,7 +139,7 @@ class Vanishing(Executor):
 
 
 def unseen(path: Path) -> str:
-    error = UnseenFileError(
+    error = FileError(
         path,
         f"No such file or directory on {socket.gethostname()}; every machine that takes part must see the same files "
         "under the same paths",
@@ -161,6 +161,6 @@ def test_pack_names_the_file_that_workers_do_not_see(tree: Tree, dask: Executor,
     own = tree.copy(tmp_path / "own")
     source = source_of_dataset("eld-demo", root=own.root, manifest=own.manifest)
     gone = own.files / source.files[5][0]
-    with pytest.raises(UnseenFileError) as raised:
+    with pytest.raises(FileError) as raised:
         build_store(source, tmp_path / "store.h5", workers=Vanishing(dask, gone))
     assert str(raised.value) == unseen(gone)

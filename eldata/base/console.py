@@ -145,7 +145,7 @@ def whole_number(at_least: int) -> Callable[[str], int]:
 def add_shared(
     parser: argparse.ArgumentParser,
     run: Callable[[Arguments], int],
-    *options: Literal["root", "cameras", "isos", "jobs", "workers"],
+    *options: Literal["root", "cameras", "jobs", "workers"],
     json: bool = False,
     interrupted: str = _NONE_HALF,
 ) -> None:
@@ -156,12 +156,6 @@ def add_shared(
     """
     if "cameras" in options:
         add_cameras(parser)
-    if "isos" in options:
-        parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only camera there)")
-        number = whole_number(1)
-        parser.add_argument(
-            "--iso", action="append", dest="isos", type=number, metavar="ISO", help="only this ISO; may be repeated"
-        )
     if "root" in options:
         parser.add_argument("--root", metavar="R", help="datasets' folder (default: $ELDATA_ROOT, else ./data)")
     if json:

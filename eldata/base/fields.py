@@ -29,8 +29,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
 from eldata.base.numbers import (
     LARGEST_WHOLE,
-    checked_json_number,
-    checked_json_whole,
     fraction_of,
     number_of,
     whole_of,
@@ -295,6 +293,7 @@ class Fields:
     place: str = ""
 
     _absent: ClassVar[tuple[object, ...]] = (None,)
+    _is_text: ClassVar[bool] = False  # whether numbers are texts
 
     def problem(self, name: str, reason: str) -> EldataError:
         """Return the error that something is wrong with a field, to be raised."""
@@ -430,11 +429,11 @@ class Fields:
 
     def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
         """Return a whole number."""
-        return self.parsed(name, checked_json_whole, at_least=at_least, at_most=at_most)
+        return self.parsed(name, whole_of, at_least=at_least, at_most=at_most, text=self._is_text)
 
     def number(self, name: str, *, at_least: float | None = None, above: float | None = None) -> float:
         """Return a finite number."""
-        return self.parsed(name, checked_json_number, at_least=at_least, above=above)
+        return self.parsed(name, number_of, at_least=at_least, above=above, text=self._is_text)
 
     def fraction(self, name: str, *, above: int | None = None, digits: int = 18) -> Fraction:
         """Return an exact number that is given as text."""
@@ -453,14 +452,7 @@ class TextRow(Fields):
     """A row of a CSV file; numbers are parsed from the cells' text, and an empty cell counts as missing."""
 
     _absent: ClassVar[tuple[object, ...]] = ("",)
+    _is_text: ClassVar[bool] = True
 
     def _where(self, name: str) -> str:
         return f"{self.place}, column {name}"
-
-    def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
-        """Return a whole number."""
-        return self.parsed(name, whole_of, at_least=at_least, at_most=at_most)
-
-    def number(self, name: str, *, at_least: float | None = None, above: float | None = None) -> float:
-        """Return a finite number."""
-        return self.parsed(name, number_of, at_least=at_least, above=above)

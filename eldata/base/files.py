@@ -10,7 +10,7 @@ import re
 import secrets
 import stat
 import sys
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, TypeVar
 
@@ -252,27 +252,26 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
     OSError
         If it cannot be made.
     """
+    file, temporary = _open_temporary(path)
+    made = os.fstat(file.fileno())
+    try:
+        with file:
+            yield file, temporary
+    finally:
+        with suppress(OSError):
+            if _is_at(temporary, made):
+                temporary.unlink()
+
+
+def _open_temporary(path: Path) -> tuple[IO[bytes], Path]:
     for unique in ("eldata", *(secrets.token_hex(_TOKEN_BYTES) for _ in range(_MOST_TRIES))):
         temporary = _temporary(path, unique)
         _remove_if_dead(temporary)
-        with ExitStack() as ends:
-            try:
-                file = ends.enter_context(temporary.open("xb"))
-                made = os.fstat(file.fileno())
-                ends.callback(_remove_if_at, temporary, made)
-            except FileExistsError:
-                continue  # a live one, or somebody else's
-            except KeyboardInterrupt:  # it may be there already, and nobody would know of it
-                _remove_if_dead(temporary)
-                raise
-            if try_lock(file.fileno()) is False:
-                # Another process took it for dead in the moment before, and will remove it.
-                ends.pop_all()
-                file.close()
-                continue
-            if _is_at(temporary, made):
-                yield file, temporary
-                return
+        with suppress(FileExistsError):  # a live one, or somebody else's
+            file = temporary.open("xb")
+            if try_lock(file) is not False and _is_at(temporary, os.fstat(file.fileno())):
+                return file, temporary
+            file.close()  # another process took it for dead in the moment before, and removes it
     raise OSError(errno.EBUSY, "other processes take away what is written", str(temporary))
 
 
@@ -291,12 +290,6 @@ def remove_leftovers(folder: Path) -> None:
     for name in os.listdir(folder):  # noqa: PTH208 # a folder may hold very many names
         if _LEFTOVER.fullmatch(name) is not None:
             _remove_if_dead(folder / name)
-
-
-def _remove_if_at(temporary: Path, file: os.stat_result) -> None:
-    with suppress(OSError):
-        if _is_at(temporary, file):
-            temporary.unlink()
 
 
 def _remove_if_dead(temporary: Path) -> None:

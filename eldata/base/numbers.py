@@ -117,33 +117,43 @@ def _fraction_form(digits: int) -> re.Pattern[str]:
     return re.compile(rf"(?P<whole>{some})(?:\.(?P<tenths>{some}))?(?:/(?P<divisor>{some}))?")
 
 
-def whole_of(text: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
-    """Return the whole number that a text of decimal digits names.
+def whole_of(found: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE, text: bool = True) -> int:
+    """Take a whole number: a text of decimal digits or, without ``text``, an int as JSON has it.
 
     Raises
     ------
     ArgumentError
         If it is anything else or out of range; the message says what was expected and found.
     """
-    value = int(text) if isinstance(text, str) and _WHOLE.fullmatch(text) else None
-    return _checked(value, text, "a whole number", at_least=at_least, at_most=at_most)
+    if text:
+        value = int(found) if isinstance(found, str) and _WHOLE.fullmatch(found) else None
+    else:
+        value = found if isinstance(found, int) and not isinstance(found, bool) else None
+    return _checked(value, found, "a whole number", at_least=at_least, at_most=at_most)
 
 
-def number_of(text: object, *, at_least: float | None = None, above: float | None = None) -> float:
-    """Return the finite number that a text such as ``0.5`` or ``1e-05`` names.
+def number_of(found: object, *, at_least: float | None = None, above: float | None = None, text: bool = True) -> float:
+    """Take a finite number: a text such as ``0.5`` or ``1e-05`` or, without ``text``, a number as JSON has it.
 
     Raises
     ------
     ArgumentError
         If it is anything else or out of range; the message says what was expected and found.
     """
-    value = float(text) if isinstance(text, str) and _DECIMAL.fullmatch(text) else None
-    return _checked(_finite(value), text, "a finite number", at_least=at_least, above=above)
-
-
-def _finite(value: float | None) -> float | None:
+    value: float | None = None
+    if text:
+        value = float(found) if isinstance(found, str) and _DECIMAL.fullmatch(found) else None
+    elif isinstance(found, (int, float)) and not isinstance(found, bool):
+        value = found
     # Compared, not converted: Python has whole numbers that no float can hold.
-    return float(value) if value is not None and -_LARGEST_FLOAT <= value <= _LARGEST_FLOAT else None
+    is_finite = value is not None and -_LARGEST_FLOAT <= value <= _LARGEST_FLOAT
+    return _checked(
+        float(value) if value is not None and is_finite else None,
+        found,
+        "a finite number",
+        at_least=at_least,
+        above=above,
+    )
 
 
 def _checked(
@@ -171,18 +181,6 @@ def _checked(
     elif at_least is not None:
         kind = f"{kind} of {at_least} or more"
     raise ArgumentError(f"expected {kind}{example}, found {shown(found)}")
-
-
-def checked_json_whole(found: object, at_least: int, at_most: int) -> int:
-    """Return a whole number of a JSON file, as :func:`whole_of` does one of a text."""
-    value = found if isinstance(found, int) and not isinstance(found, bool) else None
-    return _checked(value, found, "a whole number", at_least=at_least, at_most=at_most)
-
-
-def checked_json_number(found: object, at_least: float | None, above: float | None) -> float:
-    """Return a finite number of a JSON file, as :func:`number_of` does one of a text."""
-    value = found if isinstance(found, (int, float)) and not isinstance(found, bool) else None
-    return _checked(_finite(value), found, "a finite number", at_least=at_least, above=above)
 
 
 # --- figures --------------------------------------------------------------------------------------------------------

@@ -458,22 +458,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(_TERMINATED)
-
-
-@contextmanager
-def hold_signals() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM wait for the end of a block: a library in C loses what is raised where it calls Python."""
-    held: list[int] = []
-    handlers: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():  # no other is sent any
-        handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-        handlers = {number: handler for number, handler in handlers.items() if handler is not None}
-    try:
-        for number in handlers:
-            signal.signal(number, lambda number, _: held.append(number))
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        for number in held[:1]:
-            signal.raise_signal(number)

@@ -51,7 +51,10 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument("--accept", action="append", default=[], metavar="CHECK", help=text)
     text = "rows and columns to use, as numpy slices them: 8:-8,16: (default: all but a border without picture)"
     parser.add_argument("--crop", type=_stated_crop, metavar="ROWS,COLUMNS", help=text)
-    console.add_shared(parser, run, "isos", "root", "workers", json=True)
+    parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only camera there)")
+    whole, text = console.whole_number(1), "only this ISO; may be repeated"
+    parser.add_argument("--iso", action="append", dest="isos", type=whole, metavar="ISO", help=text)
+    console.add_shared(parser, run, "root", "workers", json=True)
 
 
 def _stated_gain(text: str) -> tuple[int, float] | str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import io
+import signal
+import threading
 import zlib
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -18,7 +20,7 @@ from tqdm import tqdm
 from eldata import __version__
 from eldata.base.arrays import read_rgb16
 from eldata.base.files import atomic_write, inside
-from eldata.base.workers import AnyWorkers, Workers, hold_signals, require_files
+from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import EldataError
 from eldata.manifest.patterns import is_png
 from eldata.manifest.verify_report import DatasetReport, Problem, VerifyReport
@@ -141,6 +143,25 @@ class _Disk(io.FileIO):
         finally:
             if self.failure is not None:
                 raise self.failure
+
+
+@contextmanager
+def hold_signals() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM wait for the end of a block: a library in C loses what is raised where it calls Python."""
+    held: list[int] = []
+    handlers: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():  # no other is sent any
+        handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+        handlers = {number: handler for number, handler in handlers.items() if handler is not None}
+    try:
+        for number in handlers:
+            signal.signal(number, lambda number, _: held.append(number))
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number in held[:1]:
+            signal.raise_signal(number)
 
 
 def write_frames(

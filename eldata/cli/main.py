@@ -16,7 +16,10 @@ _COMMANDS = (
     *("calibrate", "synthesize", "profile", "pack"),
 )
 
-_FIRST = ("eldata demo", "eldata info eld", "eldata evaluate preds --dataset eld --root data")
+_FIRST = (
+    *("eldata demo", "eldata info eld", "eldata evaluate preds --dataset eld --root data"),
+    "python -m eldata.examples.train_denoiser --help",
+)
 
 
 def parser() -> argparse.ArgumentParser:

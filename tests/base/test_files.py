@@ -206,6 +206,19 @@ def test_leftovers_of_a_folder_are_removed_and_nothing_else(tmp_path: Path) -> N
     )
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+@pytest.mark.parametrize("size", [10, 1_000_000])
+def test_a_disk_that_is_full_when_it_is_written(size: int, old: Path) -> None:
+    def write() -> None:
+        with atomic_write(old) as file, Path("/dev/full").open("wb") as full:
+            os.dup2(full.fileno(), file.fileno())
+            file.write(b"x" * size)
+
+    with pytest.raises(EldataError, match=r"cannot write .*scores\.csv: No space left on device"):
+        write()
+    assert only(old, OLD)
+
+
 TARGETS = {
     "new": ("new.csv", None),
     "old": ("scores.csv", None),

@@ -40,13 +40,12 @@ def test_the_table_has_every_shipped_dataset(eldata: Cli) -> None:
     outcome = eldata("info")
     assert (outcome.code, outcome.err) == (0, "")
     header, rule, *rows = outcome.out.splitlines()[: 2 + len(carded_names())]
-    assert header.split() == ["name", "title", "files", "size", "in", "data", "licence"]
+    assert header.split() == ["name", "files", "size", "in", "data", "title"]
     assert set(rule) == {"-", " "}
     assert tuple(row.split()[0] for row in rows) == carded_names()
     for row, name in zip(rows, carded_names(), strict=True):
         card = shipped_card(name)
-        assert card.title in row
-        assert card.licence in row
+        assert row.endswith(card.title)
         if name not in shipped_names():
             assert "not listed" in row
             assert "card alone" in row

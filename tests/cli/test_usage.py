@@ -208,3 +208,16 @@ def test_debug_shows_the_traceback(eldata: Cli, tmp_path: Path) -> None:
     assert "Traceback (most recent call last)" in debug.err
     assert "ManifestError" in debug.err
     assert debug.err.endswith(plain.err)
+
+
+def test_an_unexpected_error_is_one_line_too(eldata: Cli, monkeypatch: pytest.MonkeyPatch, tree: Tree) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise RuntimeError("first line\nsecond line")
+
+    monkeypatch.setattr("eldata.cli.verify.verify", broken)
+    plain = eldata("verify", tree.manifest)
+    assert plain.code == 2
+    assert plain.err.count("\n") == 1
+    assert "RuntimeError" in plain.err
+    assert "--debug" in plain.err
+    assert "Traceback" in eldata("verify", tree.manifest, "--debug").err

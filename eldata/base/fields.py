@@ -110,7 +110,7 @@ class TextFile:
     largest_bytes: int = LARGEST_FILE_BYTES
 
     def problem(self, reason: str, place: str = "") -> EldataError:
-        """Return the error that something is wrong in a place such as ``field rows[0].iso``, to be raised."""
+        """Make the error, to be raised, about a place in the file such as ``field rows[0].iso``."""
         reason = f"{reason}; {self.advice}" if self.advice else reason
         if issubclass(self.error, FileError):
             return self.error(self.name, f"{place}: {reason}" if place else reason)
@@ -296,11 +296,11 @@ class Fields:
     _is_text: ClassVar[bool] = False  # whether numbers are texts
 
     def problem(self, name: str, reason: str) -> EldataError:
-        """Return the error that something is wrong with a field, to be raised."""
+        """Make the error, to be raised, about a field."""
         return self.file.problem(reason, self._where(name))
 
     def wrong(self, name: str, expected: str, found: object) -> EldataError:
-        """Return the error that a field is not what was expected, to be raised."""
+        """Make the error, to be raised, about a field that holds something unexpected."""
         return self.problem(name, f"expected {expected}, found {shown(found)}")
 
     def _where(self, name: str) -> str:

@@ -91,7 +91,7 @@ def _describe_stand_in(head: bytes) -> str | None:
     if pointer is not None:
         return "is a pointer of git-annex: fetch the file itself with git annex get"
     if _PAGE.match(head):
-        return "is a web page (HTML or XML), such as a server sends in place of a file: download the file itself again"
+        return "is a web page (HTML or XML), such as a server sends instead of a file: download the file itself again"
     if head.startswith(b"\0\5\x16\7"):
         return "is what macOS puts beside a file (AppleDouble), not the file: copy the one without ._ before its name"
     return None
@@ -368,8 +368,8 @@ def check_same_work(place: Path, begun: Mapping[str, object], wanted: Mapping[st
     for name, value in wanted.items():
         if begun.get(name) != value:
             raise ArgumentError(
-                f"{place}: was started for {name.replace('_', ' ')} {begun.get(name)}, now {value}; give the same data "
-                "and options, or remove it to start again"
+                f"{place}: was started with {name.replace('_', ' ')} {begun.get(name)}, now {value}; give the same "
+                "data and options, or remove it to start again"
             )
 
 

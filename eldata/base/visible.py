@@ -20,7 +20,7 @@ _SHORT: Final = {"\t": "\\t", "\n": "\\n", "\r": "\\r"}
 
 
 def has_unseen(text: str, *, lines: bool = False) -> bool:
-    """Return whether a text has characters that do not show; with ``lines``, it may have tabs and several lines."""
+    """Tell whether a text has characters that do not show; with ``lines``, it may have tabs and several lines."""
     return (_IN_TEXT if lines else _IN_LINE).search(text) is not None
 
 

@@ -348,8 +348,8 @@ def _is_loss(executor: Executor, error: BaseException | None) -> bool:
 
 def _describe_loss(unit: object) -> EldataError:
     return EldataError(
-        f"{getattr(unit, 'path', unit)}: worker processes died at it again and again, in the end with nothing else "
-        "beside it: a decoder that crashes, or lack of memory? Try fewer --jobs"
+        f"{getattr(unit, 'path', unit)}: worker processes died at it again and again, in the end with it "
+        "alone: a decoder that crashes, or lack of memory? Try fewer --jobs"
     )
 
 

@@ -32,7 +32,7 @@ def add_options(parser: console.Parser) -> None:
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
     add_output(parser, "--html", help="write a page with plots and the biggest differences to FILE")
     text = (
-        "with --html: draw every common image into the folder FILE-pictures beside the page: the part in which the "
+        "with --html: draw every common image into the folder FILE-pictures: the part in which the "
         "methods differ most, or all of it; needs the raw files and the predictions"
     )
     parser.add_argument("--pictures", choices=("parts", "whole"), nargs="?", const="parts", help=text)
@@ -83,7 +83,7 @@ def run(arguments: console.Arguments) -> int:
 
 
 def _images(comparison: Comparison, arguments: console.Arguments) -> tuple[ScoredImage, ...]:
-    """Return what to decode for the pictures, from what the results state of their data."""
+    """List the images to decode for the pictures, from what the results state of their data."""
     from eldata.evaluation.looking import images_of, stated_predictions, units_again
 
     named: list[Path | None] = [Path(name) for name in arguments.predictions]

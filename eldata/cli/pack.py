@@ -2,8 +2,8 @@
 
 Decode each file of a dataset's pairs or clips, or of a folder of clean raws, once, into one HDF5 file: the pixels in DN
 with levels, CFA, exposure and manifest (of preprocessed clips, their 16-bit RGB), lossless. PackedStore, PackedClips,
-CleanFrames and CleanClips read random crops of it; DarkFrames reads those of bias frames, CAMERA/bias/ISO100/... below
-the folder (that of DATASET calibration).
+CleanFrames and CleanClips read random crops of it. A folder of bias frames, CAMERA/bias/ISO100/... (or DATASET
+calibration), makes a store for DarkFrames.
 
     eldata pack sid-sony --split train -o sid-train.h5
     eldata pack data/SID/Sony/long -o clean.h5

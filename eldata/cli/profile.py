@@ -78,7 +78,7 @@ def _facts(profile: CameraProfile) -> list[str]:
 
 
 def _rows(profile: CameraProfile) -> list[str]:
-    """Return what was measured at each ISO, and the lines over K."""
+    """Describe the figures at each ISO, and the lines over K."""
     from eldata.base.tables import text_table
 
     def cell(value: float | None) -> str:

@@ -452,7 +452,7 @@ def test_of_two_works_that_begin_one_folder_at_once_one_is_refused(
     assert inside == ["first"]
     assert json.loads((tmp_path / "p" / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "first"
     assert len(refused) == 1
-    assert "was begun with another denoiser: expected second, found first" in refused[0]
+    assert "was started with denoiser first, now second" in refused[0]
 
 
 def test_the_same_work_may_be_done_by_several(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -136,22 +135,6 @@ def test_an_archive_saved_by_hand(name: str, pack: object, eldata: Cli, small: s
     assert "1 files beside the dataset's folder stay in it" in outcome.out
     assert tree(data) == {f"SID/{name}": content for name, content in FILES.items()}
     assert small.requests == []
-
-
-def test_files_that_differ_are_listed(eldata: Cli, small: server.Site, data: Path, tmp_path: Path) -> None:
-    name = next(iter(FILES))
-    (data / "SID" / name).parent.mkdir(parents=True)
-    (data / "SID" / name).write_bytes(b"mine")
-    (tmp_path / "x.zip").write_bytes(zipped(PACKED))
-    outcome = eldata("download", "small", "--from", tmp_path / "x.zip", "--json", tmp_path / "x.json")
-    assert (outcome.code, outcome.err) == (1, "")
-    assert f"left alone, differs in size from the archive's: {name}" in outcome.out
-    assert "some differ from the archive; move those away" in outcome.out
-    assert (data / "SID" / name).read_bytes() == b"mine"
-    report = json.loads((tmp_path / "x.json").read_text())
-    assert report["archives"][0]["differing"] == [name]
-    assert report["presence"]["complete"] is True
-    assert report["folder"] == "data/SID"
 
 
 # --- usage ------------------------------------------------------------------------------------------------------------

@@ -127,12 +127,6 @@ def test_a_place_to_write_to_is_tried_before_the_input_is_read(arguments: list[s
     assert "cannot write" not in eldata(*arguments, "x.csv").err, "it is the input that is wrong now"
 
 
-def test_an_older_file_is_left_alone_until_there_is_a_new_one(eldata: Cli) -> None:
-    Path("x.csv").write_text("yesterday's")
-    assert eldata("evaluate", "preds", "--manifest", "none.csv", "--csv", "x.csv").code == 2
-    assert Path("x.csv").read_text() == "yesterday's"
-
-
 # --- after it -----------------------------------------------------------------------------------------------------
 
 

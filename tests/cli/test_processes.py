@@ -11,7 +11,6 @@ import time
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import psutil  # type: ignore[import-untyped,unused-ignore] # types-psutil may be there or not
 import pytest
@@ -22,9 +21,6 @@ from eldata.manifest.eld import EldCamera, eld_records
 from eldata.manifest.table import save_records
 from tests.evaluation.helpers import Tree
 from tests.waiting import PATIENCE_S, until
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 MODULE = [sys.executable, "-m", "eldata.cli.main"]
 
@@ -87,65 +83,34 @@ def long_tree(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> Tree:
 
 
 def workers(process: subprocess.Popen[str]) -> list[psutil.Process]:
-    return [
-        child
-        for child in psutil.Process(process.pid).children(recursive=True)
-        if "multiprocessing.spawn" in " ".join(child.cmdline())
-    ]
+    children = psutil.Process(process.pid).children(recursive=True)
+    return [child for child in children if "multiprocessing.spawn" in " ".join(child.cmdline())]
 
 
-def wait_for_workers(process: subprocess.Popen[str]) -> None:
-    until(lambda: process.poll() is not None or len(workers(process)) == 2)
-
-
-def start(*arguments: str | Path) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [*MODULE, *(str(argument) for argument in arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-
-
-def disturbed(
-    command: list[str | Path], delay_s: float, disturb: Callable[[subprocess.Popen[str]], None]
-) -> tuple[int, str, str]:
-    """Do something to a command some time after its workers run; return its exit code, stdout and stderr.
+def interrupted(command: list[str | Path], delay_s: float, number: int) -> tuple[int, str, str]:
+    """Send a signal to the process group some time after its workers run, as a terminal does; nothing may be left.
 
     On a busy machine this test may sleep for so long that the command has ended meanwhile: then it is started again.
     """
     for _ in range(ATTEMPTS):
-        process = start(*command)
-        try:
-            wait_for_workers(process)
+        with subprocess.Popen(
+            [*MODULE, *map(str, command)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        ) as process:
+            until(lambda: process.poll() is not None or len(workers(process)) == 2)  # called at once
             time.sleep(delay_s)
-            if process.poll() is None:
-                disturb(process)
+            family = [] if process.poll() is not None else workers(process)
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, number)
             out, err = process.communicate(timeout=PATIENCE_S)
-        finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.communicate()
+        assert psutil.wait_procs(family, timeout=PATIENCE_S)[1] == []
         if process.returncode != 0:
             return process.returncode, out, err
         delay_s /= 2
     pytest.fail(f"the command ended before anything was done to it, {ATTEMPTS} times")
-
-
-def interrupted(command: list[str | Path], delay_s: float, number: int = signal.SIGINT) -> tuple[int, str, str]:
-    """Send a signal to the process group once its workers run, as a terminal does with Ctrl-C; nothing may be left."""
-    family: list[psutil.Process] = []
-
-    def interrupt(process: subprocess.Popen[str]) -> None:
-        with contextlib.suppress(psutil.NoSuchProcess):
-            family[:] = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
-        os.killpg(process.pid, number)
-
-    outcome = disturbed(command, delay_s, interrupt)
-    _, alive = psutil.wait_procs(family, timeout=PATIENCE_S)
-    assert not alive
-    return outcome
 
 
 @pytest.fixture(scope="module")

@@ -212,7 +212,7 @@ def test_only_the_same_work_goes_on(unfinished: tuple[Path, dict[str, bytes]], c
     out, _ = unfinished
     before = everything(out)
     for recipe, words in (
-        (Recipe(SONY), "was begun with another per image: expected 1, found 2; give the same data and options as then"),
+        (Recipe(SONY), "was started with per image 2, now 1; give the same data and options"),
         (Recipe(SONY, per_image=2, seed=5), "another seed: expected 5, found 0"),
         (Recipe(SONY, per_image=2, ratio=(100, 200)), "another ratio"),
         (Recipe(replace(SONY, source="changed"), per_image=2), "another digest of the profile"),

@@ -93,17 +93,14 @@ class Lazy(Future[Any]):
 class Stepwise(Executor):
     """Runs each call when its result is wanted, and counts the calls in flight."""
 
-    def __init__(self, workers: int | None = None, cancelling: int | None = None) -> None:
+    def __init__(self, workers: int | None = None) -> None:
         self.futures: list[Lazy] = []
         self.most = 0
-        self.cancelling = cancelling
         if workers is not None:
             self._max_workers = workers
 
     def submit(self, call: Callable[[], Any], /) -> Future[Any]:  # type: ignore[override] # all that is used
         future = Lazy(call)
-        if len(self.futures) == self.cancelling:
-            future.cancel()
         self.futures.append(future)
         self.most = max(self.most, sum(not one.done() for one in self.futures))
         return future
@@ -137,13 +134,6 @@ def test_a_broken_pool_of_the_callers_is_an_error_that_names_the_unit(importable
 def test_work_that_cannot_travel(processes: Executor) -> None:
     with pytest.raises(EldataError, match=r"^the executor cannot run the work on 1: .*pickle"):
         list(Workers(executor=processes).run(lambda number: number, [1]))
-
-
-def test_a_unit_that_someone_cancels() -> None:
-    results = Workers(executor=Stepwise(1, cancelling=2)).run(work.double, range(9))
-    assert [next(results), next(results)] == [0, 2]
-    with pytest.raises(EldataError, match=r"^the executor cannot run the work on 2: CancelledError"):
-        next(results)
 
 
 # --- processes of our own ---------------------------------------------------------------------------------------------

@@ -338,13 +338,9 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
     return code
 
 
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM, of schedulers, ``timeout`` and containers: what handles Ctrl-C handles it."""
-
-
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Raise :class:`_Terminated` in the block at SIGTERM, unless somebody handles or ignores that already."""
+    """Let SIGTERM (of schedulers, ``timeout``, containers) be what Ctrl-C is, unless somebody handles or ignores it."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         yield
         return
@@ -357,7 +353,7 @@ def _terminable() -> Iterator[None]:
 
 def _terminate(number: int, _: object) -> None:
     signal.signal(number, signal.SIG_IGN)  # timeout(1) sends it twice: what unwinds is not to be disturbed
-    raise _Terminated
+    raise KeyboardInterrupt(number)
 
 
 def _parse_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: Arguments) -> int:
@@ -382,7 +378,7 @@ def _explain(error: BaseException, arguments: Arguments) -> tuple[int, str]:
     if isinstance(error, EldataError):
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
-        number, word = (15, "terminated") if isinstance(error, _Terminated) else (2, "interrupted")
+        number, word = (error.args[0], "terminated") if error.args else (signal.SIGINT, "interrupted")
         kept = getattr(arguments, "interrupted", _NONE_HALF)
         return 128 + number, f"{word}; {kept.format_map(vars(arguments))}"
     if isinstance(error, OSError) and error.filename is not None:

@@ -11,7 +11,7 @@ import re
 import sys
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache, lru_cache
+from functools import lru_cache
 from operator import index
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
@@ -28,6 +28,7 @@ LARGEST_WHOLE: Final = 2**63 - 1
 # In a whole number, and in either part of a fraction. The time that longer ones cost grows with their square.
 _MOST_DIGITS: Final = 40
 _LARGEST_FLOAT: Final = sys.float_info.max
+_FRACTION: Final = re.compile(r"(?P<whole>[0-9]+)(?:\.(?P<tenths>[0-9]+))?(?:/(?P<divisor>[0-9]+))?")
 _WHOLE: Final = re.compile(rf"[0-9]{{1,{_MOST_DIGITS}}}")
 _DECIMAL: Final = re.compile(r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?")
 
@@ -104,17 +105,11 @@ def fraction_of(text: object, *, above: int | None = None, digits: int = 18) -> 
 
 @lru_cache(maxsize=4096)  # the rows of a table share most of their numbers
 def _fraction(text: str, digits: int) -> Fraction | None:
-    found = _fraction_form(digits).fullmatch(text)
-    if found is None:
+    found = _FRACTION.fullmatch(text)
+    if found is None or max(len(part) for part in found.groups("")) > digits:
         return None
     whole, tenths, divisor = found["whole"], found["tenths"] or "", int(found["divisor"] or 1)
     return Fraction(int(whole + tenths), 10 ** len(tenths) * divisor) if divisor else None
-
-
-@cache
-def _fraction_form(digits: int) -> re.Pattern[str]:
-    some = f"[0-9]{{1,{digits}}}"
-    return re.compile(rf"(?P<whole>{some})(?:\.(?P<tenths>{some}))?(?:/(?P<divisor>{some}))?")
 
 
 def whole_of(found: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE, text: bool = True) -> int:

@@ -293,7 +293,7 @@ def test_a_clip_that_was_begun_goes_on_frame_by_frame(drv: SmallDrv, tmp_path: P
     assert [file.read_bytes() for file in files] == [content for _, content in before]
     kept = [k for k in range(10) if k not in (2, 7)]
     assert [files[k].stat().st_mtime_ns for k in kept] == [before[k][0] for k in kept]
-    with pytest.raises(ArgumentError, match="another window: expected 1, found 3"):
+    with pytest.raises(ArgumentError, match="started with window 3, now 1"):
         write_predictions(load_network(f"{HERE}:later", multiple=1), "", out, **of_set(drv))
 
 
@@ -464,7 +464,10 @@ def test_the_same_work_may_be_done_by_several(tmp_path: Path) -> None:
     second = begun(tmp_path / "p", same)
     with begun(tmp_path / "p", same):
         second.__enter__()
-    with pytest.raises(ArgumentError, match="another denoiser"), begun(tmp_path / "p", {**same, "denoiser": "two"}):
+    with (
+        pytest.raises(ArgumentError, match="started with denoiser"),
+        begun(tmp_path / "p", {**same, "denoiser": "two"}),
+    ):
         pass
     second.__exit__(None, None, None)
     with begun(tmp_path / "p", {**same, "denoiser": "two"}):

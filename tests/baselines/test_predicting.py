@@ -146,7 +146,7 @@ def test_a_folder_without_a_prediction_begins_again(tree: Tree, tmp_path: Path) 
             return {"denoiser": "failing"}
 
         def __call__(self, frame: NoisyFrame) -> Any:
-            with pytest.raises(ArgumentError, match="another denoiser: expected input, found failing"):
+            with pytest.raises(ArgumentError, match="started with denoiser failing, now input"):
                 again(BaselineDenoiser("input"))  # while this one works, it is refused
             raise EldataError(f"not for {len(frame.image)} channels")
 
@@ -156,7 +156,7 @@ def test_a_folder_without_a_prediction_begins_again(tree: Tree, tmp_path: Path) 
     assert (again(Failing()).written, list(out.rglob("*.npy"))) == (0, [])
     assert again(BaselineDenoiser("input")).written == 6
     assert json.loads((out / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "input"
-    with pytest.raises(ArgumentError, match="another denoiser: expected failing, found input"):
+    with pytest.raises(ArgumentError, match="started with denoiser input, now failing"):
         again(Failing())
 
 
@@ -324,7 +324,7 @@ def test_where_the_noise_is_known_from(tree: Tree, tmp_path: Path) -> None:
             predicted("others", *several, another=another)
     with pytest.raises(ArgumentError, match="one profile of each camera; found profiles of DemoAlpha, DemoAlpha"):
         predicted("twice", known, known)
-    with pytest.raises(ArgumentError, match="another noise"):
+    with pytest.raises(ArgumentError, match="started with noise"):
         predicted("known", known_profile(CAMERAS[0], (400, 1600, 3200)))
     assert not (tmp_path / "others").exists()
 
@@ -380,9 +380,9 @@ def test_what_is_not_a_network(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     with pytest.raises(FileError, match="cannot be loaded by ONNX Runtime"):
         load_network(str(tmp_path / "bad.onnx"))
-    with pytest.raises(ArgumentError, match="has no nothing"):
+    with pytest.raises(ArgumentError, match=r"has no attribute .nothing"):
         load_network("tests.baselines.test_predicting:nothing")
-    with pytest.raises(ArgumentError, match=r"the module no.such.place cannot be imported"):
+    with pytest.raises(ArgumentError, match=r"no.such.place:Network: cannot be imported"):
         load_network("no.such.place:Network")
     with pytest.raises(ArgumentError, match="float16 needs a GPU"):
         load_network("tests.baselines.test_predicting:Doubled", device="cpu", precision="float16")

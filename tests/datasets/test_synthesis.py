@@ -213,14 +213,14 @@ def test_only_the_same_work_goes_on(unfinished: tuple[Path, dict[str, bytes]], c
     before = everything(out)
     for recipe, words in (
         (Recipe(SONY), "was started with per image 2, now 1; give the same data and options"),
-        (Recipe(SONY, per_image=2, seed=5), "another seed: expected 5, found 0"),
-        (Recipe(SONY, per_image=2, ratio=(100, 200)), "another ratio"),
-        (Recipe(replace(SONY, source="changed"), per_image=2), "another digest of the profile"),
+        (Recipe(SONY, per_image=2, seed=5), "started with seed 0, now 5"),
+        (Recipe(SONY, per_image=2, ratio=(100, 200)), "started with ratio"),
+        (Recipe(replace(SONY, source="changed"), per_image=2), "started with digest of the profile"),
     ):
         with pytest.raises(ArgumentError, match=words):
             synthesize(clean, out, recipe)
     write_flat(clean / "c.dng")
-    with pytest.raises(ArgumentError, match="another digest of the clean files"):
+    with pytest.raises(ArgumentError, match="started with digest of the clean files"):
         synthesize(clean, out, Recipe(SONY, per_image=2))
     assert everything(out) == before
 

@@ -252,26 +252,26 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
     OSError
         If it cannot be made.
     """
-    file, temporary = _open_temporary(path)
-    made = os.fstat(file.fileno())
-    try:
-        with file:
-            yield file, temporary
-    finally:
-        with suppress(OSError):
-            if _is_at(temporary, made):
-                temporary.unlink()
-
-
-def _open_temporary(path: Path) -> tuple[IO[bytes], Path]:
     for unique in ("eldata", *(secrets.token_hex(_TOKEN_BYTES) for _ in range(_MOST_TRIES))):
         temporary = _temporary(path, unique)
         _remove_if_dead(temporary)
-        with suppress(FileExistsError):  # a live one, or somebody else's
-            file = temporary.open("xb")
-            if try_lock(file) is not False and _is_at(temporary, os.fstat(file.fileno())):
-                return file, temporary
-            file.close()  # another process took it for dead in the moment before, and removes it
+        made: os.stat_result | None = None
+        try:
+            with temporary.open("xb") as file:
+                made = os.fstat(file.fileno())
+                # Else another process took it for dead in the moment before, and removes it.
+                if try_lock(file) is not False and _is_at(temporary, made):
+                    yield file, temporary
+                    return
+        except FileExistsError:
+            if made is not None:
+                raise  # of the caller's block; else it is a live one, or somebody else's
+        finally:
+            if made is None:
+                _remove_if_dead(temporary)  # Ctrl-C may have come once it was there
+            elif _is_at(temporary, made):
+                with suppress(OSError):
+                    temporary.unlink()
     raise OSError(errno.EBUSY, "other processes take away what is written", str(temporary))
 
 

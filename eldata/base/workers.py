@@ -56,6 +56,7 @@ _MOST_LARGE = 16  # large results in flight, however many the workers: they are 
 _MOST_PROCESSES = 61  # of a pool on Windows, which cannot wait for more
 _GRACE_S = 5.0  # for work that is ended in its middle to unwind
 _TERMINATED = 128 + signal.SIGTERM
+_AT_WORK = threading.Event()  # of a worker process of our own
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +256,9 @@ def _run_elsewhere(work: Callable[[Unit], Result], unit: Unit, caller: int, _: s
     A thread holds on to what it returned until it runs again, and an outcome may be large.
     """
     try:
+        _AT_WORK.set()
         outcome = _run_unit(work, unit)
+        _AT_WORK.clear()
     except SystemExit:  # this process was told to end: it would be this unit's result, and the next one's turn
         if os.getpid() == caller:
             raise
@@ -450,6 +453,8 @@ def _begin() -> None:
 
 def _unwind(number: int, _: object) -> None:
     signal.signal(number, signal.SIG_IGN)  # it comes twice: from the parent, and to its group
+    if not _AT_WORK.is_set():  # the library would print what is raised
+        os._exit(_TERMINATED)
     raise SystemExit(_TERMINATED)
 
 

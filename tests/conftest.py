@@ -7,7 +7,7 @@ import os
 import shutil
 import signal
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -107,15 +107,8 @@ def commands_work_in_this_process() -> Iterator[None]:
     """Unless a test asks for ``--jobs``: each would start a worker for each CPU, on CPUs that the tests keep busy."""
     from eldata.base import console
 
-    running = console.running_options
-
-    def alone() -> dict[str, dict[str, Any]]:
-        options = running()
-        options["jobs"]["default"] = console._Default(1)
-        return options
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(console, "running_options", alone)
+        patch.setattr(console, "_count_cpus", lambda: 1)
         yield
 
 

@@ -14,7 +14,7 @@ import scipy.io
 import tifffile
 
 from capture.plan import Plan
-from eldata.base.array_files import read_array
+from eldata.base.arrays import read_array
 from eldata.download.archives import read_members, unpack_archive
 from eldata.errors import EldataError
 from eldata.evaluation.predictions import load_prediction

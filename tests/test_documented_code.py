@@ -288,7 +288,7 @@ def test_no_document_is_left_out() -> None:
             compile(text, name, "exec")
 
 
-def in_this_process(work: Any, units: Any, _: Any) -> Iterator[Any]:
+def in_this_process(_: Any, work: Any, units: Any) -> Iterator[Any]:
     return (workers._run_unit(work, unit) for unit in units)
 
 
@@ -302,7 +302,7 @@ LONG = {"README.md", *(f"docs/{name}.md" for name in (
 def test_blocks_run(document: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("ELDATA_ROOT", raising=False)
-    monkeypatch.setattr(workers, "_outcomes", in_this_process)
+    monkeypatch.setattr(workers.Workers, "_outcomes", in_this_process)
     names = NEEDS[document](monkeypatch) | {"__name__": "__main__"}
     for number, text in enumerate(blocks(document), 1):
         for large, small in SMALLER.items():

@@ -1,4 +1,4 @@
-"""Other systems than Linux: nothing at start needs POSIX, and what does need it says so in one line."""
+"""Other systems than Linux: nothing at start needs POSIX."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from eldata.base.files import try_lock
-from eldata.errors import EldataError
 from tests import without_posix
 from tests.waiting import PATIENCE_S
 
@@ -18,10 +17,9 @@ ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
-def lines(tmp_path_factory: pytest.TempPathFactory) -> list[list[str]]:
+def lines() -> list[list[str]]:
     """What a process without POSIX prints: words by line."""
-    folder = tmp_path_factory.mktemp("windows")
-    command = [sys.executable, "-m", "tests.without_posix", str(folder)]
+    command = [sys.executable, "-m", "tests.without_posix"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     return [line.split(" ", 1) for line in done.stdout.splitlines()]
@@ -34,15 +32,6 @@ def test_every_module_and_every_help_works_without_posix(lines: list[list[str]])
     assert capture >= 7
 
 
-def test_what_needs_posix_says_so_in_one_line(lines: list[list[str]]) -> None:
-    refused = [line[1] for line in lines if line[0] == "refused"]
-    uses = ["fetching a file"]
-    assert [line.partition(" needs ")[0] for line in refused] == uses
-    for line in refused:
-        assert line.endswith(f"({sys.platform}) has no module fcntl; on Windows, run it under WSL")
-    assert ["left"] in lines, "nothing was begun"
-
-
 def test_few_places_import_modules_of_posix() -> None:
     """Others may import them inside functions that the process above does not call."""
     importers = set()
@@ -52,25 +41,14 @@ def test_few_places_import_modules_of_posix() -> None:
             names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
             if without_posix.MODULES & set(names):
                 importers.add(path.relative_to(ROOT).as_posix())
-    assert importers == {f"eldata/base/{name}.py" for name in ("files", "processes")}
+    assert importers == {"eldata/base/files.py"}
 
 
 def test_a_lock_is_held_until_the_file_is_closed(tmp_path: Path) -> None:
     pytest.importorskip("fcntl")
     path = tmp_path / "file"
     with path.open("wb") as first, path.open("rb") as second:
-        assert try_lock(path, first)
-        assert not try_lock(path, second)
+        assert try_lock(first)
+        assert not try_lock(second)
         first.close()
-        assert try_lock(path, second.fileno())
-
-
-def test_a_disk_without_locks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fcntl = pytest.importorskip("fcntl")
-
-    def refuse(*_: object) -> None:
-        raise OSError(37, "No locks available")
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
-    with pytest.raises(EldataError, match=r"cannot be locked \(No locks available\); choose a place on another disk"):
-        try_lock(tmp_path, 0)
+        assert try_lock(second.fileno())

@@ -16,11 +16,10 @@ import os
 import pkgutil
 import signal
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
 OURS = ("eldata", "capture")
 MODULES = frozenset({"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"})
@@ -80,32 +79,14 @@ def show_help(program: str) -> int:
     return len(every)
 
 
-def refusals(folder: Path) -> Iterator[str]:
-    """Yield how each thing that needs POSIX says so."""
-    from eldata.download.fetching import RangeDownloader
-    from eldata.errors import EldataError
-
-    uses: tuple[Callable[[], Any], ...] = (
-        lambda: RangeDownloader()("https://example.org/archive.zip", str(folder / "archive.zip")),
-    )
-    for use in uses:
-        try:
-            use()
-        except EldataError as error:
-            yield str(error)
-
-
-def main(folder: Path) -> None:
+def main() -> None:
     import_everything()  # and what our modules rest on, which may use all that this system has
     for name in [name for name in sys.modules if name.split(".")[0] in OURS]:
         del sys.modules[name]
     take_away()
     print("helps", show_help("eldata"), show_help("capture"))
     import_everything()
-    for refusal in refusals(folder):
-        print("refused", refusal)
-    print("left", *sorted(path.name for path in folder.iterdir()))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()

@@ -12,8 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from eldata.base.console import OK, add_shared, show_and_write
-from eldata.base.outputs import add_output
+from eldata.base.console import OK, add_output, add_shared, show_and_write
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:

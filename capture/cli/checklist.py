@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from capture.checklist import FORMATS, plan_digest
-from eldata.base.console import OK, add_shared, show_and_write
+from eldata.base.console import OK, add_output, add_shared, show_and_write
 from eldata.base.files import write_text
-from eldata.base.outputs import add_output
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:

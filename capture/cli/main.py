@@ -12,13 +12,12 @@ if TYPE_CHECKING:
 _COMMANDS = ("camera", "plan", "checklist", "script", "manifest", "check")
 
 _FIRST = ("capture camera --example cam.json", "capture plan --camera cam.json --scenes 10 --metered 4 -o plan.json")
-_RUNNING = ("root", "json", "jobs", "debug")
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the command's argument parser."""
     description = "Photograph scenes for a low-light denoising dataset."
-    return command_line("capture", description, "capture.cli", _COMMANDS, _FIRST, _RUNNING)
+    return command_line("capture", description, "capture.cli", _COMMANDS, _FIRST)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -21,9 +21,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from capture.cli.values import add_plan, load_plan
-from eldata.base.console import OK, PROBLEMS, add_shared
+from eldata.base.console import OK, PROBLEMS, add_output, add_shared
 from eldata.base.files import json_text, write_json, write_text
-from eldata.base.outputs import add_output
 from eldata.base.visible import in_line
 from eldata.base.workers import Workers
 from eldata.errors import ArgumentError

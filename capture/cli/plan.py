@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING
 from capture.camera import parse_seconds
 from capture.checklist import make_rows
 from capture.protocol import PROTOCOLS, CaptureProtocol
-from eldata.base.console import OK, add_shared, show_and_write, whole_number
-from eldata.base.outputs import add_output
+from eldata.base.console import OK, add_output, add_shared, show_and_write, whole_number
 from eldata.base.tables import text_table
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError

@@ -20,9 +20,8 @@ from capture.cli.values import add_plan, load_plan
 from capture.observed import f_text
 from capture.plan import CALIBRATION
 from capture.shots import format_minutes, sum_duration_s
-from eldata.base.console import OK, add_shared
+from eldata.base.console import OK, add_output, add_shared
 from eldata.base.files import write_text
-from eldata.base.outputs import add_output
 from eldata.base.tables import one_line
 
 if TYPE_CHECKING:

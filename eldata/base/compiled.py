@@ -1,4 +1,4 @@
-"""How this package compiles its kernels, in one place.
+"""How this package compiles its kernels, runs them in threads, and uses memory again.
 
 Kernels release the GIL, are compiled on first use for the dtypes that they are given, and are kept on disk, where there
 is a folder that can be written. They are all serial: parallel work is cut into fixed pieces that run on plain threads
@@ -9,12 +9,15 @@ not survive a fork, is never started.
 from __future__ import annotations
 
 import logging
+import math
 import os
+import threading
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.extending import intrinsic
 
 if TYPE_CHECKING:
@@ -113,3 +116,22 @@ def _pool() -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):  # a forked child has the pool but not its threads
     os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
+# --- memory -----------------------------------------------------------------------------------------------------------
+
+_MULTIPLE_BYTES = 8  # so that it may be seen as numbers of any kind
+_OF_THREAD = threading.local()
+
+
+def scratch(use: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return an array in this thread's memory for a use, which the next one for that use overwrites.
+
+    New pages cost as much as what is done in them.
+    """
+    size = math.prod(shape) * dtype.itemsize
+    held: NDArray[np.uint8] | None = getattr(_OF_THREAD, use, None)
+    if held is None or held.size < size:
+        held = np.empty(size + -size % _MULTIPLE_BYTES, np.uint8)
+        setattr(_OF_THREAD, use, held)
+    return held[:size].view(dtype).reshape(shape)

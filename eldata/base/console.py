@@ -1,4 +1,4 @@
-"""What every command line of this distribution shares: one clear line for an error, exit codes, no traceback.
+"""What every command line of this distribution shares: help by docstrings, one line for an error, exit codes.
 
 Exit codes: 0 all well; 1 problems were found and listed; 2 wrong usage or unusable input; 130 Ctrl-C; 143 SIGTERM; 141
 the reader of the output left before its end.
@@ -16,18 +16,17 @@ import traceback
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from importlib import import_module
 from inspect import cleandoc
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias
 
 from eldata import __version__
-from eldata.base.files import write_json
+from eldata.base.files import write_json, write_problem
 from eldata.base.numbers import whole_of
-from eldata.base.outputs import add_output, check_outputs
-from eldata.base.visible import Screen, visible
-from eldata.errors import ArgumentError, EldataError, nearest
+from eldata.base.visible import visible
+from eldata.errors import ArgumentError, EldataError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
-    from types import ModuleType
 
     from eldata.base.workers import Workers
 
@@ -43,21 +42,27 @@ _EXIT_CODES = (
 )
 
 
+# --- parsers ----------------------------------------------------------------------------------------------------------
+
+
 class Help(argparse.HelpFormatter):
-    """Help whose paragraphs are filled one by one; lines that begin with four spaces, commands to copy, stay whole."""
+    """Help with a short usage, and paragraphs filled one by one; indented lines, commands to copy, stay whole."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog)
+        self._action_max_length = 14  # or names of commands, which are indented twice, get lines of their own
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
-        paragraphs = []
-        for paragraph in text.split("\n\n"):
-            lines = paragraph.splitlines()
-            whole = len(lines) > 1 and all(line.startswith("    ") for line in lines[1:])
-            paragraphs.append(paragraph if whole else super()._fill_text(paragraph, width, indent))
-        return "\n\n".join(paragraphs)
+        return "\n\n".join(
+            paragraph if paragraph.startswith("    ") else super(Help, self)._fill_text(paragraph, width, indent)
+            for paragraph in text.split("\n\n")
+        )
 
-    def add_usage(self, usage: str | None, actions: Any, groups: Any, prefix: str | None = None) -> None:
-        """Leave out groups none of which is shown, in whose place would be a space more."""
-        seen = [one for one in groups if any(action.help != argparse.SUPPRESS for action in one._group_actions)]  # noqa: SLF001
-        super().add_usage(usage, actions, seen, prefix)
+    def _format_usage(self, usage: str | None, actions: Iterable[Any], groups: Any, prefix: str | None) -> str:
+        del groups
+        needed = [action for action in actions if action.required or not action.option_strings]
+        options = "" if usage or len(needed) == len(list(actions)) else " [options]"
+        return f"{super()._format_usage(usage, needed, [], prefix).rstrip()}{options}\n\n"
 
 
 class Parser(argparse.ArgumentParser):
@@ -69,76 +74,145 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print one line and exit with 2."""
-        said = " ".join(message.split())
-        self.exit(UNUSABLE, f"{self.prog}: {said}{' See' if said.endswith('?') else '; see'} {self.prog} --help\n")
+        line = " ".join(message.split())
+        self.exit(UNUSABLE, f"{self.prog}: {line}{' See' if line.endswith('?') else '; see'} {self.prog} --help\n")
 
     def parse_known_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # type: ignore[override]
-        """Parse; an option that there is not is the first thing that is said, not what lacks because of it."""
-        given = sys.argv[1:] if args is None else list(args)
-        if self._subparsers is not None:
-            given = _behind_the_command(given)
-        self._refuse_unknown_options(given)
-        return super().parse_known_args(given, namespace)
-
-    def _refuse_unknown_options(self, given: Sequence[str]) -> None:
-        for text in given:
-            if text == "--" or (self._subparsers is not None and not text.startswith("-")):
-                return  # what follows is not an option, or belongs to the command
+        """Parse; an unknown option is named first, before arguments that are missing because of it."""
+        texts = sys.argv[1:] if args is None else list(args)
+        known = [option for option in self._option_string_actions if option.startswith("--")]
+        for text in texts:
             name = text.partition("=")[0]
-            if not name.startswith("--") or " " in name or name in self._option_string_actions:
-                continue
-            known = [option.removeprefix("--") for option in self._option_string_actions if option.startswith("--")]
-            near = nearest(name.removeprefix("--"), known)
-            hint = f"; did you mean --{near}?" if near else ""
-            after = ", and a command's options come after its name" if self._subparsers is not None and not near else ""
-            self.error(f"there is no option {name}{after}{hint}")
+            if text == "--" or (self._subparsers is not None and not text.startswith("-")):
+                break  # the rest are no options, or a command's
+            if name.startswith("--") and " " not in name and name not in known:
+                where = ", and a command's options come after its name" if self._subparsers is not None else ""
+                self.error(f"there is no option {name}{where}{did_you_mean(name, known)}")
+        return super().parse_known_args(texts, namespace)
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is None or value in action.choices:
             return
         known = [str(choice) for choice in action.choices]
-        near = nearest(str(value), known)
-        hint = f"; did you mean {near}?" if near else ""
+        hint = did_you_mean(str(value), known)
         if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001 # its only name
             raise argparse.ArgumentError(None, f"there is no command {value!r}; commands are {', '.join(known)}{hint}")
         raise argparse.ArgumentError(action, f"invalid choice: {value!r} (choose from {', '.join(known)}){hint}")
 
 
-def add_module(commands: argparse._SubParsersAction[Parser], module: ModuleType) -> None:
-    """Add the subcommand that a module is, by its docstring and its function ``add_options``."""
-    module.add_options(add_command(commands, module.__name__.rpartition(".")[2], module.__doc__))
+def command_line(prog: str, description: str, package: str, modules: Iterable[str], examples: Iterable[str]) -> Parser:
+    """Make a program's parser. Each subcommand is a module of a package: its docstring, and ``add_options``."""
+    lines = "\n".join(f"    {example}" for example in examples)
+    parser = Parser(prog=prog, description=f"{description}\n\n{lines}", epilog=_EXIT_CODES)
+    parser.add_argument("--version", action="version", version=f"{prog} {__version__}", help="show the version")
+    parser.set_defaults(bare=parser)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    for name in modules:
+        module = import_module(f"{package}.{name}")
+        module.add_options(add_command(commands, name, module.__doc__))
+    return parser
 
 
 def add_command(commands: argparse._SubParsersAction[Parser], name: str, documented: str | None) -> Parser:
     """Add a subcommand that a module's or function's docstring describes."""
     heading = cleandoc(documented or "").partition("\n\n")[0]
-    return document(commands.add_parser(name, help=heading.partition("`: ")[2].removesuffix(".")), documented)
-
-
-def document(parser: Parser, documented: str | None) -> Parser:
-    """Make a parser's help what a docstring says, so that it is said once.
-
-    That is a line "`program name`: help.", a description, the examples, indented, and what the help ends with.
-    """
-    _, *paragraphs = cleandoc(documented or "").split("\n\n")
-    examples = [index for index, paragraph in enumerate(paragraphs) if paragraph.startswith("    ")]
-    in_one_line = [" ".join(paragraph.split()) for paragraph in paragraphs]
-    first = examples[0] if examples else len(paragraphs)
-    parser.description, parser.epilog = "\n\n".join(in_one_line[:first]), "\n\n".join(in_one_line[first + 1 :])
-    _add_examples(parser, *(line.strip() for index in examples for line in paragraphs[index].splitlines()))
+    parser = document(commands.add_parser(name, help=heading.partition("`: ")[2].removesuffix(".")), documented)
+    parser.set_defaults(bare=parser)
     return parser
 
 
-def _add_examples(parser: argparse.ArgumentParser, *commands: str) -> None:
-    """Put commands to copy first in what a parser's help ends with."""
-    if commands:
-        lines = "\n".join(f"    {command}" for command in commands)
-        heading = "example:" if len(commands) == 1 else "examples:"
-        parser.epilog = "\n\n".join(filter(None, (f"{heading}\n{lines}", parser.epilog)))
+def document(parser: Parser, documented: str | None) -> Parser:
+    """Make a parser's help of a docstring: a line "`program name`: help.", then paragraphs and indented examples."""
+    parser.description = cleandoc(documented or "").partition("\n\n")[2]
+    return parser
+
+
+# --- options that commands share --------------------------------------------------------------------------------------
+
+
+def whole_number(at_least: int) -> Callable[[str], int]:
+    """Make the type of an option that takes a whole number, for argparse."""
+
+    def read(text: str) -> int:
+        try:
+            return whole_of(text, at_least=at_least)
+        except ArgumentError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return read
+
+
+def add_shared(
+    parser: argparse.ArgumentParser,
+    run: Callable[[Arguments], int],
+    *options: Literal["root", "cameras", "jobs", "workers"],
+    json: bool = False,
+    interrupted: str = _NONE_HALF,
+) -> None:
+    """Finish a subcommand: add the options that commands share, and say what :func:`run` is to call.
+
+    ``"workers"`` are ``--jobs`` and ``--dask``; ``--debug`` is for all. ``interrupted`` says what Ctrl-C leaves;
+    ``{name}`` in it is the value of that argument. ``json``: whether it takes ``--json``.
+    """
+    if "cameras" in options:
+        add_cameras(parser)
+    if "root" in options:
+        parser.add_argument("--root", metavar="R", help="datasets' folder (default: $ELDATA_ROOT, else ./data)")
+    if json:
+        add_output(parser, "--json", help="write what is shown to FILE, machine-readable")
+    if "jobs" in options or "workers" in options:
+        text = "files to work on at a time (default: one per CPU)"
+        where = parser.add_mutually_exclusive_group()
+        where.add_argument("--jobs", type=whole_number(1), default=_count_cpus(), metavar="J", help=text)
+        if "workers" in options:
+            text = "Dask scheduler to work on, such as tcp://host:8786"
+            where.add_argument("--dask", metavar="ADDRESS", help=text)
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    parser.set_defaults(run=run, command=parser.prog, interrupted=interrupted)
+
+
+def _count_cpus() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def add_cameras(parser: argparse.ArgumentParser) -> None:
+    """Add ``--camera`` to a subcommand."""
+    parser.add_argument(
+        "--camera", action="append", dest="cameras", metavar="NAME", help="only this camera; may be repeated"
+    )
+
+
+@contextmanager
+def chosen_workers(arguments: Arguments) -> Iterator[Workers]:
+    """Yield the workers that ``--jobs`` or ``--dask`` asks for; a cluster is connected to, and left, in between."""
+    from eldata.base.workers import Workers
+
+    if arguments.dask is None:
+        yield Workers(arguments.jobs)
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise EldataError("--dask needs Dask's distributed: pip install 'eldata[dask]'") from error
+    try:
+        client = Client(arguments.dask, timeout=_DASK_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, ImportError) as error:
+        reason = f"no Dask scheduler answers at {arguments.dask} ({error})"
+        raise EldataError(f"{reason}; is it running, and can this machine reach its port?") from error
+    with client:
+        yield Workers(executor=client.get_executor())  # type: ignore[no-untyped-call]
+
+
+def chosen(arguments: Arguments, names: Iterable[str]) -> dict[str, Any]:
+    """Take options as keyword arguments, for functions whose parameters are called as the options are stored."""
+    return {name: getattr(arguments, name) for name in names}
+
+
+# --- outputs ----------------------------------------------------------------------------------------------------------
 
 
 def terminal_columns() -> int | None:
-    """Return how many characters a line of the terminal has; None where the output goes elsewhere."""
+    """Count the characters of a line of the terminal; None where the output goes elsewhere."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
@@ -172,170 +246,69 @@ def show_and_write(
     each_of(lambda: print(text()), arguments.json and (lambda: write_json(arguments.json, data())), *more)
 
 
-def chosen(arguments: Arguments, names: Iterable[str]) -> dict[str, Any]:
-    """Return options as keyword arguments, for functions whose parameters are called as the options are stored."""
-    return {name: getattr(arguments, name) for name in names}
-
-
-def add_cameras(parser: argparse.ArgumentParser) -> None:
-    """Add ``--camera`` to a subcommand."""
-    parser.add_argument(
-        "--camera", action="append", dest="cameras", metavar="NAME", help="only this camera; may be repeated"
-    )
-
-
-def add_camera_and_isos(parser: argparse.ArgumentParser) -> None:
-    """Add ``--camera`` and ``--iso`` to a subcommand: which of a folder's calibration frames it takes."""
-    parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only camera there)")
-    parser.add_argument(
-        "--iso",
-        action="append",
-        dest="isos",
-        type=whole_number(1),
-        metavar="ISO",
-        help="only this ISO; may be repeated",
-    )
-
-
-@contextmanager
-def chosen_workers(arguments: Arguments) -> Iterator[Workers]:
-    """Yield the workers that ``--jobs`` or ``--dask`` asks for; a cluster is connected to, and left, in between.
-
-    Usage: ``with chosen_workers(arguments) as workers: verify(..., workers=workers)``.
-    """
-    from eldata.base.workers import Workers
-
-    if arguments.dask is None:
-        yield Workers(arguments.jobs)
-        return
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise EldataError("--dask needs Dask's distributed: pip install 'eldata[dask]'") from error
-    try:
-        client = Client(arguments.dask, timeout=_DASK_S, set_as_default=False)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError, ImportError) as error:
-        reason = f"no Dask scheduler answers at {arguments.dask} ({error})"
-        raise EldataError(f"{reason}; is it running, and can this machine reach its port?") from error
-    with client:
-        yield Workers(executor=client.get_executor())  # type: ignore[no-untyped-call]
-
-
-class _Default(int):
-    """A default that argparse can tell from the same number on the command line: small ints share their identity."""
-
-
-def running_options() -> dict[str, dict[str, Any]]:
-    """Return the options of a program's running: how ``add_argument`` takes each."""
-    cpus = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return {
-        "root": {"metavar": "R", "help": "folder that holds the datasets (default: $ELDATA_ROOT, else ./data)"},
-        "json": {"metavar": "FILE", "help": "write what is shown on the terminal to FILE, machine-readable"},
-        "jobs": {
-            "type": whole_number(1),
-            "default": _Default(cpus),
-            "metavar": "J",
-            "help": "work on this many files at a time (default: one per CPU, here %(default)s)",
-        },
-        "dask": {
-            "metavar": "ADDRESS",
-            "help": "work on this Dask cluster instead: its scheduler's address, such as tcp://host:8786 (needs the "
-            "extra eldata[dask]; docs/clusters.md)",
-        },
-        "debug": {"action": "store_true", "help": "show the traceback of an error"},
-    }
-
-
-def _add_running(container: argparse._ActionsContainer, names: Iterable[str], *, shown: bool) -> None:
-    workers = container.add_mutually_exclusive_group() if "jobs" in names else container  # one without any is an error
-    for name, shown_as in running_options().items():
-        if name not in names:
-            continue
-        options = shown_as if shown else shown_as | {"help": argparse.SUPPRESS}
-        if name == "json":
-            add_output(container, "--json", **options)
-        else:
-            (workers if name in ("jobs", "dask") else container).add_argument(f"--{name}", **options)
-
-
-def _behind_the_command(given: Sequence[str]) -> list[str]:
-    """Return arguments with the options of a program's running that come before the command's name behind it."""
-    known, rest, moved = running_options(), list(given), []
-    while rest and rest[0].startswith("--"):
-        name = rest[0].partition("=")[0].removeprefix("--")
-        if name not in known:
-            break
-        count = 1 if "action" in known[name] or "=" in rest[0] else 2
-        moved += rest[:count]
-        del rest[:count]
-    return [*rest[:1], *moved, *rest[1:]]
-
-
-_BRINGS = {"root": ("root",), "jobs": ("jobs",), "workers": ("jobs", "dask")}
-
-
-def add_shared(
-    parser: argparse.ArgumentParser,
-    run: Callable[[Arguments], int],
-    *options: Literal["root", "cameras", "isos", "jobs", "workers"],
-    json: bool = False,
-    interrupted: str = _NONE_HALF,
+def add_output(
+    parser: argparse._ActionsContainer,
+    *names: str,
+    beside: Sequence[str] = (),
+    makes_folder: bool = False,
+    **options: Any,
 ) -> None:
-    """Finish a subcommand: say which of the options that commands share it takes, and what :func:`run` is to call.
+    """Add an option that names a file to write, which is checked before the subcommand's work.
 
-    ``"workers"`` are ``--jobs`` and ``--dask``; ``--debug`` is for all. ``interrupted`` says what Ctrl-C leaves;
-    ``{name}`` in it is the value of that argument. ``json``: whether it takes ``--json``.
+    ``beside`` has the suffixes of what is written in the same folder under the same name. The folder must exist,
+    unless the subcommand makes it. What has been computed is written through :func:`each_of`.
     """
-    if "cameras" in options:
-        add_cameras(parser)
-    if "isos" in options:
-        add_camera_and_isos(parser)
-    names = [name for option in options for name in _BRINGS.get(option, ())]
-    names += ["json", "debug"] if json else ["debug"]
-    forms = (f"--{name} {one.get('metavar', '')}".rstrip() for name, one in running_options().items() if name in names)
-    parser.add_argument_group("running", f"{', '.join(forms)}: see {parser.prog.partition(' ')[0]} --help")
-    parser.set_defaults(
-        run=run,
-        command=parser.prog,
-        interrupted=interrupted,
-        actions=parser._actions,  # noqa: SLF001 # which of them name files that the subcommand reads
-    )
-    # They are shown once, in the program's help.
-    _add_running(parser, names, shown=False)
+    action = parser.add_argument(*names, **{"metavar": "FILE"} | options)
+    outputs = parser.get_default("outputs") or {}
+    parser.set_defaults(outputs=outputs | {action.dest: (names[0], beside, makes_folder)})
 
 
-def command_line(
-    prog: str, description: str, package: str, modules: Iterable[str], examples: Iterable[str], running: Iterable[str]
-) -> Parser:
-    """Return a program's parser. Each subcommand is a module of a package (:func:`add_module`).
-
-    ``running`` names the options of its running, which stand before a command's name or after it.
-    """
-    parser = Parser(
-        prog=prog,
-        description=description,
-        epilog=_EXIT_CODES,
-    )
-    _add_examples(parser, *examples)
-    parser.add_argument("--version", action="version", version=f"{prog} {__version__}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    where = "before a command's name or after it; a command's help names those that it takes"
-    _add_running(parser.add_argument_group("running", where), running, shown=True)
-    for module in modules:
-        add_module(commands, import_module(f"{package}.{module}"))
-    return parser
+def output_paths(arguments: Arguments) -> list[Path]:
+    """List the files that a command is asked to write."""
+    return [Path(getattr(arguments, dest)) for dest in arguments.outputs if getattr(arguments, dest) is not None]
 
 
-def whole_number(at_least: int) -> Callable[[str], int]:
-    """Return the type of an option that takes a whole number, for argparse."""
+def _check_outputs(arguments: Arguments) -> None:
+    """Refuse a command whose files cannot be written, or that reads one of them, by whatever name."""
+    others = [value for name, value in vars(arguments).items() if name not in arguments.outputs]
+    inputs = [text for value in others for text in (value if isinstance(value, list) else [value])]
+    for dest, (option, beside, makes_folder) in arguments.outputs.items():
+        name = getattr(arguments, dest)
+        if name is None:
+            continue
+        for path in (Path(name), *(Path(name).with_suffix(suffix) for suffix in beside if name)):
+            problem = None if makes_folder and not path.parent.exists() else write_problem(path)
+            if problem is not None:
+                raise ArgumentError(f"{option}: cannot write {path}: {problem}")
+            if any(isinstance(text, str | Path) and _is_same_file(path, text) for text in inputs):
+                raise ArgumentError(f"{option}: {path} is a file that this command reads; give another name")
 
-    def read(text: str) -> int:
-        try:
-            return whole_of(text, at_least=at_least)
-        except ArgumentError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
 
-    return read
+def _is_same_file(path: Path, other: str | Path) -> bool:
+    try:
+        return path.samefile(other)
+    except (OSError, ValueError):  # one of them is missing, or no path at all
+        return False
+
+
+class Screen:
+    """A stream on which strangers' names steer no terminal, and that lacks no character."""
+
+    def __init__(self, stream: Any, *, has_bars: bool = False) -> None:
+        self._stream, self._has_bars = stream, has_bars
+
+    def write(self, text: str) -> int:
+        """Write what shows."""
+        start = "\r" if self._has_bars and text.startswith("\r") else ""  # progress bars begin their line again
+        encoding = getattr(self._stream, "encoding", None) or "utf-8"
+        self._stream.write(start + visible(text[len(start) :]).encode(encoding, "backslashreplace").decode(encoding))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+# --- running ----------------------------------------------------------------------------------------------------------
 
 
 def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
@@ -343,33 +316,31 @@ def run(parser: argparse.ArgumentParser, argv: list[str] | None) -> int:
 
     A subcommand is set up by :func:`add_shared`. What it raises, and what ends it from outside, is one line on stderr.
     """
-    _occupy_closed_streams()
+    if sys.stdout is None or sys.stderr is None:  # closed at the start: >&-
+        nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 # for good
+        sys.stdout, sys.stderr = sys.stdout or nowhere, sys.stderr or nowhere
     # What is there already, a parser's own default does not replace.
-    arguments = argparse.Namespace(debug=False, command=parser.prog, outputs={})
+    arguments = argparse.Namespace(debug=False, command=parser.prog)
     out: Any = Screen(sys.stdout)
     err: Any = Screen(sys.stderr, has_bars=True)
     with redirect_stdout(out), redirect_stderr(err):
         try:
             with _terminable():
-                code = _parsed_and_run(parser, argv, arguments)
+                code = _parse_and_run(parser, argv, arguments)
                 sys.stdout.flush()
         except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 # people see one line, --debug shows the rest
             if arguments.debug:
                 traceback.print_exception(error)
-            code, message = _explained(error, arguments)
+            code, message = _explain(error, arguments)
             if message:
                 with suppress(OSError):  # stderr is full or closed: the code has to do
                     print(f"{arguments.command}: {' '.join(visible(message).split())}", file=sys.stderr)
     return code
 
 
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM, of schedulers, ``timeout`` and containers: what handles Ctrl-C handles it."""
-
-
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Raise :class:`_Terminated` in the block at SIGTERM, unless somebody handles or ignores that already."""
+    """Let SIGTERM (of schedulers, ``timeout``, containers) be what Ctrl-C is, unless somebody handles or ignores it."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         yield
         return
@@ -382,67 +353,42 @@ def _terminable() -> Iterator[None]:
 
 def _terminate(number: int, _: object) -> None:
     signal.signal(number, signal.SIG_IGN)  # timeout(1) sends it twice: what unwinds is not to be disturbed
-    raise _Terminated
+    raise KeyboardInterrupt(number)
 
 
-def _parsed_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: Arguments) -> int:
+def _parse_and_run(parser: argparse.ArgumentParser, argv: list[str] | None, arguments: Arguments) -> int:
     try:
         parser.parse_args(argv, arguments)
     except SystemExit as leaving:  # argparse has said why
         return leaving.code if isinstance(leaving.code, int) else UNUSABLE
     if not hasattr(arguments, "run"):
-        parser.print_usage(sys.stderr)
-        print(f"{parser.prog}: a command is needed; see {parser.prog} --help", file=sys.stderr)
+        arguments.bare.print_help(sys.stderr)
         return UNUSABLE
-    check_outputs(arguments)
+    if hasattr(arguments, "outputs"):
+        _check_outputs(arguments)
     code: int = arguments.run(arguments)
     return code
 
 
-def _explained(error: BaseException, arguments: Arguments) -> tuple[int, str]:
-    """Return exit code and message of what a command raised."""
+def _explain(error: BaseException, arguments: Arguments) -> tuple[int, str]:
+    """Find the exit code and the message of what a command raised."""
     if isinstance(error, ExceptionGroup):
-        codes, messages = zip(*(_explained(one, arguments) for one in error.exceptions), strict=True)
+        codes, messages = zip(*(_explain(each, arguments) for each in error.exceptions), strict=True)
         return min(codes), "; ".join(filter(None, messages))
     if isinstance(error, EldataError):
         return UNUSABLE, str(error)
     if isinstance(error, KeyboardInterrupt):
-        number, word = (15, "terminated") if isinstance(error, _Terminated) else (2, "interrupted")
-        kept = getattr(arguments, "interrupted", _NONE_HALF if hasattr(arguments, "run") else "nothing was begun")
+        number, word = (error.args[0], "terminated") if error.args else (signal.SIGINT, "interrupted")
+        kept = getattr(arguments, "interrupted", _NONE_HALF)
         return 128 + number, f"{word}; {kept.format_map(vars(arguments))}"
-    if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
-        _drop_output()
-        return CLOSED_PIPE, ""
     if isinstance(error, OSError) and error.filename is not None:
         return UNUSABLE, f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.strerror:
-        _drop_output()
+        with suppress(OSError, ValueError):  # or the interpreter would try to flush once more at its end, and complain
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):  # head, less: nothing to say, but nobody knows that all is well
+            return CLOSED_PIPE, ""
         return UNUSABLE, f"the system refused a step of this: {error.strerror}; --debug shows which"
     if isinstance(error, ImportError):
         return UNUSABLE, f"a library does not load ({error}): install eldata again, in a fresh environment"
     return UNUSABLE, f"unexpected {type(error).__name__}: {error}; --debug shows where"
-
-
-def _drop_output() -> None:
-    # Or the interpreter would try to flush once more at its end, and complain.
-    with suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _occupy_closed_streams() -> None:
-    """Give standard streams that were closed at the start (``>&-``) their places back.
-
-    Or the next file that is opened would take them, and get what a library prints. Writing to standard output is still
-    the error that it is on a full disk; standard error goes nowhere, standard input is empty.
-    """
-    for number, (name, flags) in enumerate((("stdin", os.O_RDONLY), ("stdout", os.O_RDONLY), ("stderr", os.O_WRONLY))):
-        if getattr(sys, name) is not None:
-            continue
-        try:
-            os.fstat(number)
-        except OSError:
-            taken = os.open(os.devnull, flags)
-            if taken != number:
-                os.dup2(taken, number)
-                os.close(taken)
-        setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115 # for good

@@ -13,29 +13,28 @@ Whatever a file holds, what comes out is a value or the caller's own error: file
 from __future__ import annotations
 
 import csv
+import gc
 import io
 import json
 import os
+import sys
 import tomllib
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from itertools import islice
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, overload
 
-from eldata.base.files import is_named_pipe
 from eldata.base.numbers import (
     LARGEST_WHOLE,
-    checked_json_number,
-    checked_json_whole,
     fraction_of,
     number_of,
-    place_of_constant,
-    short_whole,
     whole_of,
 )
 from eldata.base.tables import text_of_cell
-from eldata.base.visible import NOTHING, has_unseen, named_field, shown
+from eldata.base.visible import NOTHING, has_unseen, in_line, named_field, shown
 from eldata.errors import ArgumentError, EldataError, FileError, nearest
 
 if TYPE_CHECKING:
@@ -46,6 +45,36 @@ Value = TypeVar("Value")
 
 LARGEST_FILE_BYTES: Final = 256 << 20
 _ROWS_AT_ONCE: Final = 1024
+
+
+def named_object(place: str) -> Any:
+    """Import the object that ``package.module:name`` names; modules of the current folder are found.
+
+    Raises
+    ------
+    ArgumentError
+        If the text is not such a name, or the object cannot be imported.
+    """
+    if not all(place.partition(":")):
+        raise ArgumentError(f"{place!r} names nothing in a module; expected package.module:name")
+    if "" not in sys.path and str(Path.cwd()) not in sys.path:  # as python -m does
+        sys.path.insert(0, str(Path.cwd()))
+    try:
+        return resolve_name(place)
+    except Exception as error:  # whatever the module does as it is imported
+        raise ArgumentError(in_line(f"{place}: cannot be imported: {type(error).__name__}: {error}")) from error
+
+
+@contextmanager
+def no_search_for_cycles() -> Iterator[None]:
+    """Keep the interpreter from searching millions of new objects, none of them part of a cycle, again and again."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def names_of(record: type) -> tuple[str, ...]:
@@ -81,7 +110,7 @@ class TextFile:
     largest_bytes: int = LARGEST_FILE_BYTES
 
     def problem(self, reason: str, place: str = "") -> EldataError:
-        """Return the error that something is wrong in a place such as ``field rows[0].iso``, to be raised."""
+        """Make the error, to be raised, about a place in the file such as ``field rows[0].iso``."""
         reason = f"{reason}; {self.advice}" if self.advice else reason
         if issubclass(self.error, FileError):
             return self.error(self.name, f"{place}: {reason}" if place else reason)
@@ -114,8 +143,6 @@ class TextFile:
         return self if self.content is not None else replace(self, content=self._read())
 
     def _read(self) -> bytes:
-        if is_named_pipe(Path(self.name)):
-            raise self.problem("is a named pipe, not a file; only pipes of the shell are read, such as <(command)")
         try:
             with Path(self.name).open("rb") as file:
                 size = os.fstat(file.fileno()).st_size or self.largest_bytes  # pipes and devices state none
@@ -138,23 +165,14 @@ class TextFile:
             JSON does not have, is nested too deeply, or is not an object.
         """
         text = self.text("JSON")
-        constants: list[str] = []
-
-        def constant(name: str) -> float:
-            constants.append(name)
-            return float(name)
-
         try:
-            data = json.loads(text, object_pairs_hook=_once, parse_int=short_whole, parse_constant=constant)
+            data = json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
         except json.JSONDecodeError as error:
             raise self.problem(f"is not JSON, or not whole ({error.msg} in line {error.lineno})") from error
         except RecursionError:
             raise self.problem("is not JSON that can be read: it is nested too deeply") from None
         except ValueError as error:
             raise self.problem(f"is not JSON that can be read: {error}") from error
-        if constants:
-            reason = f"expected a finite number, found {constants[0]}, which JSON does not have"
-            raise self.problem(reason, place_of_constant(data))
         return self.fields(data)
 
     def toml(self) -> Fields:
@@ -240,6 +258,10 @@ def _may_have_quoted_cells(content: str | bytes | None) -> bool:
     return ("'" in content) if isinstance(content, str) else b"'" in (content or b"")
 
 
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"it holds {name}, expected finite numbers")
+
+
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return a JSON object; refuse one with a name twice, which the grammar allows."""
     data = dict(pairs)
@@ -271,13 +293,14 @@ class Fields:
     place: str = ""
 
     _absent: ClassVar[tuple[object, ...]] = (None,)
+    _is_text: ClassVar[bool] = False  # whether numbers are texts
 
     def problem(self, name: str, reason: str) -> EldataError:
-        """Return the error that something is wrong with a field, to be raised."""
+        """Make the error, to be raised, about a field."""
         return self.file.problem(reason, self._where(name))
 
     def wrong(self, name: str, expected: str, found: object) -> EldataError:
-        """Return the error that a field is not what was expected, to be raised."""
+        """Make the error, to be raised, about a field that holds something unexpected."""
         return self.problem(name, f"expected {expected}, found {shown(found)}")
 
     def _where(self, name: str) -> str:
@@ -406,11 +429,11 @@ class Fields:
 
     def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
         """Return a whole number."""
-        return self.parsed(name, checked_json_whole, at_least=at_least, at_most=at_most)
+        return self.parsed(name, whole_of, at_least=at_least, at_most=at_most, text=self._is_text)
 
     def number(self, name: str, *, at_least: float | None = None, above: float | None = None) -> float:
         """Return a finite number."""
-        return self.parsed(name, checked_json_number, at_least=at_least, above=above)
+        return self.parsed(name, number_of, at_least=at_least, above=above, text=self._is_text)
 
     def fraction(self, name: str, *, above: int | None = None, digits: int = 18) -> Fraction:
         """Return an exact number that is given as text."""
@@ -429,14 +452,7 @@ class TextRow(Fields):
     """A row of a CSV file; numbers are parsed from the cells' text, and an empty cell counts as missing."""
 
     _absent: ClassVar[tuple[object, ...]] = ("",)
+    _is_text: ClassVar[bool] = True
 
     def _where(self, name: str) -> str:
         return f"{self.place}, column {name}"
-
-    def whole(self, name: str, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
-        """Return a whole number."""
-        return self.parsed(name, whole_of, at_least=at_least, at_most=at_most)
-
-    def number(self, name: str, *, at_least: float | None = None, above: float | None = None) -> float:
-        """Return a finite number."""
-        return self.parsed(name, number_of, at_least=at_least, above=above)

@@ -10,7 +10,7 @@ import re
 import secrets
 import stat
 import sys
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, TypeVar
 
@@ -18,7 +18,7 @@ from eldata.base.visible import has_unseen
 from eldata.errors import ArgumentError, EldataError, ManifestError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from eldata.errors import FileError
 
@@ -54,10 +54,10 @@ _SPECIAL = {
 
 
 def file_problem(path: Path) -> str | None:
-    """Return why a path is not a readable file with something in it, or ``None`` if it is, once links are followed.
+    """Describe why a path is not a readable file with something in it, links followed; ``None`` if it is.
 
-    Ask before strangers' files are opened: a named pipe would be waited for, and a device read, for ever. What a
-    download left in place of the file is named.
+    Ask before strangers' files are opened: a named pipe would be waited for, and a device read, for ever. A pointer or
+    a web page that a download left instead of the file is named.
     """
     head = b""
     try:
@@ -70,8 +70,12 @@ def file_problem(path: Path) -> str | None:
     except ValueError:
         return "cannot be read: its name holds a NUL character"
     if not stat.S_ISREG(found.st_mode):
-        return f"is {_SPECIAL.get(stat.S_IFMT(found.st_mode), 'something else')}, not a file"
-    return _in_place_of_data(head) if head else "is empty (0 bytes): copy or download it again"
+        return f"is {_describe_kind(found)}, not a file"
+    return _describe_stand_in(head) if head else "is empty (0 bytes): copy or download it again"
+
+
+def _describe_kind(status: os.stat_result) -> str:
+    return _SPECIAL.get(stat.S_IFMT(status.st_mode), "something else")
 
 
 _LONGEST_HEAD = 256
@@ -79,22 +83,22 @@ _POINTER = re.compile(rb"version https://git-lfs.*?^size (\d+)|.*?/annex/objects
 _PAGE = re.compile(rb"(\xef\xbb\xbf)?\s*<(!doctype html|html|head|\?xml)\b", re.IGNORECASE)
 
 
-def _in_place_of_data(head: bytes) -> str | None:
-    """Describe a file that stands where another should: a pointer, a web page, macOS's companion; else ``None``."""
+def _describe_stand_in(head: bytes) -> str | None:
+    """Describe a file that stands instead of another: a pointer, a web page, macOS's companion; else ``None``."""
     pointer = _POINTER.match(head)
     if pointer is not None and pointer[1]:
         return f"is a pointer of Git LFS to a file of {int(pointer[1])} bytes: fetch that one with git lfs pull"
     if pointer is not None:
         return "is a pointer of git-annex: fetch the file itself with git annex get"
     if _PAGE.match(head):
-        return "is a web page (HTML or XML), such as a server sends in place of a file: download the file itself again"
+        return "is a web page (HTML or XML), such as a server sends instead of a file: download the file itself again"
     if head.startswith(b"\0\5\x16\7"):
         return "is what macOS puts beside a file (AppleDouble), not the file: copy the one without ._ before its name"
     return None
 
 
 def is_hidden(relative: str) -> bool:
-    """Return whether a POSIX path has a part that begins with a dot, such as macOS's companion ``._IMG_1.dng``."""
+    """Tell whether a POSIX path has a part that begins with a dot, such as macOS's companion ``._IMG_1.dng``."""
     return relative.startswith(".") or "/." in relative
 
 
@@ -123,7 +127,7 @@ def visible_below(folder: Path, *, deep: bool = True) -> list[Path]:
 
 
 def read_file(work: Callable[[Path], Result], path: Path, error: type[FileError]) -> Result:
-    """Return ``work(path)`` of a stranger's file; what is no regular file, links followed, is not opened.
+    """Call ``work(path)`` for a stranger's file, unless that is no regular file, links followed.
 
     Raises
     ------
@@ -147,26 +151,21 @@ def read_file(work: Callable[[Path], Result], path: Path, error: type[FileError]
 
 
 def folder_problem(folder: Path) -> str | None:
-    """Return why a path is not a folder, or ``None`` if it is, once links are followed."""
+    """Describe why a path is not a folder; ``None`` if it is, once links are followed."""
     if folder.is_dir():
         return None
     return "is a file, not a folder" if folder.exists() else "there is no such folder"
 
 
 def write_problem(path: Path) -> str | None:
-    """Return why :func:`atomic_write` cannot write a file, or ``None``; nothing is made, opened or changed.
+    """Describe why :func:`atomic_write` cannot write a file, or return ``None``; nothing is made, opened or changed.
 
-    That it can is not certain: the disk may be full, and some systems tell only whoever writes.
+    ``None`` is not certain: the disk may be full, and some systems tell only whoever writes.
     """
     folder = path.parent
     try:
-        try:
-            found = path.stat()
-        except FileNotFoundError:
-            pass
-        else:
-            if not stat.S_ISREG(found.st_mode):  # a file is replaced by renaming, and so would a device be
-                return f"is {_SPECIAL.get(stat.S_IFMT(found.st_mode), 'something else')}, not a file"
+        if path.exists() and not path.is_file():  # a file is replaced by renaming, and so would a device be
+            return f"is {_describe_kind(path.stat())}, not a file"
         with suppress(FileNotFoundError):
             _temporary(path, secrets.token_hex(_TOKEN_BYTES)).lstat()  # its name is longer
         if not folder.exists():
@@ -177,25 +176,34 @@ def write_problem(path: Path) -> str | None:
             return f"no file can be made in the folder {folder}; choose another"
     except NotADirectoryError:
         return f"{folder} is not a folder"
-    except OSError as error:  # a loop of links, a name that is too long, too
-        return str(error.strerror)
-    except ValueError:
-        return "its name holds a NUL character"
+    except (OSError, ValueError) as error:  # a loop of links, a name that is too long, NUL in it
+        return str(getattr(error, "strerror", error))
     return None
 
 
-def is_named_pipe(path: Path) -> bool:
-    """Return whether a path is a pipe that lies in a folder, which nobody may ever write to.
+def refuse_among(output: Path, folder: Path, files: Iterable[str] | None = None) -> None:
+    """Refuse a folder for outputs that holds a dataset's files.
 
-    ``/dev/stdin`` and what a shell makes of ``<(command)`` are not: somebody is at their other end.
+    Parameters
+    ----------
+    output
+        Where files are written.
+    folder
+        The dataset's folder, which may not get any.
+    files
+        Its files, below it: their folders may not get any either. Without, no folder in it may: all are searched.
+
+    Raises
+    ------
+    ArgumentError
+        If it does.
     """
     try:
-        if not stat.S_ISFIFO(path.stat().st_mode):
-            return False
-        at = path.resolve()  # of an open pipe, a name that no folder holds
-        return not at.is_relative_to("/dev") and at.exists()
-    except (OSError, ValueError):
-        return False
+        place = output.resolve().relative_to(folder.resolve()).as_posix()
+    except ValueError:
+        return  # it lies elsewhere
+    if files is None or place == "." or any(file.startswith(f"{place}/") for file in files):
+        raise ArgumentError(f"cannot write into {output}: the files of the set {folder} lie there; give another folder")
 
 
 @contextmanager
@@ -247,24 +255,23 @@ def temporary_file(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
     for unique in ("eldata", *(secrets.token_hex(_TOKEN_BYTES) for _ in range(_MOST_TRIES))):
         temporary = _temporary(path, unique)
         _remove_if_dead(temporary)
-        with ExitStack() as ends:
-            try:
-                file = ends.enter_context(temporary.open("xb"))
+        made: os.stat_result | None = None
+        try:
+            with temporary.open("xb") as file:
                 made = os.fstat(file.fileno())
-                ends.callback(_remove_if_at, temporary, made)
-            except FileExistsError:
-                continue  # a live one, or somebody else's
-            except KeyboardInterrupt:  # it may be there already, and nobody would know of it
-                _remove_if_dead(temporary)
-                raise
-            if can_lock(file.fileno()) is False:
-                # Another process took it for dead in the moment before, and will remove it.
-                ends.pop_all()
-                file.close()
-                continue
-            if is_at(temporary, made):
-                yield file, temporary
-                return
+                # Else another process took it for dead in the moment before, and removes it.
+                if try_lock(file) is not False and _is_at(temporary, made):
+                    yield file, temporary
+                    return
+        except FileExistsError:
+            if made is not None:
+                raise  # of the caller's block; else it is a live one, or somebody else's
+        finally:
+            if made is None:
+                _remove_if_dead(temporary)  # Ctrl-C may have come once it was there
+            elif _is_at(temporary, made):
+                with suppress(OSError):
+                    temporary.unlink()
     raise OSError(errno.EBUSY, "other processes take away what is written", str(temporary))
 
 
@@ -285,12 +292,6 @@ def remove_leftovers(folder: Path) -> None:
             _remove_if_dead(folder / name)
 
 
-def _remove_if_at(temporary: Path, file: os.stat_result) -> None:
-    with suppress(OSError):
-        if is_at(temporary, file):
-            temporary.unlink()
-
-
 def _remove_if_dead(temporary: Path) -> None:
     with suppress(OSError):  # it is not there, or not ours
         flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
@@ -298,22 +299,36 @@ def _remove_if_dead(temporary: Path) -> None:
         try:
             found = os.fstat(descriptor)
             # Its owner may have renamed it meanwhile, and another live process have made a new one of its name.
-            if stat.S_ISREG(found.st_mode) and can_lock(descriptor) and is_at(temporary, found):
+            if stat.S_ISREG(found.st_mode) and try_lock(descriptor) and _is_at(temporary, found):
                 temporary.unlink()
         finally:
             os.close(descriptor)
 
 
-def can_lock(descriptor: int, *, shared: bool = False) -> bool | None:
-    """Lock an open file like :func:`try_lock`, but return ``None`` where there are no locks: on Windows, some disks."""
+def try_lock(file: int | IO[bytes], *, shared: bool = False, wait: bool = False) -> bool | None:
+    """Lock an open file or folder for as long as it is open.
+
+    Any number of processes hold a ``shared`` lock, while none has one that is not.
+
+    Returns
+    -------
+    bool or None
+        ``False`` if another process holds the lock, unless it is waited for; ``None`` where there are no locks: on
+        Windows, some network disks.
+    """
     try:
-        return try_lock(Path(), descriptor, shared=shared)
-    except (ImportError, EldataError):
+        import fcntl
+
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):
         return None
+    return True
 
 
-def is_at(path: Path, file: os.stat_result) -> bool:
-    """Return whether a file still has its name: another process may have removed or renamed it."""
+def _is_at(path: Path, file: os.stat_result) -> bool:
+    """Tell whether a file still has its name: another process may have removed or renamed it."""
     try:
         return os.path.samestat(file, path.stat())
     except OSError:
@@ -349,60 +364,17 @@ def json_text(data: object, *, indent: int | None = 2) -> str:
 
 
 def check_same_work(place: Path, begun: Mapping[str, object], wanted: Mapping[str, object]) -> None:
-    """Raise :class:`ArgumentError` if unfinished work was begun with another dataset or other options than now."""
+    """Raise :class:`ArgumentError` if unfinished work was started with another dataset or other options than now."""
     for name, value in wanted.items():
         if begun.get(name) != value:
             raise ArgumentError(
-                f"{place}: was begun with another {name.replace('_', ' ')}: expected {value}, found {begun.get(name)}; "
-                "give the same data and options as then, or remove it to start again"
+                f"{place}: was started with {name.replace('_', ' ')} {begun.get(name)}, now {value}; give the same "
+                "data and options, or remove it to start again"
             )
 
 
-def check_posix(what: str) -> None:
-    """Raise :class:`EldataError` if this system lacks the locks, and with them the calls, of POSIX.
-
-    Call it before the first ``os.pread``, ``os.O_CLOEXEC`` and their kin, which Windows does not have either.
-    """
-    try:
-        import fcntl  # noqa: F401 # only to see whether it exists
-    except ImportError:
-        raise EldataError(
-            f"{what} needs a POSIX system such as Linux or macOS: this Python ({sys.platform}) has no module fcntl; "
-            "on Windows, run it under WSL"
-        ) from None
-
-
-def wait_for_lock(descriptor: int) -> None:
-    """Wait for the lock of an open file or folder, and hold it while that is open. Without file locks, do nothing."""
-    with suppress(ImportError, OSError):
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-
-
-def try_lock(path: Path, file: int | IO[bytes], *, shared: bool = False) -> bool:
-    """Lock an open file or folder for as long as it is open; ``False`` if another process holds the lock.
-
-    A ``shared`` lock is had by any number of processes, while none has one that is not.
-
-    Raises
-    ------
-    EldataError
-        If its disk does not support locks.
-    """
-    import fcntl
-
-    try:
-        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError as error:
-        raise EldataError(f"{path}: cannot be locked ({error.strerror}); choose a place on another disk") from error
-    return True
-
-
 def path_problem(relative: str) -> str | None:
-    """Return why a manifest's path is unsafe, or ``None`` if it is a plain relative POSIX path."""
+    """Describe why a manifest's path is unsafe; ``None`` if it is a plain relative POSIX path."""
     if not relative:
         return "is empty"
     if "\\" in relative:
@@ -424,7 +396,7 @@ def path_problem(relative: str) -> str | None:
 
 
 def inside(root: Path, relative: str) -> Path:
-    """Return ``root / relative``, if that file lies inside ``root`` once every link is followed.
+    """Join ``root / relative``, if that file lies inside ``root`` once every link is followed.
 
     The root itself may be a link; a link below it that leads out of it is refused, whether or not it dangles.
 

@@ -11,12 +11,12 @@ import re
 import sys
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache, lru_cache
+from functools import lru_cache
 from operator import index
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from eldata.base.tables import with_error
-from eldata.base.visible import named_field, shown
+from eldata.base.visible import shown
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ LARGEST_WHOLE: Final = 2**63 - 1
 # In a whole number, and in either part of a fraction. The time that longer ones cost grows with their square.
 _MOST_DIGITS: Final = 40
 _LARGEST_FLOAT: Final = sys.float_info.max
+_FRACTION: Final = re.compile(r"(?P<whole>[0-9]+)(?:\.(?P<tenths>[0-9]+))?(?:/(?P<divisor>[0-9]+))?")
 _WHOLE: Final = re.compile(rf"[0-9]{{1,{_MOST_DIGITS}}}")
 _DECIMAL: Final = re.compile(r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?")
 
@@ -104,46 +105,50 @@ def fraction_of(text: object, *, above: int | None = None, digits: int = 18) -> 
 
 @lru_cache(maxsize=4096)  # the rows of a table share most of their numbers
 def _fraction(text: str, digits: int) -> Fraction | None:
-    found = _fraction_form(digits).fullmatch(text)
-    if found is None:
+    found = _FRACTION.fullmatch(text)
+    if found is None or max(len(part) for part in found.groups("")) > digits:
         return None
     whole, tenths, divisor = found["whole"], found["tenths"] or "", int(found["divisor"] or 1)
     return Fraction(int(whole + tenths), 10 ** len(tenths) * divisor) if divisor else None
 
 
-@cache
-def _fraction_form(digits: int) -> re.Pattern[str]:
-    some = f"[0-9]{{1,{digits}}}"
-    return re.compile(rf"(?P<whole>{some})(?:\.(?P<tenths>{some}))?(?:/(?P<divisor>{some}))?")
-
-
-def whole_of(text: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE) -> int:
-    """Return the whole number that a text of decimal digits names.
+def whole_of(found: object, *, at_least: int = 0, at_most: int = LARGEST_WHOLE, text: bool = True) -> int:
+    """Take a whole number: a text of decimal digits or, without ``text``, an int as JSON has it.
 
     Raises
     ------
     ArgumentError
         If it is anything else or out of range; the message says what was expected and found.
     """
-    value = int(text) if isinstance(text, str) and _WHOLE.fullmatch(text) else None
-    return _checked(value, text, "a whole number", at_least=at_least, at_most=at_most)
+    if text:
+        value = int(found) if isinstance(found, str) and _WHOLE.fullmatch(found) else None
+    else:
+        value = found if isinstance(found, int) and not isinstance(found, bool) else None
+    return _checked(value, found, "a whole number", at_least=at_least, at_most=at_most)
 
 
-def number_of(text: object, *, at_least: float | None = None, above: float | None = None) -> float:
-    """Return the finite number that a text such as ``0.5`` or ``1e-05`` names.
+def number_of(found: object, *, at_least: float | None = None, above: float | None = None, text: bool = True) -> float:
+    """Take a finite number: a text such as ``0.5`` or ``1e-05`` or, without ``text``, a number as JSON has it.
 
     Raises
     ------
     ArgumentError
         If it is anything else or out of range; the message says what was expected and found.
     """
-    value = float(text) if isinstance(text, str) and _DECIMAL.fullmatch(text) else None
-    return _checked(_finite(value), text, "a finite number", at_least=at_least, above=above)
-
-
-def _finite(value: float | None) -> float | None:
+    value: float | None = None
+    if text:
+        value = float(found) if isinstance(found, str) and _DECIMAL.fullmatch(found) else None
+    elif isinstance(found, (int, float)) and not isinstance(found, bool):
+        value = found
     # Compared, not converted: Python has whole numbers that no float can hold.
-    return float(value) if value is not None and -_LARGEST_FLOAT <= value <= _LARGEST_FLOAT else None
+    is_finite = value is not None and -_LARGEST_FLOAT <= value <= _LARGEST_FLOAT
+    return _checked(
+        float(value) if value is not None and is_finite else None,
+        found,
+        "a finite number",
+        at_least=at_least,
+        above=above,
+    )
 
 
 def _checked(
@@ -171,39 +176,6 @@ def _checked(
     elif at_least is not None:
         kind = f"{kind} of {at_least} or more"
     raise ArgumentError(f"expected {kind}{example}, found {shown(found)}")
-
-
-def checked_json_whole(found: object, at_least: int, at_most: int) -> int:
-    """Return a whole number of a JSON file, as :func:`whole_of` does one of a text."""
-    value = found if isinstance(found, int) and not isinstance(found, bool) else None
-    return _checked(value, found, "a whole number", at_least=at_least, at_most=at_most)
-
-
-def checked_json_number(found: object, at_least: float | None, above: float | None) -> float:
-    """Return a finite number of a JSON file, as :func:`number_of` does one of a text."""
-    value = found if isinstance(found, (int, float)) and not isinstance(found, bool) else None
-    return _checked(_finite(value), found, "a finite number", at_least=at_least, above=above)
-
-
-def short_whole(text: str) -> float:
-    """Return a whole number; as a float if only a number field could hold it, infinite if not even that could."""
-    return int(text) if len(text) <= _MOST_DIGITS else float(text)
-
-
-def place_of_constant(data: Any) -> str:
-    """Return a field that is not a finite number, as messages call it."""
-    waiting: list[tuple[str, Any]] = [("", data)]
-    while waiting:
-        name, value = waiting.pop()
-        if isinstance(value, float) and not math.isfinite(value):
-            return f"field {name}" if name else ""
-        if isinstance(value, dict):
-            waiting += [
-                (f"{name}.{named_field(key)}" if name else named_field(key), inner) for key, inner in value.items()
-            ]
-        elif isinstance(value, list):
-            waiting += [(f"{name}[{index}]", inner) for index, inner in enumerate(value)]
-    return ""
 
 
 # --- figures --------------------------------------------------------------------------------------------------------

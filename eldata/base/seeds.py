@@ -48,7 +48,7 @@ def item_generator(seed: int, epoch: int, index: int) -> np.random.Generator:
 
 
 def purpose_sequence(seed: int, epoch: int, purpose: int, *place: int) -> np.random.SeedSequence:
-    """Return what seeds another purpose than items. It has a number from 1 on; ``place`` is a rank's, for one."""
+    """Make the seed sequence of another purpose than items: its number, from 1 on, and a place such as a rank."""
     if seed < _ONE_WORD:
         return np.random.SeedSequence((seed, epoch), spawn_key=(purpose, *place))
     return np.random.SeedSequence(seed, spawn_key=(_LARGE, epoch, purpose, *place))

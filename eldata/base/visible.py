@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 import reprlib
-from typing import Any, Final
+from typing import Final
 
 # Unicode's control characters (C0, DEL, C1), its line and paragraph separators, what it calls Bidi_Control, and
 # surrogates, by which Python stands for bytes that are not UTF-8.
@@ -20,7 +20,7 @@ _SHORT: Final = {"\t": "\\t", "\n": "\\n", "\r": "\\r"}
 
 
 def has_unseen(text: str, *, lines: bool = False) -> bool:
-    """Return whether a text has characters that do not show; with ``lines``, it may have tabs and several lines."""
+    """Tell whether a text has characters that do not show; with ``lines``, it may have tabs and several lines."""
     return (_IN_TEXT if lines else _IN_LINE).search(text) is not None
 
 
@@ -64,21 +64,3 @@ def shown(found: object, longest: int = _LONGEST_SHOWN) -> str:
 def named_field(name: str) -> str:
     """Return a field's name as a message shows it."""
     return name if name.isprintable() and len(name) <= _LONGEST_SHOWN else shown(name)
-
-
-class Screen:
-    """A stream on which strangers' names steer no terminal, and that lacks no character."""
-
-    def __init__(self, stream: Any, *, has_bars: bool = False) -> None:
-        self._stream, self._has_bars = stream, has_bars
-
-    def write(self, text: str) -> int:
-        """Write what shows."""
-        start = "\r" if self._has_bars and text.startswith("\r") else ""  # progress bars begin their line again
-        encoding = getattr(self._stream, "encoding", None) or "utf-8"
-        shown = visible(text[len(start) :]).encode(encoding, "backslashreplace").decode(encoding)
-        self._stream.write(start + shown)
-        return len(text)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)

@@ -2,19 +2,22 @@
 
 An executor is a :class:`concurrent.futures.Executor` of the caller: a pool of the standard library, or Dask's
 (``client.get_executor()``), whose workers may be on other machines. It is never shut down here. A bounded number of
-units is in flight: four for each worker if the executor says how many it has, so that none waits for work and results
-do not pile up; else 64.
+units is in flight, so that no worker waits and results do not pile up.
 
 A unit whose worker died is run once more, alone: if it ends that one too it is a failure that names it, and costs no
-other unit.
+other unit. Processes end with this one, however it ends.
 """
 
 from __future__ import annotations
 
+import atexit
 import copy
 import os
+import signal
 import socket
 import sys
+import threading
+import time
 import traceback
 import uuid
 from collections import deque
@@ -23,6 +26,7 @@ from concurrent.futures import (
     CancelledError,
     Executor,
     Future,
+    ProcessPoolExecutor,
     ThreadPoolExecutor,
     wait,
 )
@@ -31,15 +35,16 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
+from multiprocessing import current_process, get_context, parent_process, resource_tracker
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from tqdm import tqdm
 
-from eldata.base.processes import TERMINATED, Ended, Processes
 from eldata.errors import ArgumentError, EldataError, FileError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+    from multiprocessing.process import BaseProcess
     from pathlib import Path
 
 Unit = TypeVar("Unit")
@@ -48,22 +53,22 @@ Result = TypeVar("Result")
 _PER_WORKER = 4  # units in flight: enough to keep every worker busy, few enough to hold in memory
 _UNSTATED_WORKERS = 16  # assumed for an executor that does not say how many it has
 _MOST_LARGE = 16  # large results in flight, however many the workers: they are held in memory here
-
-
-class UnseenFileError(FileError):
-    """The machine that is to work on a file cannot see it."""
+_MOST_PROCESSES = 61  # of a pool on Windows, which cannot wait for more
+_GRACE_S = 5.0  # for work that is ended in its middle to unwind
+_TERMINATED = 128 + signal.SIGTERM
+_AT_WORK = threading.Event()  # of a worker process of our own
 
 
 @dataclass(frozen=True, slots=True)
 class Failed(Generic[Unit]):
-    """A unit without a result: what it raised, or why its worker was lost."""
+    """A unit without a result: the error that it raised, or why its worker was lost."""
 
     unit: Unit
     error: Exception
 
     @property
     def reason(self) -> str:
-        """What went wrong, as a sentence."""
+        """The error as a sentence."""
         if isinstance(self.error, EldataError):
             return str(self.error)
         if isinstance(self.error, OSError):
@@ -99,15 +104,15 @@ class Workers:
             raise ArgumentError(f"workers must be 1 or more; found {self.jobs}")
 
     @classmethod
-    def of(cls, given: Workers | Executor | int) -> Workers:
-        """Return what a public function's ``workers`` means: a number of processes, an executor, or this itself."""
-        if isinstance(given, Workers):
-            return given
-        if isinstance(given, int):
-            return cls(given)
-        if callable(getattr(given, "submit", None)):
-            return cls(executor=given)
-        raise ArgumentError(f"workers must be a whole number or an executor; found {given!r}")
+    def of(cls, workers: Workers | Executor | int) -> Workers:
+        """Take what a public function's ``workers`` may be: a number of processes, an executor, or this itself."""
+        if isinstance(workers, Workers):
+            return workers
+        if isinstance(workers, int):
+            return cls(workers)
+        if callable(getattr(workers, "submit", None)):
+            return cls(executor=workers)
+        raise ArgumentError(f"workers must be a whole number or an executor; found {workers!r}")
 
     @property
     def threads_within(self) -> int | None:
@@ -135,14 +140,14 @@ class Workers:
         units
             Picklable and small: paths, not pixels.
         label, unit
-            What the progress bar on stderr says. It shows on a terminal only.
+            Text of the progress bar on stderr. It shows on a terminal only.
 
         Raises
         ------
         EldataError
-        What a unit of work raised, in its turn; or that no worker can be started.
+            What a unit of work raised, in its turn; or that no worker can be started.
         """
-        return _results(self.attempt(work, units, label=label, unit=unit))
+        return _raise_failures(self.attempt(work, units, label=label, unit=unit))
 
     def attempt(
         self, work: Callable[[Unit], Result], units: Sequence[Unit], *, label: str = "", unit: str = "file"
@@ -153,18 +158,30 @@ class Workers:
         does not end the others.
         """
         with tqdm(total=len(units), desc=label, unit=unit, disable=None, leave=False) as bar:
-            for outcome in _outcomes(work, units, self):
+            for outcome in self._outcomes(work, units):
                 if isinstance(outcome, Failed) and isinstance(outcome.error, ImportError):
                     raise outcome.error  # no unit is to blame, and none would succeed
                 bar.update()
                 yield outcome
 
+    def _outcomes(
+        self, work: Callable[[Unit], Result], units: Sequence[Unit]
+    ) -> Generator[Result | Failed[Unit], None, None]:
+        if self.executor is not None:
+            yield from _in_order(work, units, self.executor, _PER_WORKER * count_workers(self.executor) + 1)
+        elif self.jobs > 1 and len(units) > 1:
+            with Processes(min(self.jobs, len(units))) as processes:
+                yield from _in_order(work, units, processes, _PER_WORKER * count_workers(processes) + 1)
+        else:
+            for unit in units:
+                yield _run_unit(work, unit)
+
     def read_ahead(self, work: Callable[[Unit], Result], units: Iterable[Unit]) -> Iterator[Result]:
         """Yield ``work(unit)`` for each unit, in the units' order, computed by threads that run ahead.
 
         For work that releases the GIL, as decoding does, and whose results are too large to send between processes. At
-        most ``jobs`` + 1 results are in memory; 1 works in the calling thread. An executor takes the threads' place,
-        with at most two results per worker and one more in memory, and never more than 17.
+        most ``jobs`` + 1 results are in memory; 1 works in the calling thread. With an executor, which replaces the
+        threads, there is one result per worker and one more, never more than 17.
 
         Raises
         ------
@@ -173,13 +190,14 @@ class Workers:
             unit's turn.
         """
         if self.executor is not None:
-            yield from _results(_in_order(work, units, self.executor, per_worker=2, most=_MOST_LARGE))
+            in_flight = min(count_workers(self.executor), _MOST_LARGE) + 1
+            yield from _raise_failures(_in_order(work, units, self.executor, in_flight))
         elif self.jobs == 1:
             yield from map(work, units)
         else:
             pool = ThreadPoolExecutor(self.jobs)
             try:
-                yield from _results(_in_order(work, units, pool, per_worker=1))
+                yield from _raise_failures(_in_order(work, units, pool, self.jobs + 1))
             finally:
                 pool.shutdown(wait=True, cancel_futures=True)
 
@@ -192,23 +210,26 @@ AnyWorkers = Workers | Executor | int
 
 
 def require_files(*paths: Path) -> None:
-    """Raise :class:`UnseenFileError` unless this machine sees every file: for the first line of a unit's work.
+    """Check that this machine can see the files; call it first in a worker.
 
-    The machine that starts the work has seen them; a worker on another machine may not.
+    Raises
+    ------
+    FileError
+        If it cannot see one: the machine that starts the work has seen them, a worker on another machine may not.
     """
     for path in paths:
         try:
             os.stat(path)  # noqa: PTH116 # its error says why not, where is_file() is silent
         except OSError as error:
-            raise UnseenFileError(
+            raise FileError(
                 path,
                 f"{error.strerror} on {socket.gethostname()}; every machine that takes part must see the same files "
                 "under the same paths",
             ) from error
 
 
-def slots_of(executor: Executor) -> int:
-    """Return how many units an executor runs at a time, as the standard library's and Dask's say; else a guess."""
+def count_workers(executor: Executor) -> int:
+    """Count the units that an executor runs at a time, as the standard library's and Dask's say; else guess."""
     client: Any = getattr(executor, "_client", None)
     if hasattr(client, "nthreads"):
         return sum(client.nthreads().values()) or _UNSTATED_WORKERS  # workers may come later
@@ -218,36 +239,45 @@ def slots_of(executor: Executor) -> int:
 # --- one unit, where it runs ------------------------------------------------------------------------------------------
 
 
-def _call(work: Callable[[Unit], Result], unit: Unit) -> Callable[[], list[Result | Failed[Unit]]]:
-    """Return a unit's work for another worker: its outcome comes in a list, to be taken out of it.
-
-    A thread holds on to what it returned until it runs again, some time after the result is there, and an outcome may
-    be large.
-    """
-    # Dask takes equal calls for the same one, and answers with the result that it already has.
-    return partial(_run_elsewhere, work, unit, os.getpid(), uuid.uuid4().hex)
+def _submit(executor: Executor, work: Callable[[Unit], Result], unit: Unit) -> Future[Any]:
+    # Dask takes equal calls for the same one, and answers with the result that it already has: hence the UUID.
+    call = partial(_run_elsewhere, work, unit, os.getpid(), uuid.uuid4().hex)
+    try:
+        return executor.submit(call)
+    except BrokenExecutor as error:
+        broken: Future[Any] = Future()
+        broken.set_exception(error)  # broken by an earlier unit, which is reported first
+        return broken
 
 
 def _run_elsewhere(work: Callable[[Unit], Result], unit: Unit, caller: int, _: str) -> list[Result | Failed[Unit]]:
+    """Run a unit in another thread or process; its outcome comes in a list, to be taken out of it.
+
+    A thread holds on to what it returned until it runs again, and an outcome may be large.
+    """
     try:
+        _AT_WORK.set()
         outcome = _run_unit(work, unit)
-    except Ended:
-        os._exit(TERMINATED)  # else it would be this unit's result, and the next one's turn
+        _AT_WORK.clear()
+    except SystemExit:  # this process was told to end: it would be this unit's result, and the next one's turn
+        if os.getpid() == caller:
+            raise
+        os._exit(_TERMINATED)
     if isinstance(outcome, Failed) and os.getpid() != caller:
-        outcome = Failed(unit, _portable(outcome.error))
+        outcome = Failed(unit, _to_portable_error(outcome.error))
     return [outcome]
 
 
 def _run_unit(work: Callable[[Unit], Result], unit: Unit) -> Result | Failed[Unit]:
-    """Return a unit's result, or its error as a value: what an executor itself raises can then be told from it."""
+    """Run a unit; its error becomes a value, so that what an executor itself raises can be told from it."""
     try:
         return work(unit)
     except Exception as error:  # noqa: BLE001 # whatever it is, it is the unit's
         return Failed(unit, error)
 
 
-def _portable(error: Exception) -> Exception:
-    """Return an error that another process can make again, with its traceback, which does not travel, as a note."""
+def _to_portable_error(error: Exception) -> Exception:
+    """Make an error that another process can make again, with its traceback, which does not travel, as a note."""
     error.add_note(f"on {socket.gethostname()}, process {os.getpid()}:\n{''.join(traceback.format_exception(error))}")
     try:
         copy.copy(error)
@@ -256,7 +286,10 @@ def _portable(error: Exception) -> Exception:
     return error
 
 
-def _results(outcomes: Generator[Result | Failed[Any], None, None]) -> Iterator[Result]:
+# --- all units --------------------------------------------------------------------------------------------------------
+
+
+def _raise_failures(outcomes: Generator[Result | Failed[Any], None, None]) -> Iterator[Result]:
     """Yield results; the first failure is raised and ends the others."""
     with closing(outcomes):
         for outcome in outcomes:
@@ -266,40 +299,16 @@ def _results(outcomes: Generator[Result | Failed[Any], None, None]) -> Iterator[
             del outcome  # it may be large
 
 
-# --- all units --------------------------------------------------------------------------------------------------------
-
-
-def _outcomes(
-    work: Callable[[Unit], Result], units: Sequence[Unit], workers: Workers
-) -> Iterator[Result | Failed[Unit]]:
-    if workers.executor is not None:
-        yield from _in_order(work, units, workers.executor, per_worker=_PER_WORKER)
-    elif workers.jobs > 1 and len(units) > 1:
-        with Processes(min(workers.jobs, len(units))) as processes:
-            yield from _in_order(work, units, processes, per_worker=_PER_WORKER)
-    else:
-        for unit in units:
-            yield _run_unit(work, unit)
-
-
 def _in_order(
-    work: Callable[[Unit], Result],
-    units: Iterable[Unit],
-    executor: Executor,
-    *,
-    per_worker: int,
-    most: int = sys.maxsize,
+    work: Callable[[Unit], Result], units: Iterable[Unit], executor: Executor, in_flight: int
 ) -> Generator[Result | Failed[Unit], None, None]:
+    """Yield the outcomes of units on an executor, so many of which are in flight at a time."""
     left = iter(units)
     waiting: deque[tuple[Unit, Future[Any]]] = deque()
-    window = asked = 0
     try:
         while True:
-            if asked == 0:  # now and then: a cluster may grow, or shrink
-                window = asked = min(per_worker * slots_of(executor), most) + 1
-            asked -= 1
-            for unit in islice(left, max(0, window - len(waiting))):
-                waiting.append((unit, _submit(executor, _call(work, unit))))
+            for unit in islice(left, in_flight - len(waiting)):
+                waiting.append((unit, _submit(executor, work, unit)))
             if not waiting:
                 return
             unit, future = waiting[0]
@@ -309,35 +318,19 @@ def _in_order(
                 wait([other for _, other in waiting])
                 if isinstance(executor, Processes):
                     executor.check()
-                future = _submit(executor, _call(work, unit))
+                future = _submit(executor, work, unit)
                 waiting[0] = unit, future
                 error = _error_of(future)
-            if error is None:
-                found = future.result().pop()
-            elif _is_loss(executor, error):
-                found = Failed(unit, EldataError(_loss(executor, _unit_name(unit))))
-            else:
-                raise _unrunnable(unit, error) from error
+            if error is not None and not _is_loss(executor, error):
+                raise _describe_unrunnable(unit, error) from error
+            outcome = Failed(unit, _describe_loss(unit)) if error else future.result().pop()
             waiting.popleft()
             del future  # and with it the result, which may be large
-            yield found
-            del found
+            yield outcome
+            del outcome
     finally:
         for _, future in waiting:
             future.cancel()
-
-
-def _submit(executor: Executor, call: Callable[[], Any]) -> Future[Any]:
-    try:
-        return executor.submit(call)
-    except EldataError:  # a process of our own cannot be started
-        raise
-    except BrokenExecutor as error:
-        broken: Future[Any] = Future()
-        broken.set_exception(error)  # broken by an earlier unit, which is reported first
-        return broken
-    except Exception as error:  # each executor has its own, for a shutdown or a lost cluster
-        raise ArgumentError(f"the executor takes no work: {error}") from error
 
 
 def _error_of(future: Future[Any]) -> BaseException | None:
@@ -348,7 +341,7 @@ def _error_of(future: Future[Any]) -> BaseException | None:
 
 
 def _is_loss(executor: Executor, error: BaseException | None) -> bool:
-    """Return whether a future's error means that the unit's worker was lost, and the unit may be run again."""
+    """Tell whether a future's error means that the unit's worker was lost, and the unit may be run again."""
     if isinstance(executor, Processes):
         return isinstance(error, BrokenProcessPool)
     # Dask runs a lost worker's units again by itself; this is its error for one that lost several workers. It blames
@@ -356,35 +349,117 @@ def _is_loss(executor: Executor, error: BaseException | None) -> bool:
     return type(error).__name__ == "KilledWorker"
 
 
-def _loss(executor: Executor, name: str) -> str:
-    """Return the sentence about a unit that was lost twice."""
-    if isinstance(executor, Processes):
-        return (
-            f"{name}: a worker process died at it twice, the second time with nothing else beside it: a decoder that "
-            "crashes, or lack of memory? Try fewer --jobs"
-        )
-    return (
-        f"{name}: the workers that ran it died again and again, in the end with nothing else beside it; lack of "
-        "memory? their logs may tell"
-    )
-
-
-def _unit_name(unit: object) -> str:
-    """Return what messages call a unit: its path, if it has one."""
-    return str(getattr(unit, "path", unit))
-
-
-def _unrunnable(unit: object, error: BaseException) -> EldataError:
-    """Return what is wrong if not the unit's work failed, but the attempt to run it."""
-    name = _unit_name(unit)
-    if isinstance(error, CancelledError):
-        return EldataError(f"the work on {name} was cancelled; was the executor shut down, or its scheduler restarted?")
-    if isinstance(error, BrokenExecutor):
-        return EldataError(
-            f"the executor broke at or soon after {name}: a worker died; lack of memory? make a new executor, with "
-            "fewer workers"
-        )
+def _describe_loss(unit: object) -> EldataError:
     return EldataError(
-        f"the executor cannot run the work on {name}: {type(error).__name__}: {error}; is the same version of eldata "
-        "installed on every worker (with Dask, on the scheduler too)?"
+        f"{getattr(unit, 'path', unit)}: worker processes died at it again and again, in the end with it "
+        "alone: a decoder that crashes, or lack of memory? Try fewer --jobs"
     )
+
+
+def _describe_unrunnable(unit: object, error: BaseException) -> EldataError:
+    """Describe what failed if not the unit's work failed, but the attempt to run it."""
+    return EldataError(
+        f"the executor cannot run the work on {getattr(unit, 'path', unit)}: {type(error).__name__}: {error}; was it "
+        "shut down, did a worker die (lack of memory?), and is the same version of eldata installed on every worker?"
+    )
+
+
+# --- processes of our own ---------------------------------------------------------------------------------------------
+
+
+def require_main_guard() -> None:
+    """End a worker that came here because it runs the main script again, all that has no main guard; say so."""
+    if getattr(current_process(), "_inheriting", False):  # as Python's own check asks
+        sys.stderr.write('put work under if __name__ == "__main__": each worker process runs the script again\n')
+        sys.stderr.flush()
+        os._exit(1)
+
+
+class Processes(Executor):
+    """A pool of spawned processes that is made anew if one of them dies, and that ends with this process."""
+
+    def __init__(self, count: int) -> None:
+        require_main_guard()
+        self._max_workers = min(count, _MOST_PROCESSES)
+        self._pool = self._new_pool()
+
+    def _new_pool(self) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(self._max_workers, mp_context=get_context("spawn"), initializer=_begin)
+
+    def submit(self, call: Callable[[], Any], /) -> Future[Any]:  # type: ignore[override] # all that is used
+        """Start a call, and the process for it."""
+        with _ctrl_c_blocked():
+            try:
+                return self._pool.submit(call)
+            except BrokenProcessPool:
+                self._end()
+                self._pool = self._new_pool()
+                return self._pool.submit(call)
+
+    def check(self) -> None:
+        """Raise :class:`EldataError` if processes die before they are given any work."""
+        if self.submit(os.getpid).exception() is not None:
+            raise EldataError(
+                "worker processes die as soon as they start: lack of memory, or a script without "
+                'if __name__ == "__main__":? One job (--jobs 1, workers=1) needs none'
+            )
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        if kind is None:
+            self._pool.shutdown()
+        else:  # an error, Ctrl-C, or a consumer that has enough
+            self._end()
+
+    def _end(self) -> None:
+        """End the processes, also in the middle of work, which unwinds; those that do not are killed."""
+        processes: list[BaseProcess] = list((self._pool._processes or {}).values())  # noqa: SLF001 # public from Python 3.14 on
+        manager = getattr(self._pool, "_executor_manager_thread", None)
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+        deadline = time.monotonic() + _GRACE_S
+        try:
+            for process in processes:
+                process.join(max(0.0, deadline - time.monotonic()))
+        finally:
+            for process in processes:
+                process.kill()
+            # It closes the pipe by which the interpreter's end wakes it, and must not do both at a time.
+            if manager is not None:
+                manager.join(_GRACE_S)
+
+
+@contextmanager
+def _ctrl_c_blocked() -> Iterator[None]:
+    """Let Ctrl-C of a terminal, which goes to all processes, pass by those that are started in the block."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # else the first process starts it, and it lets Ctrl-C through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin() -> None:
+    """Begin a worker: Ctrl-C is its parent's to answer, SIGTERM unwinds its work, and it ends with its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _unwind)
+    atexit.register(os._exit, 0)  # all is sent by then, and taking modules apart takes a quarter of a second
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _unwind(number: int, _: object) -> None:
+    signal.signal(number, signal.SIG_IGN)  # it comes twice: from the parent, and to its group
+    if not _AT_WORK.is_set():  # the library would print what is raised
+        os._exit(_TERMINATED)
+    raise SystemExit(_TERMINATED)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(_TERMINATED)

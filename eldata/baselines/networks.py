@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from eldata.base.arguments import named_object
+from eldata.base.fields import named_object
 from eldata.base.files import sha256_of
 from eldata.baselines.exported import TakenInput, checked_window, first_line, load_exported
 from eldata.baselines.prediction_folder import ANSWERS, answer_of

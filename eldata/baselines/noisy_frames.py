@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.arrays import rgb_frame
 from eldata.base.numbers import checked_number
-from eldata.base.pixels import rgb_frame
 from eldata.baselines.classical import BASELINES, SignalNoise, noise_of_image, noise_of_parameters
 from eldata.baselines.exported import checked_window
 from eldata.errors import ArgumentError, DatasetError

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.base.fields import TextFile
-from eldata.base.files import can_lock, check_same_work, remove_leftovers, visible_below, wait_for_lock, write_json
+from eldata.base.files import check_same_work, remove_leftovers, try_lock, visible_below, write_json
 from eldata.errors import ArgumentError, EldataError
 from eldata.evaluation.request import SETTINGS
 
@@ -49,7 +49,7 @@ def begun(folder: Path, settings: dict[str, Any]) -> Iterator[None]:
             # Without a prediction nothing is lost if the work starts over, as with a network that is corrected.
             write_json(file, settings)
         held = file.open("rb")
-        can_lock(held.fileno(), shared=True)
+        try_lock(held.fileno(), shared=True)
     with held:
         yield
 
@@ -62,7 +62,7 @@ def _is_other(file: Path, settings: dict[str, Any]) -> bool:
     if is_same and stated | {ANSWERS: given} == settings | {ANSWERS: given}:
         return False
     with file.open("rb") as settled:
-        if can_lock(settled.fileno()) and not any(file.parent.rglob("*.npy")):
+        if try_lock(settled.fileno()) and not any(file.parent.rglob("*.npy")):
             return True
     check_same_work(file.parent, stated | {ANSWERS: given}, dict.fromkeys(stated) | settings)
     raise ArgumentError(
@@ -81,7 +81,7 @@ def _alone_in(folder: Path) -> Iterator[None]:
         yield
         return
     try:
-        wait_for_lock(descriptor)
+        try_lock(descriptor, wait=True)
         yield
     finally:
         os.close(descriptor)

@@ -1,4 +1,4 @@
-"""`eldata baseline`: denoise a dataset without a network of yours, for the other rows of a table.
+"""`eldata baseline`: denoise a dataset by DCT, BM3D or the network that ships.
 
 Denoise each noisy frame that a protocol scores by a method without training, or by the network that ships, and write
 the predictions that eldata evaluate reads. input is the amplified frame itself; dct, sliding-window thresholding; bm3d
@@ -28,20 +28,10 @@ def add_options(parser: console.Parser) -> None:
     """Add its options."""
     parser.add_argument("name", metavar="NAME", choices=NAMES, help=", ".join(NAMES))
     add_choice(parser)
-    parser.add_argument(
-        "--profile",
-        action="append",
-        default=[],
-        dest="profiles",
-        metavar="P",
-        help="the camera's noise: a shipped profile (SonyA7S2) or a JSON file; once for each camera. Without it the "
-        "noise is estimated from each frame",
-    )
-    parser.add_argument(
-        "--noise",
-        choices=("chen2015",),
-        help="with bm3d and no profile: one noise level for each frame, by the estimator that the paper names",
-    )
+    text = "profile of the camera's noise, by name or file; once per camera (default: estimated from each frame)"
+    parser.add_argument("--profile", action="append", default=[], dest="profiles", metavar="P", help=text)
+    text = "with bm3d and no profile: one noise level per frame, by the paper's estimator"
+    parser.add_argument("--noise", choices=("chen2015",), help=text)
     add_another_camera(parser, "frames of cameras that have none of their own")
     kept = "{output} keeps the finished predictions, and the same command goes on"
     console.add_shared(parser, run, "root", "workers", interrupted=kept)
@@ -59,70 +49,43 @@ def add_another_camera(parser: argparse.ArgumentParser, what: str) -> None:
 def add_set(parser: argparse.ArgumentParser) -> None:
     """Add which set, by name or manifest."""
     which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument("--dataset", metavar="N", help="name of a dataset that eldata knows, such as eld")
-    which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own, in a known layout")
+    which.add_argument("--dataset", metavar="N", help="name in eldata info, such as eld")
+    which.add_argument("--manifest", metavar="FILE", help="manifest of a set of your own")
 
 
 def add_pairs(parser: argparse.ArgumentParser) -> None:
     """Add which of a set's pairs or clips."""
-    parser.add_argument(
-        "--subset",
-        metavar="NAME",
-        help="which of the dataset's named choices of pairs or clips (default: the first on its card)",
-    )
-    parser.add_argument(
-        "--clip",
-        action="append",
-        dest="ids",
-        metavar="ID",
-        help="only this clip, in place of a subset; may be repeated",
-    )
+    parser.add_argument("--subset", metavar="NAME", help="subset on the set's card (default: the first)")
+    add_clips(parser)
 
 
-def add_part(parser: argparse.ArgumentParser) -> None:
-    """Add which of a set's rows: by split and subset."""
-    parser.add_argument("--split", action="append", metavar="S", help="only this split; may be repeated")
-    parser.add_argument("--subset", metavar="NAME", help="only this subset of the dataset card")
+def add_clips(parser: argparse.ArgumentParser) -> None:
+    """Add which of a set's clips."""
+    parser.add_argument("--clip", action="append", dest="ids", metavar="ID", help="only this clip; may be repeated")
 
 
 def add_excluded(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Add which pairs are left out; ``more`` goes on after what it does."""
-    parser.add_argument(
-        "--exclude",
-        action="append",
-        default=[],
-        dest="exclude_flags",
-        metavar="FLAG",
-        help=f"leave out pairs with this flag{more}",
-    )
+    text = f"leave out pairs with this flag{more}"
+    parser.add_argument("--exclude", action="append", default=[], dest="exclude_flags", metavar="FLAG", help=text)
 
 
 def add_choice(parser: argparse.ArgumentParser) -> None:
     """Add what predictions are made of, where they go, and in which form."""
     add_set(parser)
     parser.add_argument("-o", "--output", metavar="PREDS", required=True, help="a new folder for the predictions")
-    parser.add_argument(
-        "--protocol",
-        metavar="P",
-        help="whose pairs, levels and amplification to take (default: the dataset's own, such as eld or sid)",
-    )
+    text = "pairs, levels and amplification as this protocol has them (default: the set's own)"
+    parser.add_argument("--protocol", metavar="P", help=text)
     add_pairs(parser)
-    parser.add_argument(
-        "--dark-shading",
-        metavar="FILE",
-        help="take this dark shading (eldata calibrate --dark-shading) off the inputs; give it to eldata evaluate, too",
-    )
+    text = "dark shading to subtract from the inputs; give it to eldata evaluate, too"
+    parser.add_argument("--dark-shading", metavar="FILE", help=text)
     console.add_cameras(parser)
-    parser.add_argument(
-        "--dtype",
-        choices=("float32", "float16", "uint16"),
-        default="float32",
-        help="of the files; uint16 (65535 = 1.0) takes half of the space (default: %(default)s)",
-    )
+    text = "of the files; uint16 (65535 = 1.0) takes half of the space (default: %(default)s)"
+    parser.add_argument("--dtype", choices=("float32", "float16", "uint16"), default="float32", help=text)
 
 
 def chosen_options(arguments: console.Arguments) -> dict[str, Any]:
-    """Return what :func:`add_choice` has added, as keyword arguments."""
+    """Take what :func:`add_choice` has added as keyword arguments."""
     names = ("manifest", "root", "cameras", "subset", "ids", "protocol", "dtype", "dark_shading")
     return console.chosen(arguments, names)
 
@@ -150,7 +113,7 @@ def show_report(report: PredictionReport, arguments: console.Arguments) -> int:
 
 
 def _scoring_line(arguments: console.Arguments) -> str:
-    """Return the command that scores what was written."""
+    """Make the command that scores what was written."""
     given = ("dataset", "manifest", "protocol", "subset", "root", "dark_shading")
     options = [
         f"--{name.replace('_', '-')} {shlex.quote(value)}" for name in given if (value := getattr(arguments, name))

@@ -18,8 +18,8 @@ from argparse import ArgumentTypeError
 from typing import TYPE_CHECKING
 
 from eldata.base import console
+from eldata.base.console import add_output
 from eldata.base.numbers import counted, number_of, whole_of
-from eldata.base.outputs import add_output
 from eldata.base.visible import in_line
 from eldata.errors import ArgumentError, DatasetError
 
@@ -32,67 +32,29 @@ if TYPE_CHECKING:
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
-    parser.add_argument(
-        "frames",
-        metavar="FRAMES",
-        help=(
-            "folder with CAMERA/{bias,flat}/ISO100/... in it, the camera's own folder, a manifest (.csv) or the name "
-            "of a set"
-        ),
-    )
+    text = "folder with CAMERA/{bias,flat}/ISO100/..., a camera's own folder, a manifest (.csv) or a set's name"
+    parser.add_argument("frames", metavar="FRAMES", help=text)
     add_output(parser, "-o", "--output", help="write the camera profile to FILE (JSON)")
     add_output(parser, "--html", help="write a report with plots to FILE")
-    add_output(
-        parser,
-        "--dark-shading",
-        help=(
-            "write what the sensor shows of itself in the dark to FILE (.npz): a line over ISO in each pixel, and the "
-            "black level error of each ISO. Reads the bias frames once more"
-        ),
-    )
+    text = "write the dark shading (a line over ISO in each pixel, black level errors) to FILE (.npz)"
+    add_output(parser, "--dark-shading", help=text)
+    text = "K in DN per photoelectron at an ISO without flats, or a profile of the camera; may be repeated"
     parser.add_argument(
-        "--gain",
-        action="append",
-        dest="gains",
-        default=[],
-        type=_stated_gain,
-        metavar="ISO=K",
-        help=(
-            "K in DN per photoelectron at an ISO that has no flats, or a profile of the camera, by name or path; may "
-            "be repeated. A measured K counts before a stated one"
-        ),
+        "--gain", action="append", dest="gains", default=[], type=_stated_gain, metavar="ISO=K", help=text
     )
-    parser.add_argument(
-        "--mode",
-        action="append",
-        dest="modes",
-        type=_stated_mode,
-        metavar="ISO",
-        help=(
-            "the camera switches its conversion gain, and from this ISO on the noise has lines of its own over K; may "
-            "be repeated; none: it does not switch (default: neither is said, and a step over the ISOs is remarked)"
-        ),
+    text = (
+        "ISO from which the camera switches its conversion gain; may be repeated; none: it does not switch (default: "
+        "one line for all, and a step over the ISOs is remarked)"
     )
-    parser.add_argument(
-        "--accept",
-        action="append",
-        default=[],
-        metavar="CHECK",
-        help=(
-            "give what this check withholds, with an error of what it may be off by, and say so in the profile; may be "
-            "repeated. The remarks name the checks that can be accepted"
-        ),
-    )
-    parser.add_argument(
-        "--crop",
-        type=_stated_crop,
-        metavar="ROWS,COLUMNS",
-        help=(
-            "use these rows and columns alone, as numpy slices them: 8:-8,16: (default: all but a border without "
-            "picture, which is named)"
-        ),
-    )
-    console.add_shared(parser, run, "isos", "root", "workers", json=True)
+    parser.add_argument("--mode", action="append", dest="modes", type=_stated_mode, metavar="ISO", help=text)
+    text = "keep a figure that this check withholds, with a larger error, and say so in the profile; may be repeated"
+    parser.add_argument("--accept", action="append", default=[], metavar="CHECK", help=text)
+    text = "rows and columns to use, as numpy slices them: 8:-8,16: (default: all but a border without picture)"
+    parser.add_argument("--crop", type=_stated_crop, metavar="ROWS,COLUMNS", help=text)
+    parser.add_argument("--camera", metavar="NAME", help="the camera's name (default: the only camera there)")
+    whole, text = console.whole_number(1), "only this ISO; may be repeated"
+    parser.add_argument("--iso", action="append", dest="isos", type=whole, metavar="ISO", help=text)
+    console.add_shared(parser, run, "root", "workers", json=True)
 
 
 def _stated_gain(text: str) -> tuple[int, float] | str:

@@ -1,8 +1,7 @@
-"""`eldata compare`: hold results of several methods against each other on their common images.
+"""`eldata compare`: compare results of several methods on their common images.
 
 Compare results that eldata evaluate --json wrote, all with the first: means by camera and factor over the images that
-all have scores of, and differences with intervals over scenes. Differing protocols, subsets and manifests are warned
-of.
+all have scored, and differences with intervals over scenes. Warnings name differing protocols, subsets and manifests.
 
     eldata compare first.json second.json --name first --name second --html compare.html
     eldata compare first.json second.json --html compare.html --pictures --root data
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.outputs import add_output
+from eldata.base.console import add_output
 from eldata.base.tables import FORMATS
 from eldata.errors import ArgumentError
 
@@ -26,44 +25,23 @@ if TYPE_CHECKING:
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
-    parser.add_argument(
-        "results", nargs="+", metavar="RESULT", help="JSON of eldata evaluate; the first is the baseline"
-    )
-    parser.add_argument(
-        "--name",
-        action="append",
-        default=[],
-        dest="names",
-        metavar="NAME",
-        help="what to call a method; once per file, in their order (default: the file's name)",
-    )
+    text = "JSON of eldata evaluate; the first is the baseline"
+    parser.add_argument("results", nargs="+", metavar="RESULT", help=text)
+    text = "name of a method; once per file, in their order (default: the file's name)"
+    parser.add_argument("--name", action="append", default=[], dest="names", metavar="NAME", help=text)
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the tables (default: text)")
     add_output(parser, "--html", help="write a page with plots and the biggest differences to FILE")
-    parser.add_argument(
-        "--pictures",
-        choices=("parts", "whole"),
-        nargs="?",
-        const="parts",
-        help=(
-            "with --html: draw input, predictions, reference and errors of every common image into the folder "
-            "FILE-pictures beside the page: the part in which the methods differ most, or all of each image; needs the "
-            "raw files and the predictions"
-        ),
+    text = (
+        "with --html: draw every common image into the folder FILE-pictures: the part in which the "
+        "methods differ most, or all of it; needs the raw files and the predictions"
     )
-    parser.add_argument(
-        "--manifest", metavar="M", help="with --pictures: manifest of a set of your own that the results are of"
-    )
-    parser.add_argument(
-        "--predictions",
-        action="append",
-        default=[],
-        metavar="FOLDER",
-        help="with --pictures: where a method's predictions lie now; once per file, in their order (default: where "
-        "each result says that they lay)",
-    )
-    parser.add_argument(
-        "--dark-shading", metavar="FILE", help="with --pictures: the dark shading that the results state, if any"
-    )
+    parser.add_argument("--pictures", choices=("parts", "whole"), nargs="?", const="parts", help=text)
+    text = "with --pictures: manifest of a set of your own that the results are of"
+    parser.add_argument("--manifest", metavar="M", help=text)
+    text = "with --pictures: a method's predictions, once per file, in their order (default: as each result says)"
+    parser.add_argument("--predictions", action="append", default=[], metavar="FOLDER", help=text)
+    text = "with --pictures: the dark shading that the results state, if any"
+    parser.add_argument("--dark-shading", metavar="FILE", help=text)
     console.add_shared(parser, run, "root", "jobs", json=True)
 
 
@@ -107,7 +85,7 @@ def run(arguments: console.Arguments) -> int:
 
 
 def _images(comparison: Comparison, arguments: console.Arguments) -> tuple[ScoredImage, ...]:
-    """Return what to decode for the pictures, from what the results state of their data."""
+    """List the images to decode for the pictures, from what the results state of their data."""
     from eldata.evaluation.looking import images_of, stated_predictions, units_again
 
     named: list[Path | None] = [Path(name) for name in arguments.predictions]

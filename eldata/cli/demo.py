@@ -1,8 +1,8 @@
-"""`eldata demo`: the whole path on simulated raw files, without a download.
+"""`eldata demo`: try everything on simulated raw files, without a download.
 
 Photograph procedural scenes with two simulated cameras into real DNG files, verify them, denoise them, score the
 results and draw a contact sheet. With --train, train a network on other scenes of these cameras, in about two minutes
-on two CPU cores, and score it beside the others. With --calibration, take bias and flat-field frames with a camera
+on two CPU cores, and score it too. With --calibration, take bias and flat-field frames with a camera
 whose noise is known, calibrate it from them, and compare with the truth. DIR must be new, empty, or an earlier demo.
 
     eldata demo
@@ -35,11 +35,11 @@ def add_options(parser: console.Parser) -> None:
         "--beside",
         choices=("dct", "bm3d", "anscombe-bm3d"),
         metavar="NAME",
-        help="the baseline beside the network, as eldata baseline has it; bm3d takes minutes (default: dct)",
+        help="baseline to compare with; bm3d takes minutes (default: dct)",
     )
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--train", action="store_true", help="train a network on other scenes, and score it too")
-    instead.add_argument("--calibration", action="store_true", help="calibrate a camera, in place of scenes")
+    instead.add_argument("--calibration", action="store_true", help="calibrate a camera, instead of scenes")
     parser.add_argument(
         "--without",
         action="append",

@@ -1,4 +1,4 @@
-"""`eldata download`: fetch a dataset where its publisher allows it; unpack and check what was fetched by hand.
+"""`eldata download`: fetch a dataset, or unpack archives that you saved.
 
 Say where a dataset is available, how large it is and under which licence; with --yes, fetch the archives that the
 publisher lets programs fetch, resume after broken connections, check their structure and unpack them into the dataset's

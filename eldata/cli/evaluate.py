@@ -1,14 +1,11 @@
-"""`eldata evaluate`: score predictions under a named protocol, of one method or of several.
+"""`eldata evaluate`: score predictions under a named protocol.
 
-Score predictions under a named protocol and print the paper's table. The prediction of CAMERA/scene-1/IMG_0004.ARW is
-PREDS/CAMERA/scene-1/IMG_0004.EXT with EXT one of npy, npz, h5, tif, png (16 bit), dng: packed (C, h, w) or mosaic (H,
-W), float in [0, 1] or uint16 with 65535 = 1.0 (dng: raw DN). Under a protocol of sRGB it is a rendering: an RGB PNG of
-8 or 16 bits. Of clips (drv) it is PREDS/CLIP/FRAME.EXT for five frames of each. Several folders are scored in one pass,
-each raw file decoded once, and held against the first.
+Save one prediction per noisy frame: for CAMERA/scene-1/IMG_0004.ARW, PREDS/CAMERA/scene-1/IMG_0004.npy (or npz, h5,
+tif, 16-bit png, dng), packed (C, h, w) or mosaic (H, W), float in [0, 1] or uint16. docs/evaluation.md has sRGB, clips,
+and several methods in one pass.
 
-    eldata evaluate preds --dataset eld --root data
-    eldata evaluate preds --manifest mine.csv --root data --html page.html --json scores.json
-    eldata evaluate preds/bm3d preds/ours --dataset eld --root data -o results
+    eldata evaluate preds --dataset eld --root data --html page.html
+    eldata evaluate preds/bm3d preds/ours --manifest mine.csv -o results
 """
 
 from __future__ import annotations
@@ -19,7 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eldata.base import console
-from eldata.base.outputs import add_output, refuse_among
+from eldata.base.console import add_output
+from eldata.base.files import refuse_among
 from eldata.base.tables import FORMATS
 from eldata.cli.baseline import add_excluded, add_pairs, add_set
 from eldata.errors import ArgumentError
@@ -34,83 +32,28 @@ if TYPE_CHECKING:
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
-    from eldata.metrics.registry import OF_FRAMES, ST_RRED
-    from eldata.protocols.named import FAMILIES, PROTOCOLS
-
-    scored = ", ".join(one.heading for one in OF_FRAMES.values())
-    parser.description = f"{parser.description} Scored are {scored}, and {ST_RRED.heading} of clips."
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument(
-        "predictions", metavar="PREDS", nargs="*", default=[], help="folder of predictions; several: one of each method"
-    )
-    source.add_argument(
-        "--baseline",
-        choices=("input",),
-        help="in place of PREDS: score the noisy input itself, as the protocol has it",
-    )
+    source.add_argument("predictions", metavar="PREDS", nargs="*", default=[], help="folder of a method's predictions")
+    source.add_argument("--baseline", choices=("input",), help="instead of PREDS: score the noisy input itself")
     add_set(parser)
-    parser.add_argument(
-        "--protocol",
-        metavar="P",
-        help=(
-            f"how to score: {', '.join((*PROTOCOLS, *FAMILIES))}; or a TOML file of your own "
-            "(default: the one that the set's card names, such as eld or sid; raw of a set of your own). eldata "
-            "protocols shows what each fixes"
-        ),
-    )
+    text = "name in eldata protocols, or a TOML file (default: the set's own; raw for your own set)"
+    parser.add_argument("--protocol", metavar="P", help=text)
     add_pairs(parser)
-    add_excluded(parser, ", such as misaligned; may be repeated; the table says so")
-    parser.add_argument(
-        "--task",
-        metavar="MODULE:NAME",
-        help=(
-            "add a column of your own: a function of (prediction, reference), or an eldata.evaluation.Task, which says "
-            "what images it wants and whether lower is better; runs the module's code (docs/evaluation.md)"
-        ),
-    )
-    parser.add_argument(
-        "--dark-shading",
-        metavar="FILE",
-        help=(
-            "the inputs are corrected with this dark shading (eldata calibrate --dark-shading): the baseline is scored "
-            "so, of predictions it states so; table, page and the protocol's digest say which one"
-        ),
-    )
+    add_excluded(parser, "; may be repeated")
+    text = "score by this function of (prediction, reference), too"
+    parser.add_argument("--task", metavar="MODULE:NAME", help=text)
+    parser.add_argument("--dark-shading", metavar="FILE", help="dark shading subtracted from the inputs")
     console.add_cameras(parser)
-    parser.add_argument(
-        "--allow-missing",
-        action="store_true",
-        help="score the rest if predictions are missing; the table says so",
-    )
-    parser.add_argument(
-        "--strict",
-        action="store_true",
-        help="refuse predictions that show a mistake, such as channels in another order, a shift, or a wrong level; "
-        "without it, a line says so",
-    )
+    parser.add_argument("--allow-missing", action="store_true", help="score the rest if files are missing")
+    parser.add_argument("--strict", action="store_true", help="refuse predictions that show a mistake")
     add_output(parser, "--csv", help="write the score of each image to FILE")
     parser.add_argument("--format", choices=FORMATS, default="text", help="how to print the table (default: text)")
-    add_output(parser, "--html", help="write a page with plots, pictures and intervals to FILE")
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="FOLDER",
-        help=(
-            "write NAME.json and NAME.csv of each method here, and comparison.json and comparison.html of several; in "
-            "place of --json, --csv and --html, which are of one method"
-        ),
-    )
-    parser.add_argument(
-        "--name",
-        action="append",
-        default=[],
-        dest="names",
-        metavar="NAME",
-        help="what to call a method; once per folder, in their order (default: the folder's name)",
-    )
-    parser.add_argument(
-        "--compare", action="store_true", help="show the result among the published numbers that compare with it"
-    )
+    add_output(parser, "--html", help="write a page with plots and pictures to FILE")
+    text = "write JSON, CSV and the methods' comparison here"
+    parser.add_argument("-o", "--output", metavar="FOLDER", help=text)
+    text = "a method's name; once per folder, in their order"
+    parser.add_argument("--name", action="append", default=[], dest="names", metavar="NAME", help=text)
+    parser.add_argument("--compare", action="store_true", help="show published numbers beside the result")
     console.add_shared(parser, run, "root", "workers", json=True)
 
 
@@ -124,7 +67,7 @@ def run(arguments: console.Arguments) -> int:
     predictions = next(iter(arguments.predictions), None)
     with console.chosen_workers(arguments) as workers:
         request = make_request(predictions, **_options(arguments, workers))
-        _check_places(request, *(Path(name).parent for _, _, name in arguments.outputs.values() if name))
+        _check_places(request, *(path.parent for path in console.output_paths(arguments)))
         result = perform(request)
 
         def write_page() -> None:
@@ -154,7 +97,7 @@ def _check_places(request: Request, *folders: Path) -> None:
 
 
 def _options(arguments: console.Arguments, workers: Workers) -> dict[str, Any]:
-    """Return what is asked of the predictions, as keyword arguments."""
+    """Take the options of scoring as keyword arguments."""
     names = (
         "protocol", "root", "manifest", "cameras", "subset", "ids", "exclude_flags",
         "allow_missing", "baseline", "strict", "task", "dark_shading",
@@ -177,10 +120,10 @@ def _run_several(arguments: console.Arguments) -> int:
 
     if arguments.baseline is not None:
         raise ArgumentError("-o and --name are for folders of predictions; of --baseline give --json FILE, --csv FILE")
-    given = next((name for name in ("json", "csv", "html") if getattr(arguments, name)), None)
-    if given is not None:
+    unfit = next((name for name in ("json", "csv", "html") if getattr(arguments, name)), None)
+    if unfit is not None:
         raise ArgumentError(
-            f"--{given} writes the result of one method; of several, and with -o or --name, give -o FOLDER alone: it "
+            f"--{unfit} writes the result of one method; of several, and with -o or --name, give -o FOLDER alone: it "
             "gets NAME.json and NAME.csv of each, and their comparison"
         )
     folders = named_folders([Path(name) for name in arguments.predictions], arguments.names)
@@ -225,7 +168,7 @@ def _run_several(arguments: console.Arguments) -> int:
 
 
 def _with_pictures(comparison: Comparison, arguments: console.Arguments) -> str:
-    """Return the command that draws a comparison's images."""
+    """Make the command that draws a comparison's images."""
     out = Path(arguments.output)
     options = {name: getattr(arguments, name) for name in ("manifest", "root", "dark_shading")}
     return " ".join(

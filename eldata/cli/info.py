@@ -1,4 +1,4 @@
-"""`eldata info`: datasets known: where to get them, size, licence, citation.
+"""`eldata info`: list datasets: where to get them, size, licence, citation.
 
 List the datasets that eldata knows, or all that is known about one: where to get it, size, licence, citation, known
 defects, where its files belong and whether they are there. It looks at names, not at contents: eldata verify checks
@@ -41,9 +41,10 @@ def run(arguments: console.Arguments) -> int:
     def told() -> str:
         if arguments.dataset is not None:
             return found[0].format_text()
-        header = ("name", "title", "files", "size", f"in {data_root(arguments.root)}", "licence")
-        table = text_table(header, [one.row for one in found], left=(0, 1, 4, 5), columns=console.terminal_columns())
-        return f"{table}\n\neldata info NAME shows one: addresses, citation, known defects"
+        header = ("name", "files", "size", f"in {data_root(arguments.root)}", "title")
+        lines = text_table(header, [one.row for one in found], left=(0, 3, 4)).splitlines()
+        table = "\n".join(line[: console.terminal_columns()] for line in lines)
+        return f"{table}\n\neldata info NAME shows one: addresses, licence, citation, known defects"
 
     said = [partial(print, f"eldata info: {problem}", file=sys.stderr) for problem in problems]
     console.show_and_write(arguments, told, lambda: {"datasets": [one.as_dict() for one in found]}, *said)

@@ -16,14 +16,16 @@ _COMMANDS = (
     *("calibrate", "synthesize", "profile", "pack"),
 )
 
-_FIRST = ("eldata demo", "eldata info eld", "eldata evaluate preds --dataset eld --root data")
-_RUNNING = ("root", "json", "jobs", "dask", "debug")
+_FIRST = (
+    *("eldata demo", "eldata info eld", "eldata evaluate preds --dataset eld --root data"),
+    "python -m eldata.examples.train_denoiser --help",
+)
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the command's argument parser."""
     description = "Data for denoising raw photographs taken in the dark: check it, load it, score denoisers on it."
-    return command_line("eldata", description, "eldata.cli", _COMMANDS, _FIRST, _RUNNING)
+    return command_line("eldata", description, "eldata.cli", _COMMANDS, _FIRST)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -1,6 +1,6 @@
-"""`eldata manifest`: make a manifest and a card of your own raws, from their EXIF and folders.
+"""`eldata manifest`: list raws of your own: a manifest and a card from EXIF.
 
-Make the manifest (CSV) and, beside it, the card (JSON) of a folder of your own raws, by their EXIF. A scene is a
+Make the manifest (CSV) and the card (JSON) of a folder of your own raws, by their EXIF. A scene is a
 folder; its reference is what was exposed most at the lowest ISO, the others are noisy frames of it. What cannot be told
 is asked, and nothing is written. Frames in folders called bias and flat are calibration frames.
 
@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base import console
+from eldata.base.console import add_output
 from eldata.base.numbers import counted
-from eldata.base.outputs import add_output
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -33,12 +33,12 @@ def add_options(parser: console.Parser) -> None:
         beside=[".json"],
         required=True,
         metavar="CSV",
-        help="the new manifest, such as mine.csv; its card, mine.json, lies beside it",
+        help="the new manifest, such as mine.csv; its card becomes mine.json",
     )
     parser.add_argument(
         "--reference",
         metavar="PATTERN",
-        help="the references' paths below FOLDER, such as '*/clean.dng' or 'long/*', in place of what EXIF says",
+        help="the references' paths below FOLDER, such as '*/clean.dng' or 'long/*', instead of what EXIF says",
     )
     parser.add_argument(
         "--scene",

@@ -2,8 +2,8 @@
 
 Decode each file of a dataset's pairs or clips, or of a folder of clean raws, once, into one HDF5 file: the pixels in DN
 with levels, CFA, exposure and manifest (of preprocessed clips, their 16-bit RGB), lossless. PackedStore, PackedClips,
-CleanFrames and CleanClips read random crops of it; DarkFrames reads those of bias frames, CAMERA/bias/ISO100/... below
-the folder (that of DATASET calibration).
+CleanFrames and CleanClips read random crops of it. A folder of bias frames, CAMERA/bias/ISO100/... (or DATASET
+calibration), makes a store for DarkFrames.
 
     eldata pack sid-sony --split train -o sid-train.h5
     eldata pack data/SID/Sony/long -o clean.h5
@@ -17,41 +17,31 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.files import folder_problem
+from eldata.base.console import add_output
+from eldata.base.files import folder_problem, refuse_among
 from eldata.base.numbers import counted
-from eldata.base.outputs import add_output, refuse_among
-from eldata.cli.baseline import add_part
+from eldata.cli.baseline import add_pairs
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
     from eldata.sources.store.write import Source
 
 _CALIBRATION = "calibration"
-REFERENCE_HELP = (
-    "paths of a folder's clean frames below it, such as '*/long/*', in place of what a manifest beside them or ISO and "
-    "exposure say; '*' takes all"
-)
+REFERENCE_HELP = "pattern of the clean frames' paths, such as '*/long/*', or '*' (default: by manifest or EXIF)"
 
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
-    parser.add_argument(
-        "dataset",
-        metavar="DATASET",
-        help="a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), or a folder of clean raws",
-    )
+    text = "a dataset's name, such as eld, drv or drv-raw (DRV's camera raws), or a folder of clean raws"
+    parser.add_argument("dataset", metavar="DATASET", help=text)
     add_output(parser, "-o", "--output", metavar="STORE", required=True, help="a new file, such as store.h5")
-    parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, in place of the shipped one")
+    parser.add_argument("--manifest", metavar="M", help="the dataset's manifest, instead of the shipped one")
     parser.add_argument("--reference", metavar="PATTERN", help=REFERENCE_HELP)
-    add_part(parser)
-    parser.add_argument("--clip", action="append", dest="ids", metavar="ID", help="only this clip; may be repeated")
+    parser.add_argument("--split", action="append", metavar="S", help="only this split; may be repeated")
+    add_pairs(parser)
     console.add_cameras(parser)
-    parser.add_argument(
-        "--compression",
-        choices=("none", "lz4", "zstd"),
-        default="none",
-        help="lossless; lz4 and zstd need the extra eldata[compression] (default: %(default)s)",
-    )
+    text = "lossless; lz4 and zstd need the extra eldata[compression] (default: %(default)s)"
+    parser.add_argument("--compression", choices=("none", "lz4", "zstd"), default="none", help=text)
     console.add_shared(parser, run, "root", "workers")
 
 

@@ -18,59 +18,29 @@ from eldata.cli.baseline import add_choice, chosen_options, show_report
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
-    parser.add_argument(
-        "model",
-        metavar="MODEL",
-        help="a TorchScript file (.pt), one of torch.export (.pt2) or ONNX (.onnx); or package.module:name, a "
-        "torch.nn.Module or what makes one",
-    )
+    text = "TorchScript (.pt), torch.export (.pt2) or ONNX file, or package.module:name of a torch.nn.Module"
+    parser.add_argument("model", metavar="MODEL", help=text)
     add_choice(parser)
-    parser.add_argument(
-        "--weights", metavar="FILE", help="state dict for package.module:name: safetensors, or a torch checkpoint"
+    text = "state dict for package.module:name: safetensors, or a torch checkpoint"
+    parser.add_argument("--weights", metavar="FILE", help=text)
+    text = (
+        "of the input, before and after it is amplified: as the protocol has it, or none, which keeps negative values "
+        "of read noise; take what the network was trained with (default: what its file records, else protocol)"
     )
-    parser.add_argument(
-        "--input-clip",
-        choices=("protocol", "none", "upper", "both"),
-        help="of the input, before and after it is amplified: as the protocol has it, or none, which keeps the "
-        "negative half of the read noise; take what the network was trained with (default: what its file records, "
-        "else protocol)",
-    )
-    parser.add_argument(
-        "--window",
-        type=console.whole_number(1),
-        metavar="T",
-        help="frames of a clip that the network takes, an odd number (default: what the network states, else 1)",
-    )
-    parser.add_argument(
-        "--tile",
-        type=console.whole_number(0),
-        default=1024,
-        metavar="PX",
-        help="packed pixels; 0: whole frames (default: 1024)",
-    )
-    parser.add_argument(
-        "--overlap",
-        type=console.whole_number(0),
-        default=128,
-        metavar="PX",
-        help="of tiles; four times the network's reach makes them equal to the whole frame (default: 128)",
-    )
-    parser.add_argument(
-        "--multiple",
-        type=console.whole_number(1),
-        metavar="M",
-        help="sides and places of tiles are multiples of it: 16 for a network that halves its image four times "
-        "(default: what the network states, else 16)",
-    )
-    parser.add_argument(
-        "--device", default="auto", metavar="D", help="cpu, cuda, or auto (default: a GPU if there is one)"
-    )
-    parser.add_argument(
-        "--precision",
-        choices=("float32", "bfloat16", "float16"),
-        default="float32",
-        help="mixed precision by torch's autocast (default: %(default)s)",
-    )
+    parser.add_argument("--input-clip", choices=("protocol", "none", "upper", "both"), help=text)
+    text = "frames of a clip that the network takes, an odd number (default: what the network states, else 1)"
+    parser.add_argument("--window", type=console.whole_number(1), metavar="T", help=text)
+    text = "packed pixels; 0: whole frames (default: 1024)"
+    parser.add_argument("--tile", type=console.whole_number(0), default=1024, metavar="PX", help=text)
+    text = "of tiles; four times the network's reach makes them equal to the whole frame (default: 128)"
+    parser.add_argument("--overlap", type=console.whole_number(0), default=128, metavar="PX", help=text)
+    text = "sides and places of tiles are multiples of it (default: what the network states, else 16)"
+    parser.add_argument("--multiple", type=console.whole_number(1), metavar="M", help=text)
+    text = "cpu, cuda, or auto (default: a GPU if there is one)"
+    parser.add_argument("--device", default="auto", metavar="D", help=text)
+    precisions = ("float32", "bfloat16", "float16")
+    text = "mixed precision by torch's autocast (default: %(default)s)"
+    parser.add_argument("--precision", choices=precisions, default="float32", help=text)
     kept = "{output} keeps the finished predictions, and the same command goes on"
     console.add_shared(parser, run, "root", interrupted=kept)
 

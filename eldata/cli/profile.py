@@ -1,4 +1,4 @@
-"""`eldata profile`: show a camera's noise profile.
+"""`eldata profile`: list, show or import noise profiles of cameras.
 
 Camera profiles: list those that ship, show one, or make one of published parameters.
 
@@ -12,7 +12,7 @@ import shlex
 from typing import TYPE_CHECKING
 
 from eldata.base import console
-from eldata.base.outputs import add_output
+from eldata.base.console import add_output
 
 if TYPE_CHECKING:
     from eldata.noise.profile import CameraProfile
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def add_options(parser: console.Parser) -> None:
     """Add its options."""
-    subcommands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    subcommands = parser.add_subparsers(title="commands", metavar="COMMAND")
     show = console.add_command(subcommands, "show", run_show.__doc__)
     show.add_argument("camera", metavar="CAMERA", help="name of a shipped profile, or path of a JSON file")
     console.add_shared(show, run_show, json=True)
@@ -28,11 +28,8 @@ def add_options(parser: console.Parser) -> None:
     importing.add_argument("file", metavar="FILE", help="the parameters, JSON")
     add_output(importing, "-o", "--output", help="write the camera profile to FILE (JSON)", required=True)
     importing.add_argument("--camera", metavar="NAME", help="the camera's name (default: the file's, less _params)")
-    importing.add_argument(
-        "--calibration",
-        metavar="NAME",
-        help="which of several calibrations in the file, such as Profile-2 (default: the only one)",
-    )
+    text = "which of several calibrations in the file, such as Profile-2 (default: the only one)"
+    importing.add_argument("--calibration", metavar="NAME", help=text)
     console.add_shared(importing, run_import)
     listing = console.add_command(subcommands, "list", run_list.__doc__)
     console.add_shared(listing, run_list, json=True)
@@ -81,7 +78,7 @@ def _facts(profile: CameraProfile) -> list[str]:
 
 
 def _rows(profile: CameraProfile) -> list[str]:
-    """Return what was measured at each ISO, and the lines over K."""
+    """Describe the figures at each ISO, and the lines over K."""
     from eldata.base.tables import text_table
 
     def cell(value: float | None) -> str:

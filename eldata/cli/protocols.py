@@ -1,4 +1,4 @@
-"""`eldata protocols`: evaluation protocols: what each fixes, and its source.
+"""`eldata protocols`: list evaluation protocols: what each fixes, and its source.
 
 List the protocols under which images and clips are scored, or show all that one of them fixes: pairs, region, levels,
 clips, rescaling, metrics, source and digest. A protocol of your own is a TOML file: see docs/evaluation.md.

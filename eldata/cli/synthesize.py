@@ -42,7 +42,7 @@ def add_options(parser: console.Parser) -> None:
         "--ratio", metavar="A:B", type=_ratio, default=(100.0, 300.0), help="low-light factors (default: 100:300)"
     )
     parser.add_argument(
-        "--iso", type=float, help="simulate this ISO, which noisy files then state, in place of drawing K"
+        "--iso", type=float, help="simulate this ISO, which noisy files then state, instead of drawing K"
     )
     parser.add_argument(
         "--extrapolate", action="store_true", help="take --iso beyond the range that the profile was calibrated over"

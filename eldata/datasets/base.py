@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, get_args
 
 import numpy as np
 
+from eldata.base.arrays import NpyError, read_npy
 from eldata.base.files import file_problem, inside
-from eldata.base.pixels import NpyError, read_npy
 from eldata.base.tables import frame_of
 from eldata.datasets.crops import Crop
 from eldata.datasets.items import CroppedItems, DrawnItem, Part, shading_text
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import torch
 
-    from eldata.base.pixels import NpyHeader
+    from eldata.base.arrays import Declared
     from eldata.datasets.items import Crops
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification
@@ -388,8 +388,8 @@ def _packed_noisy(path: Path, record: PairRecord, target: Frame) -> Frame:
     """Read a packed, amplified noisy frame, as a mosaic like its reference's."""
     shape = packed_shape(target.shape, target.cfa)
 
-    def check(header: NpyHeader) -> None:
-        if header.shape != shape or header.dtype != np.float32:
+    def check(header: Declared) -> None:
+        if header.shape != shape or header.values != "float32":  # noqa: PD011 # no pandas
             found = f"{header.values} {header.shape}"  # noqa: PD011 # no pandas
             raise DatasetError(f"{path}: expected float32 {shape} like its reference, found {found}")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from eldata.base.memory import scratch
+from eldata.base.compiled import scratch
 from eldata.errors import ArgumentError, DatasetError
 from eldata.raw.levels import PackedArea, cfa_from, pack_normalised, packed_area, packed_shape, packing_sites, with_rows
 from eldata.sources.frames import RGB_WHITE

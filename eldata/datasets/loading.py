@@ -22,10 +22,10 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset, Sampler
 
-from eldata.base.arguments import require_main_guard
 from eldata.base.compiled import available_threads
 from eldata.base.numbers import checked_whole
 from eldata.base.seeds import checked_epoch, checked_seed, purpose_sequence
+from eldata.base.workers import require_main_guard
 from eldata.datasets.items import keep_counts
 from eldata.errors import ArgumentError, check_choice
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from eldata.base.memory import no_search_for_cycles
+from eldata.base.fields import no_search_for_cycles
 from eldata.datasets.base import SourcePairs
 from eldata.datasets.clips import ClipWindows
 from eldata.errors import DatasetError

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from eldata.base.array_files import declared_array, read_array
+from eldata.base.arrays import declared_array, read_array
 from eldata.base.files import file_problem, inside, is_hidden, path_problem
 from eldata.base.visible import shown
 from eldata.errors import ArchiveError, DownloadError, EldataError

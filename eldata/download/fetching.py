@@ -18,7 +18,7 @@ from urllib.parse import unquote, urlsplit
 
 from eldata import __version__
 from eldata.base.fields import TextFile
-from eldata.base.files import check_posix, try_lock, write_json
+from eldata.base.files import try_lock, write_json
 from eldata.download.archives import FORMATS, check_room, progress_bar, size_text
 from eldata.errors import ArgumentError, DownloadError
 from eldata.manifest.catalogue import data_root
@@ -121,7 +121,6 @@ class RangeDownloader:
         import requests
 
         del pooch
-        check_posix("fetching a file")
         part = Path(output_file).with_name(f"{archive_name(url)}.part")
         note = part.with_suffix(".part.json")
         session = requests.Session()
@@ -129,7 +128,7 @@ class RangeDownloader:
         if not self.plain_http:
             del session.adapters["http://"]
         with part.open("ab") as file, session, progress_bar(part.stem) as bar:
-            if not try_lock(part, file):
+            if try_lock(file) is False:
                 raise DownloadError(f"{part}: another process is fetching it; wait for that one")
             furthest, failures = file.tell(), 0
             while True:

@@ -89,10 +89,10 @@ class Overview:
 
     @property
     def row(self) -> tuple[str, ...]:
-        """Its line in the table of all: name, title, files, size, what is there, licence."""
+        """Its line in the table of all: name, files, size, what is there, title."""
         card, there = self.card, self.presence
         files, state = ("not listed", "card alone") if there is None else (there.count_text, str(there))
-        return card.name, card.title, files, _size(card), state, card.licence
+        return card.name, files, _size(card), state, card.title
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain JSON types; what only a manifest knows is ``None``."""

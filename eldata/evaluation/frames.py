@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast, get_args
 
 import numpy as np
 
-from eldata.base.arguments import named_object
+from eldata.base.fields import named_object
 from eldata.errors import ArgumentError, DatasetError, EldataError, RawFileError, ShadingError
 from eldata.evaluation.diagnosis import Inspection, mistake_in, sketch
 from eldata.evaluation.mistakes import Circumstances

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.arrays import rgb_frame
 from eldata.base.files import inside
-from eldata.base.pixels import rgb_frame
 from eldata.base.workers import require_files
 from eldata.errors import ArgumentError
 from eldata.raw.levels import CLIP_RANGES, pack, packed_black_level_dn, packed_frame, with_levels
@@ -49,7 +49,7 @@ class Originals:
         return inside(self.files.folder, path)
 
     def require(self, path: str) -> None:
-        """Raise :class:`~eldata.base.workers.UnseenFileError` unless this machine sees a frame's file."""
+        """Check that this machine sees a frame's file."""
         require_files(self.place(path))
 
     def raw(self, path: str) -> RawFrame:

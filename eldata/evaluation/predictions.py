@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from eldata.base.array_files import declared_array, read_array
+from eldata.base.arrays import declared_array, read_array
 from eldata.base.files import atomic_write, file_problem
 from eldata.errors import ArgumentError, PredictionError, RawFileError
 from eldata.evaluation.layouts import stem_of
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.base.pixels import Declared
+    from eldata.base.arrays import Declared
     from eldata.evaluation.layouts import FoundPredictions
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.clips import ClipRecord

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from eldata.base.arguments import is_tensor, named_object
+from eldata.base.arrays import is_tensor
+from eldata.base.fields import named_object
 from eldata.base.files import sha256_of
 from eldata.base.numbers import Figure
 from eldata.base.visible import in_line

@@ -34,7 +34,7 @@ from torch.utils.data import ConcatDataset, Dataset
 
 from eldata import ELDDataset, PackedStore, SyntheticClips, SyntheticPairs
 from eldata.base import console
-from eldata.base.arguments import named_object
+from eldata.base.fields import named_object
 from eldata.base.files import atomic_write
 from eldata.baselines import Training, UNet, absolute_error, save_network, tiled
 from eldata.datasets import CleanFrames, DarkFrames, Noise2Noise, describe, evaluation_loader, training_loader

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING
 
-from eldata.base.pixels import read_png_header, read_rgb16
+from eldata.base.arrays import read_png_header, read_rgb16
 from eldata.errors import FileError
 from eldata.manifest.patterns import is_png
 from eldata.manifest.verify_report import Problem, row_fault

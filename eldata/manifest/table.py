@@ -8,9 +8,8 @@ from fractions import Fraction
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, get_args
 
-from eldata.base.fields import TextFile, TextRow, names_of
+from eldata.base.fields import TextFile, TextRow, names_of, no_search_for_cycles
 from eldata.base.files import path_problem, write_text
-from eldata.base.memory import no_search_for_cycles
 from eldata.base.tables import csv_text
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, ManifestError

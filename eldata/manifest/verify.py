@@ -377,7 +377,7 @@ def _hash_findings(path: Path, record: FrameRecord) -> list[Problem]:
 
 def _packed_findings(path: Path, record: FrameRecord) -> list[Problem]:
     """Check a packed array (a synthetic noisy frame): it has no EXIF to compare, but a header that says its shape."""
-    from eldata.base.pixels import NpyError, read_npy_header
+    from eldata.base.arrays import NpyError, read_npy_header
 
     problem = file_problem(path)
     if problem is not None:
@@ -387,7 +387,7 @@ def _packed_findings(path: Path, record: FrameRecord) -> list[Problem]:
             header = read_npy_header(file)
             held = path.stat().st_size - file.tell()
         found = f"{header.values} {header.shape}"
-        good = len(header.shape) == 3 and str(header.dtype) == "float32"
+        good = len(header.shape) == 3 and header.values == "float32"
         if good and held != header.value_bytes:
             found, good = f"{found} of {header.value_bytes} bytes, and {held} are there", False
     except (OSError, NpyError) as error:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from eldata.base.arguments import is_tensor
+from eldata.base.arrays import is_tensor
 from eldata.base.compiled import in_threads
 from eldata.errors import ArgumentError
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, get_args, overload
 
 import numpy as np
 
-from eldata.base.arguments import is_tensor
+from eldata.base.arrays import is_tensor
 from eldata.errors import ArgumentError, check_choice
 from eldata.metrics._images import check_data_range, check_threads, host_array, pair, total, totals
 from eldata.metrics._kernels import products, squared_error

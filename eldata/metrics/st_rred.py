@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from eldata.base.arguments import is_tensor
+from eldata.base.arrays import is_tensor
 from eldata.base.compiled import in_threads, kernel
 from eldata.base.numbers import counted
 from eldata.errors import ArgumentError

@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eldata.base.arrays import NpyError, opened_npz
 from eldata.base.fields import Fields, TextFile, names_of
 from eldata.base.files import atomic_write, file_problem, json_text
-from eldata.base.pixels import NpyError, opened_npz
 from eldata.base.visible import shown
 from eldata.errors import ArgumentError, DatasetError, ShadingError
 from eldata.raw.levels import cfa_from, pack, packed_area, packed_channels, packed_shape, packing_sites
@@ -36,7 +36,7 @@ from eldata.raw.levels import cfa_from, pack, packed_area, packed_channels, pack
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from eldata.base.pixels import NpyHeader, NpzArchive
+    from eldata.base.arrays import Declared, NpzArchive
     from eldata.raw.levels import CfaRows
 
 _SCHEMA, _SCHEMA_WITH_MODEL = 1, 2
@@ -402,9 +402,9 @@ def _read(path: Path, archive: NpzArchive) -> tuple[DarkShading, str]:
     """Read a shading, and the digest that its file states; what is declared is checked before it is loaded."""
 
     def array(name: str, dtype: str, *shape: int) -> NDArray[Any]:
-        def check(header: NpyHeader) -> None:
+        def check(header: Declared) -> None:
             fits = header.shape == shape or (not shape and header.shape <= (_MOST_ABOUT_BYTES,))
-            if header.values != dtype or header.fortran_order or not fits:
+            if header.values != dtype or not fits:
                 expected = f"{dtype} {shape}" if shape else f"up to {_MOST_ABOUT_BYTES} bytes"
                 raise NpyError(f"{name}: expected {expected}, found {header.values} {header.shape}")
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
-from eldata.base.arguments import is_tensor
+from eldata.base.arrays import is_tensor
 from eldata.base.numbers import checked_whole
 from eldata.errors import ArgumentError, check_choice
 from eldata.noise.components import parse_components

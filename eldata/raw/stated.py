@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.base.pixels import Declared
+    from eldata.base.arrays import Declared
 
 ARRAY_EXTENSIONS = frozenset((".npy", ".npz", ".mat", ".h5", ".tif", ".tiff"))
 """Lower case, with the dot."""
@@ -95,7 +95,7 @@ class StatedFile:
             If the file is missing, damaged, or not one mosaic of numbers in [0, 65535]; or if what is stated does not
             fit it.
         """
-        from eldata.base.array_files import read_array
+        from eldata.base.arrays import read_array
         from eldata.raw.damage import border_remarks
         from eldata.raw.levels import bayer_cfa
 
@@ -116,7 +116,7 @@ class StatedFile:
 
     def check(self) -> None:
         """Look at what the file declares, without its pixels; raises like :meth:`read`."""
-        from eldata.base.array_files import declared_array
+        from eldata.base.arrays import declared_array
 
         self._check_kind()
         declared = declared_array(self.path, name=self.facts.array, error=RawFileError, advice=_AGAIN)

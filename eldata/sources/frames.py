@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from eldata.base.memory import scratch
-from eldata.base.pixels import read_rgb16
+from eldata.base.arrays import read_rgb16
+from eldata.base.compiled import scratch
 from eldata.errors import ArgumentError, DatasetError, FileError
 from eldata.manifest.catalogue import FrameFiles, known_names
 from eldata.manifest.pair_checks import RATIO_TOLERANCE

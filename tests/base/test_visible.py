@@ -9,7 +9,8 @@ import unicodedata
 import pytest
 from tqdm import tqdm
 
-from eldata.base.visible import Screen, has_unseen, in_line, visible
+from eldata.base.console import Screen
+from eldata.base.visible import has_unseen, in_line, visible
 
 # Unicode 15's list of characters with the property Bidi_Control (PropList.txt).
 BIDI_CONTROL = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"

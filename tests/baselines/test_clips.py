@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import torch
 
-from eldata.base.files import wait_for_lock, write_json
+from eldata.base.files import try_lock, write_json
 from eldata.baselines import NetworkDenoiser, Training, UNet, clip_error, load_network, save_network
 from eldata.baselines.noisy_frames import mirrored_window
 from eldata.baselines.predicting import BaselineDenoiser, write_predictions
@@ -293,7 +293,7 @@ def test_a_clip_that_was_begun_goes_on_frame_by_frame(drv: SmallDrv, tmp_path: P
     assert [file.read_bytes() for file in files] == [content for _, content in before]
     kept = [k for k in range(10) if k not in (2, 7)]
     assert [files[k].stat().st_mtime_ns for k in kept] == [before[k][0] for k in kept]
-    with pytest.raises(ArgumentError, match="another window: expected 1, found 3"):
+    with pytest.raises(ArgumentError, match="started with window 3, now 1"):
         write_predictions(load_network(f"{HERE}:later", multiple=1), "", out, **of_set(drv))
 
 
@@ -420,10 +420,10 @@ def test_of_two_works_that_begin_one_folder_at_once_one_is_refused(
     inside: list[str] = []
     refused: list[str] = []
 
-    def waiting(descriptor: int) -> None:
-        if threading.current_thread() is second:
+    def waiting(file: Any, **options: bool) -> bool | None:
+        if threading.current_thread() is second and options.get("wait"):
             decides.set()
-        wait_for_lock(descriptor)
+        return try_lock(file, **options)
 
     def write_slowly(*given: Any) -> None:
         come.set()
@@ -444,7 +444,7 @@ def test_of_two_works_that_begin_one_folder_at_once_one_is_refused(
             refused.append(str(error))
 
     monkeypatch.setattr("eldata.baselines.prediction_folder.write_json", write_slowly)
-    monkeypatch.setattr("eldata.baselines.prediction_folder.wait_for_lock", waiting)
+    monkeypatch.setattr("eldata.baselines.prediction_folder.try_lock", waiting)
     first, second = (threading.Thread(target=work, args=(name,)) for name in ("first", "second"))
     second.start()
     first.start()
@@ -452,7 +452,7 @@ def test_of_two_works_that_begin_one_folder_at_once_one_is_refused(
     assert inside == ["first"]
     assert json.loads((tmp_path / "p" / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "first"
     assert len(refused) == 1
-    assert "was begun with another denoiser: expected second, found first" in refused[0]
+    assert "was started with denoiser first, now second" in refused[0]
 
 
 def test_the_same_work_may_be_done_by_several(tmp_path: Path) -> None:
@@ -464,7 +464,10 @@ def test_the_same_work_may_be_done_by_several(tmp_path: Path) -> None:
     second = begun(tmp_path / "p", same)
     with begun(tmp_path / "p", same):
         second.__enter__()
-    with pytest.raises(ArgumentError, match="another denoiser"), begun(tmp_path / "p", {**same, "denoiser": "two"}):
+    with (
+        pytest.raises(ArgumentError, match="started with denoiser"),
+        begun(tmp_path / "p", {**same, "denoiser": "two"}),
+    ):
         pass
     second.__exit__(None, None, None)
     with begun(tmp_path / "p", {**same, "denoiser": "two"}):

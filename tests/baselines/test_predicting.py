@@ -130,9 +130,9 @@ def test_what_is_there_is_kept_and_other_settings_are_refused(tree: Tree, tmp_pa
     report = again("input")
     assert (report.written, report.kept) == (7, 5)
     assert [file.stat().st_mtime_ns for file in first if file != first[3]] == [*times[:3], *times[4:]]
-    with pytest.raises(ArgumentError, match="was begun with another denoiser: expected dct, found input"):
+    with pytest.raises(ArgumentError, match="was started with denoiser input, now dct"):
         again("dct")
-    with pytest.raises(ArgumentError, match="was begun with another dtype: expected uint16, found float32"):
+    with pytest.raises(ArgumentError, match="was started with dtype float32, now uint16"):
         again("input", dtype="uint16")
 
 
@@ -146,7 +146,7 @@ def test_a_folder_without_a_prediction_begins_again(tree: Tree, tmp_path: Path) 
             return {"denoiser": "failing"}
 
         def __call__(self, frame: NoisyFrame) -> Any:
-            with pytest.raises(ArgumentError, match="another denoiser: expected input, found failing"):
+            with pytest.raises(ArgumentError, match="started with denoiser failing, now input"):
                 again(BaselineDenoiser("input"))  # while this one works, it is refused
             raise EldataError(f"not for {len(frame.image)} channels")
 
@@ -156,7 +156,7 @@ def test_a_folder_without_a_prediction_begins_again(tree: Tree, tmp_path: Path) 
     assert (again(Failing()).written, list(out.rglob("*.npy"))) == (0, [])
     assert again(BaselineDenoiser("input")).written == 6
     assert json.loads((out / SETTINGS).read_text(encoding="utf-8"))["denoiser"] == "input"
-    with pytest.raises(ArgumentError, match="another denoiser: expected failing, found input"):
+    with pytest.raises(ArgumentError, match="started with denoiser input, now failing"):
         again(Failing())
 
 
@@ -194,7 +194,7 @@ def test_predictions_of_a_network_that_has_changed_are_refused(
     before = {file: file.read_bytes() for file in out.rglob("*.npy")}
     assert "6 frames predicted, 6 were there" in predict(changing)[1]  # the same network for the other camera
     for name, value, words in (
-        ("weight", 0.75, "was begun with another weights sha256"),
+        ("weight", 0.75, "was started with weights sha256 "),
         ("power", 1.01, "was begun with a network of this name and these weights that gave something else"),
     ):
         with monkeypatch.context() as patch:
@@ -229,10 +229,10 @@ def test_what_lies_beside_an_onnx_file_is_part_of_it(tree: Tree, tmp_path: Path)
 
     assert (predict().written, predict().kept) == (6, 6)
     weights.write_bytes(b"of today")
-    with pytest.raises(ArgumentError, match=r"was begun with another net\.onnx\.data: "):
+    with pytest.raises(ArgumentError, match=r"was started with net\.onnx\.data "):
         predict()
     weights.unlink()
-    with pytest.raises(ArgumentError, match=r"was begun with another net\.onnx\.data: expected None"):
+    with pytest.raises(ArgumentError, match=r"was started with net\.onnx\.data .*, now None"):
         predict()
 
 
@@ -324,7 +324,7 @@ def test_where_the_noise_is_known_from(tree: Tree, tmp_path: Path) -> None:
             predicted("others", *several, another=another)
     with pytest.raises(ArgumentError, match="one profile of each camera; found profiles of DemoAlpha, DemoAlpha"):
         predicted("twice", known, known)
-    with pytest.raises(ArgumentError, match="another noise"):
+    with pytest.raises(ArgumentError, match="started with noise"):
         predicted("known", known_profile(CAMERAS[0], (400, 1600, 3200)))
     assert not (tmp_path / "others").exists()
 
@@ -380,9 +380,9 @@ def test_what_is_not_a_network(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     with pytest.raises(FileError, match="cannot be loaded by ONNX Runtime"):
         load_network(str(tmp_path / "bad.onnx"))
-    with pytest.raises(ArgumentError, match="has no nothing"):
+    with pytest.raises(ArgumentError, match=r"has no attribute .nothing"):
         load_network("tests.baselines.test_predicting:nothing")
-    with pytest.raises(ArgumentError, match=r"the module no.such.place cannot be imported"):
+    with pytest.raises(ArgumentError, match=r"no.such.place:Network: cannot be imported"):
         load_network("no.such.place:Network")
     with pytest.raises(ArgumentError, match="float16 needs a GPU"):
         load_network("tests.baselines.test_predicting:Doubled", device="cpu", precision="float16")

@@ -134,7 +134,7 @@ def test_wrong_usage(
     for options, words in (
         ("--format html", "a page needs a file"),
         ("-o list.pdf", "expected a name that ends in .html, .md or .txt"),
-        ("-o plan.json --format txt", "-o plan.json: is what PLAN names, and this command reads it"),
+        ("-o plan.json --format txt", "-o: plan.json is a file that this command reads"),
     ):
         assert main(["checklist", "plan.json", *options.split()]) == 2
         assert words in capsys.readouterr().err

@@ -123,7 +123,7 @@ ONE = f"{NEW} --scenes 1 --metered 4"
         (f"{ONE} --isos 900", "SonyA7S2 has no ISO 900"),
         (f"{ONE} --remeter scene-2", "such as scene-2=1/4; found 'scene-2'"),
         (f"{ONE} --note scene-1", "--note: expected a scene and a text"),
-        (f"{ONE} -o cam.json", "-o cam.json: is what --camera names, and this command reads it"),
+        (f"{ONE} -o cam.json", "-o: cam.json is a file that this command reads"),
         (f"{ONE} --calibration", "--calibration needs --flat-clips-at SECONDS"),
         (f"{ONE} --bias-frames 5", "--bias-frames goes with --calibration"),
         ("plan --metered soon", "argument --metered: expected seconds above 0, such as 4, 1/2"),

@@ -262,7 +262,7 @@ def test_what_is_there_stays(small: Field, capsys: pytest.CaptureFixture[str]) -
     "line, words",
     [
         ("manifest plan.json card -o mine.json", "expected a name that ends in .csv"),
-        ("manifest plan.json card -o plan.csv", "its plan.json is what PLAN names"),
+        ("manifest plan.json card -o plan.csv", "-o: plan.json is a file that this command reads"),
         ("manifest nowhere.json card -o mine.csv", "nowhere.json: cannot be read"),
         ("manifest plan.json nowhere -o mine.csv", "nowhere: no such file or folder"),
         ("manifest plan.json plan.json -o mine.csv", "no raw file (.dng) was given"),

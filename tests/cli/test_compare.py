@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from eldata.base.console import Parser, add_module, run
+from eldata.base.console import Parser, add_command, run
 from eldata.cli import compare as command
 from tests.cli.conftest import Outcome, assert_golden
 from tests.cli.test_usage import assert_one_line
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def compare(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
     def call(*arguments: str | Path) -> Outcome:
         parser = Parser(prog="eldata")
-        add_module(parser.add_subparsers(), command)
+        command.add_options(add_command(parser.add_subparsers(), "compare", command.__doc__))
         capsys.readouterr()
         code = run(parser, ["compare", *(str(argument) for argument in arguments)])
         captured = capsys.readouterr()

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.cli.test_usage import assert_one_line
 from tests.raw.damaging import PAGE, Whole
 
 if TYPE_CHECKING:
@@ -57,19 +56,3 @@ def test_evaluate_does_not_score_it(eldata: Cli, holed: Tree, predictions: Path)
     assert outcome.code == 1
     assert REFERENCE in outcome.out + outcome.err
     assert "bytes of 0x00 in a row" in outcome.out + outcome.err
-
-
-def test_pack_stops_at_it(eldata: Cli, holed: Tree, tmp_path: Path) -> None:
-    outcome = eldata("pack", "eld-demo", *options(holed), "-o", tmp_path / "store.h5")
-    assert_one_line(outcome, REFERENCE, "bytes of 0x00 in a row", "copy or download it again")
-    assert not (tmp_path / "store.h5").exists()
-
-
-def test_a_recorded_hash_finds_it_too(eldata: Cli, tree: Tree, holed: Tree) -> None:
-    path = holed.files / REFERENCE
-    lost = path.read_bytes()
-    path.write_bytes((tree.files / REFERENCE).read_bytes())
-    assert eldata("lock", holed.manifest, "--root", holed.root).code == 0
-    path.write_bytes(lost)
-    outcome = eldata("verify", holed.manifest, "--root", holed.root, "--level", "full")
-    assert f"{REFERENCE}: sha256" in outcome.out

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -9,7 +8,6 @@ import pytest
 from eldata.download import fetching
 from eldata.manifest import catalogue
 from eldata.manifest.card import Download
-from tests.cli.test_usage import assert_one_line
 from tests.download import server
 from tests.download.helpers import HASTY, contents, make_shelf, sevenzipped, tree, zipped
 
@@ -88,19 +86,6 @@ def test_yes_fetches_unpacks_and_says_what_is_next(eldata: Cli, small: server.Si
     }
 
 
-def test_nothing_is_fetched_or_unpacked_twice(eldata: Cli, small: server.Site, data: Path) -> None:
-    eldata("download", "small", "--yes")
-    for arguments in (["--yes"], [], ["--part", "set", "--yes"]):
-        outcome = eldata("download", "small", *arguments)
-        assert outcome.code == 0
-        assert outcome.out.startswith("small: all 6 files are in data/SID")
-    assert len(small.requests) == 1
-    # Not even once the archive is deleted.
-    (data / "archives" / "set.zip").unlink()
-    assert eldata("download", "small", "--yes").code == 0
-    assert len(small.requests) == 1
-
-
 def test_interrupted(eldata: Cli, small: server.Site, data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
@@ -111,15 +96,6 @@ def test_interrupted(eldata: Cli, small: server.Site, data: Path, monkeypatch: p
     assert (outcome.code, outcome.err.count("\n")) == (130, 1)
     assert "the same command goes on from there" in outcome.err
     assert "Traceback" in eldata("download", "small", "--yes", "--debug").err
-
-
-def test_by_hand_only(eldata: Cli, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    know(tmp_path, monkeypatch, BY_HAND)
-    outcome = eldata("download", "small", "--yes")
-    assert (outcome.code, outcome.err) == (1, "")
-    assert "by hand, in a browser" in outcome.out
-    assert "--from FILE" in outcome.out
-    assert "To fetch what is marked direct" not in outcome.out
 
 
 # --- parts ------------------------------------------------------------------------------------------------------------
@@ -134,13 +110,6 @@ def parts(small: server.Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def of_kind(kind: str) -> dict[str, bytes]:
     return {name: content for name, content in FILES.items() if f"/{kind}/" in name}
-
-
-def test_several_archives_have_to_be_named(eldata: Cli, parts: server.Site, data: Path) -> None:
-    assert_one_line(eldata("download", "small", "--yes"), "--part", "long, short")
-    assert_one_line(eldata("download", "small", "--part", "middle"), "'middle'", "long, short")
-    assert eldata("download", "small").code == 1
-    assert parts.requests == []
 
 
 def test_one_part_and_then_the_other(eldata: Cli, parts: server.Site, data: Path) -> None:
@@ -168,50 +137,4 @@ def test_an_archive_saved_by_hand(name: str, pack: object, eldata: Cli, small: s
     assert small.requests == []
 
 
-def test_two_archives_saved_by_hand(eldata: Cli, small: server.Site, data: Path, tmp_path: Path) -> None:
-    for kind in ("long", "short"):
-        (tmp_path / kind).write_bytes(zipped(of_kind(kind)))
-    assert eldata("download", "small", "--from", tmp_path / "long").code == 1
-    assert eldata("download", "small", "--from", tmp_path / "long", "--from", tmp_path / "short").code == 0
-
-
-def test_files_that_differ_are_listed(eldata: Cli, small: server.Site, data: Path, tmp_path: Path) -> None:
-    name = next(iter(FILES))
-    (data / "SID" / name).parent.mkdir(parents=True)
-    (data / "SID" / name).write_bytes(b"mine")
-    (tmp_path / "x.zip").write_bytes(zipped(PACKED))
-    outcome = eldata("download", "small", "--from", tmp_path / "x.zip", "--json", tmp_path / "x.json")
-    assert (outcome.code, outcome.err) == (1, "")
-    assert f"left alone, differs in size from the archive's: {name}" in outcome.out
-    assert "some differ from the archive; move those away" in outcome.out
-    assert (data / "SID" / name).read_bytes() == b"mine"
-    report = json.loads((tmp_path / "x.json").read_text())
-    assert report["archives"][0]["differing"] == [name]
-    assert report["presence"]["complete"] is True
-    assert report["folder"] == "data/SID"
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (zipped(PACKED)[:-50], ["not all parts joined"]),
-        (b"<html>Sign in", ["web page"]),
-        (zipped({"../evil": b"x"}), ["'..'", "by hand (7z x)"]),
-        (zipped({"Fuji/long/1.RAF": b"x"}), ["none of its 1 files is listed", "another dataset"]),
-    ],
-)
-def test_what_cannot_be_used(content: bytes, words: list[str], eldata: Cli, small: server.Site, data: Path) -> None:
-    saved = data.parent / "saved.zip"
-    saved.write_bytes(content)
-    assert_one_line(eldata("download", "small", "--from", saved), str(saved), *words)
-    assert not data.exists()
-
-
 # --- usage ------------------------------------------------------------------------------------------------------------
-
-
-def test_wrong_usage(eldata: Cli) -> None:
-    assert_one_line(eldata("download"), "DATASET")
-    assert_one_line(eldata("download", "led"), "'led'", "eld, ")
-    assert_one_line(eldata("download", "eld", "--yes", "--from", "x"), "--from", "--yes")
-    assert_one_line(eldata("download", "eld", "--from", "none.7z"), "none.7z", "No such file")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from eldata.base.pixels import rgb_frame
+from eldata.base.arrays import rgb_frame
 from eldata.datasets.published import DRVDataset
 from eldata.evaluation import evaluate, load_result, save_clip_prediction
 from eldata.manifest.drv import scan_raw

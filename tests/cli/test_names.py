@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,6 +13,8 @@ from eldata.manifest.writing import save_manifest
 from tests.trees import build_published_tree
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tests.cli.conftest import Cli
     from tests.evaluation.helpers import Tree
 
@@ -78,23 +79,6 @@ def test_what_a_broken_package_registers_leaves_the_rest_alone(eldata: Cli, site
         assert "there is no module gone_package" in eldata(*arguments).err
 
 
-def test_a_name_that_eldata_has_already(eldata: Cli, site: Path) -> None:
-    install(site, "mine", "eld = mine:Dataset")
-    for arguments in (["verify", "eld"], ["evaluate", "x", "--dataset", "eld"], ["lock", "eld"]):
-        outcome = eldata(*arguments)
-        assert outcome.code == 2
-        assert "2 datasets are called 'eld'" in outcome.err
-    assert eldata("verify", "drv").code == 1  # which is not there
-
-
-def test_a_manifest_of_another_name_than_it_is_registered_by(dusk: Path, eldata: Cli, site: Path) -> None:
-    package = site / "dusk_sets" / "of_ours"
-    (site / "dusk-1.0.dist-info" / "entry_points.txt").write_text(f"[{ENTRY_POINTS}]\ndawn = dusk_sets.of_ours:Dawn\n")
-    for suffix in (".csv", ".json"):
-        (package / f"dusk{suffix}").rename(package / f"dawn{suffix}")
-    assert "its card names it 'dusk', but it is registered as 'dawn'" in eldata("verify", "dawn", "--root", dusk).err
-
-
 # --- lock by name -----------------------------------------------------------------------------------------------------
 
 
@@ -141,12 +125,3 @@ def test_verify_without_a_name_names_what_is_not_there(eldata: Cli, tmp_path: Pa
         "not there: crvd, drv, lrd, lrid, sid-fuji, sid-sony, sidd, sidd-blocks; eldata info NAME says where to get one"
     )
     assert json.loads((tmp_path / "x.json").read_text())["ok"] is True
-
-
-def test_what_is_not_a_manifest(eldata: Cli) -> None:
-    Path("model.pt").write_bytes(b"x")
-    assert "model.pt: is not a manifest, a CSV file" in eldata("verify", "model.pt").err
-    assert "store.h5 is checked alone" in eldata("verify", "eld", "store.h5").err
-    Path("eld").mkdir()  # a known name is a name
-    assert eldata("verify", "./eld").err == "eldata verify: eld: holds no manifest (*.csv)\n"
-    assert "eld: absent" in eldata("verify", "eld").out

@@ -12,9 +12,8 @@ import pytest
 
 from capture.cli.main import main as capture_main
 from capture.cli.main import parser as capture_parser
-from eldata.base.console import each_of, running_options
-from eldata.base.outputs import Output, refuse_among
-from eldata.cli.main import main as eldata_main
+from eldata.base.console import each_of
+from eldata.base.files import refuse_among
 from eldata.cli.main import parser as eldata_parser
 from eldata.errors import EldataError
 from eldata.noise.profile import CameraProfile
@@ -27,81 +26,29 @@ if TYPE_CHECKING:
     from tests.evaluation.helpers import Tree
 
 
-# --- which options name them --------------------------------------------------------------------------------------
-
-
-def options_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.Action]]:
-    """Every option of a program, with the command that has it."""
+def commands_of(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """The parsers of a program's commands."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for command in action.choices.values():
-                yield from options_of(command)
-        elif "run" in parser._defaults:  # and not of the program, which hands them on
-            yield parser.prog, action
-
-
-def help_of(action: argparse.Action) -> str:
-    """What it says, here or in the program's help."""
-    return str(running_options()[action.dest]["help"] if action.help == argparse.SUPPRESS else action.help)
+                yield from commands_of(command)
+    if "run" in parser._defaults:
+        yield parser
 
 
 @pytest.mark.parametrize("parser", [eldata_parser(), capture_parser()], ids=["eldata", "capture"])
-def test_every_option_that_names_a_file_to_write_is_tried_first(parser: argparse.ArgumentParser) -> None:
-    found = [
-        (command, action.option_strings[-1], isinstance(action, Output))
-        for command, action in options_of(parser)
-        if action.option_strings and action.metavar == "FILE" and re.search(r"\bwrite\b", help_of(action))
-    ]
-    assert len(found) > 5
-    assert [one for one in found if not one[2]] == []
-
-
-# Options that name a folder: what is in it is not replaced, which its own tests show.
-FOLDERS = {
-    ("eldata baseline", "--output"),
-    ("eldata predict", "--output"),
-    ("eldata evaluate", "--output"),
-    ("eldata synthesize", "--output"),
-}
-
-
-@pytest.mark.parametrize("parser", [eldata_parser(), capture_parser()], ids=["eldata", "capture"])
-def test_every_output_is_a_file_or_a_folder(parser: argparse.ArgumentParser) -> None:
-    found = {
-        (command, action.option_strings[-1])
-        for command, action in options_of(parser)
-        if {"-o", "--output"} & set(action.option_strings) and not isinstance(action, Output)
-    }
-    assert found == {one for one in FOLDERS if one[0].startswith(parser.prog)}
-
-
-PROGRAMS = {"eldata": (eldata_main, eldata_parser), "capture": (capture_main, capture_parser)}
-
-
-def of_program(
-    program: str,
-) -> tuple[Callable[[list[str]], int], argparse.ArgumentParser, list[tuple[str, Output]]]:
-    """A program, its parser, and every output of its commands."""
-    main, parser = PROGRAMS[program][0], PROGRAMS[program][1]()
-    outputs = [(command, action) for command, action in options_of(parser) if isinstance(action, Output)]
-    assert len(outputs) >= 11
-    return main, parser, outputs
-
-
-def needed(parser: argparse.ArgumentParser, command: str) -> list[str]:
-    """What a command cannot be without, besides its outputs: names of nothing."""
-    found = []
-    if command == "eldata evaluate":
-        return ["none", "--dataset", "eld"]
-    for name, action in options_of(parser):
-        if name == command and not isinstance(action, Output):
-            if not action.option_strings and action.nargs not in ("?", "*"):
-                found.append(next(iter(action.choices)) if action.choices else "none")
-            elif action.option_strings and action.required:
-                found += [action.option_strings[-1], "none"]
-    if command.endswith(" manifest"):
-        found += ["-o", "none.csv"]
-    return found
+def test_every_option_that_names_a_file_to_write_is_checked_first(parser: argparse.ArgumentParser) -> None:
+    checked = 0
+    for command in commands_of(parser):
+        outputs = command.get_default("outputs") or {}
+        written = [
+            action.dest
+            for action in command._actions
+            if action.option_strings and action.metavar == "FILE" and re.search(r"\bwrite\b", str(action.help))
+        ]
+        assert set(written) <= set(outputs), command.prog
+        checked += len(written)
+    assert checked >= 10
 
 
 def test_a_file_that_is_read_is_not_written_by_whatever_name(eldata: Cli) -> None:
@@ -115,7 +62,7 @@ def test_a_file_that_is_read_is_not_written_by_whatever_name(eldata: Cli) -> Non
         outcome = eldata("calibrate", "none", "--gain", "profile.json", "-o", name)
         assert (outcome.code, outcome.out) == (2, "")
         assert outcome.err == (
-            f"eldata calibrate: -o {name}: is what --gain names, and this command reads it; give another name\n"
+            f"eldata calibrate: -o: {Path(name)} is a file that this command reads; give another name\n"
         )
     assert Path("profile.json").read_bytes() == before
     assert Path("symbolic.json").is_symlink()
@@ -127,8 +74,7 @@ def test_the_card_beside_a_manifest_replaces_no_plan(capsys: pytest.CaptureFixtu
     plan_of("4", factors=(1,)).save(plan)
     before = plan.read_bytes()
     assert capture_main(["manifest", str(plan), str(tmp_path), "-o", str(tmp_path / "mine.csv"), "--replace"]) == 2
-    problem = "is what PLAN names, and this command reads it"
-    assert f"-o {tmp_path / 'mine.csv'}: its {plan} {problem}" in capsys.readouterr().err
+    assert f"-o: {plan} is a file that this command reads" in capsys.readouterr().err
     assert plan.read_bytes() == before
 
 
@@ -155,39 +101,30 @@ def test_nothing_is_written_among_a_sets_own_files(place: str, eldata: Cli, tree
 # --- before the work ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_a_place_to_write_to_is_tried_before_the_input_is_read(
-    program: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of every output of every command."""
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["evaluate", "none", "--dataset", "eld", "--csv"],
+        ["verify", "none", "--json"],
+        ["calibrate", "none", "--html"],
+        ["manifest", "none", "-o"],
+        ["pack", "none", "-o"],
+    ],
+)
+def test_a_place_to_write_to_is_tried_before_the_input_is_read(arguments: list[str], eldata: Cli) -> None:
     Path("folder.csv").mkdir()
-    main, parser, outputs = of_program(program)
-    for command, action in outputs:
-        given = [*command.split()[1:], *needed(parser, command), action.option_strings[-1]]
-        problems = {
-            "folder.csv": "cannot write folder.csv: is a folder, not a file",
-            "no/x.csv": "cannot write no/x.csv: there is no folder no; make it first",
-            os.devnull: f"cannot write {os.devnull}: is a device, not a file",
-            "": f"cannot write {action.option_strings[-1]}: expected the name of a file, found nothing",
-        }
-        if command == "capture manifest":  # which makes the folder, and takes no other name than a table's
-            problems = {"folder.csv": problems["folder.csv"]}
-        elif action.nargs == "?":  # and of no name, to be printed
-            del problems[""]
-        for target, problem in problems.items():
-            assert main([*given, target]) == 2
-            assert capsys.readouterr() == ("", f"{command}: {problem}\n"), (command, given)
-        assert [path.name for path in Path.cwd().iterdir()] == ["folder.csv"]
-        main([*given, "x.csv"])
-        assert "cannot write" not in capsys.readouterr().err, "it is the input that is wrong now"
-        Path("x.csv").unlink(missing_ok=True)
-
-
-def test_an_older_file_is_left_alone_until_there_is_a_new_one(eldata: Cli) -> None:
-    Path("x.csv").write_text("yesterday's")
-    assert eldata("evaluate", "preds", "--manifest", "none.csv", "--csv", "x.csv").code == 2
-    assert Path("x.csv").read_text() == "yesterday's"
+    problems = {
+        "folder.csv": "cannot write folder.csv: is a folder, not a file",
+        "no/x.csv": "cannot write no/x.csv: there is no folder no; make it first",
+        os.devnull: f"cannot write {os.devnull}: is a device, not a file",
+        "": "cannot write .: is a folder, not a file",
+    }
+    for target, problem in problems.items():
+        outcome = eldata(*arguments, target)
+        assert (outcome.code, outcome.out) == (2, "")
+        assert outcome.err == f"eldata {arguments[0]}: {arguments[-1]}: {problem}\n"
+    assert [path.name for path in Path.cwd().iterdir()] == ["folder.csv"]
+    assert "cannot write" not in eldata(*arguments, "x.csv").err, "it is the input that is wrong now"
 
 
 # --- after it -----------------------------------------------------------------------------------------------------

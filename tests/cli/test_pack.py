@@ -15,7 +15,7 @@ from eldata.datasets.packed import PackedClips, PackedStore
 from eldata.sources.store import source_of_dataset
 from tests.cli.test_usage import assert_one_line
 from tests.datasets.test_dark_frames import written
-from tests.drv_tree import small_drv, write_raw_clip
+from tests.drv_tree import small_drv
 from tests.sources.store.helpers import start_packing
 from tests.waiting import PATIENCE_S
 
@@ -72,33 +72,6 @@ def test_a_damaged_store_is_listed_with_code_1(eldata: Cli, tree: Tree, tmp_path
     assert "copy or pack the store again" in outcome.out
 
 
-def test_what_is_no_store(eldata: Cli, tree: Tree, tmp_path: Path) -> None:
-    store = tmp_path / "store.h5"
-    assert_one_line(eldata("verify", store), "store.h5: cannot be read")
-    store.write_bytes(b"x" * 5000)
-    assert_one_line(eldata("verify", store), "is not an HDF5 file; eldata pack makes stores")
-    assert_one_line(eldata("verify", store, "--camera", "DemoBeta"), "--camera", "checked whole")
-    assert_one_line(eldata(*command(tree, store)), "store.h5: is there already; remove it, or name another file")
-    store.unlink()
-    eldata(*command(tree, store))
-    os.truncate(store, store.stat().st_size // 2)
-    assert_one_line(eldata("verify", store), "truncated file", "copy or pack it again")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["pack"], ["DATASET"]),
-        (["pack", "eld"], ["-o"]),
-        (["pack", "eld", "-o", "x.h5", "--compression", "gzip"], ["--compression", "gzip", "lz4"]),
-        (["pack", "nothing", "-o", "x.h5"], ["no dataset is called 'nothing'", "sid-sony"]),
-        (["pack", "eld", "-o", "x.h5"], ["data/ELD: there is no such folder", "--root"]),
-    ],
-)
-def test_wrong_usage_is_one_line(arguments: list[str], words: list[str], eldata: Cli) -> None:
-    assert_one_line(eldata(*arguments), *words)
-
-
 # --- processes of their own ---------------------------------------------------------------------------------------
 
 
@@ -138,15 +111,6 @@ def test_clips_are_packed_verified_and_read(eldata: Cli, tmp_path: Path) -> None
     assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--camera", "X"), "no clip has camera X", "SonyRX100M6")
     assert_one_line(eldata(*packing, "-o", tmp_path / "x.h5", "--subset", "x"), "no subset is called 'x'")
     assert_one_line(eldata("pack", tmp_path, "-o", tmp_path / "x.h5", "--clip", "1"), "--clip", "is a folder")
-
-
-def test_camera_raws_of_clips_are_packed(eldata: Cli, tmp_path: Path) -> None:
-    write_raw_clip(tmp_path / "DRV", "0007", 5)
-    store = tmp_path / "raw.h5"
-    outcome = eldata("pack", "drv-raw", "--root", tmp_path, "-o", store, "--compression", "lz4")
-    assert (outcome.code, outcome.err) == (0, "")
-    assert outcome.out.startswith(f"6 frames packed: {store}, ")
-    assert eldata("verify", store, "--level", "full").code == 0
 
 
 def test_calibration_frames_of_a_camera(eldata: Cli, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from eldata.base.console import Parser, add_module, run
+from eldata.base.console import Parser, add_command, run
 from eldata.cli import protocols
 from eldata.protocols import PROTOCOLS
 from tests.cases import in_one_test
@@ -16,12 +16,10 @@ if TYPE_CHECKING:
 
     import pytest
 
-    from tests.evaluation.helpers import Tree
-
 
 def command(*arguments: str) -> int:
     parser = Parser(prog="eldata")
-    add_module(parser.add_subparsers(), protocols)
+    protocols.add_options(add_command(parser.add_subparsers(), "protocols", protocols.__doc__))
     return run(parser, ["protocols", *arguments])
 
 
@@ -38,11 +36,6 @@ def test_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert_golden("protocols-show", normalised(shown))
     assert PROTOCOLS["led-eld"].digest in shown
     assert max(len(line) for line in shown.splitlines() if "sha256:" not in line) <= 80
-
-
-def test_a_digest_shows_what_it_is_of(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command(PROTOCOLS["sid"].digest[:15]) == 0
-    assert capsys.readouterr().out.startswith("name                sid\n")
 
 
 def test_json_and_dataset(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -82,19 +75,6 @@ def test_unknown_names(arguments: list[str], said: str, capsys: pytest.CaptureFi
 
 
 # --- eldata evaluate --------------------------------------------------------------------------------------------------
-
-
-def test_evaluate_under_a_file(eldata: Cli, tree: Tree, predictions: Path, tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text('base = "eld"\nname = "mine"\ntitle = "Levels of the file"\nlevels = "metadata"\n')
-    arguments = ("evaluate", predictions, "--manifest", tree.manifest, "--root", tree.root, "--jobs", "1")
-    outcome = eldata(*arguments, "--protocol", path)
-    assert outcome.code == 0
-    assert outcome.out.startswith("eld-demo, protocol mine: 12 of 12 pairs\n")
-    path.write_text('base = "eld"\nname = "eld"\ntitle = "x"\n')
-    outcome = eldata(*arguments, "--protocol", path)
-    assert (outcome.code, outcome.out) == (2, "")
-    assert f"{path}, field name: 'eld' is the name of a shipped protocol" in outcome.err
 
 
 @in_one_test(

@@ -325,7 +325,7 @@ def test_a_folder_that_cannot_be_made(site: server.Site, tmp_path: Path) -> None
 def test_one_process_at_a_time(site: server.Site, target: Path) -> None:
     target.parent.mkdir()
     with part_of(target).open("ab") as file:
-        assert try_lock(part_of(target), file)
+        assert try_lock(file)
         refused(site, target, "another process is fetching it")
     fetched(site, target)
 

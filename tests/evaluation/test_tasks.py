@@ -210,8 +210,8 @@ def test_frames_without_a_value_are_named(task: Any, reason: str, own: OwnSet) -
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"task": "no_such_module:f"}, "no_such_module:f: the module no_such_module cannot be imported: No module"),
-        ({"task": f"{HERE}:absent"}, f"{HERE}:absent: the module {HERE} has no absent"),
+        ({"task": "no_such_module:f"}, "no_such_module:f: cannot be imported: ModuleNotFoundError: No module"),
+        ({"task": f"{HERE}:absent"}, f"{HERE}:absent: cannot be imported: AttributeError: "),
         ({"task": "matched"}, "'matched' names nothing in a module; expected package.module:name"),
         ({"task": f"{HERE}:HERE"}, f"{HERE}:HERE is str; a task is a function of"),
         ({"task": f"{HERE}:OwnSet"}, f"{HERE}:OwnSet is a class; a task is a function of"),
@@ -234,7 +234,7 @@ def test_the_command(
     given = ["evaluate", str(own.root.parent / "preds"), *own.arguments, "--protocol", "eld"]
     given += ["--csv", str(tmp_path / "scores.csv")]
     assert main([*given, "--task", "mine_of_test_tasks:zero"]) == 2
-    assert "mine_of_test_tasks cannot be imported: ZeroDivisionError: division by zero\n" in capsys.readouterr().err
+    assert ": cannot be imported: ZeroDivisionError: division by zero\n" in capsys.readouterr().err
     (tmp_path / "mine_of_test_tasks.py").write_text("def zero(p, g):\n    return 0\n")
     assert main([*given, "--task", "mine_of_test_tasks:zero"]) == 0
     assert "zero: mine_of_test_tasks:zero (sha256:" in capsys.readouterr().out

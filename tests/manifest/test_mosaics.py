@@ -9,8 +9,6 @@ from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import h5py
-import imagecodecs
 import numpy as np
 import pytest
 import scipy.io
@@ -31,7 +29,6 @@ from eldata.raw import bayer_cfa, pack, pack_normalised, read_raw, write_dng
 from eldata.raw.levels import packed_frame
 from eldata.raw.stated import MosaicFacts, StatedFile
 from eldata.records import Exposure, FrameRecord, Sensor
-from tests.cases import in_one_test
 from tests.sidd_tree import save_matlab_73
 
 if TYPE_CHECKING:
@@ -319,36 +316,6 @@ def test_numbers_without_a_header_are_refused_by_name(tmp_path: Path) -> None:
     for look in (file.read, file.check):
         with pytest.raises(UnusableRawError, match=r"x\.bin: is numbers without a header; convert it to \.npy"):
             look()
-
-
-@in_one_test(
-    "name, mark, words",
-    [
-        (
-            "x.MAT",
-            "h5",
-            "is HDF5 without MATLAB's header, .*: name it .h5, or write it again as .MAT",
-        ),
-        ("x.h5", "mat", "is MATLAB's: name it .mat"),
-        ("x.tif", "MAT", "is MATLAB 7.3's, .*: name it .mat"),
-        ("x.npy", "png", "is PNG: name it .png"),
-        ("x.npz", "npy", "is a NumPy array: name it .npy"),
-        ("x.h5", "npz", "is a zip archive, as .npz is: name it .npz"),
-        ("x.npy", "tif", "is TIFF: name it .tif"),
-    ],
-)
-def test_an_array_under_another_name_is_named_for_what_it_is(name: str, mark: str, words: str, tmp_path: Path) -> None:
-    made = tmp_path / f"made.{mark}"
-    others: dict[str, Callable[[Path, NDArray[Any]], object]] = {
-        "h5": lambda path, array: h5py.File(path, "w").create_dataset("x", data=array).file.close(),
-        "png": lambda path, array: path.write_bytes(imagecodecs.png_encode(array)),
-        "npz": np.savez,
-        "tif": tifffile.imwrite,
-    }
-    (others | WRITERS)[mark](made, np.full(SHAPE, 300, np.uint16))
-    made.rename(tmp_path / name)
-    with pytest.raises(RawFileError, match=words):
-        read_raw(StatedFile(tmp_path / name, FACTS))
 
 
 def test_which_of_several_arrays_is_said(tmp_path: Path) -> None:

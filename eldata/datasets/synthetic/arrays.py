@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.base.memory import scratch
+from eldata.base.compiled import scratch
 from eldata.base.numbers import checked_number
 from eldata.errors import ArgumentError
 from eldata.noise.model import check_normalised

@@ -23,12 +23,12 @@ from eldata import __version__
 from eldata.base.files import (
     atomic_write,
     json_text,
+    refuse_among,
     remove_leftovers,
     visible_below,
     write_json,
     write_text,
 )
-from eldata.base.outputs import refuse_among
 from eldata.base.seeds import checked_seed, item_generator, purpose_sequence
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.datasets.clean import CleanScene, clean_scenes

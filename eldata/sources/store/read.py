@@ -32,9 +32,9 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import h5py
 import numpy as np
 
-from eldata.base.fields import TextFile
+from eldata.base.compiled import scratch
+from eldata.base.fields import TextFile, no_search_for_cycles
 from eldata.base.files import file_problem
-from eldata.base.memory import no_search_for_cycles, scratch
 from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, check_choice
 from eldata.manifest.catalogue import load_manifest
 from eldata.protocols.named import default_protocol

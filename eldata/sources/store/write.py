@@ -19,8 +19,8 @@ import numpy as np
 from tqdm import tqdm
 
 from eldata import __version__
+from eldata.base.arrays import read_rgb16
 from eldata.base.files import atomic_write, inside
-from eldata.base.pixels import read_rgb16
 from eldata.base.workers import AnyWorkers, Workers, require_files
 from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.manifest.card import card_text

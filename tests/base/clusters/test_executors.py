@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import socket
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from eldata.base.workers import Failed, UnseenFileError, Workers, slots_of
-from eldata.errors import ArgumentError, EldataError, RawFileError
+from eldata.base.workers import Failed, Workers
+from eldata.errors import EldataError, FileError, RawFileError
 from tests.base.clusters import work
 
 if TYPE_CHECKING:
@@ -25,13 +24,6 @@ def test_results_come_in_the_units_order(executor: Executor) -> None:
     assert list(Workers(executor=executor).run(work.double, numbers)) == [2 * number for number in numbers]
     assert list(Workers(executor=executor).read_ahead(work.double, iter(numbers))) == [2 * n for n in numbers]
     assert list(Workers(executor=executor).run(work.double, [])) == []
-
-
-@pytest.mark.dask
-def test_units_run_in_the_executor_whatever_jobs_say(processes: Executor, dask: Executor) -> None:
-    for executor in (processes, dask):
-        for count in (1, 8):
-            assert os.getpid() not in Workers(executor=executor).run(work.process_of, range(count))
 
 
 def test_the_executor_is_not_shut_down(executor: Executor) -> None:
@@ -62,16 +54,6 @@ def test_a_mistake_in_the_program_is_the_units_failure_too(executor: Executor) -
         list(Workers(executor=executor).run(work.fail_in_the_program, [1, 2, 3]))
 
 
-@pytest.mark.dask
-def test_where_it_failed_is_told_with_debug(dask: Executor) -> None:
-    """A traceback does not travel; its text does."""
-    (found,) = Workers(executor=dask).attempt(work.fail_in_the_program, [2])
-    assert isinstance(found, Failed)
-    (note,) = found.error.__notes__
-    assert socket.gethostname() in note
-    assert "number // (number - 2)" in note
-
-
 def test_errors_that_cannot_be_made_again(executor: Executor) -> None:
     """Such an error would break a pool of processes as it is unpickled."""
     found = list(Workers(executor=executor).attempt(work.fail_oddly, [1, 2]))
@@ -85,7 +67,7 @@ def test_a_file_that_the_worker_does_not_see(executor: Executor, tmp_path: Path)
     found = list(Workers(executor=executor).attempt(work.look_at, [tmp_path / "gone.dng", tmp_path / "here.dng"]))
     assert found[1] == 3
     assert isinstance(found[0], Failed)
-    assert isinstance(found[0].error, UnseenFileError)
+    assert isinstance(found[0].error, FileError)
     assert found[0].reason == (
         f"{tmp_path / 'gone.dng'}: No such file or directory on {socket.gethostname()}; every machine that takes part "
         "must see the same files under the same paths"
@@ -111,24 +93,24 @@ class Lazy(Future[Any]):
 class Stepwise(Executor):
     """Runs each call when its result is wanted, and counts the calls in flight."""
 
-    def __init__(self, workers: int | None = None, cancelling: int | None = None) -> None:
+    def __init__(self, workers: int | None = None) -> None:
         self.futures: list[Lazy] = []
         self.most = 0
-        self.cancelling = cancelling
         if workers is not None:
             self._max_workers = workers
 
     def submit(self, call: Callable[[], Any], /) -> Future[Any]:  # type: ignore[override] # all that is used
         future = Lazy(call)
-        if len(self.futures) == self.cancelling:
-            future.cancel()
         self.futures.append(future)
         self.most = max(self.most, sum(not one.done() for one in self.futures))
         return future
 
 
-@pytest.mark.parametrize(("workers", "in_flight"), [(1, 5), (3, 13), (None, 65)])
-def test_a_bounded_number_of_units_is_in_flight(workers: int | None, in_flight: int) -> None:
+@pytest.mark.parametrize(("workers", "in_flight", "large"), [(1, 5, 2), (3, 13, 4), (None, 65, 17), (500, 200, 17)])
+def test_a_bounded_number_of_units_is_in_flight(workers: int | None, in_flight: int, large: int) -> None:
+    executor = Stepwise(workers)
+    list(Workers(executor=executor).read_ahead(work.double, range(200)))
+    assert executor.most == large
     executor = Stepwise(workers)
     results = Workers(executor=executor).run(work.double, range(200))
     assert executor.futures == [], "nothing starts before a result is wanted"
@@ -136,67 +118,22 @@ def test_a_bounded_number_of_units_is_in_flight(workers: int | None, in_flight: 
     assert executor.most == in_flight
 
 
-@pytest.mark.parametrize(("workers", "in_flight"), [(1, 3), (3, 7), (None, 17), (500, 17)])
-def test_fewer_large_results_are_in_flight(workers: int | None, in_flight: int) -> None:
-    executor = Stepwise(workers)
-    list(Workers(executor=executor).read_ahead(work.double, range(200)))
-    assert executor.most == in_flight
-
-
-def test_the_window_follows_a_cluster_that_grows() -> None:
-    executor = Stepwise(1)
-    results = Workers(executor=executor).run(work.double, range(200))
-    next(results)
-    assert executor.most == 5
-    executor._max_workers = 3
-    list(results)
-    assert executor.most == 13
-
-
-def test_what_waits_is_cancelled_if_the_caller_leaves() -> None:
-    executor = Stepwise(1)
-    results = Workers(executor=executor).run(work.double, range(200))
-    next(results)
-    results.close()  # type: ignore[attr-defined] # an iterator by its type, a generator in fact
-    assert [future.cancelled() for future in executor.futures] == [False, True, True, True, True]
-
-
-@pytest.mark.dask
-def test_workers_are_counted(threads: Executor, processes: Executor, dask: Executor) -> None:
-    assert [slots_of(executor) for executor in (threads, processes, dask)] == [2, 2, 2]
-    assert slots_of(Stepwise()) == 16
-
-
 # --- executors that cannot --------------------------------------------------------------------------------------------
-
-
-def test_an_executor_that_was_shut_down() -> None:
-    pool = ThreadPoolExecutor(1)
-    pool.shutdown()
-    with pytest.raises(ArgumentError, match=r"^the executor takes no work: cannot schedule new futures after shutdown"):
-        list(Workers(executor=pool).run(work.double, [1]))
 
 
 @pytest.mark.kill
 def test_a_broken_pool_of_the_callers_is_an_error_that_names_the_unit(importable: None) -> None:
     tasks = [work.Task(3, "three.dng"), *(work.Task(number) for number in range(4, 40))]
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        with pytest.raises(EldataError, match=r"^the executor broke at or soon after three\.dng"):
+        with pytest.raises(EldataError, match=r"^the executor cannot run the work on three\.dng: BrokenProcessPool"):
             list(Workers(executor=pool).run(work.end_the_process, tasks))
-        with pytest.raises(EldataError, match=r"^the executor broke"):
+        with pytest.raises(EldataError, match=r"BrokenProcessPool"):
             list(Workers(executor=pool).run(work.end_the_process, tasks))
 
 
 def test_work_that_cannot_travel(processes: Executor) -> None:
     with pytest.raises(EldataError, match=r"^the executor cannot run the work on 1: .*pickle"):
         list(Workers(executor=processes).run(lambda number: number, [1]))
-
-
-def test_a_unit_that_someone_cancels() -> None:
-    results = Workers(executor=Stepwise(1, cancelling=2)).run(work.double, range(9))
-    assert [next(results), next(results)] == [0, 2]
-    with pytest.raises(EldataError, match=r"^the work on 2 was cancelled"):
-        next(results)
 
 
 # --- processes of our own ---------------------------------------------------------------------------------------------
@@ -217,5 +154,5 @@ def test_a_unit_that_ends_every_process_is_named_and_the_rest_is_done(importable
     assert [one for one in found if not isinstance(one, Failed)] == [number for number in range(30) if number != 3]
     assert isinstance(found[3], Failed)
     assert found[3].unit == tasks[3]
-    assert found[3].reason.startswith("3.dng: a worker process died at it twice")
+    assert found[3].reason.startswith("3.dng: worker processes died at it again and again")
     assert "--jobs" in found[3].reason

@@ -3,33 +3,23 @@
 from __future__ import annotations
 
 import json
-import socket
-from concurrent.futures import Executor
 from dataclasses import astuple
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import h5py
-import numpy as np
 import pytest
 
-from eldata.base.workers import UnseenFileError
 from eldata.calibration.camera import calibrate
-from eldata.datasets.published import DRVDataset
 from eldata.datasets.synthetic.synthesis import Recipe, synthesize
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.predictions import save_clip_prediction
-from eldata.manifest.lock import lock
-from eldata.manifest.verify import verify
 from eldata.noise.profile import CameraProfile
 from eldata.sources.store.write import build_store, source_of_dataset, verify_store
-from tests import trees
 from tests.calibration.trees import FrameTree, made_tree
-from tests.drv_tree import small_drv
 from tests.evaluation.helpers import Tree, place
 from tests.sources.store.helpers import contents, write_clean
 
 if TYPE_CHECKING:
-    from concurrent.futures import Future
+    from concurrent.futures import Executor
     from pathlib import Path
 
 
@@ -50,16 +40,6 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> FrameTree:
 
 
 @ELSEWHERE
-def test_lock(executor: Executor, tmp_path: Path) -> None:
-    made = trees.build_tree(tmp_path / "made")
-    made.change_rows(sha256=None, size_bytes=None)
-    other = trees.copy_tree(made, tmp_path / "other")
-    assert lock(made.csv, made.root).files_locked == 32
-    assert lock(other.csv, other.root, workers=executor).files_locked == 32
-    assert other.csv.read_bytes() == made.csv.read_bytes()
-
-
-@ELSEWHERE
 def test_evaluate(tree: Tree, executor: Executor, tmp_path: Path) -> None:
     place(tmp_path, tree)
     alone = evaluate(tmp_path, manifest=tree.manifest, root=tree.root)
@@ -67,19 +47,6 @@ def test_evaluate(tree: Tree, executor: Executor, tmp_path: Path) -> None:
     assert len(there.images) == 12
     assert [astuple(image) for image in there.images] == [astuple(image) for image in alone.images]
     assert there.table == alone.table
-
-
-@ELSEWHERE
-def test_evaluate_clips(executor: Executor, tmp_path: Path) -> None:
-    drv = small_drv(tmp_path / "drv", ("0007", "0013"), 12, size=(48, 56))
-    for record in DRVDataset(drv.data, split="test", frames="evaluation", manifest=drv.csv).records:
-        generator = np.random.default_rng(int(record.scene))
-        save_clip_prediction(tmp_path / "preds", record, generator.random((5, 3, 48, 56), np.float32))
-    options: dict[str, Any] = {"manifest": drv.csv, "root": drv.root, "ids": ["0007", "0013"]}
-    alone = evaluate(tmp_path / "preds", **options)
-    there = evaluate(tmp_path / "preds", **options, workers=executor)
-    assert len(there.videos) == 2
-    assert there.videos == alone.videos
 
 
 @ELSEWHERE
@@ -123,43 +90,3 @@ def test_synthesize(executor: Executor, tmp_path: Path) -> None:
 
 
 # --- what workers see -------------------------------------------------------------------------------------------------
-
-
-class Vanishing(Executor):
-    """Another executor, from which files vanish as soon as it gets work: as if its machines did not have them."""
-
-    def __init__(self, executor: Executor, *paths: Path) -> None:
-        self._executor, self._paths = executor, paths
-
-    def submit(self, call: Any, /) -> Future[Any]:  # type: ignore[override] # all that is used
-        for path in self._paths:
-            path.unlink(missing_ok=True)
-        return self._executor.submit(call)
-
-
-def unseen(path: Path) -> str:
-    error = UnseenFileError(
-        path,
-        f"No such file or directory on {socket.gethostname()}; every machine that takes part must see the same files "
-        "under the same paths",
-    )
-    return str(error)
-
-
-@pytest.mark.dask
-def test_verify_names_the_files_that_workers_do_not_see(tree: Tree, dask: Executor, tmp_path: Path) -> None:
-    own = tree.copy(tmp_path / "own")
-    gone = sorted(own.files.glob("*/*/*.dng"))[3]
-    report = verify(own.manifest, own.root, level="full", workers=Vanishing(dask, gone))
-    (problem,) = (one for one in report.problems if one.field == "check")
-    assert (problem.path, problem.found) == (gone.relative_to(own.files).as_posix(), unseen(gone))
-
-
-@pytest.mark.dask
-def test_pack_names_the_file_that_workers_do_not_see(tree: Tree, dask: Executor, tmp_path: Path) -> None:
-    own = tree.copy(tmp_path / "own")
-    source = source_of_dataset("eld-demo", root=own.root, manifest=own.manifest)
-    gone = own.files / source.files[5][0]
-    with pytest.raises(UnseenFileError) as raised:
-        build_store(source, tmp_path / "store.h5", workers=Vanishing(dask, gone))
-    assert str(raised.value) == unseen(gone)

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import pytest
 
-from eldata.base.pixels import read_rgb16
+from eldata.base.arrays import read_rgb16
 from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, ManifestError, RawFileError
 from eldata.manifest.drv import scan_raw
 from eldata.raw import read_raw

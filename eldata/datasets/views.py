@@ -6,12 +6,13 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from eldata.base.seeds import item_generator
-from eldata.datasets.base import SIDES, Sample
+from eldata.datasets.base import Sample
 from eldata.datasets.items import ReadItems, SharedDraws, checked_index
 from eldata.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from eldata.datasets.base import PairItem, SourcePairs
+    from eldata.datasets.base import SourcePairs
+    from eldata.datasets.items import DrawnItem
 
 
 class Noise2Noise(ReadItems[Sample]):
@@ -70,7 +71,7 @@ class Noise2Noise(ReadItems[Sample]):
         """As that of the pairs."""
         return self.pairs._may_differ
 
-    def item(self, index: int) -> PairItem:
+    def item(self, index: int) -> DrawnItem:
         """Draw an item from (seed, draw, index): a crop of a pair, and another pair of its scene."""
         index = checked_index(index, len(self))
         group, place, step = self._members[index % len(self._members)]
@@ -80,8 +81,8 @@ class Noise2Noise(ReadItems[Sample]):
         other_place = (place + 1 + int(generator.integers(len(group) - 1))) % len(group)
         item = self.pairs.drawn(self.pairs._indices_of(group[place])[step], generator)
         other = self.pairs.drawn(self.pairs._indices_of(group[other_place])[step], generator)
-        both = zip(SIDES, (item, other), strict=True)
-        item.parts = [part._replace(tensor=side) for side, one in both for part in one.parts if part.tensor == "input"]
+        (mine,), (its,) = ([part for part in one.parts if part.tensor == "input"] for one in (item, other))
+        item.parts = [mine, its._replace(tensor="target", facts={})]
         return item
 
     def _outline(self) -> list[tuple[str, str]]:

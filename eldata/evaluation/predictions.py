@@ -20,11 +20,10 @@ from eldata.base.array_files import declared_array, read_array
 from eldata.base.files import atomic_write, file_problem
 from eldata.errors import ArgumentError, PredictionError, RawFileError
 from eldata.evaluation.layouts import stem_of
-from eldata.evaluation.originals import normalised_frame
-from eldata.evaluation.scores import place_of
 from eldata.protocols.named import protocols_for
 from eldata.raw.cfa import pack, packed_shape
 from eldata.raw.levels import with_levels
+from eldata.sources.frames import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from eldata.manifest.catalogue import Manifest
     from eldata.manifest.clips import ClipRecord
     from eldata.protocols.protocol import Levels, Protocol, Space
-    from eldata.records import FrameRecord, RawFrame, Sensor
+    from eldata.records import FrameRecord, Sensor
 
 # A prediction near [0, 1] has next to nothing above 2, even where it is an amplified noisy frame with hot pixels.
 _SCALE_LIMIT = 2.0
@@ -92,11 +91,11 @@ def save_clip_prediction(folder: Path | str, record: ClipRecord, prediction: NDA
     EldataError
         If a file cannot be written.
     """
-    if len(prediction) != len(record.paths):
-        raise ArgumentError(f"expected {len(record.paths)} predicted frames, found {len(prediction)}")
+    if len(prediction) != len(record.frames):
+        raise ArgumentError(f"expected {len(record.frames)} predicted frames, found {len(prediction)}")
     return [
-        save_prediction(folder, place_of(record, path), frame)
-        for path, frame in zip(record.paths, prediction, strict=True)
+        save_prediction(folder, record.place(path), frame)
+        for path, frame in zip(record.frames, prediction, strict=True)
     ]
 
 
@@ -124,7 +123,7 @@ def load_prediction(path: Path, sensor: Sensor, levels: Levels) -> NDArray[np.fl
         what was found and what to do.
     """
     if path.suffix.lower() == ".dng":
-        return normalised_frame(load_dng(path, sensor), levels, clip="none")
+        return load_dng(path, sensor).with_levels(levels).normalise("none")
     values = _floating(read_array(path, partial(_check_raw, path, sensor)))
     if values.ndim == 2:
         values = pack(values, sensor.cfa)
@@ -313,7 +312,7 @@ def _check_values(path: Path, values: NDArray[Any], cure: str) -> None:
         )
 
 
-def load_dng(path: Path, sensor: Sensor) -> RawFrame:
+def load_dng(path: Path, sensor: Sensor) -> Frame:
     """Load a prediction that is a DNG, with its own levels.
 
     Parameters
@@ -351,4 +350,4 @@ def load_dng(path: Path, sensor: Sensor) -> RawFrame:
             f"expected a mosaic of {sensor.height} x {sensor.width} pixels with CFA {sensor.cfa} like the reference, "
             f"found {frame.mosaic.shape[0]} x {frame.mosaic.shape[1]} with {frame.sensor.cfa}",
         )
-    return frame
+    return Frame.of_decoded(frame)

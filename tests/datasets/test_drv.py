@@ -92,7 +92,7 @@ def test_items_are_the_files_pixels(drv: SmallDrv) -> None:
         assert sample["camera"] == "SonyRX100M6"
         assert all(math.isnan(sample[name]) for name in ("ratio", "iso", "exposure_s"))
         assert torch.equal(sample["target"].expand_as(sample["input"])[3], sample["target"])
-        assert dataset.records[index].paths[0] == sample["path"]
+        assert dataset.records[index].frames[0] == sample["path"]
     (batch,) = DataLoader(dataset, batch_size=4)
     assert torch.equal(batch["input"], torch.stack([sample["input"] for sample in dataset]))
 
@@ -102,7 +102,7 @@ def test_windows_strides_and_ranges(drv: SmallDrv) -> None:
     authors = opened(drv, window=1, frames="authors", ids=["0013"])
     assert numbers_of(record.path for record in authors.records) == [5, 6, 7, 8, 9, 10]  # range(4, 13 - 3)
     evaluation = opened(drv, frames="evaluation")
-    assert [numbers_of(record.paths) for record in evaluation.records] == [[5, 6, 7, 8, 9]] * 2
+    assert [numbers_of(record.frames) for record in evaluation.records] == [[5, 6, 7, 8, 9]] * 2
     whole = opened(drv, window=FRAMES)
     assert whole[0]["input"].shape == (FRAMES, 3, HEIGHT, WIDTH)
 

@@ -601,6 +601,7 @@ def test_every_shipped_protocol_is_compared() -> None:
 
 def test_levels_per_channel_may_differ_between_channels() -> None:
     from eldata.evaluation.originals import normalised_frame
+
     from eldata.records import RawFrame
 
     sensor = sensor_of((8, 12))

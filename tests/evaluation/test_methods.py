@@ -21,8 +21,9 @@ from eldata.evaluation.comparison.folders import named_folders
 from tests.evaluation.own_set import OwnSet, build_own_set, predict
 
 if TYPE_CHECKING:
-    from eldata.evaluation import EvaluationResult
     from eldata.evaluation.frames import ComparedFrame
+
+    from eldata.evaluation import EvaluationResult
 
 
 @pytest.fixture(scope="module")

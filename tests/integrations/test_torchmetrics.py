@@ -79,6 +79,7 @@ def placed(tree: Tree, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
 def test_the_numbers_are_those_of_evaluate(tree: Tree, placed: tuple[Path, dict[str, Any]], protocol: str) -> None:
     """To the last bit, by camera and factor as in the table."""
     from eldata.evaluation.originals import normalised_frame
+
     from eldata.raw.reading import read_raw
 
     rules = PROTOCOLS[protocol]
@@ -120,8 +121,9 @@ def test_the_score_is_that_of_evaluate_whatever_the_clip_of_the_input(
     clip: Any, tree: Tree, placed: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     """References of which a quarter lies below black, of a dataset and as an array that keeps them."""
-    from eldata.datasets import ELDDataset
     from eldata.evaluation.originals import normalised_frame
+
+    from eldata.datasets import ELDDataset
     from eldata.raw import read_raw, write_dng
 
     folder, predictions = placed

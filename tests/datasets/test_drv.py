@@ -163,7 +163,7 @@ def test_damage_is_named(drv: SmallDrv, tmp_path: Path) -> None:
     copy = replace(drv, root=tmp_path)
     frame = tmp_path / "DRV/VBM4D_rawRGB/0007/0002.png"
     write_png(frame, rgb_frame_of("0007", 2, (40, 40)))
-    with pytest.raises(DatasetError, match=r"0002\.png: 40 x 40 pixels of RGB.*has 48 x 56"):
+    with pytest.raises(DatasetError, match=r"0002\.png: has 40 x 40 pixels of RGB.*has 48 x 56"):
         opened(copy)[0]
     write_png(frame, rgb_frame_of("0007", 2).astype(np.uint8))
     with pytest.raises(FileError, match="expected a 16-bit RGB PNG, found 8-bit RGB"):

@@ -6,7 +6,6 @@ import zlib
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from fractions import Fraction
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +28,7 @@ from tests.raw.helpers import BAYER, CFAS, indices_of, is_xtrans, levels_of, ref
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -600,18 +600,16 @@ def test_every_shipped_protocol_is_compared() -> None:
 
 
 def test_levels_per_channel_may_differ_between_channels() -> None:
-    from eldata.evaluation.originals import normalised_frame
-
-    from eldata.records import RawFrame
+    from eldata.sources.frames import Frame
 
     sensor = sensor_of((8, 12))
     mosaic = mosaic_of("x", (8, 12), bright=True)
     whites = (15000.0, 15100.0, 14900.0, 15200.0)
-    frame = RawFrame(Path("x"), mosaic, replace(sensor), Exposure(), whites)  # no file is read
+    frame = Frame.of_raw(mosaic, sensor, "x", Exposure(), whites).with_levels("metadata-per-channel")
     packed = oracle.pack(mosaic.astype(np.float64), sensor.cfa_pattern.astype(np.int64))
     black = np.array(sensor.black_level_dn)[:, None, None]
     expected = (packed - black) / (np.array(whites)[:, None, None] - black)
     for clip, low, high in (("both", 0, 1), ("upper", -np.inf, 1), ("none", -np.inf, np.inf)):
-        found = normalised_frame(frame, "metadata-per-channel", clip=clip, gain=3.0)  # type: ignore[arg-type] # one of three
+        found = frame.normalise(clip, gain=3.0)  # type: ignore[arg-type] # one of three
         assert found.dtype == np.float32
         np.testing.assert_allclose(found, np.clip(3 * np.clip(expected, low, high), low, high), rtol=1e-5, atol=1e-6)

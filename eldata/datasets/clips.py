@@ -172,10 +172,11 @@ class ClipWindows(CroppedItems[ClipSample]):
 
     def _check(self, clip: Clip) -> None:
         """Make sure that the frames of a clip belong together."""
+        open_target = cache(self._opener.open_target)
         first: OpenedPair | None = None
         for path, reference in zip(clip.frames, clip.references or (clip.reference,) * len(clip.frames), strict=True):
-            target = None if reference is None else self._opener.open_target(reference)
-            first = self._open_pair(path, target, first)
+            pair = self._open_pair(path, None if reference is None else open_target(reference), first)
+            first = first or pair
 
     @property
     def _may_differ(self) -> bool:

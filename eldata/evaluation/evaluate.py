@@ -15,8 +15,8 @@ from eldata.evaluation.planning import known_places, places_elsewhere, plan_scor
 from eldata.evaluation.predictions import other_look
 from eldata.evaluation.request import SETTINGS, Request, make_request, stated_shading
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
+from eldata.evaluation.score import compared_images, score_predictions
 from eldata.evaluation.scores import EvaluationProblem
-from eldata.evaluation.scoring import compared_images, score_predictions
 from eldata.evaluation.tasks import task_note
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.kinds import IMAGES
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from eldata.base.workers import AnyWorkers
     from eldata.evaluation.planning import ScoringPlan
     from eldata.evaluation.request import Baseline
+    from eldata.evaluation.score import PairOutcome
     from eldata.evaluation.scores import Pair
-    from eldata.evaluation.scoring import PairOutcome
     from eldata.evaluation.tasks import Task, TaskFunction
     from eldata.protocols.protocol import Protocol
 

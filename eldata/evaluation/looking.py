@@ -16,8 +16,8 @@ from eldata.evaluation.layouts import find_predictions
 from eldata.evaluation.planning import plan_scoring, require_folder
 from eldata.evaluation.request import make_request
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
+from eldata.evaluation.score import Scoring, as_scored, read_input, read_prediction, read_reference
 from eldata.evaluation.scores import FrameScore, cameras_in_order, natural
-from eldata.evaluation.scoring import Scoring, as_scored, read_input, read_prediction, read_reference
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
 from eldata.isp.preview import brightening, preview
 from eldata.manifest.catalogue import FrameFiles, known_names

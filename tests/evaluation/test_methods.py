@@ -16,7 +16,7 @@ import pytest
 
 from eldata import evaluate
 from eldata.errors import ArgumentError, EldataError
-from eldata.evaluation import evaluate_methods, load_prediction, scoring
+from eldata.evaluation import evaluate_methods, load_prediction, score
 from eldata.evaluation.comparison.folders import named_folders
 from tests.evaluation.own_set import OwnSet, build_own_set, predict
 
@@ -83,7 +83,7 @@ def test_each_file_is_read_once(own: OwnSet, folders: dict[str, Path]) -> None:
         read[str(path)] += 1
         return load(path, *arguments)
 
-    with patch.object(reading, "read_raw", counted), patch.object(scoring, "load_prediction", loaded):
+    with patch.object(reading, "read_raw", counted), patch.object(score, "load_prediction", loaded):
         evaluate_methods({name: folders[name] for name in ("good", "swapped")}, **own.where)
     assert read["clean.dng"] == 3
     assert max(read[name] for name in ("x50.dng", "x100.dng")) <= 2 * 3  # one of each scene, for each folder
@@ -92,7 +92,7 @@ def test_each_file_is_read_once(own: OwnSet, folders: dict[str, Path]) -> None:
 
 def test_a_unit_that_one_folder_loses(own: OwnSet, folders: dict[str, Path]) -> None:
     """It is scored again, folder by folder: the others have all of their scores."""
-    read = scoring.read_prediction
+    read = score.read_prediction
 
     def failing(how: Any, pair: Any, path: str, file: Path | None, reference: Any) -> Any:
         if file is not None and file.parts[-3:] == ("swapped", "s1", "x50.npy"):
@@ -100,7 +100,7 @@ def test_a_unit_that_one_folder_loses(own: OwnSet, folders: dict[str, Path]) -> 
         return read(how, pair, path, file, reference)
 
     options: Any = own.where | {"allow_missing": True}
-    with patch.object(scoring, "read_prediction", failing):
+    with patch.object(score, "read_prediction", failing):
         found = evaluate_methods([folders["good"], folders["swapped"]], **options)
         expected = alone(own, folders["swapped"], allow_missing=True)
     assert as_text(found["good"]) == as_text(alone(own, folders["good"], allow_missing=True))

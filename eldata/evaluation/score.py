@@ -89,7 +89,7 @@ class Scoring:
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class ScoringUnit:
     """What shares a reference: pairs, with the files of their predictions by place, by the number of the folder."""
 
     reference: str
@@ -156,7 +156,7 @@ def score_predictions(
     found: list[dict[str, PairOutcome]] = [{} for _ in predictions]
     units = _plan_units(how.files, pairs, predictions)
     while units:
-        again: list[Unit] = []
+        again: list[ScoringUnit] = []
         work = partial(_score_unit, how, inspected)
         for outcome in request.workers.attempt(work, units, label="scoring", unit="reference"):
             if not isinstance(outcome, Failed):
@@ -182,7 +182,7 @@ def _scoring_of(request: Request, files: FrameFiles) -> Scoring:
     return Scoring(files.absolute(), request.protocol, request.dark_shading, request.task, threads)
 
 
-def _plan_units(files: FrameFiles, pairs: Sequence[Pair], predictions: Sequence[Predictions]) -> list[Unit]:
+def _plan_units(files: FrameFiles, pairs: Sequence[Pair], predictions: Sequence[Predictions]) -> list[ScoringUnit]:
     sharing: dict[str, list[Pair]] = defaultdict(list)
     for pair in pairs:
         sharing[pair.reference or ""].append(pair)
@@ -195,7 +195,7 @@ def _plan_units(files: FrameFiles, pairs: Sequence[Pair], predictions: Sequence[
                 those[number] = by_place and {place: by_place[place] for place in places if place in by_place}
         if those:
             needed = files.only([path for pair in members for path in pair.files])
-            units.append(Unit(reference, tuple(members), those, needed))
+            units.append(ScoringUnit(reference, tuple(members), those, needed))
     return units
 
 
@@ -209,7 +209,7 @@ def _without_reference(pair: Pair, reason: str) -> PairOutcome:
     return PairOutcome(pair.path, problems=[problem])
 
 
-def _score_unit(how: Scoring, inspected: frozenset[str], unit: Unit) -> list[tuple[int, PairOutcome]]:
+def _score_unit(how: Scoring, inspected: frozenset[str], unit: ScoringUnit) -> list[tuple[int, PairOutcome]]:
     """Return the outcome of each pair of a unit with the number of its folder; in a worker."""
     how = replace(how, files=unit.files)
     files = [file for those in unit.predictions.values() for file in (those or {}).values()]

@@ -12,6 +12,7 @@ from benchmarks import published
 from benchmarks.harness import Row, in_turn
 from benchmarks.oracle import deviations
 from eldata import evaluate
+from eldata.evaluation import score
 
 if TYPE_CHECKING:
     from benchmarks.data import Files

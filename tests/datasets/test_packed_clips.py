@@ -249,7 +249,7 @@ def test_frames_that_are_not_of_one_clip_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"is exposed 100 times as much as its reference .*are they swapped"):
         PackedClips(packed_raw(swapped))
     write_raw(other_size / "DRV" / "short" / "0007" / "DSC01001.ARW", NOISY, sensor=replace(SENSOR, height=80))
-    with pytest.raises(DatasetError, match=r"DSC01001\.ARW: 80 x 112 pixels .*has 96 x 112"):
+    with pytest.raises(DatasetError, match=r"DSC01001\.ARW: has 80 x 112 pixels .*has 96 x 112"):
         PackedClips(packed_raw(other_size))
 
 

@@ -12,7 +12,7 @@ from eldata.errors import EldataError
 from eldata.evaluation.diagnosis import suspicions_of
 from eldata.evaluation.layouts import Expected, FoundPredictions, dataset_itself, find_predictions, misplaced
 from eldata.evaluation.planning import known_places, places_elsewhere, plan_scoring, require_pairs
-from eldata.evaluation.predictions import other_look
+from eldata.evaluation.predictions import describe_other_look
 from eldata.evaluation.request import SETTINGS, Request, make_request, stated_shading
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.score import compared_images, score_predictions
@@ -272,7 +272,7 @@ def _found(request: Request, plan: ScoringPlan) -> FoundPredictions:
         allow_missing=request.allow_missing,
         because=_own_pairs(request.protocol.name, plan),
     )
-    reason = other_look(request.protocol, found, request.manifest, folder) if request.kind is IMAGES else None
+    reason = describe_other_look(request.protocol, found, request.manifest, folder) if request.kind is IMAGES else None
     return found if reason is None else FoundPredictions({}, (EvaluationProblem(str(folder), reason),), 0)
 
 

@@ -62,16 +62,6 @@ class Valued:
         return self.values["st_rred"]
 
     @property
-    def spatial_rred(self) -> float:
-        """The spatial part of ST-RRED."""
-        return self.values["spatial_rred"]
-
-    @property
-    def temporal_rred(self) -> float:
-        """The temporal part of ST-RRED."""
-        return self.values["temporal_rred"]
-
-    @property
     def task(self) -> float:
         """The value of a task of the user's own, where one was asked for."""
         return self.values["task"]

@@ -28,7 +28,7 @@ from eldata.raw.levels import (
     packed_black_level_dn,
     with_levels,
 )
-from eldata.records import Exposure, RawHeader
+from eldata.records import Exposure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -136,12 +136,6 @@ class Frame:
         """White level minus the channels' mean black level."""
         return self.white_level_dn - sum(self.black_level_dn) / len(self.black_level_dn)
 
-    @property
-    def header(self) -> RawHeader:
-        """What the file says of itself."""
-        make, model = ("", "") if self.sensor is None else (self.sensor.make, self.sensor.model)
-        return RawHeader(Path(self.name), make, model, self.exposure)
-
     def levels_dn(self, levels: Levels, reference: Frame | None = None) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return black and white level of each CFA channel, DN, by a choice of levels: :meth:`with_levels`."""
         count = len(self.black_level_dn)
@@ -199,14 +193,9 @@ class Frame:
         if not np.all(whites > blacks):
             raise ArgumentError(f"{self.name}: a white level of {self.whites_dn} DN is not above its black level")
         low, high = (np.float32(limit) for limit in CLIP_RANGES[clip])
-        packed = pack(pixels, self.cfa).astype(np.float32)
-        packed -= blacks
-        packed /= whites - blacks
+        packed = (pack(pixels, self.cfa).astype(np.float32) - blacks) / (whites - blacks)
         np.clip(packed, low, high, out=packed)
-        if gain != 1.0:
-            packed *= np.float32(gain)
-            np.clip(packed, low, high, out=packed)
-        return packed
+        return packed if gain == 1.0 else np.clip(packed * np.float32(gain), low, high)
 
     def subtract(self, shading: DarkShading) -> Frame:
         """Return the frame without a dark shading, in float32 DN: fractions of a DN, and no clip.

@@ -10,7 +10,7 @@ import numpy as np
 
 from eldata.base.files import file_problem
 from eldata.base.pixels import NpyError, read_npy
-from eldata.errors import ArgumentError, DatasetError
+from eldata.errors import ArgumentError, DatasetError, RawFileError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.raw.cfa import packed_area, packed_shape, unpack
@@ -123,8 +123,6 @@ class PairOpener:
 
 def find_ratio(record: Record, target: Frame | None, noisy: Frame, amplification: Amplification) -> Fraction | None:
     """Return what an input is multiplied by; raises as :meth:`PairOpener.open_pair` does."""
-    from eldata.raw.reading import exposure_ratio
-
     nominal, flags, is_nominal = record.ratio, record.flags, amplification == "nominal"
     if target is None:
         return None if not noisy.cfa else nominal if is_nominal and nominal is not None else Fraction(1)
@@ -132,10 +130,10 @@ def find_ratio(record: Record, target: Frame | None, noisy: Frame, amplification
         return nominal
     if is_nominal and nominal is None:
         raise ArgumentError(f"{noisy.name}: the manifest states no ratio, so amplification must be 'metadata'")
-    exposures = (noisy.exposure, target.exposure)
-    if is_nominal and any(exposure.iso is None or exposure.exposure_s is None for exposure in exposures):
+    products = [_exposure_product(frame, required=not is_nominal) for frame in (target, noisy)]
+    if products[0] is None or products[1] is None:
         return nominal
-    ratio = exposure_ratio(target.header, noisy.header)
+    ratio = products[0] / products[1]
     if nominal is None and ratio < 1:
         raise DatasetError(
             f"{noisy.name}: is exposed {float(1 / ratio):g} times as much as its reference {target.name}; are they "
@@ -147,6 +145,17 @@ def find_ratio(record: Record, target: Frame | None, noisy: Frame, amplification
             f"{float(ratio):g}; are both the frames that their names say? (eldata verify finds all such files)"
         )
     return nominal if is_nominal else ratio
+
+
+def _exposure_product(frame: Frame, *, required: bool) -> Fraction | None:
+    """Return ISO times exposure time in seconds, or if one is not stated ``None``; RawFileError where it is required."""
+    iso, exposure_s = frame.exposure.iso, frame.exposure.exposure_s
+    if iso is not None and exposure_s is not None:
+        return iso * exposure_s
+    if required:
+        missing = "ISO" if iso is None else "exposure time"
+        raise RawFileError(frame.name, f"states no {missing}, and an exposure ratio needs it: use the original file")
+    return None
 
 
 def _read_packed(path: Path, target: Frame, exposure: Exposure) -> Frame:

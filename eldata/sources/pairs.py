@@ -148,7 +148,7 @@ def find_ratio(record: Record, target: Frame | None, noisy: Frame, amplification
 
 
 def _exposure_product(frame: Frame, *, required: bool) -> Fraction | None:
-    """Return ISO times exposure time in seconds, or if one is not stated ``None``; RawFileError where it is required."""
+    """Return ISO times exposure time in seconds; if one is not stated ``None``, or RawFileError where required."""
     iso, exposure_s = frame.exposure.iso, frame.exposure.exposure_s
     if iso is not None and exposure_s is not None:
         return iso * exposure_s

@@ -300,7 +300,7 @@ SHOWN = (
         "eldata.reports",
     ),
     # Words of results and protocols; what of a result is chosen, grouped and decoded to be looked at.
-    *("eldata.evaluation.scores", "eldata.evaluation.comparison.tables", "eldata.evaluation.looking"),
+    *("eldata.evaluation.scores", "eldata.evaluation.comparison", "eldata.evaluation.looking"),
     *("eldata.protocols.kinds", "eldata.protocols.words"),
 )
 LIBRARIES = {"numpy", "matplotlib", "jinja2", "PIL"}
@@ -344,7 +344,6 @@ READER = "eldata.base.fields"
 WRITES = {
     "eldata.base.files": "the one writer of JSON files",
     "eldata.base.visible": "a value in a sentence",
-    "eldata.evaluation.comparison": "one value of a setting in a sentence",
     "eldata.protocols.digests": "what a digest is made of",
     "eldata.reports.evaluation": "one value of a setting in a sentence",
     "eldata.sources.store.format": "a data set of an HDF5 store, a line a frame",

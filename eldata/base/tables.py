@@ -155,7 +155,6 @@ def latex_table(
     *,
     caption: str,
     label: str,
-    spans: Sequence[tuple[str, int]] = (),
     rules: Collection[int] = (),
 ) -> str:
     r"""Return a ``table`` with the rules of the package booktabs.
@@ -168,8 +167,6 @@ def latex_table(
         The caption's text, which is escaped.
     label
         What ``\ref`` calls it; letters, digits, ``:`` and ``-``, anything else becomes ``-``.
-    spans
-        A row above the header: texts, and how many columns each spans. Those with text have a line under them.
     rules
         Indices of rows that have a line above them.
     """
@@ -182,7 +179,6 @@ def latex_table(
         rf"\label{{{re.sub(r'[^A-Za-z0-9:-]+', '-', label)}}}",
         rf"\begin{{tabular}}{{{columns}}}",
         r"\toprule",
-        *_latex_spans(spans),
         _latex_row(header),
         r"\midrule",
     ]
@@ -201,18 +197,6 @@ def _latex_cell(cell: str) -> str:
     # A hyphen before a number is meant as a minus sign.
     text = latex_text(re.sub(r"(?<![\w.)-])-(?=\.?\d)", "−", cell))
     return rf"\textbf{{{text}}}" if isinstance(cell, Strong) and text else text
-
-
-def _latex_spans(spans: Sequence[tuple[str, int]]) -> list[str]:
-    if not spans:
-        return []
-    cells, rules, first = [], [], 1
-    for text, count in spans:
-        cells.append(rf"\multicolumn{{{count}}}{{c}}{{{_latex_cell(text)}}}" if text else " & ".join([""] * count))
-        if text:
-            rules.append(rf"\cmidrule(lr){{{first}-{first + count - 1}}}")
-        first += count
-    return [f"{' & '.join(cells)} \\\\", " ".join(rules)]
 
 
 def one_line(text: str) -> str:

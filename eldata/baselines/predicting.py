@@ -19,9 +19,8 @@ from eldata.baselines.noisy_frames import NoisyFrame, NoisyFrames, estimate_line
 from eldata.baselines.prediction_folder import ANSWERS, begun, remarks_on
 from eldata.errors import ArgumentError, DatasetError, check_choice
 from eldata.evaluation.layouts import stem_of
-from eldata.evaluation.planning import plan_scoring, require_pairs
 from eldata.evaluation.predictions import save_prediction
-from eldata.evaluation.request import make_request
+from eldata.evaluation.request import make_request, plan_scoring, require_pairs
 from eldata.manifest.card import CHANNELS
 from eldata.manifest.clips import clips_of, setting_name
 from eldata.manifest.patterns import expand

@@ -69,9 +69,8 @@ def add_options(parser: console.Parser) -> None:
 
 def run(arguments: console.Arguments) -> int:
     """Run this command."""
-    from eldata.evaluation.comparison import Method, compare
-    from eldata.evaluation.comparison.tables import format_comparison
-    from eldata.evaluation.saved import load_result
+    from eldata.evaluation.comparison import Method, compare, format_comparison
+    from eldata.evaluation.results import load_result
 
     if arguments.pictures and not arguments.html:
         raise ArgumentError("--pictures are of a page: say where to write it with --html FILE")

@@ -164,14 +164,15 @@ def _options(arguments: console.Arguments, workers: Workers) -> dict[str, Any]:
 
 def _run_several(arguments: console.Arguments) -> int:
     """Score several folders, or one whose results go to a folder."""
-    from eldata.evaluation.comparison.folders import (
-        COMPARISON,
-        ScoredMethods,
-        named_folders,
-        results_folder,
-    )
-    from eldata.evaluation.comparison.tables import format_comparison
+    from eldata.evaluation.comparison import format_comparison
     from eldata.evaluation.evaluate import perform_each
+    from eldata.evaluation.methods import (
+        COMPARISON,
+        compare_scored,
+        make_results_folder,
+        named_folders,
+        write_results,
+    )
     from eldata.evaluation.request import make_request
 
     if arguments.baseline is not None:
@@ -189,13 +190,13 @@ def _run_several(arguments: console.Arguments) -> int:
         requests = [make_request(folder, **options) for folder in folders.values()]
         if out is not None:
             _check_places(requests[0], out)
-            results_folder(out, folders)
-        methods = ScoredMethods.of(dict(zip(folders, perform_each(requests), strict=True)))
-    comparison = methods.comparison
+            make_results_folder(out, folders)
+        results = dict(zip(folders, perform_each(requests), strict=True))
+    comparison, why_not = compare_scored(results)
 
     def show() -> None:
         heading = {"text": "{}:\n", "markdown": "## {}\n", "latex": "% {}"}[arguments.format]
-        for name, result in methods.results.items():
+        for name, result in results.items():
             print(heading.format(name))
             _show(result, arguments)
             print()
@@ -203,8 +204,8 @@ def _run_several(arguments: console.Arguments) -> int:
             for warning in comparison.warnings:
                 print(f"eldata evaluate: warning: {' '.join(warning.split())}", file=sys.stderr)
             print(format_comparison(comparison, arguments.format))
-        elif methods.why_not:
-            print(f"eldata evaluate: {methods.why_not}", file=sys.stderr)
+        elif why_not:
+            print(f"eldata evaluate: {why_not}", file=sys.stderr)
 
     def write_page() -> None:
         from eldata.reports.comparison import write_comparison_page
@@ -216,8 +217,11 @@ def _run_several(arguments: console.Arguments) -> int:
         if comparison is not None and out is not None and arguments.format == "text":
             print(f"\nwritten: {out}\nto see every image beside each other: {_with_pictures(comparison, arguments)}")
 
-    console.each_of(None if out is None else lambda: methods.write(out), show, write_page, say_how_to_see)
-    return console.OK if methods.all_well else console.PROBLEMS
+    console.each_of(
+        None if out is None else lambda: write_results(out, results, comparison), show, write_page, say_how_to_see
+    )
+    all_well = all(result.scored and not result.problems for result in results.values())
+    return console.OK if all_well else console.PROBLEMS
 
 
 def _with_pictures(comparison: Comparison, arguments: console.Arguments) -> str:

@@ -1,14 +1,14 @@
 from .comparison import Comparison as Comparison
 from .comparison import Method as Method
 from .comparison import compare as compare
-from .comparison.folders import evaluate_methods as evaluate_methods
 from .evaluate import evaluate as evaluate
 from .evaluate import scored_pairs as scored_pairs
+from .methods import evaluate_methods as evaluate_methods
 from .predictions import load_prediction as load_prediction
 from .predictions import save_clip_prediction as save_clip_prediction
 from .predictions import save_prediction as save_prediction
 from .published import comparison_table as comparison_table
-from .published.tables import published_rows as published_rows
+from .published import published_rows as published_rows
 from .results import EvaluationResult as EvaluationResult
-from .saved import load_result as load_result
+from .results import load_result as load_result
 from .tasks import Task as Task

@@ -11,9 +11,17 @@ from eldata import __version__
 from eldata.errors import EldataError
 from eldata.evaluation.diagnosis import suspicions_of
 from eldata.evaluation.layouts import Expected, FoundPredictions, dataset_itself, find_predictions, misplaced
-from eldata.evaluation.planning import known_places, places_elsewhere, plan_scoring, require_pairs
 from eldata.evaluation.predictions import describe_other_look
-from eldata.evaluation.request import SETTINGS, Request, make_request, stated_shading
+from eldata.evaluation.request import (
+    SETTINGS,
+    Request,
+    known_places,
+    make_request,
+    places_elsewhere,
+    plan_scoring,
+    require_pairs,
+    stated_shading,
+)
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.score import compared_images, score_predictions
 from eldata.evaluation.scores import EvaluationProblem
@@ -32,8 +40,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from eldata.base.workers import AnyWorkers
-    from eldata.evaluation.planning import ScoringPlan
-    from eldata.evaluation.request import Baseline
+    from eldata.evaluation.request import Baseline, ScoringPlan
     from eldata.evaluation.score import PairOutcome
     from eldata.evaluation.scores import Pair
     from eldata.evaluation.tasks import Task, TaskFunction

@@ -1,19 +1,21 @@
-"""Folders of predictions: what lies in one, and which noisy frame a file is meant for, by the words in its name.
+"""Folders of predictions: which files lie in one, and which noisy frame a file is meant for, by the words in its name.
 
-Where nothing lies as expected, the nearest layout makes one message of what would be one for each frame.
+Where nothing lies as expected, one message names the nearest layout.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections import Counter, defaultdict
+from collections import Counter
 from dataclasses import dataclass, field
+from difflib import SequenceMatcher
 from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from eldata.base.files import folder_problem, visible_below
+from eldata.base.numbers import counted
 from eldata.errors import EldataError
 from eldata.evaluation.scores import EvaluationProblem
 
@@ -25,10 +27,12 @@ EXTENSIONS = (".npy", ".npz", ".h5", ".tif", ".tiff", ".png", ".dng")
 
 _WORD = re.compile(r"[^\W\d_]+|\d+")
 _EXTENSION = re.compile(r"\.[a-z][a-z0-9]{0,8}")  # not the end of 00001_00_0.1s
-_MOST_EXAMINED = 20  # files whose names are held against those of all noisy frames
+_MOST_EXAMINED = 20  # files whose names are compared with all noisy frames'
 _MOST_WORDS = 40  # of a path, at its end
 _MOST_NAMED = 3
 _FOLDERS_ABOVE = 3
+_MOST_EXTRA = 100  # files of no noisy frame that are named one by one
+_MOST_SHOWN = 8  # predictions of one frame
 READ = f"{', '.join(EXTENSIONS[:-1])} or {EXTENSIONS[-1]}"
 
 
@@ -62,7 +66,7 @@ def is_read(name: str) -> bool:
 
 
 def layout_in_words(folder: Path, names: Sequence[str], expected: Expected) -> str:
-    """Return what lies in a folder in which no prediction lies where it is looked for, and the nearest layout.
+    """Describe a folder in which no prediction lies where it is looked for, and the nearest layout.
 
     Parameters
     ----------
@@ -73,25 +77,23 @@ def layout_in_words(folder: Path, names: Sequence[str], expected: Expected) -> s
     expected
         What would be looked for.
     """
-    read = [name for name in names if is_read(name)]
+    likely = [name for name in names if is_read(name)]
     place = next(iter(expected.places))
     rule = f"the prediction of {place} is {_target(place)}"
     if not names:
         return f"found no file, but for hidden ones and links to folders; expected one for each noisy frame: {rule}"
-    found = f"found {_counted(read or names)}, "
-    if read:
-        found += f"none of them where expected ({rule})"
-    else:
-        found += f"none of them read; expected {READ} ({rule}, and eldata.evaluation.save_prediction writes it)"
-    likely = read or names
+    wrong = f"none of them where expected ({rule})"
+    if not likely:
+        likely = list(names)
+        wrong = f"none of them read; expected {READ} ({rule}, and eldata.evaluation.save_prediction writes it)"
     advice = (
         _of_other_datasets(likely, expected) or _other_folder(folder, likely, expected) or _nearest(likely, expected)
     )
-    return f"{found}; {advice or 'is it the right folder, and the right dataset?'}"
+    return f"found {_counted(likely)}, {wrong}; {advice or 'is it the right folder, and the right dataset?'}"
 
 
 def nearest_in_words(names: Sequence[str], places: Iterable[str]) -> str | None:
-    """Return what a file's name would have to be, of the first file of which it can be told, or ``None``."""
+    """Say what the first file's name would have to be of which it can be told, or ``None``."""
     return _nearest(names, Expected(tuple(places), {}, {}), ambiguous=False)
 
 
@@ -106,20 +108,18 @@ def _of_other_datasets(names: Sequence[str], expected: Expected) -> str | None:
 
 
 def _other_folder(folder: Path, names: Sequence[str], expected: Expected) -> str | None:
-    """Return which other folder has the expected layout: one below, several below, or one above this."""
+    """Say which other folder has the expected layout: one below, several below, or one above this."""
     stems = {stem_of(place) for place in expected.places}
-    depths = {stem.count("/") + 1 for stem in stems}
-    below: set[str] = set()
-    for name in names:
-        parts = stem_of(name).split("/")
-        cuts = [len(parts) - depth for depth in depths if depth < len(parts)]
-        below.update("/".join(parts[:cut]) for cut in cuts if "/".join(parts[cut:]) in stems)
-    if len(below) == 1:
-        (one,) = below
-        return f"they lie below {one}: give {folder / one} as the folder of predictions"
-    if below:
-        several = _listed([str(folder / name) for name in sorted(below)], "and")
-        return f"each of {several} holds some: give one of them as the folder of predictions"
+    deepest = max(stem.count("/") + 1 for stem in stems)
+    below = set()
+    for parts in (stem_of(name).split("/") for name in names):
+        cuts = range(max(1, len(parts) - deepest), len(parts))
+        below |= {"/".join(parts[:cut]) for cut in cuts if "/".join(parts[cut:]) in stems}
+    several = [str(folder / name) for name in sorted(below)]
+    if len(several) == 1:
+        return f"they lie below {below.pop()}: give {several[0]} as the folder of predictions"
+    if several:
+        return f"each of {_listed(several, 'and')} holds some: give one of them as the folder of predictions"
     above = Path(os.path.abspath(folder))  # noqa: PTH100 # as it was called, links are not followed
     for levels in range(1, min(_FOLDERS_ABOVE, len(above.parts) - 1) + 1):
         prefix = "/".join(above.parts[-levels:])
@@ -130,16 +130,19 @@ def _other_folder(folder: Path, names: Sequence[str], expected: Expected) -> str
 
 def _nearest(names: Sequence[str], expected: Expected, *, ambiguous: bool = True) -> str | None:
     """Return an example: a file, and what its name would have to be, or else, if wanted, what it could be."""
-    noisy, references = _Words(expected.places), _Words(expected.references)
+    words = {place: _words(stem_of(place)) for place in (*expected.references, *expected.places)}
+    beginnings = {place: _beginning(place) for place in words}
     unclear = None
     for name in names[:_MOST_EXAMINED]:
-        meant, whole = noisy.meant(name)
-        reference, is_reference = references.meant(name)
-        if is_reference and not whole:
-            frame = expected.references[reference[0]]
+        its = _words(stem_of(name) if _extension(name) else name)
+        alike = {place: _likeness(words[place], its) for place in words if beginnings[place].issubset(its)}
+        most = max(alike.values(), default=None)
+        best = [place for place, likeness in alike.items() if likeness == most]
+        meant = [place for place in best if place not in expected.references]
+        if best and not meant:
             return (
                 f"{name} has the name of a reference; predictions have that of their noisy frame, such as "
-                f"{_target(frame, name)}"
+                f"{_target(expected.references[best[0]], name)}"
             )
         if len(meant) == 1:
             return f"{name} would be {_target(meant[0], name)}"
@@ -149,54 +152,29 @@ def _nearest(names: Sequence[str], expected: Expected, *, ambiguous: bool = True
     return unclear
 
 
-class _Words:
-    """Places by the words and numbers in their names, to find those that another name has most of."""
-
-    def __init__(self, places: Iterable[str]) -> None:
-        self._words = {place: _words(stem_of(place)) for place in places}
-        self._whole: defaultdict[tuple[str, ...], list[str]] = defaultdict(list)
-        self._begun: defaultdict[tuple[str, ...], list[str]] = defaultdict(list)
-        for place in self._words:
-            frame = _words(stem_of(place).rpartition("/")[2])
-            self._whole[frame].append(place)
-            for length in range(1, len(frame)):
-                if any(word.isdecimal() for word in frame[:length]):
-                    self._begun[frame[:length]].append(place)
-
-    def meant(self, name: str) -> tuple[list[str], bool]:
-        """Return the places that a file is most likely meant for, and whether it has their frames' whole names."""
-        words = _words(stem_of(name) if _extension(name) else name)
-        for index, whole in ((self._whole, True), (self._begun, False)):
-            for length in range(min(len(words), max(map(len, index), default=0)), 0, -1):
-                runs = {words[start : start + length] for start in range(len(words) - length + 1)}
-                found = dict.fromkeys(place for run in sorted(runs) for place in index.get(run, ()))
-                if found:
-                    shared = {place: _in_common(self._words[place], words) for place in found}
-                    most = max(shared.values())
-                    return [place for place, count in shared.items() if count == most], whole
-        return [], False
-
-
 def _words(text: str) -> tuple[str, ...]:
     """Return words and numbers, without case and leading zeros: ``scene-1/IMG_0004`` as scene, 1, img, 4."""
     return tuple(word.lstrip("0") or "0" for word in _WORD.findall(text.casefold())[-_MOST_WORDS:])
 
 
-def _in_common(one: Sequence[str], other: Sequence[str]) -> tuple[int, int]:
-    """Return how many words two sequences share, and how many in the same order (longest common subsequence)."""
-    row = [0] * (len(other) + 1)
-    for word in one:
-        before, row = row, [0]
-        for column, found in enumerate(other):
-            row.append(before[column] + 1 if word == found else max(before[column + 1], row[column]))
-    return (Counter(one) & Counter(other)).total(), row[-1]
+def _beginning(place: str) -> frozenset[str]:
+    """Return the words of a frame's name up to the first number, which its prediction's name has too."""
+    words = _words(stem_of(place).rpartition("/")[2])
+    first = next((index for index, word in enumerate(words) if word.isdecimal()), len(words))
+    return frozenset(words[: first + 1])
+
+
+def _likeness(one: Sequence[str], other: Sequence[str]) -> tuple[int, int]:
+    """Count the words that two names share, and those of them in the same order."""
+    in_order = sum(block.size for block in SequenceMatcher(None, one, other, autojunk=False).get_matching_blocks())
+    return (Counter(one) & Counter(other)).total(), in_order
 
 
 # --- in words ---------------------------------------------------------------------------------------------------------
 
 
 def _target(place: str, name: str = "") -> str:
-    """Return where a prediction would lie: with its own extension if that is one that is read."""
+    """Return the place of a prediction, with the file's own extension if predictions may have it."""
     return stem_of(place) + (Path(name).suffix if is_read(name) else EXTENSIONS[0])
 
 
@@ -207,38 +185,27 @@ def _extension(name: str) -> str:
 
 def _counted(names: Sequence[str]) -> str:
     """Return the numbers of files by extension, such as ``12 .npy files and 1 .json file``."""
-    counts = Counter(_extension(name) or "no extension" for name in names).most_common()
+    counts = Counter(map(_extension, names)).most_common()
     texts = [
-        (f"{count} {what} file" if what.startswith(".") else f"{count} file")
-        + "s" * (count > 1)
-        + ("" if what.startswith(".") else " without an extension")
-        for what, count in counts
+        counted(count, f"{end} file") if end else f"{counted(count, 'file')} without an extension"
+        for end, count in counts
     ]
     return _listed(texts, "and")
 
 
 def _listed(texts: Sequence[str], word: str) -> str:
     """Return the first of some texts in a sentence, such as ``a, b and 3 others``."""
-    shown = list(texts[:_MOST_NAMED])
     if len(texts) > _MOST_NAMED + 1:
-        shown.append(f"{len(texts) - _MOST_NAMED} others")
-    else:
-        shown = list(texts)
-    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} {word} {shown[-1]}"
+        texts = [*texts[:_MOST_NAMED], f"{len(texts) - _MOST_NAMED} others"]
+    return f" {word} ".join(filter(None, (", ".join(texts[:-1]), texts[-1])))
 
 
 # --- what lies in a folder --------------------------------------------------------------------------------------------
 
 
-_MOST_EXTRA = 100  # files of no noisy frame that are named one by one
-
-
-_MOST_SHOWN = 8
-
-
 @dataclass(frozen=True, slots=True)
 class FoundPredictions:
-    """What lies in a folder of predictions, against those that are to be scored.
+    """The files of a folder of predictions, matched with the frames to score.
 
     Attributes
     ----------
@@ -298,34 +265,35 @@ def find_predictions(
         else:
             unread.setdefault(stem_of(name), name)
     files: dict[str, Path] = {}
-    several, missing = [], []
+    problems, missing = [], []
     place_of_stem: dict[str, str] = {}
     for place in places:
         stem = stem_of(place)
-        found = by_stem.pop(stem, [])
+        names = by_stem.pop(stem, [])
         if place_of_stem.setdefault(stem, place) != place:
             reason = f"its prediction would lie where that of {place_of_stem[stem]} does; give the frames other names"
-            several.append(EvaluationProblem(place, reason))
-        elif len(found) == 1:
-            files[place] = folder / found[0]
-        elif found:
-            reason = f"expected one prediction, found {len(found)}: {', '.join(found[:_MOST_SHOWN])}; keep one"
-            several.append(EvaluationProblem(place, reason))
+            problems.append(EvaluationProblem(place, reason))
+        elif len(names) == 1:
+            files[place] = folder / names[0]
+        elif names:
+            reason = f"expected one prediction, found {len(names)}: {', '.join(names[:_MOST_SHOWN])}; keep one"
+            problems.append(EvaluationProblem(place, reason))
         elif not allow_missing:
             there = add = ""
             if stem in unread:
                 there, add = f", only a {Path(unread[stem]).suffix} file, which is not read", f" as {READ}"
             reason = f"has no prediction{there}{because}; add it{add}, or score the rest with --allow-missing"
             missing.append(EvaluationProblem(place, reason))
-    unscored = sum(len(by_stem.pop(stem, ())) for stem in {stem_of(path) for path in known})
-    counts = {
-        name: sum(len(by_stem.pop(stem, ())) for stem in {stem_of(path) for path in paths})
-        for name, paths in elsewhere.items()
-    }
-    strange = [name for names in by_stem.values() for name in names]
-    extra = _extra(folder, strange, [problem.path for problem in missing])
-    there_too = {name: count for name, count in counts.items() if count}
-    return FoundPredictions(files, (*several, *extra, *missing), unscored, there_too)
+
+    def count_others(paths: Iterable[str]) -> int:
+        return sum(len(by_stem.pop(stem, ())) for stem in set(map(stem_of, paths)))
+
+    unscored = count_others(known)
+    counts = {name: count for name, paths in elsewhere.items() if (count := count_others(paths))}
+    problems += _strangers(
+        folder, [name for names in by_stem.values() for name in names], [one.path for one in missing]
+    )
+    return FoundPredictions(files, (*problems, *missing), unscored, counts)
 
 
 def misplaced(folder: Path, expected: Expected, known: Iterable[str]) -> EvaluationProblem | None:
@@ -385,10 +353,6 @@ def dataset_itself(folder: Path, dataset: Path, paths: Sequence[str]) -> Evaluat
     )
 
 
-# What networks are kept in.
-_MODELS = frozenset((".pt", ".pth", ".ckpt", ".onnx", ".safetensors", ".pkl"))
-
-
 def _files(folder: Path) -> list[str]:
     """Return the files of a folder of predictions, relative to it, sorted.
 
@@ -396,20 +360,16 @@ def _files(folder: Path) -> list[str]:
     """
     problem = folder_problem(folder)
     if problem is not None:
-        what = f"{folder}: {problem}"
-        if folder.suffix.lower() in _MODELS and folder.exists():
-            what += ", and may hold a model: eldata predict makes predictions with one"
-        raise EldataError(f"{what}; give the one that holds the predictions, a file for each noisy frame")
-    found = (path.relative_to(folder) for path in visible_below(folder) if is_read(path.name) or not path.is_dir())
-    return sorted(map(Path.as_posix, found))
+        raise EldataError(f"{folder}: {problem}; give the one that holds the predictions, a file for each noisy frame")
+    files = (path.relative_to(folder) for path in visible_below(folder) if is_read(path.name) or not path.is_dir())
+    return sorted(map(Path.as_posix, files))
 
 
-def _extra(folder: Path, names: list[str], missing: list[str]) -> list[EvaluationProblem]:
+def _strangers(folder: Path, names: list[str], missing: list[str]) -> list[EvaluationProblem]:
     """Name the predictions of no noisy frame; of very many only the first."""
     nearest = nearest_in_words(names, missing)
-    reason = "is the prediction of no noisy frame in the manifest; rename it or move it away"
-    if nearest is not None:
-        reason += f": {nearest}"
+    hint = "" if nearest is None else f": {nearest}"
+    reason = f"is the prediction of no noisy frame in the manifest; rename it or move it away{hint}"
     problems = [EvaluationProblem(name, reason) for name in names[:_MOST_EXTRA]]
     if len(names) > _MOST_EXTRA:
         more = f"{len(names) - _MOST_EXTRA} more files are predictions of no noisy frame; is it the right folder?"

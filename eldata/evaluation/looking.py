@@ -1,9 +1,10 @@
-"""What those who look at results see of them: groups of scores with intervals, images decoded as they were scored."""
+"""Parts of results that pages show: scores in groups, the worst and the best, images decoded as they were scored."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,14 +14,13 @@ import numpy as np
 
 from eldata.errors import ArgumentError, PredictionError
 from eldata.evaluation.layouts import find_predictions
-from eldata.evaluation.planning import plan_scoring, require_folder
-from eldata.evaluation.request import make_request
+from eldata.evaluation.request import make_request, plan_scoring, require_folder
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.score import Scoring, as_scored, read_input, read_prediction, read_reference
 from eldata.evaluation.scores import FrameScore, cameras_in_order, natural
 from eldata.evaluation.statistics import FEWEST_SCENES, LEVEL, interval_of_scores, over_scenes
 from eldata.isp.preview import brightening, preview
-from eldata.manifest.catalogue import FrameFiles, known_names
+from eldata.manifest.catalogue import FrameFiles
 from eldata.protocols.protocol import NO_SHADING, ClipProtocol, Protocol
 
 if TYPE_CHECKING:
@@ -44,32 +44,30 @@ def strips_of(
     """
     from eldata.plots.scores import Strip
 
-    ordered = sorted(scores, key=lambda score: score.iso) if by == "iso" else scores
+    def group_of(score: UnitScore) -> str:
+        if by == "camera":
+            return score.camera
+        return f"ISO {score.iso:g}" if score.iso else "not known"
+
     members: dict[tuple[str, float | None], list[UnitScore]] = defaultdict(list)
-    for score in ordered:
-        members[_group_of(score, by), score.ratio].append(score)
+    for score in sorted(scores, key=lambda score: score.iso) if by == "iso" else scores:
+        members[group_of(score), score.ratio].append(score)
     return [
         Strip(
             group,
             ratio,
-            tuple(score.values[name] for score in of),
-            interval_of_scores(of, name, scenes_shared=scenes_shared).ends if mean else None,
+            tuple(score.values[name] for score in alike),
+            interval_of_scores(alike, name, scenes_shared=scenes_shared).ends if mean else None,
         )
-        for (group, ratio), of in members.items()
+        for (group, ratio), alike in members.items()
     ]
-
-
-def _group_of(score: UnitScore, by: Grouping) -> str:
-    if by == "camera":
-        return score.camera
-    return f"ISO {score.iso:g}" if score.iso else "not known"
 
 
 def scores_in_order(scores: Iterable[UnitScore], dataset: str) -> tuple[UnitScore, ...]:
     """Return scores of the set of this name by camera, as its paper lists them, scene (2 before 10) and path."""
     scores = tuple(scores)
-    places = {name: place for place, name in enumerate(cameras_in_order((one.camera for one in scores), dataset))}
-    return tuple(sorted(scores, key=lambda one: (places[one.camera], natural(one.scene), natural(one.path))))
+    cameras = cameras_in_order((score.camera for score in scores), dataset)
+    return tuple(sorted(scores, key=lambda s: (cameras.index(s.camera), natural(s.scene), natural(s.path))))
 
 
 def worst_and_best(scores: Iterable[UnitScore], each: int) -> tuple[list[UnitScore], list[UnitScore]]:
@@ -78,15 +76,15 @@ def worst_and_best(scores: Iterable[UnitScore], each: int) -> tuple[list[UnitSco
     None is both: of few, the worst come first.
     """
     known = sorted((score for score in scores if not math.isnan(score.psnr_db)), key=lambda score: score.psnr_db)
-    worst = _one_per_scene(known, each)
-    return worst, _one_per_scene([score for score in reversed(known) if score not in worst], each)
+    worst = _first_of_scenes(known)[:each]
+    return worst, _first_of_scenes([score for score in reversed(known) if score not in worst])[:each]
 
 
-def _one_per_scene(scores: Sequence[UnitScore], most: int) -> list[UnitScore]:
+def _first_of_scenes(scores: Iterable[UnitScore]) -> list[UnitScore]:
     first: dict[tuple[str, str], UnitScore] = {}
     for score in scores:
         first.setdefault(score.place, score)
-    return list(first.values())[:most]
+    return list(first.values())
 
 
 def worst_frame(score: UnitScore) -> FrameScore:
@@ -177,7 +175,7 @@ class SeenImage:
 
     @cached_property
     def brighter(self) -> float:
-        """What the pictures of input, predictions and reference are multiplied by to be seen; 1 of renderings."""
+        """The factor that makes pictures of input, predictions and reference bright enough to see; 1 of renderings."""
         return 1.0 if self.amplified is None else brightening(self.reference)
 
     def rendered(self, values: NDArray[Any]) -> NDArray[np.uint8]:
@@ -189,7 +187,7 @@ class SeenImage:
 
 
 def place_of_difference(errors: Sequence[NDArray[Any]], size: tuple[int, int]) -> tuple[slice, slice]:
-    """Return where methods differ most: the window in which their mean squared errors lie farthest apart.
+    """Find the window in which methods differ most: their mean squared errors lie farthest apart.
 
     Parameters
     ----------
@@ -198,21 +196,19 @@ def place_of_difference(errors: Sequence[NDArray[Any]], size: tuple[int, int]) -
     size
         Rows and columns of the window; it is no larger than the image. Windows are tried at steps of a quarter of it.
     """
-    spans = [(length, min(most, length)) for length, most in zip(errors[0].shape, size, strict=True)]
-    (tops, rows), (lefts, columns) = (
-        (np.unique(np.append(np.arange(0, length - window + 1, max(1, window // 4)), length - window)), window)
-        for length, window in spans
+    from scipy.ndimage import uniform_filter
+
+    windows = [min(length, most) for length, most in zip(errors[0].shape, size, strict=True)]
+    tops, lefts = (
+        np.unique([*range(0, length - window, max(1, window // 4)), length - window])
+        for length, window in zip(errors[0].shape, windows, strict=True)
     )
-    sums = []
-    for error in errors:
-        total = np.pad(np.square(error, dtype=np.float64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-        below, right = tops + rows, lefts + columns
-        inner, outer = total[np.ix_(below, right)], total[np.ix_(tops, lefts)]
-        sums.append(inner - total[np.ix_(tops, right)] - total[np.ix_(below, lefts)] + outer)
-    spread = np.ptp(np.stack(sums), axis=0)
+    middles = np.ix_(tops + windows[0] // 2, lefts + windows[1] // 2)  # the filter's output lies in the middle
+    means = [uniform_filter(np.square(error, dtype=np.float64), windows)[middles] for error in errors]
+    spread = np.ptp(np.stack(means), axis=0)
     row, column = np.unravel_index(int(np.argmax(spread)), spread.shape)
     top, left = int(tops[row]), int(lefts[column])
-    return slice(top, top + rows), slice(left, left + columns)
+    return slice(top, top + windows[0]), slice(left, left + windows[1])
 
 
 def worst_and_best_images(
@@ -253,7 +249,7 @@ def images_of(
     dark_shading: Path | None = None,
     units: Mapping[str, Pair] | None = None,
 ) -> tuple[ScoredImage, ...]:
-    """Return what to decode of images that results, one of each method, have scores of.
+    """Return the files to decode for images that results, one of each method, have scores of.
 
     Parameters
     ----------
@@ -279,15 +275,16 @@ def images_of(
     files_of_set = FrameFiles(dataset_folder) if isinstance(dataset_folder, Path) else dataset_folder
     protocols, dataset = tuple(map(protocol_of, results)), files_of_set.absolute()
     frames = [_frames_of(of_image) for of_image in scores]
-    places = [known[one[0].path].place(shown[0].path) for one, shown in zip(scores, frames, strict=True)]
+    pairs = [known[of_image[0].path] for of_image in scores]
+    places = [pair.place(shown[0].path) for pair, shown in zip(pairs, frames, strict=True)]
     files = [None if folder is None else find_predictions(folder, places).files for folder in predictions]
     images = []
-    for of_image, shown, place in zip(scores, frames, places, strict=True):
-        for folder, found in zip(predictions, files, strict=True):
-            if folder is not None and found is not None and place not in found:
+    for pair, shown, place in zip(pairs, frames, places, strict=True):
+        for folder, of_method in zip(predictions, files, strict=True):
+            if folder is not None and of_method is not None and place not in of_method:
                 raise PredictionError(folder, f"the prediction of {shown[0].path} is gone since it was scored")
-        paths = tuple(None if found is None else found[place].absolute() for found in files)
-        images.append(ScoredImage(dataset, known[of_image[0].path], shown, paths, protocols, dark_shading))
+        paths = tuple(None if of_method is None else of_method[place].absolute() for of_method in files)
+        images.append(ScoredImage(dataset, pair, shown, paths, protocols, dark_shading))
     return tuple(images)
 
 
@@ -314,29 +311,16 @@ def protocol_of(result: EvaluationResult) -> Protocol:
     if isinstance(stated, Protocol):
         return stated
     kind = ClipProtocol if result.kind.is_of_clips else Protocol
-    fields: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in stated.fields.items()
-        if name in kind.__dataclass_fields__
-    }
-    try:
-        found = kind(**fields)
-    except TypeError:
-        found = None
-    if found is None or found.digest != stated.digest:
-        raise ArgumentError(
-            f"{result.source}: its protocol {stated.name!r} is of another version of eldata, which may have scored "
-            "otherwise; score again with eldata evaluate --json, or with that version"
-        )
-    return found
-
-
-def _check_known(result: EvaluationResult, manifest: Path | str | None) -> None:
-    if manifest is None and result.dataset not in known_names():
-        raise ArgumentError(
-            f"{result.source} is of {result.dataset!r}, which is not a set that eldata knows; give its manifest with "
-            "--manifest (manifest=...)"
-        )
+    fields = {name: value for name, value in stated.fields.items() if name in kind.__dataclass_fields__}
+    lists: dict[str, Any] = {name: tuple(value) for name, value in fields.items() if isinstance(value, list)}
+    with suppress(TypeError):  # a field that this version has and the result has not
+        protocol = kind(**fields | lists)
+        if protocol.digest == stated.digest:
+            return protocol
+    raise ArgumentError(
+        f"{result.source}: its protocol {stated.name!r} is of another version of eldata, which may have scored "
+        "otherwise; score again with eldata evaluate --json, or with that version"
+    )
 
 
 def units_again(
@@ -360,7 +344,6 @@ def units_again(
     ManifestError, DatasetError
         If it is malformed, or the dataset is not there.
     """
-    _check_known(result, manifest)
     cameras, ids = result.provenance.get("cameras", "all"), result.provenance.get("ids")
     # Which pairs there are does not depend on what was taken off their inputs.
     protocol = replace(protocol_of(result), dark_shading=NO_SHADING)
@@ -399,7 +382,7 @@ TOO_FEW = f"no interval with fewer than {FEWEST_SCENES} scenes"
 
 
 def interval_note(result: EvaluationResult) -> str:
-    """Return what the intervals are, in a sentence or two."""
+    """Explain the intervals in a sentence or two."""
     return (
         f"Intervals: {LEVEL:.0%}, Student's t over {over_scenes(shared=result.scenes_shared)}, because "
         f"{result.kind.units} of one scene err together. There is none with fewer than {FEWEST_SCENES} scenes. They "

@@ -1,38 +1,61 @@
-"""What is to be evaluated: made once, by a public function or the command line, and passed on whole."""
+"""A request for an evaluation, with its names resolved, and the pairs of the set that its protocol scores.
+
+A request is made once, by a public function or the command line, and passed on whole.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from eldata.base.fields import TextFile
 from eldata.base.workers import IN_THIS_PROCESS, Workers
-from eldata.errors import ArgumentError, EldataError
+from eldata.errors import ArgumentError, DatasetError, EldataError
 from eldata.evaluation.tasks import Task
-from eldata.manifest.catalogue import FrameFiles, Manifest, known_manifest, load_manifest, shipped_names
+from eldata.manifest.card import find_subset
+from eldata.manifest.catalogue import (
+    FrameFiles,
+    Manifest,
+    known_manifest,
+    load_manifest,
+    shipped_manifest,
+    shipped_names,
+)
+from eldata.manifest.clips import choose_clips, clip_place, clips_of, windows
+from eldata.manifest.drv import Layout
+from eldata.manifest.pair_checks import white_remarks
+from eldata.manifest.pairs import Choice, select_pairs, unpaired
+from eldata.manifest.patterns import expand, is_png
+from eldata.manifest.verify import check_files
 from eldata.noise.dark_shading import dark_shading_in
 from eldata.protocols.kinds import IMAGES, Kind
-from eldata.protocols.named import default_protocol, get_protocol, protocols_for
-from eldata.protocols.protocol import NO_SHADING, OWN_SEQUENCES
+from eldata.protocols.named import PROTOCOLS, default_protocol, get_protocol, protocols_for
+from eldata.protocols.protocol import NO_SHADING, OWN_SEQUENCES, ClipProtocol
 from eldata.protocols.words import FIELDS, in_words
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable, Sequence
 
     from eldata.base.workers import AnyWorkers
     from eldata.evaluation.scores import Pair
     from eldata.evaluation.tasks import TaskFunction
+    from eldata.manifest.verify_report import Level
+    from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Protocol
+    from eldata.raw.levels import MeanLevels
+    from eldata.records import FrameRecord
 
 Baseline = Literal["input"]
 
 OF_CLIPS = "--clip ID (in Python ids=[...])"
-"""What chooses clips, in messages: the commands that predict have another use for ``--clip``."""
+"""The option that chooses clips, in messages: the commands that predict have another use for ``--clip``."""
 
 SETTINGS = "predictions.json"
-"""What made the predictions beside it; eldata baseline and eldata predict write it."""
+"""The file in which eldata baseline and eldata predict state how they made a folder of predictions."""
 
 # How long scoring a pair takes, for itself and for each byte of its input; and what two workers take to start.
 _PAIR_S, _BYTE_S, _WORTH_S = 3e-3, 20e-9, 1.3
@@ -40,7 +63,7 @@ _PAIR_S, _BYTE_S, _WORTH_S = 3e-3, 20e-9, 1.3
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is to be evaluated, with names resolved; the options are those of :func:`eldata.evaluate`.
+    """A request for an evaluation, with names resolved; the options are as for :func:`eldata.evaluate`.
 
     Attributes
     ----------
@@ -72,7 +95,7 @@ class Request:
 
     @property
     def kind(self) -> Kind:
-        """What is scored: images or clips."""
+        """Images or clips."""
         return self.protocol.kind
 
     @property
@@ -107,7 +130,7 @@ def make_request(
 ) -> Request:  # fmt: skip
     """Return a request; everything that can be told without the dataset's files is checked.
 
-    The arguments are those of :func:`eldata.evaluate`.
+    The arguments are as for :func:`eldata.evaluate`.
 
     Raises
     ------
@@ -154,23 +177,24 @@ def _is_own(manifest: Manifest) -> bool:
 
 
 def _protocol(protocol: str | Path | Protocol | None, manifest: Manifest) -> Protocol:
-    """Return the protocol that is meant; it has to be of what the dataset holds, images or clips.
+    """Return the protocol to score with, which has to be for the dataset.
 
-    A set of one's own may be scored as images, and as sequences.
+    A set of one's own may be scored by any protocol of images, and as sequences.
     """
     default, is_own = default_protocol(manifest.card), _is_own(manifest)
     if isinstance(protocol, (str, Path)):
         protocol = get_protocol(protocol, manifest.name, own=is_own)
     chosen = protocol or default
     chosen.check()
-    fits_own = is_own and (chosen.kind is IMAGES or chosen.dataset == OWN_SEQUENCES)
-    if chosen.kind is not default.kind and not fits_own:
-        own = ", ".join(one.name for one in protocols_for(manifest.name))
-        raise ArgumentError(
-            f"protocol {chosen.name!r} scores {chosen.kind.units}, and {manifest.name!r} is a dataset of "
-            f"{default.kind.units}; its protocols are {own}"
-        )
-    return chosen
+    if is_own and (chosen.kind is IMAGES or chosen.dataset == OWN_SEQUENCES):
+        return chosen
+    if chosen.kind is default.kind and chosen.covers(manifest.name):
+        return chosen
+    wrong = f"is for dataset {chosen.dataset!r}, not {manifest.name!r}"
+    if chosen.kind is not default.kind:
+        wrong = f"scores {chosen.kind.units}, and {manifest.name!r} is a dataset of {default.kind.units}"
+    own = ", ".join(one.name for one in protocols_for(manifest.name))
+    raise ArgumentError(f"protocol {chosen.name!r} {wrong}; its protocols are {own}")
 
 
 def _of_inputs(protocol: Protocol, shading: Path | str | None) -> Protocol:
@@ -211,27 +235,27 @@ def _check_inputs(request: Request, folder: Path) -> None:
     protocol = request.protocol
     if protocol.is_of_packed and protocol.pixels == "srgb":
         for name in ("input_space", "response"):
-            stated, given = _stated(folder, name), in_words(name, getattr(protocol, name))
-            if stated not in (None, given):
+            stated, wanted = _stated(folder, name), in_words(name, getattr(protocol, name))
+            if stated not in (None, wanted):
                 raise ArgumentError(
                     f"{folder / SETTINGS} says of these predictions {FIELDS[name][0]}: {stated}, and protocol "
-                    f"{protocol.name!r} has {given} ({name}); give the protocol that they were made under"
+                    f"{protocol.name!r} has {wanted} ({name}); give the protocol that they were made under"
                 )
-    stated, given = stated_shading(folder), protocol.dark_shading
-    if stated in (None, given):
+    stated, digest = stated_shading(folder), protocol.dark_shading
+    if stated in (None, digest):
         return
-    said = "inputs as they are" if stated == NO_SHADING else f"inputs less the dark shading {stated}"
-    advice = "leave --dark-shading (dark_shading) out" if stated == NO_SHADING else "give that one with --dark-shading"
-    found = "none was given" if request.dark_shading is None else f"{request.dark_shading} is {given}"
+    said, advice = f"inputs less the dark shading {stated}", "give that one with --dark-shading"
+    if stated == NO_SHADING:
+        said, advice = "inputs as they are", "leave --dark-shading (dark_shading) out"
+    found = "none was given" if request.dark_shading is None else f"{request.dark_shading} is {digest}"
     raise ArgumentError(f"{folder / SETTINGS} says that these predictions are of {said}, and {found}: {advice}")
 
 
 def _check_task(request: Request, task: Task) -> None:
     """Check that a task can have the images that it wants, and that the workers can have it."""
     protocol = request.protocol
-    if task.images not in {"packed": ("compared", "packed", "srgb"), "srgb": ("compared", "srgb")}.get(
-        protocol.pixels, ("compared",)
-    ):
+    possible = {"packed": ("compared", "packed", "srgb"), "srgb": ("compared", "srgb")}
+    if task.images not in possible.get(protocol.pixels, ("compared",)):
         wanted = {"packed": "packed raw images", "srgb": "renderings in sRGB"}[task.images]
         raise ArgumentError(
             f"the task {task.place} wants {wanted}, which predictions under protocol {protocol.name!r} do not have; "
@@ -239,3 +263,258 @@ def _check_task(request: Request, task: Task) -> None:
         )
     if request.workers.executor is None and request.workers.jobs > 1:
         task.check_transportable()
+
+
+# --- the pairs that are scored ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ScoringPlan:
+    """The pairs that a protocol scores here.
+
+    Attributes
+    ----------
+    pairs
+        Pairs of frames in the manifest's order, or windows of clips.
+    facts
+        What of the choice the provenance states, such as the subset on the card, and how many pairs were left out for
+        each of the flags asked for. ``set_aside``: what of the protocol's own choice of pairs was not applied, in
+        words, because the set is the user's own.
+    """
+
+    pairs: tuple[Pair, ...]
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+def known_places(request: Request) -> list[str]:
+    """Return the places of predictions of all noisy frames of the dataset."""
+    noisy = [record for record in request.manifest.records if record.role == "noisy"]
+    if request.kind is IMAGES:
+        return [record.path for record in noisy]
+    return [clip_place(row.scene, row.path) for row in expand(noisy, request.folder)]
+
+
+def places_elsewhere(request: Request) -> dict[str, list[str]]:
+    """Return the places of predictions of other sets of images that come with the package, by the sets' names.
+
+    One folder may hold those of several, such as of SID's two cameras. Of a set of your own every prediction that is
+    not its own is a mistake.
+    """
+    if request.is_own or request.kind is not IMAGES:
+        return {}
+    others = [name for name in shipped_names() if name != request.manifest.name]
+    return {
+        manifest.name: [record.path for record in manifest.records if record.role == "noisy"]
+        for manifest in map(shipped_manifest, others)
+        if default_protocol(manifest.card).kind is IMAGES
+    }
+
+
+def plan_scoring(request: Request, *, unscored: bool = False) -> ScoringPlan:
+    """Return the pairs to score; with ``unscored`` also pairs to predict only, of a subset without references.
+
+    Of a set that comes with the package these are the protocol's pairs or clips. A set of the user's own has its own
+    pairs: those at the protocol's factors if it has every one of them, else all; of a protocol of the user's own those
+    of its cameras, scenes and subset too.
+
+    Raises
+    ------
+    ArgumentError
+        If a name is unknown, nothing is left, or the dark shading does not fit the inputs.
+    ManifestError
+        If a subset has not as many pairs as its card says.
+    DatasetError
+        If the files of clips are not there, or not what the manifest says.
+    """
+    protocol = request.protocol
+    if isinstance(protocol, ClipProtocol):
+        plan = _clip_plan(request, protocol)
+    else:
+        plan = _image_plan(request, protocol, unscored)
+    if request.dark_shading is not None:
+        _check_shading(protocol, plan.pairs, dark_shading_in(request.dark_shading))
+    return plan
+
+
+def _check_shading(protocol: Protocol, pairs: Sequence[Pair], shading: DarkShading) -> None:
+    """Raise :class:`ArgumentError` unless a dark shading can be that of all inputs, as far as the manifest knows."""
+    if protocol.pixels == "rgb":
+        raise ArgumentError(
+            f"protocol {protocol.name!r} scores preprocessed RGB, whose dark shading nobody can take off; leave "
+            "--dark-shading (dark_shading) out"
+        )
+    cameras = list(dict.fromkeys(pair.camera for pair in pairs))
+    if len(cameras) > 1:
+        raise ArgumentError(
+            f"the dark shading of {shading.camera} is of one body, and {len(cameras)} cameras are scored: "
+            f"{', '.join(cameras)}; choose one with --camera (cameras)"
+        )
+    for iso in sorted({float(pair.iso) for pair in pairs if pair.iso}):
+        shading.measured(iso)
+
+
+# --- images -----------------------------------------------------------------------------------------------------------
+
+
+def _image_plan(request: Request, protocol: Protocol, unscored: bool) -> ScoringPlan:
+    records, subsets = request.manifest.records, request.manifest.card.subsets
+    set_aside: list[str] = []
+    if request.is_own:
+        protocol, set_aside = _choice_of_own(request, protocol)
+    _check_choice(request, protocol)
+    subset = protocol.subset or request.subset or (subsets[0].name if subsets else None)
+    if unscored and subset is not None:
+        alone = unpaired(records, find_subset(subsets, subset))
+        records = tuple(replace(record, reference="") for record in alone) or records
+    choose = partial(
+        select_pairs,
+        records,
+        subsets,
+        cameras=(protocol.cameras or None) if request.cameras is None else request.cameras,
+        scenes=protocol.scenes or None,
+        ratios=protocol.ratios or None,
+        subset=subset,
+    )
+    candidates, pairs = choose(), choose(exclude_flags=request.exclude_flags)
+    facts = {"subset": subset, "ratios": sorted({float(pair.ratio) for pair in pairs}), "set_aside": set_aside}
+    flags = _flag_facts(request, (pair.flags for pair in pairs), (pair.flags for pair in candidates))
+    return ScoringPlan(pairs, facts | flags)
+
+
+def _choice_of_own(request: Request, protocol: Protocol) -> tuple[Protocol, list[str]]:
+    """Return the protocol with what it chooses of a set of the user's own, and in words what is set aside.
+
+    A shipped protocol chooses cameras, scenes and subset of a published set, which are set aside. So they are in a file
+    that has them from its base, unless the set has them all; what the file states itself is applied, or refused.
+    """
+    noisy = [record for record in request.manifest.records if record.role == "noisy"]
+    known: dict[str, set[Any]] = {
+        "cameras": {record.camera for record in noisy},
+        "scenes": {record.scene for record in noisy},
+        "subset": {subset.name for subset in request.manifest.card.subsets},
+    }
+    kept: dict[str, Any] = {}
+    for name, values in known.items():
+        chosen = getattr(protocol, name)
+        bases = [base.name for base in PROTOCOLS.values() if getattr(base, name, None) == chosen]
+        wanted = {chosen} if isinstance(chosen, str) else set(chosen or ())
+        if protocol.name in bases or (bases and not wanted <= values):
+            kept[name] = None if name == "subset" else ()
+    if not {record.ratio for record in noisy}.issuperset(protocol.ratios):
+        kept["ratios"] = ()
+    words = {
+        "cameras": f"cameras {', '.join(protocol.cameras)}",
+        "scenes": f"{len(protocol.scenes)} scenes",
+        "subset": f"subset {protocol.subset}",
+        "ratios": f"factors {', '.join(f'x{ratio:g}' for ratio in protocol.ratios)}",
+    }
+    return replace(protocol, **kept), [words[name] for name in kept if getattr(protocol, name) != kept[name]]
+
+
+def _check_choice(request: Request, protocol: Protocol) -> None:
+    """Raise :class:`ArgumentError` if the user wants what the protocol does not score."""
+    if protocol.subset is not None and request.subset not in (None, protocol.subset):
+        raise ArgumentError(
+            f"protocol {protocol.name!r} scores the subset {protocol.subset!r}, not {request.subset!r}; leave the "
+            "subset out"
+        )
+    known = request.manifest.card.cameras
+    unscored = [name for name in request.cameras or () if name not in protocol.cameras and name in known]
+    if protocol.cameras and unscored:
+        raise ArgumentError(
+            f"protocol {protocol.name!r} scores {', '.join(protocol.cameras)}, not {', '.join(unscored)}"
+        )
+
+
+def _flag_facts(
+    request: Request, chosen: Iterable[tuple[str, ...]], candidates: Iterable[tuple[str, ...]]
+) -> dict[str, dict[str, int]]:
+    """Count the chosen pairs with each flag, and the candidates with each of the flags to leave out."""
+    included, there = (Counter(flag for flags in each for flag in flags) for each in (chosen, candidates))
+    excluded = {flag: there[flag] for flag in request.exclude_flags}
+    return {"included_flags": dict(sorted(included.items())), "excluded_flags": excluded}
+
+
+# --- clips ------------------------------------------------------------------------------------------------------------
+
+
+def _clip_plan(request: Request, protocol: ClipProtocol) -> ScoringPlan:
+    """Return the windows; the numbering of all frames of their clips is checked."""
+    require_folder(request)
+    manifest, subsets, subset = request.manifest, request.manifest.card.subsets, None
+    if request.ids is None and subsets:
+        subset = request.subset or subsets[0].name
+    elif request.ids is None and not request.is_own:
+        raise ArgumentError(f"{manifest.path}: its card names no subset; name the clips: {OF_CLIPS}")
+    paired = {row.split for row in manifest.records if row.role == "reference"}
+    candidates, rows = (
+        choose_clips(
+            [row for row in manifest.records if row.split in paired],
+            subsets,
+            Choice(cameras=request.cameras, subset=subset, exclude_flags=flags),
+            ids=request.ids,
+        )
+        for flags in ((), request.exclude_flags)
+    )
+    check_rows(request, rows, "quick")
+    listed = expand(rows, request.folder)
+    found = tuple(
+        window
+        for clip in clips_of(listed)
+        for length in (protocol.frame_count or len(clip.frames),)
+        for window in windows(clip, length=length, stride=length, frames=protocol.frames)
+    )
+    for window in found:
+        if window.reference is None:
+            raise DatasetError(f"clip {window.scene}: has no reference, so it cannot be scored")
+        if protocol.dataset == OWN_SEQUENCES and not window.references:
+            raise ArgumentError(
+                f"clip {window.scene}: is no sequence, whose moments are scenes such as scene-1-moment-3; protocol "
+                f"{protocol.name!r} scores those. Choose others: {OF_CLIPS}"
+            )
+        if is_png(window.path) != (protocol.pixels == "rgb"):
+            raise ArgumentError(f"{window.path}: protocol {protocol.name!r} scores {protocol.pixels} frames")
+    ids = None if request.ids is None else sorted(request.ids)
+    flags = ({row.scene: row.flags for row in each if row.role == "noisy"}.values() for each in (rows, candidates))
+    facts = {"subset": subset, "ids": ids, "layout": str(Layout.of(listed))}
+    return ScoringPlan(found, facts | _flag_facts(request, *flags))
+
+
+# --- the files --------------------------------------------------------------------------------------------------------
+
+
+def require_folder(request: Request) -> None:
+    """Raise :class:`DatasetError` unless the dataset is there."""
+    if not request.folder.is_dir():
+        raise DatasetError(
+            f"{request.folder}: the dataset is not there; name the folder above it with --root (root=...). Where to "
+            f"get it: {request.manifest.card.homepage}"
+        )
+
+
+def require_pairs(request: Request, pairs: Iterable[Pair]) -> tuple[FrameFiles, tuple[str, ...]]:
+    """Check the files of these pairs; return their frames' source, and remarks on white levels that differ.
+
+    Raise :class:`DatasetError` unless the manifest means them.
+    """
+    needed = {path for pair in pairs for path in pair.files}
+    rows = [row for row in request.manifest.records if row.role in ("noisy", "reference")]
+    require_folder(request)
+    listed = rows if request.kind is IMAGES else expand(rows, request.folder)
+    chosen, files = [row for row in listed if row.path in needed], request.files.absolute()
+    levels_dn = check_rows(request, chosen, "metadata")
+    if not (request.protocol.is_of_packed and request.protocol.levels == "metadata"):
+        return files, ()
+    remarks = white_remarks(chosen, levels_dn, files, request.workers)
+    return files, tuple(remark.sentence() for remark in remarks)
+
+
+def check_rows(request: Request, rows: Sequence[FrameRecord], level: Level) -> dict[str, MeanLevels | None]:
+    """Raise :class:`DatasetError` unless these rows' files are what the manifest says; return known levels by path."""
+    problems, _, _, levels_dn = check_files(
+        request.manifest, request.folder, rows, level=level, workers=request.workers
+    )
+    if problems:
+        more = f" (and {len(problems) - 1} more: eldata verify --level metadata lists all)" if len(problems) > 1 else ""
+        raise DatasetError(f"{request.folder}: the dataset is not what its manifest says: {problems[0]}{more}")
+    return levels_dn

@@ -1,20 +1,27 @@
-"""What an evaluation found: scores, means per group, and everything that they depend on.
+"""The result of an evaluation: scores, means per group, and everything that they depend on.
 
-One record for images and for clips, computed or read back (:func:`eldata.evaluation.saved.load_result`), which is
-printed, saved, compared and shown as a page.
+One record for images and for clips, computed or read back (:func:`load_result`), which is printed, saved, compared and
+shown as a page.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+from eldata import __version__
+from eldata.base.fields import Fields, TextFile
 from eldata.base.files import write_json, write_text
 from eldata.base.numbers import counted
 from eldata.base.tables import block, csv_text, latex_table, markdown_table, markdown_text, table, text_table, wrapped
-from eldata.base.visible import in_line
+from eldata.base.visible import in_line, shown
+from eldata.errors import ArgumentError, FileError
+from eldata.evaluation.diagnosis import Suspicion
 from eldata.evaluation.scores import (
     EvaluationProblem,
+    FrameScore,
     PaperTable,
     TableRow,
     UnitScore,
@@ -29,9 +36,9 @@ from eldata.evaluation.scores import (
     table_of,
 )
 from eldata.evaluation.tasks import stated_figure
-from eldata.manifest.clips import ClipRecord
 from eldata.protocols.digests import CHOOSING, OF_INPUT
-from eldata.protocols.protocol import NO_SHADING
+from eldata.protocols.kinds import CLIPS, IMAGES
+from eldata.protocols.protocol import NO_SHADING, StatedProtocol
 from eldata.protocols.words import comparability
 from eldata.records import PairRecord
 
@@ -44,16 +51,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from eldata.base.tables import Format
-    from eldata.evaluation.diagnosis import Suspicion
     from eldata.evaluation.scores import Pair
     from eldata.evaluation.statistics import Interval
     from eldata.plots.axes import Theme
     from eldata.plots.scores import Strip
     from eldata.protocols.kinds import Kind
-    from eldata.protocols.protocol import Protocol, StatedProtocol
+    from eldata.protocols.protocol import Protocol
+
+Record = TypeVar("Record", EvaluationProblem, FrameScore, Suspicion)
 
 THE_INPUT = "none: the input itself"
-"""In the provenance in place of the folder of predictions."""
+"""Stands in the provenance instead of the folder of predictions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +135,7 @@ class EvaluationResult:
 
     @property
     def kind(self) -> Kind:
-        """What was scored: images or clips, and with which numbers."""
+        """Images or clips, and the numbers of their scores."""
         return kind_of(self.protocol.kind, self.provenance)
 
     @property
@@ -149,11 +157,6 @@ class EvaluationResult:
     def pairs(self) -> tuple[PairRecord, ...]:
         """The pairs that were to be scored, of a set of images."""
         return tuple(unit for unit in self.units if isinstance(unit, PairRecord))
-
-    @property
-    def windows(self) -> tuple[ClipRecord, ...]:
-        """The windows that were to be scored, of a set of clips."""
-        return tuple(unit for unit in self.units if isinstance(unit, ClipRecord))
 
     @property
     def images(self) -> tuple[UnitScore, ...]:
@@ -192,7 +195,7 @@ class EvaluationResult:
 
     @property
     def chosen(self) -> frozenset[str]:
-        """What was to be scored: paths of noisy frames, of images; numbers of clips."""
+        """Names of all units to score: paths of noisy frames, numbers of clips."""
         return frozenset((*(score.name for score in self.scores), *self.missing))
 
     @property
@@ -201,17 +204,16 @@ class EvaluationResult:
         return self.provenance.get("predictions") == THE_INPUT
 
     def scored_unlike(self, other: EvaluationResult | Protocol) -> list[str]:
-        """Return in words how these were scored differently from another result or protocol; nothing if alike.
+        """Return in words how another result or protocol scores differently; nothing if alike.
 
-        That is neither the choice of pairs, nor a name, nor what came to the same on the scored files
-        (``equal_choices``). The noisy input counts where it was scored itself.
+        Not counted are the choice of pairs, names, and what came to the same on the scored files (``equal_choices``).
+        The noisy input counts where it was scored itself.
         """
-        results = [self] if not isinstance(other, EvaluationResult) else [self, other]
+        results = [self, other] if isinstance(other, EvaluationResult) else [self]
         of_input = any(result.of_input for result in results)
-        second = other.protocol if isinstance(other, EvaluationResult) else other
         return comparability(
             self.protocol.as_dict(),
-            second.as_dict(),
+            (other.protocol if isinstance(other, EvaluationResult) else other).as_dict(),
             equal=[result.provenance.get("equal_choices", {}) for result in results],
             ignored=CHOOSING if of_input else (*CHOOSING, *OF_INPUT),
         )
@@ -242,7 +244,7 @@ class EvaluationResult:
 
     @property
     def coverage(self) -> str:
-        """Return how many of the dataset's pairs were scored, which were chosen, and what was taken off the input."""
+        """Coverage in words: pairs scored of all, their choice, and the dark shading taken off the input."""
         cameras, subset, ids = (self.provenance.get(name) for name in ("cameras", "subset", "ids"))
         parts = [f"{self.scored} of {self.expected} {self.kind.counted}"]
         parts += [f"only {', '.join(map(str, chosen))}" for chosen in (cameras, ids) if isinstance(chosen, list)]
@@ -259,7 +261,7 @@ class EvaluationResult:
 
     @property
     def caption(self) -> str:
-        """What a table is of: dataset, protocol with its digest, coverage and choice of pairs."""
+        """The table's caption: dataset, protocol with its digest, coverage and choice of pairs."""
         incomplete = "; INCOMPLETE: does not compare with others" if self.scored < self.expected else ""
         dataset = f"{self.dataset} {self.provenance.get('manifest_version', '')}".rstrip()
         return f"{dataset}, protocol {self.protocol.name} ({short_digest(self.digest)}): {self.coverage}{incomplete}."
@@ -267,10 +269,10 @@ class EvaluationResult:
     @property
     def paper_table(self) -> PaperTable:
         """The table as papers lay it out: each metric with the decimals that they print."""
-        return self.laid_out(self.kind.heads, [row.texts(self.kind) for row in self.table])
+        return self.lay_out(self.kind.heads, [row.texts(self.kind) for row in self.table])
 
-    def laid_out(self, names: Sequence[str], texts: Sequence[Sequence[str]], times: str = "x") -> PaperTable:
-        """Return texts for each row of the table laid out; ``names`` is what each states.
+    def lay_out(self, names: Sequence[str], texts: Sequence[Sequence[str]], times: str = "x") -> PaperTable:
+        """Lay out texts for each row of the table; ``names`` is what each states.
 
         A set of several cameras has a row for each camera and factor, as in the ELD paper's table; a set of one camera,
         all of which was chosen, has a column for each factor, as in those on SID; without factors it is one row, as in
@@ -307,21 +309,23 @@ class EvaluationResult:
 
     def format_text(self) -> str:
         """Return problems, the table with its protocol and coverage, and notes as text."""
-        if self.problems and not self.scores:
-            return "\n".join([*problem_lines(self.problems), nothing_scored(self.problems)])
         lines = problem_lines(self.problems)
-        if lines:
-            lines.append("")
+        if lines and not self.scores:
+            return "\n".join([*lines, nothing_scored(self.problems)])
+        lines += [""] * bool(lines)
         lines += [f"{self.dataset}, protocol {self.protocol.name}: {self.coverage}", "", self.format_table(), ""]
         if self.missing:
             lines.append(
                 f"INCOMPLETE: {len(self.missing)} {self.kind.counted} are not in these means, so they do not compare "
                 "with others"
             )
-        for text in (*map(str, self.suspicions), *(f"note: {note}" for note in self.notes)):
+        for text in self._remarks:
             lines += wrapped(text)
-        lines.append(f"{self.protocol.title} ({short_digest(self.digest)})")
-        return "\n".join(lines)
+        return "\n".join([*lines, f"{self.protocol.title} ({short_digest(self.digest)})"])
+
+    @property
+    def _remarks(self) -> list[str]:
+        return [*map(str, self.suspicions), *(f"note: {note}" for note in self.notes)]
 
     # --- to be looked at ----------------------------------------------------------------------------------------------
 
@@ -333,12 +337,7 @@ class EvaluationResult:
         metric
             The name of a column of the table, such as ``psnr_db`` or ``ssim``.
         ax
-            Axes to draw into; by default those of a new figure, which belongs to no pyplot and shows in a notebook.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            That of the axes.
+            Axes to draw into; by default new ones, in a figure that belongs to no pyplot and shows in a notebook.
 
         Raises
         ------
@@ -365,13 +364,12 @@ class EvaluationResult:
         """Return the finite scores of each row of the table, less the last where others span all cameras too."""
         from eldata.plots.scores import Strip
 
-        by_factor = any(row.ratio is not None for row in self.table)
-        drawn = []
-        for row in self.table:
-            values = finite_values(self.scores_of(row), name)
-            if values and (row.ratio is not None or not by_factor):
-                drawn.append(Strip(row.camera or "all", row.ratio, values, self.interval(row, name).ends))
-        return drawn
+        rows = [row for row in self.table if row.ratio is not None] or self.table
+        return [
+            Strip(row.camera or "all", row.ratio, values, self.interval(row, name).ends)
+            for row in rows
+            if (values := finite_values(self.scores_of(row), name))
+        ]
 
     def __repr__(self) -> str:
         texts = zip(self.kind.heads[1:], self.whole.texts(self.kind)[1:], strict=True) if self.scores else ()
@@ -383,8 +381,8 @@ class EvaluationResult:
     def _repr_html_(self) -> str:
         cells = self.paper_table
         parts = [table(cells.header, cells.rows, cells.left)] if self.scores else []
-        notes = [*problem_lines(self.problems), *map(str, self.suspicions), *(f"note: {note}" for note in self.notes)]
-        return block(self.caption, *parts, notes=[*notes, self.protocol.title])
+        notes = [*problem_lines(self.problems), *self._remarks, self.protocol.title]
+        return block(self.caption, *parts, notes=notes)
 
     # --- files --------------------------------------------------------------------------------------------------------
 
@@ -417,3 +415,126 @@ class EvaluationResult:
 def kind_of(kind: Kind, provenance: Mapping[str, Any]) -> Kind:
     """Return a protocol's kind with what was asked for beyond it: a task."""
     return kind.having(stated_figure(provenance["task"])) if "task" in provenance else kind
+
+
+# --- results that are read back ---------------------------------------------------------------------------------------
+
+_AGAIN: Final = "write it again with eldata evaluate --json"
+
+
+def load_result(path: Path | str) -> EvaluationResult:
+    """Read what ``eldata evaluate --json`` wrote.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read, is not whole, is something else, or was written by a newer version; the message
+        names the field.
+    """
+    return _read_result(TextFile(path, FileError, advice=_AGAIN).json())
+
+
+def saved_result(data: object, source: Path | str) -> EvaluationResult:
+    """Read a result from what :meth:`EvaluationResult.as_dict` returned; ``source`` names it in messages.
+
+    Raises
+    ------
+    FileError
+        Like :func:`load_result`.
+    """
+    return _read_result(TextFile(source, FileError, advice=_AGAIN).fields(data))
+
+
+def _read_result(top: Fields) -> EvaluationResult:
+    if "provenance" not in top.data:
+        raise top.problem("provenance", "is missing: this is not a result of eldata evaluate, or not a whole one")
+    provenance, coverage = top.inside("provenance"), top.inside("coverage")
+    protocol = StatedProtocol(CLIPS if CLIPS.units in top.data else IMAGES, dict(top.inside("protocol").data))
+    top.inside("protocol").text("name")
+    _check_provenance(provenance, protocol)
+    kind = kind_of(protocol.kind, provenance.data)
+    scores = tuple(_read_score(score, kind) for score in top.objects(kind.units))
+    last = {score.path: index for index, score in enumerate(scores)}
+    for index, score in enumerate(scores):
+        if last[score.path] != index:
+            field = f"{kind.units}[{last[score.path]}].path"
+            raise top.wrong(field, f"another {kind.unit} than those before it", score.path)
+    if coverage.whole("scored") != len(scores):
+        raise coverage.wrong("scored", f"the number of {kind.units}, {len(scores)}", coverage.data["scored"])
+    return EvaluationResult(
+        protocol=protocol,
+        provenance=dict(provenance.data),
+        scores=scores,
+        table=tuple(_read_row(row, kind) for row in top.objects("table", fewest=1)),
+        expected=coverage.whole(kind.counted, at_least=len(scores)),
+        missing=coverage.texts("missing"),
+        problems=tuple(_read_record(EvaluationProblem, problem) for problem in top.objects("problems")),
+        notes=top.texts("notes"),
+        suspicions=tuple(_read_record(Suspicion, one) for one in top.objects("suspicions", missing_ok=True)),
+        source=str(top.file.name),
+    )
+
+
+def _check_provenance(provenance: Fields, protocol: StatedProtocol) -> None:
+    """Check what of a provenance the result's methods and comparisons rely on."""
+    written = provenance.text("eldata")
+    if _release(written) > _release(__version__):
+        raise provenance.wrong("eldata", f"{__version__} or older (update eldata, or it may be misread)", written)
+    for name in ("dataset", "manifest_sha256"):
+        provenance.text(name)
+    if provenance.text("protocol_digest") != protocol.digest:
+        expected = f"the digest of the fields in protocol, {protocol.digest} (was one of them edited?)"
+        raise provenance.wrong("protocol_digest", expected, provenance.data["protocol_digest"])
+    provenance.flag("scenes_shared")
+    if "task" in provenance.data:
+        task = provenance.inside("task")
+        for name in ("label", "callable", "images"):
+            task.text(name)
+        task.flag("higher_is_better")
+
+
+def _read_score(fields: Fields, kind: Kind) -> UnitScore:
+    camera, scene = fields.text("camera"), fields.text("scene")
+    numbers = {name: fields.parsed(name, _number) for name in kind.values}  # noqa: PD011 (names of a score's numbers)
+    if not kind.is_of_clips:
+        iso, ratio = fields.number("iso", at_least=0), fields.number("ratio", at_least=0)
+        return UnitScore(fields.text("path"), camera, scene, iso, ratio, numbers)
+    frames = tuple(_read_record(FrameScore, frame) for frame in fields.objects("frame_scores", fewest=1))
+    split, start = fields.text("split"), fields.whole("start")
+    return UnitScore(frames[0].path, camera, scene, 0.0, None, numbers, split=split, start=start, frames=frames)
+
+
+def _read_row(row: Fields, kind: Kind) -> TableRow:
+    return TableRow(
+        camera=row.optional("camera", row.text),
+        ratio=row.optional("ratio", row.number, at_least=0),
+        pairs=row.whole(kind.counted),
+        scored=row.whole("scored"),
+        values={metric.name: row.parsed(metric.name, _number) for metric in kind.metrics},
+    )
+
+
+def _read_record(kind: type[Record], fields: Fields) -> Record:
+    """Read a record whose fields are written by their names; a path may have characters that do not show."""
+    readers: dict[Any, Any] = {
+        "str": lambda name: fields.text(name, empty=True, unseen=True),
+        "int": fields.whole,
+        "float": lambda name: fields.parsed(name, _number),
+        "float | None": lambda name: fields.optional(name, fields.number),
+    }
+    return kind(**{field.name: readers[field.type](field.name) for field in dataclasses.fields(kind)})
+
+
+def _number(value: Any) -> float:
+    """Return a number, an infinity that is written as text, or nan for null."""
+    if value is None:
+        return math.nan
+    if value in ("inf", "-inf") or (type(value) in (int, float) and abs(value) <= 1e300):
+        return float(value)
+    raise ArgumentError(f'expected a finite number, the text "inf" or null, found {shown(value)}')
+
+
+def _release(version: str) -> tuple[int, ...]:
+    """Return major and minor version; (0,) for what is not a version."""
+    parts = version.split(".")[:2]
+    return tuple(int(part) for part in parts) if all(part.isdecimal() for part in parts) else (0,)

@@ -19,7 +19,7 @@ from eldata.base.files import inside
 from eldata.base.workers import Failed, require_files
 from eldata.errors import ArgumentError, DatasetError, EldataError, FileError, PredictionError, ShadingError
 from eldata.evaluation.diagnosis import Inspection, chosen_frames, mistake_in, sketch
-from eldata.evaluation.diagnosis.places import Circumstances
+from eldata.evaluation.mistakes import Circumstances
 from eldata.evaluation.predictions import load_colours, load_dng, load_prediction
 from eldata.evaluation.scores import EvaluationProblem, FrameScore, UnitScore, mean
 from eldata.manifest.clips import ClipRecord

@@ -40,7 +40,6 @@ SEED = 0
 FEWEST_SCENES = 6
 """Below, no interval is given: it would rest on the scores' being normal, and no p-value could be below 0.05."""
 
-_ENTRIES_AT_ONCE = 1 << 21  # of drawn indices: 16 MB
 _FLIPPED_IN_FULL = 14  # scenes: 16384 signs
 
 
@@ -98,7 +97,7 @@ class Difference:
 
 
 def clusters_of(scores: Iterable[UnitScore], *, scenes_shared: bool) -> list[Hashable]:
-    """Return what each score is one of, in the sense that it errs together with others: the scenes of this module.
+    """Return the cluster of each score, whose members err together: the scenes of this module.
 
     Parameters
     ----------
@@ -112,7 +111,7 @@ def clusters_of(scores: Iterable[UnitScore], *, scenes_shared: bool) -> list[Has
 
 
 def over_scenes(*, shared: bool) -> str:
-    """Return what intervals and p-values are over, in words."""
+    """Name the clusters of intervals and p-values."""
     return "scenes" if shared else "the scenes of each camera"
 
 
@@ -156,7 +155,7 @@ def interval_of_scores(scores: Sequence[UnitScore], name: str, *, scenes_shared:
 
 
 def paired_difference(first: Values, second: Values, scenes: Sequence[Hashable]) -> Difference:
-    """Return how much better the second method is than the first on the same images.
+    """Return the mean difference of two methods on the same images, the second minus the first.
 
     What both methods find hard cancels in the difference of each image, so that the interval is often much narrower
     than those of the two means.
@@ -206,12 +205,8 @@ def sign_flip_p_value(differences: Values, scenes: Sequence[Hashable]) -> float:
     if len(sums) <= _FLIPPED_IN_FULL:
         flips = 1 - 2 * ((np.arange(1 << len(sums))[:, None] >> np.arange(len(sums))) & 1)
         return float(np.mean(np.abs(flips @ sums) >= enough))
-    generator, reached = np.random.default_rng(SEED), 0
-    rows = max(1, _ENTRIES_AT_ONCE // len(sums))  # few enough to hold in memory
-    for start in range(0, RESAMPLES, rows):
-        flips = 1 - 2 * generator.integers(0, 2, (min(rows, RESAMPLES - start), len(sums)))
-        reached += int(np.count_nonzero(np.abs(flips @ sums) >= enough))
-    return (1 + reached) / (1 + RESAMPLES)
+    flips = 1 - 2 * np.random.default_rng(SEED).integers(0, 2, (RESAMPLES, len(sums)))
+    return (1 + int(np.count_nonzero(np.abs(flips @ sums) >= enough))) / (1 + RESAMPLES)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

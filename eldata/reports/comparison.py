@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from eldata.base.files import write_text
 from eldata.base.numbers import counted
 from eldata.base.tables import Strong
-from eldata.evaluation.comparison.tables import (
+from eldata.evaluation.comparison import (
     LABELS,
     contests_note,
     contests_table,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from eldata.base.workers import Workers
-    from eldata.evaluation.comparison import Comparison, Method, Pairing
+    from eldata.evaluation.comparison import Comparison, Method
     from eldata.evaluation.looking import ScoredImage
     from eldata.evaluation.scores import UnitScore
     from eldata.evaluation.statistics import Difference
@@ -189,7 +189,7 @@ def _row_name(place: int) -> str:
     return f"image-{place + 1}"
 
 
-def _extremes_table(pairings: Sequence[Pairing], comparison: Comparison) -> Table | None:
+def _extremes_table(pairings: Sequence[tuple[UnitScore, UnitScore]], comparison: Comparison) -> Table | None:
     """Return a table of wins or losses; ``None`` if there are none."""
     if not pairings:
         return None
@@ -197,12 +197,12 @@ def _extremes_table(pairings: Sequence[Pairing], comparison: Comparison) -> Tabl
     places = {scores[0].path: place for place, scores in enumerate(comparison.images)}
     rows = [
         (
-            Cell(one.first.name, link=_row_name(places[one.first.path])),
-            *fact_cells(one.first, kind),
-            Cell(signed(signed_text(one.gain_db, 2))),
-            Cell(signed(signed_text(one.gain_ssim, 3))),
+            Cell(first.name, link=_row_name(places[first.path])),
+            *fact_cells(first, kind),
+            Cell(signed(signed_text(other.psnr_db - first.psnr_db, 2))),
+            Cell(signed(signed_text(other.ssim - first.ssim, 3))),
         )
-        for one in pairings
+        for first, other in pairings
     ]
     return Table((kind.unit, *(() if kind.is_of_clips else FACTS), "PSNR [dB]", "SSIM"), tuple(rows))
 
@@ -214,17 +214,16 @@ def _rows(comparison: Comparison) -> Table:
     for method in others:
         header += [f"{method.name} dB", "difference"]
     rows = []
-    every = list(zip(*(comparison.pairings(index) for index in range(len(others))), strict=True))
     for place in comparison.worst_first():
-        of_image, base = every[place], every[place][0].first
+        base, *by_others = comparison.images[place]
         row = [
             Cell(base.name, link=_row_name(place), name=_row_name(place)),
             *(Cell(text) for text in (base.camera, base.scene)),
             *fact_cells(base, kind),
             number_cell(base.psnr_db, f"{base.psnr_db:.2f}"),
         ]
-        for one in of_image:
-            psnr, gain = one.other.psnr_db, one.gain_db
+        for score in by_others:
+            psnr, gain = score.psnr_db, score.psnr_db - base.psnr_db
             row += [number_cell(psnr, f"{psnr:.2f}"), number_cell(gain, signed_text(gain, 2), _look(gain))]
         rows.append(tuple(row))
     return Table(tuple(header), tuple(rows), left=(0, 1, 2))
@@ -303,14 +302,17 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
     They show the mean differences of groups with their intervals; each image by both methods; and its difference over
     the first one's score.
     """
-    finite = [one for one in comparison.pairings(index) if one.is_finite]
+    finite = [
+        (first.ratio, first.psnr_db, other.psnr_db)
+        for first, other in comparison.pairings(index)
+        if math.isfinite(first.psnr_db) and math.isfinite(other.psnr_db)
+    ]
     if not finite:
         return ()
     kind, (first, other) = comparison.kind, (comparison.methods[at].name for at in (0, index + 1))
     groups = [group for group in comparison.groups if math.isfinite(group.gains[index]["psnr_db"].interval.mean)]
-    both = [(one.first.ratio, one.first.psnr_db, one.other.psnr_db) for one in finite]
-    gains = [(one.first.ratio, one.first.psnr_db, one.gain_db) for one in finite]
-    values = [value for _, *scores in both for value in scores]
+    gains = [(ratio, first_db, other_db - first_db) for ratio, first_db, other_db in finite]
+    values = [value for _, *scores in finite for value in scores]
     margin = 0.04 * (max(values) - min(values)) + 0.1
     reach = min(values) - margin, max(values) + margin
 
@@ -321,7 +323,7 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
 
     def draw_both(axes: Axes, theme: Theme) -> None:
         axes.plot(reach, reach, color=theme.theory, linewidth=1)
-        draw_points(axes, both, theme, alpha=0.6)
+        draw_points(axes, finite, theme, alpha=0.6)
         axes.set(xlim=reach, ylim=reach)
         axes.set_xlabel(f"{short(first)} [dB]", parse_math=False)
         axes.set_ylabel(f"{short(other)} [dB]", parse_math=False)
@@ -332,7 +334,7 @@ def gain_plots(comparison: Comparison, index: int) -> tuple[Plot, ...]:
         axes.set_xlabel(f"{short(first)} [dB]", parse_math=False)
         axes.set_ylabel("difference [dB]")
 
-    better = sum(one.gain_db > 0 for one in finite)
+    better = sum(gain > 0 for _, _, gain in gains)
     low, high = min(gain for _, _, gain in gains), max(gain for _, _, gain in gains)
     words: dict[str, object] = {
         "first": first,

@@ -204,7 +204,7 @@ def table_with_intervals(result: EvaluationResult) -> Table:
             cells += [mean, _interval_text(interval, metric)]
         texts.append(cells)
     names = [counted, "scenes", *(name for head in heads for name in (head, INTERVAL))]
-    paper = result.laid_out(names, texts, "×")
+    paper = result.lay_out(names, texts, "×")
     rules = tuple(range(2, len(names), 2)) if paper.transposed else paper.rules
     return Table(paper.header, _cells(paper.rows), rules=rules)
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eldata.demo.tree import make_tree
-from eldata.evaluation.planning import plan_scoring
-from eldata.evaluation.request import make_request
+from eldata.evaluation.request import make_request, plan_scoring
 from eldata.records import PairRecord
 from tests.evaluation import oracle
 

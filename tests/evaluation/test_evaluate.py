@@ -18,7 +18,7 @@ from eldata.base.files import sha256_of
 from eldata.baselines import write_predictions
 from eldata.errors import DatasetError
 from eldata.evaluation import EvaluationResult, evaluate, evaluate_methods, scored_pairs
-from eldata.evaluation.saved import saved_result
+from eldata.evaluation.results import saved_result
 from eldata.evaluation.scores import UnitScore
 from eldata.manifest.card import load_card, save_card
 from eldata.protocols import PROTOCOLS

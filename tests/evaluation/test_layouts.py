@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from eldata.evaluation import evaluate, save_prediction
-from eldata.evaluation.layouts import EXTENSIONS, Expected, dataset_itself, layout_in_words, nearest_in_words
+from eldata.evaluation.layouts import Expected, layout_in_words
 from eldata.evaluation.scores import EvaluationProblem, problem_lines
 
 if TYPE_CHECKING:
@@ -55,29 +55,20 @@ NPY, OF_ONE = "12 .npy files", "6 .npy files"
 # How the predictions are called, what is found, what the message says of the nearest layout.
 LAYOUTS: dict[str, tuple[Callable[[str], str], str, str]] = {
     "flat": (renamed("/", "_"), NPY, f"DemoAlpha_scene-1_IMG_0004.npy would be {FIRST}.npy"),
-    "flat-with-hyphens": (renamed("/", "-"), NPY, f"DemoAlpha-scene-1-IMG_0004.npy would be {FIRST}.npy"),
     "flat-without-camera": (lambda name: in_camera(name).replace("/", "_"), OF_ONE, f"scene-1_IMG_0004.npy {WHICH}"),
     "names-of-frames": (lambda name: PurePosixPath(name).name, OF_ONE, f"IMG_0004.npy {WHICH}"),
     "without-scenes": (renamed("scene-1/", ""), NPY, f"DemoAlpha/IMG_0004.npy would be {FIRST}.npy"),
-    "lower-case": (str.lower, NPY, f"demoalpha/scene-1/img_0004.npy would be {FIRST}.npy"),
     "without-zeros-and-signs": (
         lambda name: name.replace("_000", "").replace("_00", "").replace("scene-", "scene"),
         NPY,
         "DemoAlpha/scene1/IMG10.npy would be DemoAlpha/scene-1/IMG_0010.npy",
     ),
     "a-word-more": (renamed(".npy", "_out.npy"), NPY, f"{FIRST}_out.npy would be {FIRST}.npy"),
-    "words-before": (
-        lambda name: "unet-" + name.replace("/", " "),
-        NPY,
-        f"unet-DemoAlpha scene-1 IMG_0004.npy would be {FIRST}.npy",
-    ),
     "another-order": (
         lambda name: "_".join(reversed(name.removesuffix(".npy").split("/"))) + ".npy",
         NPY,
         f"IMG_0004_scene-1_DemoAlpha.npy would be {FIRST}.npy",
     ),
-    "pt": (renamed(".npy", ".pt"), "12 .pt files", f"{FIRST}.pt would be {FIRST}.npy"),
-    "jpg": (renamed(".npy", ".JPG"), "12 .jpg files", f"{FIRST}.JPG would be {FIRST}.npy"),
     "no-extension": (renamed(".npy", ""), "12 files without an extension", f"{FIRST} would be {FIRST}.npy"),
     "two-folders-more": (lambda name: f"a/b/{name}", NPY, "they lie below a/b: give {folder}/a/b as the"),
     "a-folder-a-camera": (
@@ -111,20 +102,6 @@ def test_it_is_the_one_problem(allow_missing: bool, tree: Tree, moved: Callable[
     assert not result.scores
     assert len(result.missing) == 12
     assert result.format_text() == f"{problem}\nnothing was scored: 1 problem"
-
-
-def test_what_the_message_advises_is_so(
-    tree: Tree, predictions: Path, moved: Callable[[Callable[[str], str]], Path]
-) -> None:
-    """The folder that it names is scored; the names that it proposes are those of the good predictions."""
-    folder = moved(lambda name: f"ELD/{name}")
-    (problem,) = run(folder, tree).problems
-    named = problem.reason.partition(": give ")[2].partition(" as the folder")[0]
-    assert not run(Path(named), tree).problems
-    for pair in tree.pairs:
-        flat = pair.path.replace("/", "_").replace(".dng", ".npy")
-        words = nearest_in_words([flat], [one.path for one in tree.pairs])
-        assert words == f"{flat} would be {pair.path.replace('.dng', '.npy')}"
 
 
 def test_an_empty_folder_is_one_message(tree: Tree, predictions: Path, tmp_path: Path) -> None:
@@ -166,16 +143,6 @@ def test_the_dataset_is_not_predictions_of_it(tree: Tree, predictions: Path, tmp
     assert not run(own.files / "preds", own).problems
 
 
-def test_predictions_beside_raw_files_that_are_no_predictions_are_found(tmp_path: Path) -> None:
-    paths = ["SonyA7S2/scene-1/IMG_0001.ARW", "SonyA7S2/scene-1/IMG_0004.ARW"]
-    (tmp_path / "SonyA7S2" / "scene-1").mkdir(parents=True)
-    assert dataset_itself(tmp_path, tmp_path, paths) is not None
-    (tmp_path / "SonyA7S2" / "scene-1" / "IMG_0004.npy").touch()
-    assert dataset_itself(tmp_path, tmp_path, paths) is None
-    assert dataset_itself(tmp_path, tmp_path / "ELD", paths) is None
-    assert dataset_itself(tmp_path.parent, tmp_path, paths) is not None
-
-
 def test_predictions_of_another_space_are_one_message(tree: Tree, predictions: Path, tmp_path: Path) -> None:
     """And not one for each frame that the protocol would score besides."""
     (problem,) = evaluate(predictions, **tree.where, protocol="sid2018").problems
@@ -197,22 +164,6 @@ def test_why_more_frames_are_wanted_than_were_predicted_is_said(predictions: Pat
     assert reason.startswith(
         "has no prediction, and sid scores this set's own pairs, not its factors x100, x250, x300; add it, or score "
     )
-
-
-def test_names_of_references_are_told(tree: Tree, predictions: Path, tmp_path: Path) -> None:
-    for number in (1, 6, 11, 16):
-        path = tmp_path / f"DemoAlpha/scene-1/IMG_{number:04d}.npy"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(predictions / f"{FIRST}.npy", path)
-    (problem,) = run(tmp_path, tree).problems
-    words = "DemoAlpha/scene-1/IMG_0006.npy has the name of a reference; predictions have that of their noisy frame"
-    assert f"{words}, such as {FIRST}.npy" in problem.reason
-
-
-def test_the_camera_asked_for_tells_which(tree: Tree, moved: Callable[[Callable[[str], str]], Path]) -> None:
-    folder = moved(lambda name: in_camera(name).replace("/", "_"))
-    (problem,) = run(folder, tree, ["DemoBeta"]).problems
-    assert "scene-1_IMG_0004.npy would be DemoBeta/scene-1/IMG_0004.npy" in problem.reason
 
 
 def test_very_long_paths_and_very_many_files_are_told_apart_at_once() -> None:
@@ -262,15 +213,6 @@ def test_files_nearby_are_named_where_predictions_are_missing(
     ]
 
 
-def test_a_file_that_is_one_too_many_is_not_said_to_be_one_that_is_there(
-    tree: Tree, moved: Callable[[Callable[[str], str]], Path], predictions: Path
-) -> None:
-    folder = moved(str)
-    shutil.copy(predictions / f"{FIRST}.npy", folder / "DemoAlpha_scene-1_IMG_0004.npy")
-    (problem,) = run(folder, tree).problems
-    assert problem.reason == "is the prediction of no noisy frame in the manifest; rename it or move it away"
-
-
 # --- many lines -------------------------------------------------------------------------------------------------------
 
 
@@ -280,12 +222,6 @@ def problems_of(*groups: tuple[int, str]) -> list[EvaluationProblem]:
         for count, reason in groups
         for number in range(count)
     ]
-
-
-def test_few_problems_have_a_line_each() -> None:
-    problems = problems_of((2, "a"), (1, "b"), (2, "c"))
-    assert problem_lines(problems) == [str(problem) for problem in problems]
-    assert problem_lines([]) == []
 
 
 def test_problems_alike_stand_together_and_none_is_uncounted() -> None:
@@ -298,9 +234,7 @@ def test_problems_alike_stand_together_and_none_is_uncounted() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    "groups", [[(400, "a")], [(2, "a"), (400, "b")], [(170, "a"), (400, "b")], [(190, "a"), (4, "b")]]
-)
+@pytest.mark.parametrize("groups", [[(2, "a"), (400, "b")], [(190, "a"), (4, "b")]])
 def test_of_very_many_problems_twenty_lines_are_shown(groups: list[tuple[int, str]]) -> None:
     lines = problem_lines(problems_of(*groups))
     assert len(lines) == 21
@@ -326,7 +260,6 @@ SID = Expected(
     ("name", "said"),
     [
         ("10006_00_0.1s.npy", "10006_00_0.1s.npy would be Sony/short/10006_00_0.1s.npy"),
-        ("short/10006_00_0.1s", "short/10006_00_0.1s would be Sony/short/10006_00_0.1s.npy"),
         ("sony_10006_00_0.1s_pred.tif", "sony_10006_00_0.1s_pred.tif would be Sony/short/10006_00_0.1s.tif"),
         (
             "10003_00_100_out.png",  # as the code of SID writes them
@@ -334,22 +267,7 @@ SID = Expected(
         ),
         ("Sony/long/10003_00_10s.npy", "has the name of a reference; predictions have that of their noisy frame"),
         ("Fuji/short/10005_00_0.04s.npy", "predictions of other data, 1 of them of sid-fuji (--dataset sid-fuji)"),
-        ("0.npy", "is it the right folder, and the right dataset?"),
     ],
 )  # fmt: skip
 def test_names_of_sid(name: str, said: str, tmp_path: Path) -> None:
     assert said in layout_in_words(tmp_path, [name], SID)
-
-
-def test_the_extensions_that_the_message_lists_are_those_that_are_read(
-    tree: Tree, predictions: Path, tmp_path: Path
-) -> None:
-    """Each of them counts as the prediction; what it holds is another matter."""
-    for extension in EXTENSIONS:
-        folder = tmp_path / extension[1:]
-        folder.mkdir()
-        np.save(folder / "x.npy", np.zeros(3))
-        (folder / FIRST).parent.mkdir(parents=True)
-        (folder / "x.npy").rename(folder / f"{FIRST}{extension}")
-        result = run(folder, tree, ["DemoAlpha"], allow_missing=True)
-        assert [problem.path for problem in result.problems] == [str(folder / f"{FIRST}{extension}")]

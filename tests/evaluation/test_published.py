@@ -5,16 +5,14 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
 
-from eldata.errors import FileError, ManifestError
-from eldata.evaluation.published import _NEAR, comparison_table
-from eldata.evaluation.published.tables import COLUMNS, NOISY_INPUT, load_published, published_rows
+from eldata.errors import ManifestError
+from eldata.evaluation.published import _NEAR, COLUMNS, NOISY_INPUT, comparison_table, load_published, published_rows
 from eldata.evaluation.results import THE_INPUT, EvaluationResult
 from eldata.evaluation.scores import TableRow, UnitScore
 from eldata.manifest.catalogue import shipped_manifest
@@ -23,11 +21,11 @@ from eldata.protocols import PROTOCOLS
 from eldata.protocols.protocol import StatedProtocol
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from eldata.records import PairRecord
-
-GOLDEN = Path(__file__).parent / "golden" / "published.txt"
 
 
 def row(camera: str | None, ratio: float | None, pairs: int, psnr_db: float, ssim: float) -> TableRow:
@@ -92,16 +90,6 @@ def test_the_row_stands_where_its_psnr_puts_it() -> None:
     assert sum(line.startswith("> yours") for line in text.splitlines()) == 2
 
 
-def test_every_camera_of_a_whole_result_has_its_table() -> None:
-    cameras = ("SonyA7S2", "NikonD850", "CanonEOS70D", "CanonEOS700D")
-    table = [row(camera, ratio, 30, 40.0, 0.9) for camera in cameras for ratio in (100.0, 200.0)]
-    table += [row(None, 100.0, 120, 40.0, 0.9), row(None, 200.0, 120, 40.0, 0.9), row(None, None, 240, 40.0, 0.9)]
-    text = comparison_table(result_on("eld", "eld", table), name="runs/17")
-    assert text.count("> runs/17 ") == 8
-    assert "> yours" not in text
-    assert "not in your table" not in text
-
-
 def test_the_same_numbers_are_under_the_protocols_that_score_alike() -> None:
     """What PMN published is under ``sid`` and ``pmn-sid``, and only the numbers with correction."""
     one = compared(comparison_table(result_on("sid-sony", "sid", SONY_SID, "eval-first")))
@@ -120,12 +108,6 @@ def test_a_mean_over_all_factors_of_the_only_camera() -> None:
     assert "Which release of MATLAB" in compared(text)
 
 
-def test_a_mean_over_another_camera_is_not_taken_for_one() -> None:
-    table = [row("NikonD850", 100.0, 93, 28.5, 0.78), row(None, None, 93, 28.5, 0.78)]
-    text = comparison_table(result_on("sid-sony", "sid2018", table, "test-first"))
-    assert "> yours" not in text
-
-
 def test_infinity_and_nothing_are_read_as_the_json_has_them() -> None:
     perfect = result_on("eld", "eld", [row("SonyA7S2", 100.0, 30, math.inf, 1.0)])
     text = comparison_table(json.loads(json.dumps(perfect.as_dict(), allow_nan=False)))
@@ -137,57 +119,14 @@ def test_infinity_and_nothing_are_read_as_the_json_has_them() -> None:
 # --- where it does not --------------------------------------------------------------------------------------------
 
 
-def test_another_protocol() -> None:
-    text = comparison_table(result_on("sid-sony", "sid", SONY_SID, "eval-first"))
-    assert "published for sid-tpami; yours is sid" in refused(text)
-    assert "Wei 2021" not in compared(text)
-    centre = comparison_table(result_on("sid-sony", "sid-tpami", SONY_SID, "eval-first"))
-    assert "published for sid or pmn-sid; yours is sid-tpami" in refused(centre)
-    assert "ELD (G*+P*+B+R+U)" in order_in(centre, "SonyA7S2 x100")
-
-
-@pytest.mark.parametrize(
-    ("dataset", "protocol", "was", "table", "subset", "words"),
-    [
-        (
-            "eld",
-            "led-eld",
-            {"rescaling_region": "scored"},
-            [row("SonyA7S2", 200.0, 24, 42.0, 0.98)],
-            None,
-            "factor's region: all but 2 packed pixels at each edge against full frame",
-        ),
-        (
-            "sid-sony",
-            "pmn-sid",
-            {"levels": "published"},
-            SONY_SID,
-            "eval-first",
-            "levels: white 16383, black the file's against black 512, white 16383",
-        ),
-    ],
-)
-def test_what_another_version_scored_otherwise_is_refused_in_words(
-    dataset: str,
-    protocol: str,
-    was: dict[str, Any],
-    table: list[TableRow],
-    subset: str | None,
-    words: str,
-    tmp_path: Path,
-) -> None:
-    """Under a name that is corrected since. What it scored as ``sid`` is, it compares with."""
-    result = result_on(dataset, protocol, table, subset)
-    old = replace(result, protocol=StatedProtocol(result.kind, PROTOCOLS[protocol].as_dict() | was))
-    own = [line for line in LINES if line.startswith("two,")]
-    if dataset == "sid-sony":
-        own = ["two,1,sid-sony,SonyA7S2,eval-first,pmn-sid,100,40,Second,42.54,,,"]
-        own += ["one,1,sid-sony,SonyA7S2,eval-first,sid,100,40,First,42.5,,,"]
-    write(tmp_path, own)
-    text = comparison_table(old, published=tmp_path)
-    assert f"your result's {protocol} is not that of this version of eldata ({words}); score it again" in refused(text)
-    assert ("First" in compared(text)) == (dataset == "sid-sony")
-    assert "> yours" in comparison_table(result, published=tmp_path)
+def test_what_another_version_scored_otherwise_is_refused_in_words() -> None:
+    """Under a name that is corrected since."""
+    result = result_on("eld", "led-eld", [row("SonyA7S2", 200.0, 24, 42.0, 0.98)])
+    old = StatedProtocol(result.kind, PROTOCOLS["led-eld"].as_dict() | {"rescaling_region": "scored"})
+    words = "factor's region: all but 2 packed pixels at each edge against full frame"
+    text = comparison_table(replace(result, protocol=old))
+    assert f"your result's led-eld is not that of this version of eldata ({words}); score it again" in refused(text)
+    assert "> yours" in comparison_table(result)
 
 
 def test_a_protocol_of_your_own_compares_by_what_it_does() -> None:
@@ -206,31 +145,11 @@ def test_levels_that_came_to_the_same_compare(tmp_path: Path) -> None:
     """PMN's black level of 512 is the file's, where the files say 512; a result says whether they do."""
     write(tmp_path, ["two,1,sid-sony,SonyA7S2,eval-first,sid,100,40,Second,42.54,,,"])
     levels = "levels: black 512, white 16383 against white 16383, black the file's"
-    pmn = result_on("sid-sony", "pmn-sid", SONY_SID, "eval-first")
-    unstated = comparison_table(pmn, published=tmp_path)
-    assert (
-        f"published for sid; yours is pmn-sid ({levels}); if these came to the same, a new evaluation says so"
-        in unstated
-    )
     for equal, compares in ((["published", "sid-sony"], True), (["sid-sony"], False)):
         found = result_on("sid-sony", "pmn-sid", SONY_SID, "eval-first", equal_choices={"levels": equal})
         text = comparison_table(found, published=tmp_path)
         assert ("> yours" in text) == compares
         assert (f"published for sid; yours is pmn-sid ({levels})" in text) != compares
-
-
-def test_other_pairs_of_the_same_number_are_refused() -> None:
-    """By the pairs themselves, whatever subset a result names."""
-    result = scored("sid-sony", "sid", "eval-first", 40.0)
-    assert comparison_table(result).count("> yours") == 3
-    elsewhere = {**result.provenance, "subset": "mine"}
-    assert comparison_table(replace(result, provenance=elsewhere)).count("> yours") == 3
-    first, *others = result.scores
-    other = replace(first, path=first.path.replace("_00_", "_01_"))
-    assert other.path != first.path
-    text = comparison_table(replace(result, scores=(other, *others)))
-    assert text.count("> yours") == 2
-    assert "published over other pairs than yours, as many" in refused(text)
 
 
 LOST = [SONY_ELD[0], replace(SONY_ELD[1], scored=29)]
@@ -246,11 +165,6 @@ VIDEOS = [TableRow(None, None, 49, 49, {"psnr_db": 36.0, "ssim": 0.9, "st_rred":
         *(
             (result_on("sid-sony", "sid", SONY_SID, name), f"published for subset eval-first; yours is {words}", 0)
             for name, words in (("test-first", "subset test-first"), (None, "no named subset"), ("all", "subset all"))
-        ),
-        (
-            result_on("sid-sony", "sid", SONY_SID, "eval-first", excluded_flags={"misaligned": 5}),
-            "yours leaves out pairs: misaligned (5)",
-            0,
         ),
         (result_on("eld", "eld", SONY_ELD, excluded_flags={"misaligned": 0}), OTHERS, 2),
         # A group with a missing pair alone is not compared.
@@ -327,40 +241,11 @@ def test_a_result_and_its_json_give_the_same(tmp_path: Path) -> None:
 # --- text ---------------------------------------------------------------------------------------------------------
 
 SOURCES: dict[str, dict[str, Any]] = {
-    "one": {
-        "label": "One 2024",
-        "citation": "A. One, First, 2024",
-        "url": "https://example.org/one",
-        "commit": "one/first@0123456",
-        "tables": {"1": "main", "2": "on sRGB"},
-        "known": ["Full frame."],
-        "unknown": ["Which scenes"],
-    },
-    "two": {
-        "label": "Two 2025",
-        "citation": "B. Two, Second, 2025",
-        "url": "https://example.org/two",
-        "commit": None,
-        "tables": {"1": "main"},
-        "known": [],
-        "unknown": ["Everything"],
-    },
+    key: {"label": label, "citation": label, "url": "https://example.org", "commit": None, "tables": {"1": "main"}}
+    | {"known": [], "unknown": ["Which scenes"]}
+    for key, label in (("one", "One 2024"), ("two", "Two 2025"))
 }
-LINES = [
-    "one,1,eld,SonyA7S2,,eld;pmn-eld,100,30,First,45.25,0.9754,,digits of the log",
-    "one,1,eld,SonyA7S2,,eld;pmn-eld,100,30,Best,46.00,0.985,,",
-    "one,1,eld,SonyA7S2,,eld,100,30,Bare,40.1,,,",
-    "one,1,eld,NikonD850,,eld,100,30,First,42.27,0.936,,",
-    "one,1,eld,NikonD850,,eld,200,30,First,40.36,0.908,,",
-    "one,2,eld,SonyA7S2,,,100,,First,30.5,0.8,,the rendering is not known",
-    "two,1,eld,SonyA7S2,,led-eld,200,24,Second,42.54,,,",
-]
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    write(tmp_path, LINES)
-    return tmp_path
+GOOD = "one,1,eld,SonyA7S2,,eld;pmn-eld,100,30,First,45.25,0.9754,,digits of the log"
 
 
 def write(folder: Path, lines: list[str], sources: Any = SOURCES) -> None:
@@ -368,36 +253,16 @@ def write(folder: Path, lines: list[str], sources: Any = SOURCES) -> None:
     (folder / "sources.json").write_text(json.dumps(sources), encoding="utf-8")
 
 
-def test_the_text(folder: Path) -> None:
-    """A tie puts your row first; the file is the wording that people read."""
-    table = [row("SonyA7S2", 100.0, 30, 45.25, 0.97512), row("SonyA7S2", 200.0, 30, 43.0, 0.95)]
-    assert comparison_table(result_on("eld", "eld", table), published=folder) + "\n" == GOLDEN.read_text("utf-8")
-
-
 # --- bad input ----------------------------------------------------------------------------------------------------
-
-
-def test_what_is_not_a_result_is_refused_by_field() -> None:
-    """The reader of saved results, whose tests have every field, names it."""
-    with pytest.raises(FileError, match=r"^the result: field provenance: is missing: this is not a result of eldata"):
-        comparison_table({})
-
-
-GOOD = LINES[0]
 
 
 @pytest.mark.parametrize(
     ("line", "reason"),
     [
         (GOOD.replace("one,1", "three,1"), "line 2, column source: 'three' is not in sources.json"),
-        (GOOD.replace("one,1", "one,9"), "line 2, column table: expected one of '1', '2', found '9'"),
+        (GOOD.replace("one,1", "one,9"), "line 2, column table: expected '1', found '9'"),
         (GOOD.replace("45.25", ""), "line 2, column psnr_db: expected a finite number of 0 or more, found ''"),
-        (GOOD.replace("0.9754", "-0.9"), "line 2, column ssim: expected a finite number of 0 or more, found '-0.9'"),
-        (GOOD.replace(",30,", ",0,"), "line 2, column pairs: expected a whole number of 1 or more, found '0'"),
-        (GOOD.replace(",First,", ",,"), "line 2, column method: expected a text, found ''"),
         (GOOD.replace("eld;pmn-eld", "").replace("digits of the log", ""), "column note: is empty"),
-        (GOOD + ",more", "line 2: expected 13 fields, found 14"),
-        ('one,1,"eld', "line 2: is not CSV"),
     ],
 )
 def test_a_malformed_row_is_named(tmp_path: Path, line: str, reason: str) -> None:
@@ -409,42 +274,8 @@ def test_a_malformed_row_is_named(tmp_path: Path, line: str, reason: str) -> Non
 
 
 def test_a_number_twice(tmp_path: Path) -> None:
-    write(tmp_path, [GOOD, LINES[1], GOOD.replace("45.25", "45.26")])
+    write(tmp_path, [GOOD, GOOD.replace("First", "Best"), GOOD.replace("45.25", "45.26")])
     with pytest.raises(ManifestError, match=r"line 4: repeats .*line 2: First, SonyA7S2 x100"):
-        load_published(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("sources", "reason"),
-    [
-        ([], "sources.json: expected an object, found []"),
-        ({"one": {**SOURCES["one"], "note": ""}}, "field one.note: is unknown; known are label, citation"),
-        ({"one": {**SOURCES["one"], "url": ""}}, "field one.url: expected a text, found ''"),
-        ({"one": {**SOURCES["one"], "tables": ["1"]}}, "field one.tables: expected an object, found ['1']"),
-    ],
-)
-def test_malformed_sources_are_named(tmp_path: Path, sources: Any, reason: str) -> None:
-    write(tmp_path, [], sources)
-    with pytest.raises(ManifestError) as caught:
-        load_published(tmp_path)
-    assert reason in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("sources", "csv", "reason"),
-    [
-        ("{}", None, "holds no published numbers"),
-        (json.dumps(SOURCES), b"method,psnr\n", r"line 1: expected the columns source,table,.*; found 'method,psnr'"),
-    ],
-)
-def test_files_that_are_not_there_or_no_tables(
-    tmp_path: Path, sources: str | None, csv: bytes | None, reason: str
-) -> None:
-    if sources is not None:
-        (tmp_path / "sources.json").write_text(sources, encoding="utf-8")
-    if csv is not None:
-        (tmp_path / "eld.csv").write_bytes(csv)
-    with pytest.raises(ManifestError, match=reason):
         load_published(tmp_path)
 
 
@@ -500,23 +331,10 @@ def test_the_published_figures_agree(dataset: str) -> None:
     ]
 
 
-def test_yours_stands_beside_them() -> None:
-    text = comparison_table(of_input("sid-sony"))
-    block = text.partition("SonyA7S2 x300, 49 pairs")[2].partition("\n\n")[0]
-    rows = [" ".join(line.split()) for line in block.splitlines()]
-    assert rows[-3:] == [
-        "noisy input less dark shading Feng 2023 (PNNP) 22.48 0.276",
-        "> yours 22.26 0.269",
-        "noisy input Feng 2022 (PMN) 22.26 0.269",
-    ]
-
-
 @pytest.mark.parametrize(
     ("moved", "words"),
     [
         ((0.0049, 0.00004), "agrees:"),
-        ((-0.0049, -0.00007), "agrees:"),
-        ((0.006, 0.0), "is near:"),
         ((0.0, 0.00009), "is near:"),
         ((0.0199, 0.00099), "is near:"),
         ((0.021, 0.0), "DOES NOT AGREE:"),
@@ -563,20 +381,8 @@ def test_another_protocol_names_the_one_that_has_them() -> None:
     ]
 
 
-def test_a_group_with_a_missing_pair_is_not_checked() -> None:
-    lines = check(of_input("sid-sony", skip=1))
-    assert lines[-2] == "SonyA7S2 x100 is not checked: yours has scores of 39 of 40 pairs"
-    assert sum("agrees:" in line for line in lines) == 2
-
-
 def test_predictions_are_not_taken_for_the_input() -> None:
     assert check(of_input("eld", predictions="preds")) == []
-
-
-def test_a_set_without_published_scores_of_its_input() -> None:
-    result = of_input("eld")
-    other = replace(result, provenance=result.provenance | {"dataset": "sid-fuji"})
-    assert check(other) == ["the noisy input: no published score of it on sid-fuji is known, so this checks nothing"]
 
 
 def test_the_published_figures_are_those_of_the_tables() -> None:

@@ -118,14 +118,10 @@ def test_as_scipys_students_interval_of_scene_means_where_scenes_are_balanced() 
     theirs = scipy.stats.ttest_1samp(values.reshape(15, IMAGES).mean(axis=1), 0).confidence_interval(0.95)
     assert mine.mean == pytest.approx(values.mean(), rel=1e-14)
     assert (mine.low, mine.high) == pytest.approx((theirs.low, theirs.high), rel=1e-12)
-
-
-def test_differences_are_scipys_of_paired_scene_means() -> None:
-    generator = np.random.default_rng(12)
-    (first, scenes), (second, _) = scores(generator, 9), scores(generator, 9)
-    means = [values.reshape(9, IMAGES).mean(axis=1) for values in (second, first)]
+    others, _ = scores(np.random.default_rng(9), 15)
+    means = [each.reshape(15, IMAGES).mean(axis=1) for each in (others, values)]
     theirs = scipy.stats.ttest_rel(*means).confidence_interval(0.95)
-    mine = paired_difference(first, second, scenes).interval
+    mine = paired_difference(values, others, scenes).interval
     assert (mine.low, mine.high) == pytest.approx((theirs.low, theirs.high), rel=1e-12)
 
 
@@ -172,26 +168,23 @@ def test_many_scenes_draw_signs_and_agree_with_the_normal_law() -> None:
 # --- what it does at the edges ------------------------------------------------------------------------------------
 
 
-def test_pieces_of_memory_do_not_change_the_kind_of_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    from eldata.evaluation import statistics
-
-    values, scenes = scores(np.random.default_rng(1), 20)
-    whole = sign_flip_p_value(values - 40.2, scenes)
-    monkeypatch.setattr(statistics, "_ENTRIES_AT_ONCE", 64)
-    assert sign_flip_p_value(values - 40.2, scenes) == whole  # the same draws in the same order
-
-
-def test_few_scenes_have_no_interval() -> None:
-    values, scenes = scores(np.random.default_rng(1), FEWEST_SCENES - 1)
-    found = interval_of_mean(values, scenes)
-    assert not found.is_known
-    assert found.mean == pytest.approx(values.mean())
+def test_few_scenes_or_none_have_no_interval() -> None:
+    values, images = scores(np.random.default_rng(1), FEWEST_SCENES - 1)
+    few = interval_of_mean(values, images)
+    assert not few.is_known
+    assert few.mean == pytest.approx(values.mean())
     assert interval_of_mean(*scores(np.random.default_rng(1), FEWEST_SCENES)).is_known
+    nothing = interval_of_mean([], [])
+    assert math.isnan(nothing.mean)
+    assert (nothing.images, nothing.scenes) == (0, 0)
+    assert math.isnan(sign_flip_p_value([], []))
 
 
 @pytest.mark.parametrize("bad", [math.inf, math.nan])
 def test_what_is_not_finite_gives_no_interval_and_no_p(bad: float) -> None:
     values, scenes = scores(np.random.default_rng(1), 8)
+    equal = paired_difference(values, values, scenes)
+    assert (equal.interval.mean, equal.interval.low, equal.interval.high, equal.p_value) == (0.0, 0.0, 0.0, 1.0)
     values[3] = bad
     found = interval_of_mean(values, scenes)
     assert not found.is_known
@@ -199,25 +192,7 @@ def test_what_is_not_finite_gives_no_interval_and_no_p(bad: float) -> None:
     difference = paired_difference(np.full(48, 40.0), values, scenes)
     assert not difference.interval.is_known
     assert math.isnan(difference.p_value)
-
-
-def test_two_perfect_scores_have_no_difference() -> None:
-    values, scenes = scores(np.random.default_rng(1), 8)
-    values[3] = math.inf
-    assert math.isnan(paired_difference(values, values, scenes).interval.mean)
-
-
-def test_nothing() -> None:
-    found = interval_of_mean([], [])
-    assert math.isnan(found.mean)
-    assert (found.images, found.scenes) == (0, 0)
-    assert math.isnan(sign_flip_p_value([], []))
-
-
-def test_equal_methods_have_no_width_and_p_1() -> None:
-    values, scenes = scores(np.random.default_rng(1), 8)
-    found = paired_difference(values, values, scenes)
-    assert (found.interval.mean, found.interval.low, found.interval.high, found.p_value) == (0.0, 0.0, 0.0, 1.0)
+    assert math.isnan(paired_difference(values, values, scenes).interval.mean), "two perfect scores"
 
 
 def test_wrong_arguments() -> None:

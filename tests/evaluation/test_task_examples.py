@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +9,6 @@ import pytest
 
 from eldata.demo.tree import make_tree
 from eldata.evaluation import evaluate
-from tests.waiting import PATIENCE_S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,11 +55,3 @@ def test_the_example_hands_renderings_to_torchmetrics_lpips(tmp_path: Path, monk
     (metric,) = (metric for metric in found.kind.metrics if metric.name == "task")
     assert (metric.label, metric.better) == ("LPIPS", "lower")
     assert found.provenance["task"]["version"].startswith("torchmetrics ")
-
-
-def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "eldata.examples.score_model", "none", "preds"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=tmp_path)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "there is no such folder" in done.stderr
-    assert list(tmp_path.iterdir()) == []

@@ -8,7 +8,7 @@ from functools import cache
 from itertools import product
 from typing import TYPE_CHECKING
 
-from eldata.evaluation.published.tables import (
+from eldata.evaluation.published import (
     COLUMNS,
     NOISY_INPUT,
     PublishedRow,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.evaluation.saved import saved_result
+from eldata.evaluation.results import saved_result
 from eldata.protocols import get_protocol
 
 if TYPE_CHECKING:

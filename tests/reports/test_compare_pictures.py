@@ -15,7 +15,7 @@ from eldata.cli.main import main
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import images_of, place_of_difference, units_again
-from eldata.evaluation.saved import load_result
+from eldata.evaluation.results import load_result
 from eldata.evaluation.scores import cameras_in_order, natural
 from eldata.evaluation.statistics import holm
 from eldata.reports import pictures
@@ -207,7 +207,7 @@ def test_the_command_draws_and_says_what_is_in_its_way(
         (
             *page,
             "--pictures",
-        ): "is of 'eld-demo', which is not a set that eldata knows; give its manifest with",
+        ): "no dataset is called 'eld-demo'",
         ("--pictures",): "--pictures are of a page: say where to write it with --html FILE",
         (*page, "--pictures", *own, "--predictions", str(tmp_path)): "expected a folder of predictions per method",
         (*page, "--pictures", *own, *("--predictions", str(tmp_path)) * 2): "is gone since it was scored",

@@ -17,7 +17,7 @@ from eldata.errors import EldataError, PredictionError
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
 from eldata.evaluation.looking import worst_and_best, worst_and_best_images
-from eldata.evaluation.saved import saved_result
+from eldata.evaluation.results import saved_result
 from eldata.isp.preview import brightening, preview
 from eldata.plots.axes import drawable
 from eldata.protocols.digests import fields_digest

@@ -8,7 +8,7 @@ import pytest
 
 from eldata.evaluation.comparison import Method, compare
 from eldata.evaluation.evaluate import evaluate
-from eldata.evaluation.saved import saved_result
+from eldata.evaluation.results import saved_result
 from eldata.reports import pictures
 from eldata.reports.comparison import write_comparison_page
 from eldata.reports.evaluation import evaluation_page, write_evaluation_page

@@ -1,4 +1,4 @@
-"""What is wrong with predictions, as far as references show: mistakes that, undone, would raise their scores.
+"""Mistakes in predictions that references show: undone, they would raise the scores.
 
 A few frames of each camera and factor are looked at (:func:`chosen_frames`). On some blocks of each, the orders of
 channels, shifts, flips and curves that mistakes leave behind are tried (:func:`mistake_in`); what stands out there is
@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eldata.evaluation.diagnosis.places import GAIN_DB, Blocks, best_place, inner_entries
-from eldata.evaluation.diagnosis.values import best_curve, is_copied_input
+from eldata.evaluation.mistakes import GAIN_DB, Blocks, best_curve, best_place, inner_entries, is_copied_input
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from eldata.evaluation.diagnosis.places import Circumstances
+    from eldata.evaluation.mistakes import Circumstances
 
     Array: TypeAlias = NDArray[Any]
 
@@ -140,18 +139,16 @@ def mistake_in(prediction: Array, target: Array, psnr_db: float, now: Circumstan
         return Mistake(f"every value is {float(p.flat[0]):.4g}")
     if is_copied_input(p, inner, blocks, now):
         return Mistake("as if the noisy input, amplified, were copied")
-    found: list[tuple[float, Mistake]] = []
-    for candidate in (best_curve(p, g, now), best_place(prediction, blocks, p, inner, now)):
-        if candidate is None:
+    explanations: list[tuple[float, Mistake]] = []
+    for undoing in filter(None, (best_curve(p, g, now), best_place(prediction, blocks, p, inner, now))):
+        words, undo, least_db = undoing
+        if undo is None:
+            explanations.append((GAIN_DB, Mistake(words)))
             continue
-        if candidate.undo is None:
-            found.append((GAIN_DB, Mistake(candidate.words)))
-            continue
-        undone = np.ascontiguousarray(candidate.undo(prediction), prediction.dtype)
-        without_db = now.score(undone).psnr_db
-        if without_db - psnr_db >= candidate.least_db:
-            found.append((without_db - psnr_db, Mistake(candidate.words, without_db)))
-    return max(found, key=lambda one: one[0])[1] if found else None
+        without_db = now.score(np.ascontiguousarray(undo(prediction), prediction.dtype)).psnr_db
+        if without_db - psnr_db >= least_db:
+            explanations.append((without_db - psnr_db, Mistake(words, without_db)))
+    return max(explanations, key=lambda explanation: explanation[0])[1] if explanations else None
 
 
 # --- which frames, and what they say together -------------------------------------------------------------------------
@@ -190,26 +187,31 @@ def _spread(members: Sequence[tuple[float, str]], most: int, turn: int) -> Itera
         yield members[int((index + part) / count * len(members))][1]
 
 
+# Of what frames a mistake may be: of all, else of a camera, else of a camera and factor.
+_PLACES: tuple[Callable[[Inspection], str], ...] = (
+    lambda _: "",
+    lambda frame: frame.camera,
+    lambda frame: frame.camera if frame.ratio is None else f"{frame.camera} x{frame.ratio:g}",
+)
+
+
 def suspicions_of(inspections: Sequence[Inspection]) -> tuple[Suspicion, ...]:
     """Return the mistakes that most frames show alike: of all, else of a camera, else of a camera and factor.
 
     A prediction of another frame is a mistake wherever it occurs.
     """
-    found = _exchanged(inspections)
-    least = min(2, len(inspections))
-    shared = _shared(inspections, "", least)
-    if shared is not None:
-        return (*found, shared)
-    for camera, of in _grouped(inspections, lambda one: one.camera).items():
-        shared = _shared(of, camera, least)
+    return (*_exchanged(inspections), *_shared_mistakes(inspections, min(2, len(inspections))))
+
+
+def _shared_mistakes(inspections: Sequence[Inspection], fewest: int, depth: int = 0) -> list[Suspicion]:
+    suspicions = []
+    for where, members in _grouped(inspections, _PLACES[depth]).items():
+        shared = _shared_mistake(members, where, fewest)
         if shared is not None:
-            found.append(shared)
-            continue
-        for ratio, those in _grouped(of, lambda one: one.ratio).items():
-            shared = _shared(those, camera if ratio is None else f"{camera} x{ratio:g}", least)
-            if shared is not None:
-                found.append(shared)
-    return tuple(found)
+            suspicions.append(shared)
+        elif depth + 1 < len(_PLACES):
+            suspicions += _shared_mistakes(members, fewest, depth + 1)
+    return suspicions
 
 
 def sketch(image: Array) -> NDArray[np.float32]:
@@ -237,7 +239,7 @@ _LIKE, _LIKER = 0.7, 0.3  # the correlation with another reference, at least, an
 
 
 def _exchanged(inspections: Sequence[Inspection]) -> list[Suspicion]:
-    """Return the suspicion that predictions are those of other frames, if some are like another one's reference."""
+    """Suspect predictions of belonging to other frames if some are like another frame's reference."""
     references = np.stack([one.reference for one in inspections]) if inspections else np.empty((0, 0))
     found = []
     for one in inspections:
@@ -260,12 +262,12 @@ def _grouped(inspections: Sequence[Inspection], key: Callable[[Inspection], Any]
     return groups
 
 
-def _shared(inspections: Sequence[Inspection], where: str, least: int) -> Suspicion | None:
+def _shared_mistake(inspections: Sequence[Inspection], where: str, fewest: int) -> Suspicion | None:
     """Return the mistake that most of these frames show, if there is one."""
     showing = _grouped(inspections, lambda one: one.mistake and one.mistake.words)
     showing.pop(None, None)
     words, most = max(showing.items(), key=lambda item: len(item[1]), default=("", []))
-    if not most or len(most) < max(_SHARE * len(inspections), least):
+    if not most or len(most) < max(_SHARE * len(inspections), fewest):
         return None
     without = [one.mistake.without_db for one in most if one.mistake and one.mistake.without_db is not None]
     return Suspicion(

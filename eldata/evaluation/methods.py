@@ -1,9 +1,8 @@
-"""Several folders of predictions, one of each method: scored in one pass, held against each other, written beside."""
+"""Several folders of predictions, one for each method: scored in one pass, compared, and written."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from eldata.protocols.protocol import Protocol
 
 COMPARISON = "comparison"
-"""What the files of the comparison are called, so that no method is."""
+"""The name of the comparison's files, which no method may have."""
 
 
 def evaluate_methods(
@@ -69,10 +68,10 @@ def evaluate_methods(
     >>> {name: round(float(result.frame["psnr_db"].mean()), 2) for name, result in results.items()}
     {'input': 29.02, 'dct': 39.03}
     """
-    if isinstance(predictions, Mapping):
-        folders = named_folders([Path(folder) for folder in predictions.values()], list(predictions))
-    else:
-        folders = named_folders([Path(folder) for folder in predictions])
+    names = list(predictions) if isinstance(predictions, Mapping) else []
+    folders = named_folders(
+        [Path(folder) for folder in (predictions.values() if isinstance(predictions, Mapping) else predictions)], names
+    )
     requests = [
         make_request(
             folder, dataset, protocol, root=root, manifest=manifest,
@@ -100,67 +99,40 @@ def named_folders(folders: Sequence[Path], names: Sequence[str] = ()) -> dict[st
         raise ArgumentError(
             f"expected one name (--name) per folder, or none; found {len(names)} for {len(folders)} folders"
         )
-    found: dict[str, Path] = {}
-    taken: dict[str, Path] = {COMPARISON: Path()}
+    named: dict[str, Path] = {}
     for folder, name in zip(folders, names or [folder.resolve().name for folder in folders], strict=True):
         problem = folder_problem(folder)
         if problem is not None:
             raise EldataError(f"{folder}: {problem}")
         if not name or "/" in name or name.startswith(".") or path_problem(name) is not None:
             raise ArgumentError(f"{folder}: {name!r} cannot be the name of a file; give it another with --name")
-        other = taken.setdefault(name.casefold(), folder)
         if name.casefold() == COMPARISON:
             raise ArgumentError(f"{folder}: {name!r} is what the comparison is called; give it another with --name")
-        if name in found or other != folder:
-            raise ArgumentError(
-                f"{other} and {folder} would both be called {name!r}; give each a --name, in the order of the folders"
-            )
-        found[name] = folder
-    return found
+        for other, taken in named.items():
+            if other.casefold() == name.casefold():
+                raise ArgumentError(
+                    f"{taken} and {folder} would both be called {name!r}; give each a --name, in the order of the "
+                    "folders"
+                )
+        named[name] = folder
+    return named
 
 
-@dataclass(frozen=True, slots=True)
-class ScoredMethods:
-    """The results of several folders, by the names of the methods.
-
-    ``comparison``: of those that have scores, with the first of them; ``None`` where there is none to be made, and
-    ``why_not``.
-    """
-
-    results: Mapping[str, EvaluationResult]
-    comparison: Comparison | None
-    why_not: str = ""
-
-    @classmethod
-    def of(cls, results: Mapping[str, EvaluationResult]) -> ScoredMethods:
-        """Return results with their comparison."""
-        scored = {name: of for name, of in results.items() if of.scored}
-        if len(results) < 2:
-            return cls(results, None)
-        if len(scored) < 2:
-            who = f"{', '.join(scored)} alone has" if scored else "no method has"
-            return cls(results, None, f"there is nothing to compare: {who} scores")
-        try:
-            return cls(results, compare([Method(name, result) for name, result in scored.items()]))
-        except EldataError as error:
-            return cls(results, None, str(error))
-
-    @property
-    def all_well(self) -> bool:
-        """Whether every method was scored without a problem."""
-        return all(of.scored and not of.problems for of in self.results.values())
-
-    def write(self, folder: Path) -> None:
-        """Write NAME.json and NAME.csv of each method, and comparison.json; each whole or not at all."""
-        remove_leftovers(folder)
-        for name, result in self.results.items():
-            result.write_json(folder / f"{name}.json")
-            result.write_csv(folder / f"{name}.csv")
-        if self.comparison is not None:
-            write_json(folder / f"{COMPARISON}.json", self.comparison.as_dict())
+def compare_scored(results: Mapping[str, EvaluationResult]) -> tuple[Comparison | None, str]:
+    """Compare the methods that have scores with the first of them; of several, say why where it cannot be done."""
+    scored = [Method(name, result) for name, result in results.items() if result.scored]
+    if len(results) < 2:
+        return None, ""
+    if len(scored) < 2:
+        who = f"{scored[0].name} alone has" if scored else "no method has"
+        return None, f"there is nothing to compare: {who} scores"
+    try:
+        return compare(scored), ""
+    except EldataError as error:
+        return None, str(error)
 
 
-def results_folder(folder: Path, names: Iterable[str]) -> None:
+def make_results_folder(folder: Path, names: Iterable[str]) -> None:
     """Make the folder of results, before there are any.
 
     Raises
@@ -172,11 +144,17 @@ def results_folder(folder: Path, names: Iterable[str]) -> None:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise ArgumentError(f"cannot write {folder}: {error.strerror}; give a folder, in one that is there") from error
-    for name in (
-        *(f"{name}{suffix}" for name in names for suffix in (".json", ".csv")),
-        f"{COMPARISON}.json",
-        f"{COMPARISON}.html",
-    ):
+    for name in (*(f"{name}.json" for name in names), f"{COMPARISON}.json"):
         problem = write_problem(folder / name)
         if problem is not None:
             raise ArgumentError(f"cannot write {folder / name}: {problem}")
+
+
+def write_results(folder: Path, results: Mapping[str, EvaluationResult], comparison: Comparison | None) -> None:
+    """Write NAME.json and NAME.csv of each method, and comparison.json; each whole or not at all."""
+    remove_leftovers(folder)
+    for name, result in results.items():
+        result.write_json(folder / f"{name}.json")
+        result.write_csv(folder / f"{name}.csv")
+    if comparison is not None:
+        write_json(folder / f"{COMPARISON}.json", comparison.as_dict())

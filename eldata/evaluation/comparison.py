@@ -1,0 +1,533 @@
+"""The comparison of methods with the first of them, on the images or clips that all have scores of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from eldata.base.numbers import counted
+from eldata.base.tables import Strong, block, latex_table, markdown_table, markdown_text, table, text_table, wrapped
+from eldata.base.visible import in_line, shown
+from eldata.errors import ArgumentError, EldataError
+from eldata.evaluation.scores import (
+    PaperTable,
+    UnitScore,
+    factor_text,
+    grouped_table,
+    groups_of,
+    json_object,
+    means,
+    short_digest,
+)
+from eldata.evaluation.statistics import (
+    FEWEST_SCENES,
+    LEVEL,
+    RESAMPLES,
+    SEED,
+    Difference,
+    clusters_of,
+    holm,
+    over_scenes,
+    paired_difference,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterable, Mapping, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from eldata.base import numbers
+    from eldata.base.tables import Format
+    from eldata.evaluation.results import EvaluationResult
+    from eldata.plots.axes import Theme
+    from eldata.protocols.kinds import Kind
+
+Images: TypeAlias = "Sequence[tuple[UnitScore, ...]]"
+"""Of each image the score by each method."""
+
+# What of the provenance decides neither which images are scored nor against what.
+_NOT_DECIDING = (
+    *("predictions", "protocol_digest", "included_flags", "equal_choices", "task"),
+    *("eldata", "python", "libraw", "numpy", "numba", "rawpy", "exifread", "imagecodecs", "scipy"),
+)
+# What of it chooses the images, which does not count where the same were chosen.
+_CHOOSING = ("cameras", "subset", "ids", "ratios", "set_aside", "excluded_flags")
+_SHOWN = 10  # biggest wins, and losses
+
+LABELS = 3
+"""How many cells at the beginning of each row of a table are labels: camera, factor, how many images."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A method by its name in tables, and its result."""
+
+    name: str
+    result: EvaluationResult
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Common images of a camera and factor; ``None`` spans all of them.
+
+    Attributes
+    ----------
+    camera, ratio, images, scenes
+        Which they are, how many (of clips, too), and of how many scenes.
+    means
+        Of each method, by the metric's name.
+    gains
+        How much each method but the first is above the first, by the metric's name.
+    """
+
+    camera: str | None
+    ratio: float | None
+    images: int
+    scenes: int
+    means: tuple[dict[str, float], ...]
+    gains: tuple[dict[str, Difference], ...]
+
+    @property
+    def name(self) -> str:
+        """Camera and factor in words."""
+        parts = ("all" if self.camera is None else self.camera, "" if self.ratio is None else factor_text(self.ratio))
+        return " ".join(part for part in parts if part)
+
+
+@dataclass(frozen=True, slots=True)
+class Contest:
+    """Two of the methods on all common images.
+
+    Attributes
+    ----------
+    first, other
+        Their names.
+    gains
+        How much the other is above the first, by the metric's name.
+    corrected
+        The p-values, corrected for the number of all tests, by metric (:func:`~statistics.holm`).
+    """
+
+    first: str
+    other: str
+    gains: dict[str, Difference]
+    corrected: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Methods on their common images.
+
+    Attributes
+    ----------
+    methods
+        The first is what the others are held against.
+    images
+        Scores of each common image by each method, in the first's order.
+    groups
+        Camera by factor, each factor over all cameras, and all.
+    warnings
+        Why the numbers may not compare, with the fields that differ.
+    contests
+        Each method against each other, of three or more.
+    """
+
+    methods: tuple[Method, ...]
+    images: tuple[tuple[UnitScore, ...], ...]
+    groups: tuple[Group, ...]
+    warnings: tuple[str, ...]
+    contests: tuple[Contest, ...] = ()
+
+    @property
+    def results(self) -> tuple[EvaluationResult, ...]:
+        """The result of each method."""
+        return tuple(method.result for method in self.methods)
+
+    @property
+    def kind(self) -> Kind:
+        """Images or clips, with the metrics that every method has."""
+        return _common_kind(self.methods)
+
+    @property
+    def scenes_shared(self) -> bool:
+        """Whether scenes of one name under several cameras are one scene, as the first's set has it."""
+        return self.methods[0].result.scenes_shared
+
+    @property
+    def whole(self) -> Group:
+        """The group of all common images."""
+        return self.groups[-1]
+
+    def pairings(self, index: int) -> tuple[tuple[UnitScore, UnitScore], ...]:
+        """Return the scores by the first method and by the method of this index among the others, image by image."""
+        return tuple((scores[0], scores[index + 1]) for scores in self.images)
+
+    def worst_first(self) -> list[int]:
+        """Return the images' indices by how far another method falls behind the first, the farthest first.
+
+        Where both have an infinite PSNR, they do not differ; what is not known comes last.
+        """
+
+        def worst_gain_db(index: int) -> float:
+            first, *others = self.images[index]
+            gains = [0.0 if score.psnr_db == first.psnr_db else score.psnr_db - first.psnr_db for score in others]
+            return min((gain for gain in gains if not math.isnan(gain)), default=math.inf)
+
+        return sorted(range(len(self.images)), key=worst_gain_db)
+
+    def extremes(
+        self, index: int
+    ) -> tuple[tuple[tuple[UnitScore, UnitScore], ...], tuple[tuple[UnitScore, UnitScore], ...]]:
+        """Return the pairings with the biggest wins of a method by PSNR, and those with its biggest losses."""
+        gains = [(other.psnr_db - first.psnr_db, (first, other)) for first, other in self.pairings(index)]
+        known = sorted((gain for gain in gains if math.isfinite(gain[0])), key=lambda gain: gain[0])
+        wins = tuple(pairing for gain_db, pairing in known[::-1][:_SHOWN] if gain_db > 0)
+        return wins, tuple(pairing for gain_db, pairing in known[:_SHOWN] if gain_db < 0)
+
+    def plot(self, metric: str = "psnr_db", *, ax: Axes | None = None) -> Figure:
+        """Draw how far each method's mean lies above the first one's, by group, with intervals over scenes.
+
+        Parameters
+        ----------
+        metric
+            The name of a column that all methods have, such as ``psnr_db`` or ``ssim``.
+        ax
+            Axes to draw into; by default new ones, in a figure that belongs to no pyplot and shows in a notebook.
+
+        Raises
+        ------
+        ArgumentError
+            If the methods have no such column, or no difference is finite.
+        """
+        from eldata.plots.axes import drawn_into, nothing_to_draw
+        from eldata.plots.scores import mean_gains
+
+        chosen, (first, *others) = self.kind.metric(metric), self.methods
+        gains = [
+            (method.name, [group.gains[index][chosen.name].interval.ends for group in self.groups])
+            for index, method in enumerate(others)
+        ]
+        if not any(math.isfinite(mean) for _, ends in gains for mean, _, _ in ends):
+            raise nothing_to_draw(f"{metric} of this comparison", "no difference is finite")
+
+        def draw(axes: Axes, theme: Theme) -> None:
+            mean_gains(axes, [group.name for group in self.groups], gains, theme)
+            axes.set_xlabel(f"difference of {chosen.heading}")
+
+        named = others[0].name if len(others) == 1 else f"{len(others)} methods"
+        return drawn_into(ax, f"{named} against {first.name}", draw)
+
+    def __repr__(self) -> str:
+        psnr = self.kind.metric("psnr_db")
+        texts = [
+            f"{method.name} {psnr.format(means[psnr.name])}"
+            for method, means in zip(self.methods, self.whole.means, strict=True)
+        ]
+        warned = f"; {counted(len(self.warnings), 'warning')}" if self.warnings else ""
+        return f"Comparison({len(self.images)} common {self.kind.units}; PSNR {in_line(', '.join(texts))}{warned})"
+
+    def _repr_html_(self) -> str:
+        means = means_table(self)
+        heading = f"{len(self.methods)} methods on {len(self.images)} common {self.kind.units}"
+        return block(heading, table(means.header, means.rows, means.left), notes=self.warnings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain JSON types."""
+        result = {
+            "methods": [
+                {
+                    "name": method.name,
+                    "file": method.result.source,
+                    "scored": method.result.scored,
+                    "protocol": method.result.protocol.as_dict(),
+                    "provenance": method.result.provenance,
+                }
+                for method in self.methods
+            ],
+            "warnings": list(self.warnings),
+            "statistics": {
+                "level": LEVEL,
+                "resamples": RESAMPLES,
+                "seed": SEED,
+                "clusters": ["scene"] if self.scenes_shared else ["camera", "scene"],
+            },
+            "common": [scores[0].path for scores in self.images],
+            "groups": [asdict(group) for group in self.groups],
+            "contests": [asdict(contest) for contest in self.contests],
+        }
+        return json_object(result)
+
+
+def compare(methods: Sequence[Method]) -> Comparison:
+    """Compare methods with the first on their common images or clips.
+
+    Raises
+    ------
+    ArgumentError
+        If there are fewer than two methods, two of one name, or results of images and of clips.
+    EldataError
+        If no image is common to all.
+    """
+    if len(methods) < 2:
+        raise ArgumentError(f"a comparison needs two results or more; found {len(methods)}")
+    first, *others = methods
+    names = [method.name for method in methods]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ArgumentError(f"two results are called {twice!r}; name each with --name, in the order of the files")
+    kind, units = _common_kind(methods), first.result.kind.units
+    for other in others:
+        if (theirs := other.result.kind.units) != units:
+            raise ArgumentError(f"{first.name} has scores of {units}, {other.name} of {theirs}; these do not compare")
+    scores = [{score.path: score for score in method.result.scores} for method in methods]
+    common = [path for path in scores[0] if all(path in of for of in scores)]
+    if not common:
+        kinds = ", ".join(f"{method.name}: {method.result.scored} of {method.result.dataset}" for method in methods)
+        raise EldataError(f"no {kind.unit} is common to the results ({kinds}); compare results on the same dataset")
+    images = tuple(tuple(of[path] for of in scores) for path in common)
+    return Comparison(
+        methods=tuple(methods),
+        images=images,
+        groups=_groups(images, kind.metrics, first.result),
+        warnings=_warnings(methods, images),
+        contests=_contests(methods, images, kind.metrics) if len(methods) > 2 else (),
+    )
+
+
+def _common_kind(methods: Sequence[Method]) -> Kind:
+    """Return the kind of the first with the columns that all have; a task of another label or direction is another."""
+    first, *others = (method.result.kind for method in methods)
+    return replace(first, metrics=tuple(one for one in first.metrics if all(one in other.metrics for other in others)))
+
+
+def _groups(images: Images, metrics: Sequence[numbers.Figure], result: EvaluationResult) -> tuple[Group, ...]:
+    names = [metric.name for metric in metrics]
+    groups = []
+    for camera, ratio in groups_of([(scores[0].camera, scores[0].ratio) for scores in images], result.dataset):
+        members = [
+            scores for scores in images if camera in (None, scores[0].camera) and ratio in (None, scores[0].ratio)
+        ]
+        places = clusters_of((scores[0] for scores in members), scenes_shared=result.scenes_shared)
+        first, *others = zip(*members, strict=True)
+        groups.append(
+            Group(
+                camera,
+                ratio,
+                images=len(members),
+                scenes=len(set(places)),
+                means=tuple(means(scores, names) for scores in (first, *others)),
+                gains=tuple(_differences(first, other, names, places) for other in others),
+            )
+        )
+    return tuple(groups)
+
+
+def _contests(methods: Sequence[Method], images: Images, metrics: Sequence[numbers.Figure]) -> tuple[Contest, ...]:
+    names = [metric.name for metric in metrics]
+    places = clusters_of((scores[0] for scores in images), scenes_shared=methods[0].result.scenes_shared)
+    pairs = list(combinations(zip((method.name for method in methods), zip(*images, strict=True), strict=True), 2))
+    gains = [_differences(first, other, names, places) for (_, first), (_, other) in pairs]
+    corrected = iter(holm([difference.p_value for of in gains for difference in of.values()]))
+    return tuple(
+        Contest(first, other, of, {name: next(corrected) for name in of})
+        for ((first, _), (other, _)), of in zip(pairs, gains, strict=True)
+    )
+
+
+def _differences(
+    first: Sequence[UnitScore], other: Sequence[UnitScore], names: Iterable[str], places: Sequence[Hashable]
+) -> dict[str, Difference]:
+    """Return the differences, the other's scores minus the first's, by the name of the value."""
+    return {
+        name: paired_difference(
+            [score.values[name] for score in first], [score.values[name] for score in other], places
+        )
+        for name in names
+    }
+
+
+# --- warnings -----------------------------------------------------------------------------------------------------
+
+
+def _warnings(methods: Sequence[Method], images: Images) -> tuple[str, ...]:
+    first, *others = methods
+    kind, common = first.result.kind, len(images)
+    warnings = []
+    for other in others:
+        differences = [f"protocol: {words}" for words in first.result.scored_unlike(other.result)]
+        ignored = (*_NOT_DECIDING, *(_CHOOSING if first.result.chosen == other.result.chosen else ()))
+        a, b = first.result.provenance, other.result.provenance
+        differences += _differing(a, b, ignored)
+        if a.get("task") is not None and b.get("task") is not None:
+            differences += [f"task {words}" for words in _differing(a["task"], b["task"])]
+        warnings += [f"{first.name} and {other.name} may not compare: {words}" for words in differences]
+    for method in methods:
+        scored, expected = method.result.scored, method.result.expected
+        if scored > common:
+            warnings.append(
+                f"{method.name} has scores of {scored} {kind.units}, of which {common} are common to all and count"
+            )
+        if scored < expected:
+            warnings.append(f"{method.name} is incomplete: {scored} of {expected} {kind.counted} were scored")
+    return tuple(warnings)
+
+
+def _differing(first: Mapping[str, Any], second: Mapping[str, Any], ignored: Sequence[str] = ()) -> list[str]:
+    return [
+        f"{name.replace('_', ' ')}: {_value(first, name)} against {_value(second, name)}"
+        for name in dict.fromkeys((*first, *second))
+        if name not in ignored and ((name in first) != (name in second) or first.get(name) != second.get(name))
+    ]
+
+
+def _value(fields: Mapping[str, Any], name: str) -> str:
+    if name not in fields:
+        return "not stated"
+    value = fields[name]
+    is_digest = isinstance(value, str) and value.startswith("sha256:")
+    return short_digest(value) if is_digest else shown(value)
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def means_table(comparison: Comparison, times: str = "x") -> PaperTable:
+    """Return the means of each method by group; what prints like the best of its row is :class:`Strong`."""
+    kind = comparison.kind
+    heads = [f"{method.name} {metric.unit or metric.label}" for method in comparison.methods for metric in kind.metrics]
+    return _by_group(comparison, heads, [_mean_texts(group, kind) for group in comparison.groups], times)
+
+
+def gains_table(comparison: Comparison, index: int, times: str = "x") -> PaperTable:
+    """Return differences to the first method by group, of the method of this index among the others."""
+    kind = comparison.kind
+    heads = ["scenes", *(head for metric in kind.metrics for head in (metric.heading, f"{LEVEL:.0%} interval", "p"))]
+    texts = [[str(group.scenes), *_gain_texts(group.gains[index], kind)] for group in comparison.groups]
+    return _by_group(comparison, heads, texts, times)
+
+
+def contests_table(comparison: Comparison) -> PaperTable:
+    """Return each method against each other on all common images, with p-values corrected for their number."""
+    kind = comparison.kind
+    heads = (head for metric in kind.metrics for head in (metric.heading, f"{LEVEL:.0%} interval", "p", "p (Holm)"))
+    rows = (
+        (contest.other, contest.first, *_gain_texts(contest.gains, kind, contest.corrected))
+        for contest in comparison.contests
+    )
+    return PaperTable(("method", "minus", *heads), tuple(rows), (0, 1))
+
+
+def contests_note(comparison: Comparison) -> str:
+    """Explain the corrected p-values in a sentence."""
+    count = len(comparison.contests) * len(comparison.kind.metrics)
+    return (
+        f"p (Holm) is corrected for the {count} tests of this table together: of differences with p (Holm) below 0.05, "
+        "the chance that even one is none is 5% at most. The other tables are not corrected."
+    )
+
+
+def _by_group(comparison: Comparison, heads: Sequence[str], texts: Sequence[Sequence[str]], times: str) -> PaperTable:
+    counted = [(str(group.images), *cells) for group, cells in zip(comparison.groups, texts, strict=True)]
+    groups = [(group.camera, group.ratio) for group in comparison.groups]
+    return grouped_table(groups, (comparison.kind.units, *heads), counted, times)
+
+
+def _mean_texts(group: Group, kind: Kind) -> list[str]:
+    """Return the means of each method as printed."""
+    columns = []
+    for metric in kind.metrics:
+        values = [means[metric.name] for means in group.means]
+        texts = [metric.format(value) for value in values]
+        known = [value for value in values if not math.isnan(value)]
+        best = metric.format((max if metric.sign > 0 else min)(known)) if known else ""
+        columns.append([Strong(text) if text == best else text for text in texts])
+    return [text for each in zip(*columns, strict=True) for text in each]
+
+
+def _gain_texts(gains: Mapping[str, Difference], kind: Kind, corrected: Mapping[str, float] | None = None) -> list[str]:
+    """Return difference, interval, p-value and, if there is one, corrected p-value of each metric as printed."""
+    cells = []
+    for metric in kind.metrics:
+        difference, interval = gains[metric.name], gains[metric.name].interval
+        reach = f"{metric.format_difference(interval.low)} to {metric.format_difference(interval.high)}"
+        cells += [metric.format_difference(interval.mean), reach if interval.is_known else "-"]
+        cells += [_p_text(difference.p_value), *([_p_text(corrected[metric.name])] if corrected else [])]
+    return cells
+
+
+def signed_text(value: float, decimals: int) -> str:
+    """Return a difference with its sign; ``-`` for one that is not known."""
+    return f"{value:+.{decimals}f}" if not math.isnan(value) else "-"
+
+
+def _p_text(p_value: float) -> str:
+    """Return a p-value as printed: three decimals, ``<0.001`` below."""
+    if math.isnan(p_value):
+        return "-"
+    return f"{p_value:.3f}" if p_value >= 0.0005 else "<0.001"
+
+
+def format_comparison(comparison: Comparison, form: Format) -> str:
+    """Return the tables: means of every method, each method's differences to the first, and each against each."""
+    first, *others = comparison.methods
+    summary, note = summary_of(comparison), statistics_note(comparison)
+    # What a label of LaTeX ends with, title, cells and note of each.
+    tables = [("methods", "Means", means_table(comparison), "PSNR in dB.")]
+    for index, other in enumerate(others):
+        tables.append((other.name, f"{other.name} minus {first.name}", gains_table(comparison, index), note))
+    notes = [note]
+    if comparison.contests:
+        notes.append(contests_note(comparison))
+        tables.append(("contests", "Each against each", contests_table(comparison), " ".join(notes)))
+    if form == "latex":
+        result = comparison.methods[0].result
+        label = f"tab:{result.dataset}-{result.protocol.name}"
+        return "\n\n".join(
+            latex_table(
+                cells.header,
+                cells.rows,
+                caption=f"{title}: {summary}. {remark}",
+                label=f"{label}-{name}",
+                rules=cells.rules,
+            )
+            for name, title, cells, remark in tables
+        )
+    if form == "markdown":
+        blocks = [markdown_text(summary)]
+        for _, title, cells, _ in tables:
+            blocks += [markdown_text(f"{title}:"), markdown_table(cells.header, cells.rows)]
+        remarks = [*notes, *(f"Warning: {text}" for text in comparison.warnings)]
+        return "\n\n".join([*blocks, *map(markdown_text, remarks)])
+    lines = [summary, ""]
+    for name, title, cells, _ in tables:
+        plain = LABELS if name == "methods" else len(cells.header)
+        header, *rows = ((*row[:plain], *map(_starred, row[plain:])) for row in (cells.header, *cells.rows))
+        lines += [title, "", text_table(header, rows), ""]
+    return "\n".join([*lines, "* best of its row", *(line for text in notes for line in wrapped(text, ""))])
+
+
+def _starred(cell: str) -> str:
+    """Return a cell with a star where it is the best of its row, and room for one where it is not."""
+    return f"{cell}{'*' if isinstance(cell, Strong) else ' '}"
+
+
+def summary_of(comparison: Comparison) -> str:
+    """Summarise the comparison in a line: methods, images, dataset, protocol."""
+    result, kind = comparison.methods[0].result, comparison.kind
+    count, scenes = len(comparison.images), comparison.whole.scenes
+    return (
+        f"{len(comparison.methods)} methods on {count} common {kind.unit if count == 1 else kind.units} of "
+        f"{counted(scenes, 'scene')}: {result.dataset}, protocol {result.protocol.name} "
+        f"({short_digest(result.digest)})"
+    )
+
+
+def statistics_note(comparison: Comparison) -> str:
+    """Explain interval and p-value in a sentence."""
+    return (
+        f"Interval: {LEVEL:.0%}, Student's t over {over_scenes(shared=comparison.scenes_shared)}; p: signs of whole "
+        f"scenes flipped, two-sided. With fewer than {FEWEST_SCENES} scenes there is no interval."
+    )

@@ -108,7 +108,7 @@ class PairOpener:
         """
         noisy = noisy or self._open_noisy(record, target, path or record.path)
         noisy = noisy.with_levels(self.levels, target)
-        if target is not None and noisy.kind != target.kind:
+        if target is not None and (noisy.shape, noisy.cfa) != (target.shape, target.cfa):
             raise DatasetError(f"{noisy.name}: has {noisy.kind}, but its reference {target.name} has {target.kind}")
         ratio = find_ratio(record, target, noisy, self.amplification)
         shown = noisy if self.dark_shading is None else noisy.subtract(self.dark_shading)

@@ -142,9 +142,9 @@ class SourcePairs(CroppedItems[Sample]):
     def _parts(self, record: PairRecord, target: Frame, pair: OpenedPair | None) -> Iterator[Part]:
         """Yield the target, then the input, which is opened once the target was read unless it is open already."""
         yield Part("target", target, is_light=True)
-        outline = target.without_pixels()
-        del target
-        pair = pair or self._opener.open_pair(record, outline)
+        if pair is None:
+            target = target.without_pixels()
+            pair = self._opener.open_pair(record, target)
         yield Part("input", pair.input, gain=pair.gain, facts=_facts_of(record, pair))
 
     def _check_pairs(self) -> None:

@@ -14,6 +14,7 @@ from eldata.manifest.clips import choose_clips, clips_of, windows
 from eldata.manifest.drv import Layout
 from eldata.manifest.pairs import Choice
 from eldata.manifest.patterns import expand
+from eldata.sources.frames import Frame
 from eldata.sources.pairs import PairOpener
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from eldata.raw.levels import Clip as Clipping
     from eldata.raw.levels import FrameLevels
     from eldata.records import FrameRecord
-    from eldata.sources.frames import Frame, FrameSource
+    from eldata.sources.frames import FrameSource
     from eldata.sources.pairs import OpenedPair
 
 
@@ -71,6 +72,10 @@ class ClipSample(UnpairedClipSample):
 
     target: torch.Tensor
     reference: str
+
+
+def _keep_pixels(frame: Frame) -> Frame:
+    return frame  # which reads parts, and holds none
 
 
 class ClipWindows(CroppedItems[ClipSample]):
@@ -214,20 +219,21 @@ class ClipWindows(CroppedItems[ClipSample]):
 
         ``opened`` is the first reference, or the first frame of a clip without one.
         """
+        forget = _keep_pixels if self.reads_parts else Frame.without_pixels
+        target, noisy = (opened, None) if record.reference is not None else (None, opened)
+        del opened
         first: OpenedPair | None = None
-        target: Frame | None = None
         for place, path in enumerate(record.frames):
-            if record.reference is not None and (not place or record.references):
-                target = opened if not place else self._opener.open_target(record.references[place])
+            if target is not None and (not place or record.references):
+                if place:
+                    target = self._opener.open_target(record.references[place])
                 yield Part("target", target, place if record.references else None, is_light=True)
-                target = target.without_pixels()
-            noisy = opened if not place and record.reference is None else None
-            opened = opened.without_pixels()
+                target = forget(target)
             pair = self._open_pair(path, target, first, noisy)
-            del noisy
+            noisy = None
             facts = {} if place else self._facts_of(record, pair)
             yield Part("input", pair.input, place, pair.gain, facts=facts)
-            first = first or replace(pair, target=pair.target.without_pixels(), input=pair.input.without_pixels())
+            first = first or replace(pair, target=forget(pair.target), input=forget(pair.input))
             del pair
 
     def _facts_of(self, record: ClipRecord, pair: OpenedPair) -> dict[str, Any]:
@@ -242,7 +248,7 @@ class ClipWindows(CroppedItems[ClipSample]):
     ) -> OpenedPair:
         """Open a frame of a clip; raise DatasetError unless it is of the clip of the first one, and exposed like it."""
         pair = self._opener.open_pair(self._row_of[path], target, path, noisy)
-        if first is not None and pair.input.kind != first.input.kind:
+        if first is not None and (pair.input.shape, pair.input.cfa) != (first.input.shape, first.input.cfa):
             raise DatasetError(
                 f"{pair.input.name}: {pair.input.kind}, but {first.input.name} has {first.input.kind}; are they of one "
                 "clip?"

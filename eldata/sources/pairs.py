@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eldata.base.files import file_problem
-from eldata.base.pixels import NpyError, read_npy
-from eldata.errors import ArgumentError, DatasetError, RawFileError
+from eldata.base.array_files import read_array
+from eldata.errors import ArgumentError, DatasetError, FileError, RawFileError
 from eldata.manifest.pair_checks import RATIO_TOLERANCE
 from eldata.manifest.pairs import NOMINAL_RATIO, UNCERTAIN_ISO
 from eldata.raw.cfa import packed_area, packed_shape, unpack
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import TypeAlias
 
-    from eldata.base.pixels import NpyHeader
+    from eldata.base.pixels import Declared
     from eldata.manifest.clips import ClipRecord
     from eldata.noise.dark_shading import DarkShading
     from eldata.protocols.protocol import Amplification, Levels
@@ -108,7 +107,7 @@ class PairOpener:
         """
         noisy = noisy or self._open_noisy(record, target, path or record.path)
         noisy = noisy.with_levels(self.levels, target)
-        if target is not None and noisy.kind != target.kind:
+        if target is not None and (noisy.shape, noisy.cfa) != (target.shape, target.cfa):
             raise DatasetError(f"{noisy.name}: has {noisy.kind}, but its reference {target.name} has {target.kind}")
         ratio = find_ratio(record, target, noisy, self.amplification)
         shown = noisy if self.dark_shading is None else noisy.subtract(self.dark_shading)
@@ -162,19 +161,12 @@ def _read_packed(path: Path, target: Frame, exposure: Exposure) -> Frame:
     """Read a packed, amplified noisy frame, as a mosaic like its reference's."""
     shape = packed_shape(target.shape, target.cfa)
 
-    def check(header: NpyHeader) -> None:
-        if header.shape != shape or header.dtype != np.float32:
-            found = f"{header.values} {header.shape}"  # no pandas
-            raise DatasetError(f"{path}: expected float32 {shape} like its reference, found {found}")
+    def check(declared: Declared) -> None:
+        if declared.shape != shape or declared.values != "float32":
+            found = f"{declared.values} {declared.shape}"
+            raise FileError(path, f"expected float32 {shape} like its reference, found {found}")
 
-    problem = file_problem(path)
-    if problem is not None:
-        raise DatasetError(f"{path}: {problem}")
-    try:
-        with path.open("rb") as file:
-            packed = read_npy(file, path.stat().st_size, check)
-    except (OSError, NpyError) as error:
-        raise DatasetError(f"{path}: cannot be read as a packed array ({error})") from error
+    packed = read_array(path, check, error=FileError)
     mosaic = np.zeros(target.shape, np.float32)
     mosaic[packed_area(target.shape, target.cfa).slices] = unpack(packed, target.cfa)
     return Frame(mosaic, target.cfa, (0.0,) * len(target.black_level_dn), 1.0, str(path), exposure=exposure)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from eldata.errors import EldataError, PredictionError
+from eldata.errors import PredictionError
 from eldata.evaluation import evaluate, load_prediction, save_prediction
 from eldata.evaluation.predictions import load_colours
 from eldata.raw.dng import write_dng
@@ -356,12 +356,6 @@ def test_predictions_of_other_factors_are_counted_in_a_note(tree: Tree, alpha: P
     (note,) = set(after.notes) - set(before.notes)
     assert note.endswith("leaves their frames out: 3 predictions")
     assert "not scored" in after.format_text()
-
-
-def test_a_file_in_place_of_the_folder_is_an_error(tree: Tree, tmp_path: Path) -> None:
-    (tmp_path / "preds.npy").write_bytes(b"")
-    with pytest.raises(EldataError, match=r"preds\.npy"):
-        run(tmp_path / "preds.npy", tree)
 
 
 # --- scale ----------------------------------------------------------------------------------------------------
